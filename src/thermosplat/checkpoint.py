@@ -1,0 +1,111 @@
+"""Checkpoints: one file with everything a run needs to go on, written so that a crash never leaves half of one.
+
+A checkpoint is a plain dict of tensors and built-in types (``torch.load(..., weights_only=True)`` reads it):
+
+    format         int, this file's FORMAT
+    step           int, training steps done
+    config         dict, the resolved configuration (``config_files.to_dict``)
+    sh_degree      int, highest spherical-harmonics degree in use
+    model          {"gaussian_sets": {name: state_dict}, "decoders": state_dict | None, "thermal_channels": int}
+    thermal_scale  dict (``ThermalScale.state_dict``) | None
+    training       dict, optimizer and densification state (``training.trainer``)
+"""
+
+import contextlib
+import os
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from thermosplat.errors import UserError
+
+FORMAT = 1
+_REQUIRED = ("step", "config", "sh_degree", "model", "thermal_scale", "training")
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file so that its name only ever holds a complete one.
+
+    Args:
+        path: Where the file goes. Its folder is created.
+        write: Writes the file to the temporary path it is given, which lies in the same folder and has the same suffix.
+
+    Raises:
+        UserError: If the folder or the file cannot be written (disk full, no permission).
+    """
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())  # the data before the name, or a power cut leaves an empty file under a good name
+        os.replace(temporary, path)
+    except OSError as error:
+        raise UserError(
+            f"Could not write {path}: {error.strerror or error}.", "Free some space, or give another --result-dir."
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint, atomically.
+
+    Args:
+        path: The file to write.
+        state: See the head of this file; ``format`` is added.
+
+    Raises:
+        UserError: If the file cannot be written.
+    """
+
+    def write(temporary: Path) -> None:
+        try:
+            with temporary.open("wb") as file:
+                torch.save({"format": FORMAT, **state}, file)
+        except RuntimeError as error:  # torch's archive writer hides the OSError of a full disk in its own error
+            if isinstance(error.__context__, OSError):
+                raise error.__context__ from error
+            raise
+
+    write_atomically(path, write)
+
+
+def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """Read a checkpoint.
+
+    Args:
+        path: A file that :func:`save_checkpoint` wrote.
+        device: Where its tensors go.
+
+    Returns:
+        The state; see the head of this file.
+
+    Raises:
+        UserError: If there is no such file, or it is not a checkpoint this version reads.
+    """
+    if not path.is_file():
+        raise UserError(f"No checkpoint at {path}.", "Give the result folder of a run of thermosplat-train.")
+    try:
+        state = torch.load(path, map_location=device, weights_only=True)
+    except (RuntimeError, pickle.UnpicklingError, EOFError, ValueError, KeyError, OSError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UserError(
+            f"{path} is damaged or not a thermosplat checkpoint ({reason}).",
+            "Delete it; thermosplat-train --resume then goes on from the checkpoint before it.",
+        ) from error
+    if not isinstance(state, dict) or "format" not in state:
+        raise UserError(f"{path} is not a thermosplat checkpoint: it has no format number.")
+    if state["format"] != FORMAT:
+        raise UserError(
+            f"{path} has checkpoint format {state['format']}; this version of thermosplat reads format {FORMAT}.",
+            "Use the version of thermosplat that wrote it.",
+        )
+    missing = [key for key in _REQUIRED if key not in state]
+    if missing:
+        raise UserError(f"{path} is not a complete checkpoint: {', '.join(missing)} missing.")
+    return state

@@ -1,0 +1,1 @@
+"""The commands. Their modules import nothing heavy before the arguments are understood, so that --help is instant."""

@@ -1,0 +1,114 @@
+"""The arguments of thermosplat-train: a preset, the flags on top of it, and what a resumed run already fixes."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from thermosplat.config import TrainConfig
+from thermosplat.config_checks import check_config
+from thermosplat.config_files import load_config
+from thermosplat.errors import UserError
+
+HELP_FLAGS = ("-h", "--help")
+MAY_CHANGE_ON_RESUME = (
+    *("data", "max_steps", "eval_steps", "save_steps", "log_every", "tensorboard", "lpips_weights", "device"),
+)
+"""Fields that say how a run is watched or how long it goes, not what is trained; ``data`` for a capture that moved."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainArguments(TrainConfig):
+    """Train RGB + thermal 3D Gaussians on a capture, and evaluate them on its held-out views.
+
+    Examples:
+      thermosplat-train sample
+      thermosplat-train data/shed --data-factor 2 --result-dir results/shed
+      thermosplat-train data/shed --config 3dgs --max-steps 7000
+      thermosplat-train --resume results/shed
+    """
+
+    data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")] = ""
+    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Show the traceback of an error."""
+
+
+def parse_train_arguments(argv: list[str]) -> TrainConfig:
+    """The configuration that a command line asks for.
+
+    It is parsed twice: once to see which preset or run it starts from, then with that one's values as the defaults, so
+    that flags override the preset and --help shows the preset's values.
+
+    Args:
+        argv: Arguments without the program's name.
+
+    Returns:
+        The configuration. With ``resume`` set it is the run's own, with the changes that a resumed run may have.
+
+    Raises:
+        UserError: No capture, an unknown preset, a value out of range, or flags that contradict the resumed run.
+        SystemExit: Code 0 after --help, code 2 after flags that tyro cannot understand.
+    """
+    first = _parse([word for word in argv if word not in HELP_FLAGS], TrainConfig(config=""))
+    if first.resume is not None:
+        return _resumed(argv, first)
+    name = first.config or ("demo" if first.data == "sample" else "thermosplat")
+    preset = load_config(name)
+    config = dataclasses.replace(_parse(argv, preset), config=preset.config)
+    if not config.data:
+        raise UserError(
+            "No capture given.", 'Say which: thermosplat-train FOLDER, or "thermosplat-train sample" for a first try.'
+        )
+    check_config(config)
+    return config
+
+
+def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
+    from thermosplat.run_directory import RunDirectory
+
+    folder = str(first.resume)
+    run_config = load_config(RunDirectory.open(folder).config_yaml)
+    start = dataclasses.replace(run_config, resume=folder, result_dir=folder)
+    asked = _parse(argv, start)
+    if asked.overwrite:
+        raise UserError("--resume goes on with a run and --overwrite deletes it.", "Give one of them.")
+    if Path(asked.config).stem == start.config:
+        asked = dataclasses.replace(asked, config=start.config)
+    if asked.result_dir and Path(asked.result_dir).resolve() == Path(folder).resolve():
+        asked = dataclasses.replace(asked, result_dir=folder)
+    for key, trained, wanted in _differences(start, asked):
+        if key not in MAY_CHANGE_ON_RESUME:
+            raise UserError(
+                f"{folder} was trained with {key}={trained}, the command asks for {wanted}.",
+                "Leave that flag out, or start another run with --result-dir.",
+            )
+    if asked.max_steps < run_config.max_steps:
+        raise UserError(
+            f"{folder} was to be trained for {run_config.max_steps} steps, the command asks for {asked.max_steps}.",
+            "A resumed run can have more steps, not fewer: leave out --max-steps.",
+        )
+    check_config(asked)
+    return asked
+
+
+def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
+    start = TrainArguments(**{field.name: getattr(default, field.name) for field in dataclasses.fields(TrainConfig)})
+    arguments = tyro.cli(TrainArguments, prog="thermosplat-train", args=argv, default=start)
+    return TrainConfig(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(TrainConfig)})
+
+
+def _differences(one: TrainConfig, other: TrainConfig) -> list[tuple[str, object, object]]:
+    """Dotted names and both values of the fields in which two configurations differ."""
+    pairs = zip(_leaves(one), _leaves(other))
+    return [(key, value, changed) for (key, value), (_, changed) in pairs if value != changed]
+
+
+def _leaves(config: object, prefix: str = "") -> list[tuple[str, object]]:
+    leaves: list[tuple[str, object]] = []
+    for field in dataclasses.fields(config):  # type: ignore[arg-type]
+        value = getattr(config, field.name)
+        is_group = dataclasses.is_dataclass(value)
+        leaves += _leaves(value, f"{prefix}{field.name}.") if is_group else [(prefix + field.name, value)]
+    return leaves

@@ -1,0 +1,56 @@
+"""thermosplat-export: a trained run as PLY files for third-party viewers."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from thermosplat.cli.errors import run_command
+
+
+@dataclass(frozen=True)
+class ExportArguments:
+    """Write a trained run's Gaussians as PLY, one file for each spectrum: splat_rgb.ply and splat_thermal.ply."""
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Result folder of thermosplat-train."""
+    modality: Literal["rgb", "thermal", "both"] | None = None
+    """Which spectrum. None: all that were trained."""
+    output: str | None = None
+    """Folder for the files. None: ply/ in the result folder."""
+    step: int | None = None
+    """Checkpoint to export. None: the last one."""
+    debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Show the traceback of an error."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        argv: Arguments without the program's name. None: the process's.
+
+    Returns:
+        The exit code.
+    """
+    arguments = tyro.cli(ExportArguments, prog="thermosplat-export", args=sys.argv[1:] if argv is None else argv)
+    return run_command(lambda: _export(arguments), debug=arguments.debug)
+
+
+def _export(arguments: ExportArguments) -> int:
+    from thermosplat.cli.loaded_run import load_run
+    from thermosplat.export.scene import export_scene, modelled
+
+    loaded = load_run(arguments.run, step=arguments.step, device="cpu")
+    if arguments.modality is None:
+        modalities = modelled(loaded.model)
+    else:
+        modalities = ("rgb", "thermal") if arguments.modality == "both" else (arguments.modality,)
+    folder = loaded.directory.ply if arguments.output is None else Path(arguments.output)
+    written = export_scene(loaded.model, folder, thermal_scale=loaded.thermal_scale, modalities=modalities)
+    for ply in written.values():
+        dropped = f", {ply.num_dropped:,} invisible or broken ones left out" if ply.num_dropped else ""
+        print(f"{ply.path}: {ply.num_gaussians:,} Gaussians{dropped}")
+    return 0

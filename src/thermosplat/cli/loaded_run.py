@@ -1,0 +1,97 @@
+"""A finished or interrupted run, read back for evaluation, rendering and export."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from thermosplat.checkpoint import load_checkpoint
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import from_dict
+from thermosplat.datasets import load_capture
+from thermosplat.datasets.capture import Capture
+from thermosplat.devices import choose_device
+from thermosplat.errors import UserError
+from thermosplat.model import SceneModel
+from thermosplat.radiometry import ThermalScale
+from thermosplat.run_directory import RunDirectory, checkpoint_step
+
+
+@dataclass(frozen=True)
+class LoadedRun:
+    """What a checkpoint holds, ready to render."""
+
+    directory: RunDirectory
+    """The result folder."""
+    config: TrainConfig
+    """The configuration it was trained with."""
+    step: int
+    """Training steps done."""
+    sh_degree: int
+    """Highest SH degree in use at that step."""
+    model: SceneModel
+    """The scene, on ``device``."""
+    thermal_scale: ThermalScale | None
+    """What thermal values mean; None without thermal images."""
+    device: torch.device
+    """Where the model is."""
+
+    def capture(self, data: str | None) -> Capture:
+        """The capture it was trained on.
+
+        Args:
+            data: Where it lies now; None: where it lay.
+
+        Raises:
+            UserError: It cannot be read there.
+        """
+        if data is None and self.config.data != "sample" and not Path(self.config.data).exists():
+            raise UserError(
+                f"{self.directory.path} was trained on {self.config.data}, which is not there.",
+                "Say where it lies now: --data FOLDER.",
+            )
+        config = self.config
+        return load_capture(
+            data or config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
+        )
+
+
+def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> LoadedRun:
+    """Read a run's checkpoint.
+
+    Args:
+        folder: The result folder.
+        step: Which checkpoint. None: the one with the most steps.
+        device: As ``--device``.
+
+    Raises:
+        UserError: No run, no such checkpoint, a damaged one, or no such device.
+    """
+    chosen = choose_device(device)
+    directory = RunDirectory.open(folder)
+    state = load_checkpoint(_checkpoint(directory, step), chosen)
+    scale = state["thermal_scale"]
+    return LoadedRun(
+        directory=directory,
+        config=from_dict(state["config"], source=f"the configuration stored in {folder}"),
+        step=state["step"],
+        sh_degree=state["sh_degree"],
+        model=SceneModel.from_checkpoint(state, chosen).eval(),
+        thermal_scale=None if scale is None else ThermalScale.from_state_dict(scale),
+        device=chosen,
+    )
+
+
+def _checkpoint(directory: RunDirectory, step: int | None) -> Path:
+    latest = directory.latest_checkpoint()
+    if latest is None:
+        raise UserError(f"{directory.path} has no checkpoint yet.", "Train it: see config.yaml there for its settings.")
+    if step is None:
+        return latest
+    path = directory.checkpoint(step)
+    if not path.is_file():
+        steps = sorted(checkpoint_step(file) for file in directory.ckpts.glob("step_*.pt"))
+        raise UserError(
+            f"{directory.path} has no checkpoint of step {step}.", f"It has: {', '.join(f'--step {n}' for n in steps)}."
+        )
+    return path

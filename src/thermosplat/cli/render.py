@@ -1,0 +1,84 @@
+"""thermosplat-render: a trained run along a camera path, as a video or as PNGs."""
+
+import sys
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+
+from thermosplat.cli.errors import run_command
+from thermosplat.errors import UserError
+
+
+@dataclass(frozen=True)
+class RenderArguments:
+    """Render a trained run along a camera path: a video or PNGs of one spectrum, or of both side by side."""
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Result folder of thermosplat-train."""
+    path: Literal["interp", "ellipse", "spiral", "train", "test"] = "interp"
+    """Smoothly through the training views; an ellipse around the scene; a spiral in front of it; or the views of the
+    training or the held-out split themselves."""
+    modality: Literal["rgb", "thermal", "both"] | None = None
+    """Which spectrum. None: both side by side, or the one that was trained."""
+    format: Literal["mp4", "png"] = "mp4"
+    """A video (H.264 with the extra "video" installed: pip install "thermosplat[video]"), or a folder of PNGs."""
+    frames: int = 120
+    """Images along the path; the train and test paths have one for each view."""
+    fps: int = 30
+    """Images a second of the video."""
+    step: int | None = None
+    """Checkpoint to render. None: the last one."""
+    data: str | None = None
+    """Folder of the capture, if it has moved since the training."""
+    device: str = "auto"
+    """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Show the traceback of an error."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        argv: Arguments without the program's name. None: the process's.
+
+    Returns:
+        The exit code.
+    """
+    arguments = tyro.cli(RenderArguments, prog="thermosplat-render", args=sys.argv[1:] if argv is None else argv)
+    return run_command(lambda: _render(arguments), debug=arguments.debug)
+
+
+def _render(arguments: RenderArguments) -> int:
+    for name in ("frames", "fps"):
+        if getattr(arguments, name) < 1:
+            raise UserError(f"--{name} must be at least 1, found {getattr(arguments, name)}.")
+
+    from rich.progress import track
+
+    from thermosplat.cli.loaded_run import load_run
+    from thermosplat.export.scene import modelled
+    from thermosplat.rendering import rendered_images, viewpoints
+    from thermosplat.video import write_images
+
+    loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
+    available = modelled(loaded.model)
+    shown = arguments.modality or ("both" if len(available) == 2 else available[0])
+    if shown not in (*available, "both") or (shown == "both" and len(available) < 2):
+        raise UserError(
+            f"{arguments.run} was trained on {available[0]} images only.", f"Give --modality {available[0]}."
+        )
+    capture = loaded.capture(arguments.data)
+    points = viewpoints(capture, arguments.path, shown, num_frames=arguments.frames, device=loaded.device)
+    images = rendered_images(loaded.model, points, sh_degree=loaded.sh_degree, thermal_scale=loaded.thermal_scale)
+    written = write_images(
+        track(images, description=f"Rendering {arguments.path}", total=len(points), transient=True),
+        loaded.directory.videos / f"{arguments.path}_{shown}_{loaded.step:06d}",
+        format=arguments.format,
+        fps=arguments.fps,
+    )
+    if arguments.format == "mp4" and written.is_dir():
+        print("No video encoder here, so PNGs were written.")
+    print(f"{len(points)} images: {written}")
+    return 0

@@ -1,0 +1,86 @@
+"""thermosplat-train: from a capture to a trained scene, its numbers, pictures and files.
+
+thermosplat-train sample                  the capture that comes with the package, minutes on two CPU cores
+thermosplat-train data/shed               a capture of one's own
+thermosplat-train --resume results/shed   go on after an interruption
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from thermosplat.cli.arguments import parse_train_arguments
+from thermosplat.cli.errors import INTERRUPTED, run_command
+
+if TYPE_CHECKING:
+    from thermosplat.config import TrainConfig
+    from thermosplat.training.trainer import Trainer
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        argv: Arguments without the program's name. None: the process's.
+
+    Returns:
+        The exit code: 0, 2 for a mistake of the user's, 130 after Ctrl-C.
+    """
+    words = sys.argv[1:] if argv is None else argv
+    return run_command(lambda: _train(words), debug="--debug" in words)
+
+
+def _train(argv: list[str]) -> int:
+    config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
+
+    from thermosplat.training.interruption import TrainingInterrupted
+
+    trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
+    try:
+        trainer.train()
+    except TrainingInterrupted as stop:
+        print(f"Stopped at step {trainer.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}")
+        return INTERRUPTED
+    _say_where(trainer)
+    return 0
+
+
+def _new_trainer(config: "TrainConfig") -> "Trainer":
+    from thermosplat.datasets import load_capture
+    from thermosplat.run_directory import RunDirectory
+    from thermosplat.training.trainer import Trainer
+
+    capture = load_capture(
+        config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
+    )
+    folder = config.result_dir or str(Path("results") / capture.name / config.config)
+    data = config.data if config.data == "sample" else str(Path(config.data).resolve())  # holds from any directory
+    trainer = Trainer(replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder))
+    # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
+    RunDirectory.create(folder, overwrite=config.overwrite)
+    return trainer
+
+
+def _resumed_trainer(config: "TrainConfig") -> "Trainer":
+    from thermosplat.datasets import load_capture
+    from thermosplat.run_directory import RunDirectory
+    from thermosplat.training.trainer import Trainer
+
+    run = RunDirectory.open(str(config.resume))
+    capture = load_capture(
+        config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
+    )
+    return Trainer.resume(replace(config, resume=None), capture, run)
+
+
+def _say_where(trainer: "Trainer") -> None:
+    """Name what the run left behind."""
+    run = trainer.run
+    pictures = len(list(run.renders.glob("*.png")))
+    print(f"Results in {run.path}:")
+    print(f"  {run.metrics_json.name:<14} the numbers; config.yaml reproduces the run")
+    print(f"  {'renders/':<14} {pictures} held-out frames: ground truth | render | error")
+    for ply in sorted(run.ply.glob("*.ply")):
+        print(f"  ply/{ply.name:<18} opens in third-party splat viewers")
+    print(f"  {run.checkpoint(trainer.step).relative_to(run.path)}: thermosplat-render {run.path} makes a video of it")

@@ -1,0 +1,200 @@
+"""What a run can be told: frozen dataclasses are the schema, YAML presets fill it, flags override.
+
+This file imports nothing heavy, so that ``thermosplat-train --help`` answers at once. Every number states its source:
+"3DGS" is Kerbl et al. 2023 as its reference code and gsplat 1.5.3's trainer set it; "ThermoSplat" is Su et al., the
+method this package implements; "open choice" marks what that paper leaves open.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class ThermalConfig:
+    """How the thermal images of the capture are read."""
+
+    source: Literal["auto", "color", "raw"] = "auto"
+    """Train on the pseudo-coloured images, as the paper does ("color"), on the radiometric values ("raw"), or on
+    pseudo-colour where the capture has it and radiometric values where it does not ("auto")."""
+    unit: Literal["auto", "kelvin", "centikelvin", "celsius", "centicelsius", "counts"] = "auto"
+    """Unit of radiometric images; "auto" reads the capture's own statement (units.json) or judges by the values.
+    "counts" trains on raw sensor values, without degrees."""
+    range_celsius: tuple[float, float] | None = None
+    """Temperatures [°C] that the palette's ends, or the normalised values 0 and 1, stand for. None: from the capture."""
+    palette: str | None = None
+    """File with the palette of pseudo-coloured images (JSON {"lut": [[r, g, b], ...]} or CSV of r,g,b rows, 0-255).
+    None: the capture's ironbow_lut.json, else FLIR Iron."""
+    aligned: bool = False
+    """Thermal images are registered to the RGB views although their size or folder does not say so."""
+
+
+@dataclass(frozen=True)
+class DecoderConfig:
+    """The pixel-wise networks between rendered features and images (ThermoSplat, section on feature modulation)."""
+
+    hidden_dim: int = 64
+    """Width of the shared encoder and of the thermal prior head. Open choice: MS-Splatting uses 16 to 32, FeatSplat 64."""
+    hidden_layers: int = 2
+    """Layers of the shared encoder, each followed by SiLU. Open choice ("multiple pixel-wise linear layers")."""
+    modulation: bool = True
+    """Feature-wise modulation of the RGB branch by the thermal prior. Off: plain heads (ablation "MLP-based")."""
+    hybrid_rgb: bool = True
+    """RGB is the SH render plus the decoded part. Off: the decoded part alone (ablation "w/o hybrid RGB")."""
+    rgb_head_bias: float = -4.0
+    """Initial bias of the RGB head, so that the hybrid sum starts at the SH colour: sigmoid(-4) = 0.018. Open choice.
+    Ignored (0) without the hybrid sum."""
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """What a Gaussian holds and which Gaussians there are."""
+
+    gaussian_sets: Literal["shared", "separate"] = "shared"
+    """One set of Gaussians for both spectra, or one set each, trained alone (the "3DGS" rows of the paper's table)."""
+    rgb: bool = True
+    """Model the visible images."""
+    thermal: bool = True
+    """Model the thermal images."""
+    feature_dim: int = 8
+    """Latent channels d per Gaussian, decoded per pixel. 0: no features, each spectrum is rendered from its SH colour."""
+    geometric_decoupling: bool = True
+    """Thermal opacity of its own, sigmoid(logit α + Δ). Off: α_t = α (ablation "w/o geometric decoupling")."""
+    rasterize_mode: Literal["classic", "antialiased"] = "classic"
+    """As gsplat's rasterization. ThermoSplat and 3DGS use classic."""
+    feature_noise: float = 0.2
+    """Standard deviation of the initial features that have no colour to start from. Open choice: MS-Splatting 0.2."""
+    init_opacity: float = 0.1
+    """Opacity of the first Gaussians. 3DGS."""
+    init_scale: float = 1.0
+    """First scales, as a multiple of the mean distance to the 3 nearest points. 3DGS."""
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Weights of the loss terms (ThermoSplat; method equations 9 to 13)."""
+
+    ssim_lambda: float = 0.2
+    """λ_s: share of 1 - SSIM in every image loss; the rest is L1. ThermoSplat, 3DGS."""
+    rgb: float = 1.0
+    """Weight of the RGB image loss. ThermoSplat."""
+    thermal: float = 1.0
+    """Weight of the thermal image loss. ThermoSplat."""
+    features: float = 1.0
+    """λ_rf: weight of the loss on rendered features. ThermoSplat. Without features it has no effect."""
+    features_rgb: float = 1.0
+    """Factor of the first feature term, A_f[:3] against RGB; 0 is the ablation "w/o feature loss, RGB". ThermoSplat."""
+    features_thermal: float = 0.5
+    """η: factor of the second feature term, A_f(t)[3] against the thermal intensity. ThermoSplat."""
+    thermal_smoothness: float = 0.3
+    """λ_sm: weight of the mean absolute image gradient of the thermal image. ThermoSplat."""
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """Adam's learning rates, each a constant unless it says otherwise."""
+
+    means_lr: float = 1.6e-4
+    """Means, times the scene's extent. 3DGS."""
+    means_lr_final: float = 1.6e-6
+    """Means at the last step (exponential decay), times the scene's extent. 3DGS."""
+    scales_lr: float = 5e-3
+    """Log-scales. 3DGS."""
+    quats_lr: float = 1e-3
+    """Quaternions. 3DGS."""
+    opacities_lr: float = 5e-2
+    """Logit-opacities. 3DGS (gsplat and the original code: 0.05)."""
+    sh0_lr: float = 2.5e-3
+    """SH degree 0. 3DGS."""
+    shN_lr: float = 2.5e-3 / 20
+    """SH degrees 1 to 3. 3DGS."""
+    features_lr: float = 2.5e-3
+    """Latent features. Open choice: as sh0, since f[:3] is supervised as a colour; MS-Splatting takes 5e-3."""
+    thermal_opacity_offsets_lr: float = 5e-2
+    """Thermal opacity offsets. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
+    decoders_lr: float = 1e-3
+    """Decoder networks. Open choice: MS-Splatting 5e-3, FeatSplat-like decoders 1e-3."""
+    decoders_lr_final: float = 1e-4
+    """Decoder networks at the last step (exponential decay). Open choice."""
+    eps: float = 1e-15
+    """Adam's ε. 3DGS."""
+
+
+@dataclass(frozen=True)
+class DensificationConfig:
+    """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control)."""
+
+    enabled: bool = True
+    """Off: the number of Gaussians stays what it is."""
+    start_step: int = 500
+    """First step at which the count may change. 3DGS."""
+    stop_step: int = 15_000
+    """No growth from this step on. 3DGS."""
+    every: int = 100
+    """Steps between refinements. 3DGS."""
+    grad_threshold: float = 2e-4
+    """Mean norm of the means2d gradient, in units of half the image, above which a Gaussian grows. 3DGS. In a shared
+    set the gradients of both passes are summed first (open choice: MMOne adds them as vectors)."""
+    absgrad: bool = False
+    """Use the sum of absolute per-pixel gradients (AbsGS); its usual threshold is 8e-4."""
+    grow_scale3d: float = 0.01
+    """Gaussians smaller than this share of the scene's extent are cloned, larger ones split. 3DGS (percent_dense)."""
+    prune_opacity: float = 0.005
+    """Gaussians fainter than this go; in a shared set both α and α_t must be. 3DGS (open choice: the maximum)."""
+    prune_scale3d: float = 0.1
+    """Gaussians larger than this share of the scene's extent go, after the first opacity reset. 3DGS."""
+    reset_every: int = 3000
+    """Steps between opacity resets. 3DGS."""
+    reset_opacity: float = 0.01
+    """Opacity after a reset, at most: α and α_t both. 3DGS (open choice: MMOne resets both)."""
+    max_gaussians: int | None = None
+    """Growth stops at this count. None: no limit, as in 3DGS."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Train RGB + thermal 3D Gaussians on a capture and evaluate them on its held-out views."""
+
+    data: str = ""
+    """Folder of the capture, or "sample" for the small one that comes with the package."""
+    config: str = "thermosplat"
+    """Preset (thermosplat, demo, 3dgs, or an ablation's name) or YAML file that the other values start from."""
+    result_dir: str | None = None
+    """Where everything the run makes goes. None: results/<capture's name>/<config's name>."""
+    max_steps: int = 30_000
+    """Training steps, one frame (both spectra) each. Other schedules (densification, SH degree) are not rescaled when
+    this changes, as in gsplat. ThermoSplat, 3DGS."""
+    data_factor: int = 1
+    """Divide the images' width and height by this."""
+    test_every: int = 8
+    """Every n-th frame is held out, unless the capture's folders say which are. 3DGS, RGBT-Scenes."""
+    sh_degree: int = 3
+    """Highest degree of the spherical harmonics. 3DGS."""
+    sh_degree_interval: int = 1000
+    """Steps after which one more SH degree is used. 3DGS."""
+    device: str = "auto"
+    """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    seed: int = 42
+    """Seed of everything random. gsplat."""
+    eval_steps: tuple[int, ...] = (7_000, 30_000)
+    """Steps at which the held-out views are evaluated; the last step always is. 3DGS."""
+    save_steps: tuple[int, ...] = (7_000, 30_000)
+    """Steps at which a checkpoint is written; the last step always is. 3DGS."""
+    log_every: int = 100
+    """Steps between lines of metrics.jsonl (and of the console, where it is not a terminal)."""
+    tensorboard: bool = True
+    """Write TensorBoard event files where tensorboard is installed."""
+    lpips_weights: str | None = None
+    """Folder or file with LPIPS backbone weights (torchvision state_dict) for the LPIPS columns. None: torchvision's
+    cache; LPIPS is null where there is none."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Colour behind the Gaussians in the RGB image, 0 to 1. 3DGS: black."""
+    resume: str | None = None
+    """Result folder of an interrupted run to go on with."""
+    overwrite: bool = False
+    """Delete what an earlier run left in the result folder."""
+    thermal: ThermalConfig = field(default_factory=ThermalConfig)
+    model: ModelConfig = field(default_factory=ModelConfig)
+    decoder: DecoderConfig = field(default_factory=DecoderConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
+    densification: DensificationConfig = field(default_factory=DensificationConfig)

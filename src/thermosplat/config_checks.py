@@ -1,0 +1,112 @@
+"""What a configuration must satisfy beyond its types: ranges, and settings that exclude each other."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+from thermosplat.config import TrainConfig
+from thermosplat.errors import UserError
+
+_AT_LEAST: dict[str, float] = {
+    "max_steps": 1,
+    "data_factor": 1,
+    "test_every": 2,
+    "sh_degree": 0,
+    "sh_degree_interval": 1,
+    "log_every": 1,
+    "seed": 0,
+    "model.feature_dim": 0,
+    "decoder.hidden_dim": 1,
+    "decoder.hidden_layers": 1,
+    "densification.every": 1,
+    "densification.reset_every": 1,
+    "densification.max_gaussians": 1,
+    "densification.start_step": 0,
+    "densification.stop_step": 0,
+}
+_AT_MOST: dict[str, float] = {
+    "sh_degree": 3,  # what the renderer's kernels evaluate
+    "model.feature_dim": 61,  # the renderer blends at most 64 channels, three of them colour
+}
+_SHARES = ("loss.ssim_lambda", "densification.prune_opacity", "densification.reset_opacity")
+_POSITIVE = (
+    "model.init_scale",
+    "optimizer.eps",
+    "optimizer.means_lr_final",
+    "optimizer.decoders_lr_final",
+    "densification.grow_scale3d",
+    "densification.prune_scale3d",
+)
+
+
+def check_config(config: TrainConfig, *, source: str = "") -> None:
+    """Look for values that no run can work with.
+
+    Args:
+        config: The configuration.
+        source: File it was read from; empty for the command line, whose flags are then named.
+
+    Raises:
+        UserError: A value out of range, or two settings that exclude each other; names it, its value and the bound.
+    """
+    values = dict(_flattened(config))
+
+    def name(key: str) -> str:
+        return f"{source}: {key}" if source else "--" + key.replace("_", "-")
+
+    for key, least in _AT_LEAST.items():
+        if values[key] is not None and values[key] < least:
+            raise UserError(f"{name(key)} must be at least {least}, found {values[key]}.")
+    for key, most in _AT_MOST.items():
+        if values[key] > most:
+            raise UserError(f"{name(key)} must be at most {most}, found {values[key]}.")
+    for key in _SHARES:
+        if not 0 <= values[key] <= 1:
+            raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
+    for key in _POSITIVE:
+        if not values[key] > 0:
+            raise UserError(f"{name(key)} must be positive, found {values[key]}.")
+    for key, value in values.items():
+        if key.startswith(("loss.", "optimizer.")) and not 0 <= value < float("inf"):
+            raise UserError(f"{name(key)} must be zero or positive, found {value}.")
+    if not 0 < values["model.init_opacity"] < 1:
+        raise UserError(f"{name('model.init_opacity')} must lie between 0 and 1, found {values['model.init_opacity']}.")
+    if not all(0 <= channel <= 1 for channel in config.background):
+        raise UserError(f"{name('background')} must be three values between 0 and 1, found {config.background}.")
+    _check_temperatures(config.thermal.range_celsius, name("thermal.range_celsius"))
+    _check_model(config, name)
+
+
+def _check_temperatures(span: tuple[float, float] | None, name: str) -> None:
+    if span is not None and not span[0] < span[1]:
+        raise UserError(f"{name} must rise from the lowest to the highest temperature, found {span[0]} to {span[1]}.")
+
+
+def _check_model(config: TrainConfig, name: Any) -> None:
+    model = config.model
+    if not model.rgb and not model.thermal:
+        raise UserError(f"{name('model.rgb')} and {name('model.thermal')} are both off: there is nothing to train.")
+    if 0 < model.feature_dim < 4:
+        raise UserError(
+            f"{name('model.feature_dim')} must be 0 or at least 4, found {model.feature_dim}: "
+            "channels 0 to 2 are supervised with the RGB image and channel 3 with the thermal intensity."
+        )
+    if model.gaussian_sets == "separate" and model.feature_dim:
+        raise UserError(
+            f"Separate Gaussians have no shared features, but {name('model.feature_dim')} is {model.feature_dim}.",
+            "Set it to 0, as --config 3dgs does.",
+        )
+    if model.gaussian_sets == "shared" and not model.feature_dim and model.thermal:
+        raise UserError(
+            f"A shared set of Gaussians renders thermal images from its features, but {name('model.feature_dim')} is 0.",
+            "Set it to 8, or train each spectrum alone with --config 3dgs.",
+        )
+
+
+def _flattened(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from _flattened(value, f"{prefix}{field.name}.")
+        else:
+            yield f"{prefix}{field.name}", value

@@ -1,0 +1,43 @@
+"""Captures from folders. `load_capture` looks at a folder, tells its layout and reads it into memory."""
+
+from importlib.resources import files
+from pathlib import Path
+
+from thermosplat.config import ThermalConfig
+from thermosplat.datasets.assemble import assemble
+from thermosplat.datasets.capture import Capture, Frame, Modality, View
+from thermosplat.datasets.layouts import list_capture
+from thermosplat.errors import UserError
+
+__all__ = ["SAMPLE", "Capture", "Frame", "Modality", "View", "load_capture"]
+
+SAMPLE = "sample"
+"""Name by which `load_capture` finds the small capture that comes with the package."""
+
+
+def load_capture(
+    data: str | Path, *, data_factor: int = 1, test_every: int = 8, thermal: ThermalConfig = ThermalConfig()
+) -> Capture:
+    """Read a capture, whatever its layout (docs/data-layouts.md).
+
+    Args:
+        data: Folder of the capture, or "sample" for the one in the package (a folder of that name is "./sample").
+        data_factor: Divide the images' width and height by this.
+        test_every: Every n-th frame is held out, where the folders do not say which are.
+        thermal: How thermal images are read.
+
+    Raises:
+        UserError: The folder is missing, no known layout, or something in it cannot be used.
+    """
+    if str(data) == SAMPLE:
+        root, name = Path(str(files("thermosplat").joinpath("sample"))), SAMPLE
+    else:
+        root = Path(data).expanduser()
+        name = root.resolve().name
+    if not str(data):
+        raise UserError("No capture given.", "Name a folder, or take the one in the package: thermosplat-train sample")
+    if not root.is_dir():
+        what = "is a file, not a folder" if root.exists() else "does not exist"
+        raise UserError(f"The capture {root} {what}.", "Try the one in the package: thermosplat-train sample")
+    listing = list_capture(root)
+    return assemble(root, name, listing, data_factor=data_factor, test_every=test_every, thermal=thermal)

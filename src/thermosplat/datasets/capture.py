@@ -1,0 +1,124 @@
+"""A capture in memory: frames of an RGB and a thermal view each, sparse points, and what thermal values mean."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.cameras import Camera, camera_center
+from thermosplat.errors import UserError
+from thermosplat.radiometry import ThermalScale
+
+Modality = Literal["rgb", "thermal"]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One image with its camera.
+
+    Args:
+        modality: "rgb" or "thermal".
+        name: File name without its ending.
+        path: The image file.
+        camera: Pinhole intrinsics at the size of `image`.
+        viewmat: [4, 4] float64, world to camera, OpenCV axes.
+        image: uint8 [H, W, 3] for RGB and pseudo-coloured thermal; float32 [H, W, 1] in [0, 1] for scalar thermal.
+        celsius: float32 [H, W], measured temperature [°C], where the data has it; thermal views only.
+    """
+
+    modality: Modality
+    name: str
+    path: Path
+    camera: Camera
+    viewmat: NDArray[np.float64]
+    image: NDArray[np.uint8] | NDArray[np.float32]
+    celsius: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One exposure: the RGB and the thermal view that were taken together, or the one there is."""
+
+    name: str
+    rgb: View | None
+    thermal: View | None
+
+    @property
+    def aligned(self) -> bool:
+        """Both views exist and share camera, size and pose, so that one traversal renders both."""
+        if self.rgb is None or self.thermal is None:
+            return False
+        return self.rgb.camera == self.thermal.camera and np.array_equal(self.rgb.viewmat, self.thermal.viewmat)
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """Everything training and evaluation take from a folder.
+
+    Args:
+        name: The folder's name, or "sample".
+        root: The folder.
+        layout: "rgbt-scenes", "colmap", "colmap-rig" or "transforms": how the folder was read.
+        train: Frames to learn from, by name.
+        test: Held-out frames, by name.
+        points: [M, 3] float32 sparse points [world units].
+        point_colors: [M, 3] uint8.
+        thermal_scale: Meaning of the thermal pixel values; None without thermal images.
+        notes: What the user should be told once, a line each.
+    """
+
+    name: str
+    root: Path
+    layout: str
+    train: tuple[Frame, ...]
+    test: tuple[Frame, ...]
+    points: NDArray[np.float32]
+    point_colors: NDArray[np.uint8]
+    thermal_scale: ThermalScale | None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def scene_extent(self) -> float:
+        """Radius of the scene [world units]: 1.1 times the largest distance of a train camera from their mean (3DGS).
+
+        A single camera position has no such radius; then the median distance of the points from it stands in.
+        """
+        return scene_extent([view for frame in self.train for view in _views(frame)], self.points)
+
+    def require(self, *, rgb: bool, thermal: bool) -> None:
+        """Check that the capture has what a model is to be made of.
+
+        Args:
+            rgb: RGB images are needed.
+            thermal: Thermal images are needed.
+
+        Raises:
+            UserError: There are no training views of a needed modality.
+        """
+        if rgb and all(frame.rgb is None for frame in self.train):
+            raise UserError(
+                f"{self.root} has no RGB images with a camera, and the model asks for them.",
+                "Train on thermal alone with --model.no-rgb, or add the images beside the thermal ones.",
+            )
+        if thermal and all(frame.thermal is None for frame in self.train):
+            raise UserError(
+                f"{self.root} has no thermal images with a camera, and the model asks for them. "
+                "They are looked for in thermal/, with the file stems of the RGB images.",
+                "Train on RGB alone with --model.no-thermal, or add the images.",
+            )
+
+
+def scene_extent(views: list[View], points: NDArray[np.float32]) -> float:
+    """See `Capture.scene_extent`."""
+    centers = np.array([camera_center(view.viewmat) for view in views])
+    mean = centers.mean(0)
+    radius = float(np.linalg.norm(centers - mean, axis=1).max())
+    if radius < 1e-6 and len(points):
+        radius = float(np.median(np.linalg.norm(points - mean, axis=1)))
+    return 1.1 * radius
+
+
+def _views(frame: Frame) -> list[View]:
+    return [view for view in (frame.rgb, frame.thermal) if view is not None]

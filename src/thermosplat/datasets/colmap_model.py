@@ -1,0 +1,157 @@
+"""COLMAP sparse models: where they lie in a capture, and what is read from them."""
+
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import cv2  # noqa: F401  before pycolmap, see lens.py
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from thermosplat.datasets.lens import Lens
+from thermosplat.errors import UserError
+
+MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse")
+"""Where a model is looked for; RGBT-Scenes is downloaded with the second and documented with the first."""
+THERMAL_FOLDERS = frozenset({"thermal", "ir", "tir", "lwir", "infrared"})
+"""A registered image below a folder of this name (any case) is a thermal one."""
+_RECORD_BYTES = {"cameras.bin": 48, "images.bin": 73, "frames.bin": 84, "points3D.bin": 59}
+"""Least size of a record of COLMAP's binary files (a camera of 3 parameters, an image without observations, ...)."""
+_MIN_POINTS = 4
+_MIN_REGISTERED_SHARE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredImage:
+    """An image with a pose in a COLMAP model.
+
+    Args:
+        name: Path of the image relative to the folder COLMAP was run on.
+        lens: Its calibrated camera.
+        viewmat: [4, 4] float64, world to camera.
+        frame_id: COLMAP's rig frame: images of one exposure of a camera rig share it.
+    """
+
+    name: PurePosixPath
+    lens: Lens
+    viewmat: NDArray[np.float64]
+    frame_id: int
+
+    @property
+    def thermal(self) -> bool:
+        """The image lies below a folder with a thermal name."""
+        return any(part.lower() in THERMAL_FOLDERS for part in self.name.parts[:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapModel:
+    """Registered images by name, and sparse points: [M, 3] float32 with colours [M, 3] uint8."""
+
+    folder: Path
+    images: tuple[RegisteredImage, ...]
+    points: NDArray[np.float32]
+    point_colors: NDArray[np.uint8]
+
+
+def find_model(root: Path) -> Path | None:
+    """Folder of the capture's COLMAP model, or None."""
+    for folder in MODEL_FOLDERS:
+        if any((root / folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt")):
+            return root / folder
+    return None
+
+
+def read_model(folder: Path) -> ColmapModel:
+    """Read a COLMAP model, binary or text.
+
+    Raises:
+        UserError: Files are missing or damaged.
+    """
+    hint = "Make the model again (colmap mapper), or copy all its files."
+    _check_sizes(folder, hint)
+    try:
+        model = pycolmap.Reconstruction(folder)
+    except (ValueError, IndexError, RuntimeError, OSError) as error:
+        raise UserError(f"The COLMAP model in {folder} is incomplete or damaged ({_last_words(error)}).", hint) from error
+    lenses = {camera_id: Lens.from_colmap(camera) for camera_id, camera in model.cameras.items()}
+    images = [
+        RegisteredImage(
+            PurePosixPath(image.name.replace("\\", "/")), lenses[image.camera_id], _viewmat(image), image.frame_id
+        )
+        for image in model.images.values()
+        if image.has_pose
+    ]
+    points = list(model.points3D.values())
+    return ColmapModel(
+        folder,
+        tuple(sorted(images, key=lambda image: image.name)),
+        np.array([point.xyz for point in points], np.float32).reshape(-1, 3),
+        np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+    )
+
+
+def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
+    """Refuse a model that covers next to nothing of the capture.
+
+    Args:
+        model: The model.
+        files: Image files in the capture that could be in the model.
+        root: The capture's folder.
+
+    Raises:
+        UserError: Too few registered images or points; the hint names the largest sibling model, if that is better.
+    """
+    registered, points = len(model.images), len(model.points)
+    if registered >= max(2, _MIN_REGISTERED_SHARE * files) and points >= _MIN_POINTS:
+        return
+    where = model.folder.relative_to(root)
+    message = f"The model in {where} of {root} has {registered} registered of {files} images and {points:,} points."
+    siblings = {
+        folder: len(pycolmap.Reconstruction(folder).images)
+        for folder in sorted(model.folder.parent.iterdir())
+        if folder != model.folder and any((folder / f"images.{kind}").is_file() for kind in ("bin", "txt"))
+    }
+    best = max(siblings, key=lambda folder: siblings[folder], default=None)
+    if best is not None and siblings[best] > registered:
+        raise UserError(
+            message, f"{best.relative_to(root)} has {siblings[best]} images: put its files into {where} instead."
+        )
+    raise UserError(message, "Photographs need more overlap, or run colmap mapper again with all of them.")
+
+
+def missing_model(root: Path) -> UserError:
+    """The error for a capture with images and without a model."""
+    found = ", ".join(describe_folder(folder) for folder in sorted(root.iterdir()) if folder.is_dir()) or "no folders"
+    images = "images" if (root / "images").is_dir() else "rgb"
+    return UserError(
+        f"No COLMAP model in {root}. Looked for cameras.bin or cameras.txt in: {', '.join(MODEL_FOLDERS)}. "
+        f"Found: {found}.",
+        f"Make one: colmap automatic_reconstructor --workspace_path {root} --image_path {root / images}",
+    )
+
+
+def describe_folder(folder: Path) -> str:
+    """The folder's name and how many files lie below it, for messages."""
+    return f"{folder.name}/ ({sum(1 for path in folder.rglob('*') if path.is_file())} files)"
+
+
+def _viewmat(image: pycolmap.Image) -> NDArray[np.float64]:
+    viewmat = np.eye(4)
+    viewmat[:3] = image.cam_from_world().matrix()
+    return viewmat
+
+
+def _check_sizes(folder: Path, hint: str) -> None:
+    """Refuse binary files too short for their own record count: pycolmap would hang or abort on some of them."""
+    for name, record in _RECORD_BYTES.items():
+        path = folder / name
+        if path.is_file():
+            with path.open("rb") as file:
+                count = int.from_bytes(file.read(8).ljust(8, b"\xff"), "little")
+            if path.stat().st_size < 8 + count * record:
+                raise UserError(f"{path} is damaged: it is shorter than its own count of records asks for.", hint)
+
+
+def _last_words(error: Exception) -> str:
+    """The part of a pycolmap message that says what is wrong, without source file and line."""
+    return str(error).rpartition("] ")[2].strip().splitlines()[0].rstrip(".")

@@ -1,0 +1,72 @@
+"""What a layout reader finds in a folder: image files with cameras and poses, before any pixel is read."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.datasets.lens import Lens
+
+Split = Literal["train", "test"]
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One image file with its camera and pose.
+
+    Args:
+        path: The file that is seen: RGB, pseudo-colour, grey, or radiometric where there is nothing else.
+        lens: Its calibrated camera.
+        viewmat: [4, 4] float64, world to camera.
+        raw: Radiometric values of the same exposure, where there are any (thermal only; may be `path` itself).
+    """
+
+    path: Path
+    lens: Lens
+    viewmat: NDArray[np.float64]
+    raw: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFiles:
+    """The files of one exposure.
+
+    Args:
+        name: The frame's name; sorting by it gives the order of the hold-out rule.
+        rgb: The RGB image, if there is one.
+        thermal: The thermal image, if there is one.
+        split: What the folder says; None where it says nothing.
+        thermal_has_camera: The data states a camera for the thermal image; else it borrows the RGB image's.
+    """
+
+    name: str
+    rgb: Shot | None
+    thermal: Shot | None
+    split: Split | None = None
+    thermal_has_camera: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Listing:
+    """Everything a layout reader knows of a capture.
+
+    Args:
+        layout: Name of the layout.
+        frames: The frames, in any order.
+        points: [M, 3] float32 [world units].
+        point_colors: [M, 3] uint8.
+        registered: The layout promises that thermal images without a camera of their own are registered to the RGB
+            ones at whatever resolution; else equal size is taken for the sign.
+        celsius_range: Temperatures [°C] of black and white in 8-bit grey thermal images, where stated.
+        notes: What the user should be told.
+    """
+
+    layout: str
+    frames: tuple[FrameFiles, ...]
+    points: NDArray[np.float32]
+    point_colors: NDArray[np.uint8]
+    registered: bool = True
+    celsius_range: tuple[float, float] | None = None
+    notes: tuple[str, ...] = field(default=())

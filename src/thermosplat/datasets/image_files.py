@@ -1,0 +1,96 @@
+"""Image files into arrays: 8-bit colour, 8-bit grey, 16-bit and floating-point, each as it is stored."""
+
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.errors import UserError
+
+IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
+
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_FATAL)  # unreadable files are reported by read_image, not by OpenCV on the side
+
+
+def list_images(folder: Path, *, recursive: bool = False) -> list[Path]:
+    """Image files in a folder, sorted by name; empty where there is no such folder."""
+    if not folder.is_dir():
+        return []
+    entries = folder.rglob("*") if recursive else folder.iterdir()
+    return sorted(path for path in entries if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."))
+
+
+def read_image(path: Path) -> NDArray[Any]:
+    """Pixels as the file stores them; EXIF orientation is ignored, as COLMAP ignores it.
+
+    Returns:
+        [H, W] for one channel, [H, W, 3] RGB for colour (an alpha channel is dropped); uint8, uint16, float32 or float64.
+
+    Raises:
+        UserError: The file is missing, damaged or no image.
+    """
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise UserError(f"Cannot read {path}: {error.strerror or error}.") from error
+    image = _decode(path, data)
+    if image is None:
+        size = f"{len(data):,} bytes"
+        raise UserError(f"{path} is damaged or not an image ({size}).", "Restore it, or remove it from the folder.")
+    if image.ndim == 3:
+        if image.shape[2] not in (3, 4):
+            raise UserError(f"{path} has {image.shape[2]} channels; 1 (thermal) or 3 (colour) are expected.")
+        image = np.ascontiguousarray(image[..., 2::-1])
+    return image
+
+
+def read_images(paths: Iterable[Path]) -> list[NDArray[Any]]:
+    """`read_image` of many files, several at a time."""
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(read_image, paths))
+
+
+def resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+    """The image resampled to another size: by area averages where it shrinks, bilinear where it grows."""
+    if image.shape[1::-1] == (width, height):
+        return image
+    shrinks = width * height < image.shape[0] * image.shape[1]
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+
+def _decode(path: Path, data: NDArray[np.uint8]) -> NDArray[Any] | None:
+    """The decoded image as OpenCV gives it (BGR), or None.
+
+    A JPEG or PNG that was cut off decodes to a half-grey picture without an error in some versions, so its end mark is looked for first.
+    """
+    content = data.tobytes()
+    if content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content:
+        return None
+    if content.startswith(b"\x89PNG") and b"IEND" not in content:
+        return None
+    if len(data) == 0:
+        return None
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if image is None and content[:4] in (b"II*\0", b"MM\0*"):
+        return _decode_with_pillow(path)
+    return image
+
+
+def _decode_with_pillow(path: Path) -> NDArray[Any] | None:
+    """TIFFs without a photometric tag (Workswell cameras), which OpenCV 5 refuses; None without Pillow."""
+    try:
+        from PIL import Image, UnidentifiedImageError
+    except ImportError as error:
+        raise UserError(f"OpenCV cannot read {path}.", "Pillow may: pip install pillow.") from error
+    try:
+        with Image.open(path) as image:
+            pixels = np.asarray(image)
+    except (OSError, UnidentifiedImageError, ValueError):
+        return None
+    if pixels.dtype.kind in "iu" and pixels.dtype.itemsize == 4:
+        pixels = pixels.astype(np.float32)
+    return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[..., ::-1])

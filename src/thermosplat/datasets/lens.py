@@ -1,0 +1,106 @@
+"""Calibrated cameras as the data states them, and how their images become pinhole images.
+
+PINHOLE and SIMPLE_PINHOLE cameras are used as they are. Any other COLMAP model (nerfstudio's OPENCV included) is replaced
+by the pinhole camera that COLMAP's own undistorter would choose, and its images are resampled to it.
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import cv2  # before pycolmap: imported the other way round, without torch, writing a PNG crashes (two zlibs)
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from thermosplat.cameras import Camera
+
+PINHOLE_MODELS = frozenset({"PINHOLE", "SIMPLE_PINHOLE"})
+_ASPECT_TOLERANCE = 0.01
+"""Share by which a file's aspect may differ from its camera's: RGBT-Scenes has 633x476 beside 640x480."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A calibrated camera: a COLMAP camera model with its parameters and the image size they refer to.
+
+    Args:
+        model: Name of the COLMAP camera model.
+        params: Its parameters in COLMAP's order; lengths in [px], pixel centres at half-integers.
+        width: Image width at calibration [px].
+        height: Image height at calibration [px].
+    """
+
+    model: str
+    params: tuple[float, ...]
+    width: int
+    height: int
+
+    @classmethod
+    def from_colmap(cls, camera: pycolmap.Camera) -> "Lens":
+        """The lens of a camera in a COLMAP model."""
+        return cls(camera.model.name, tuple(float(p) for p in camera.params), camera.width, camera.height)
+
+    @property
+    def distorted(self) -> bool:
+        """Images have to be resampled before a pinhole camera describes them."""
+        return self.model not in PINHOLE_MODELS
+
+    def fits(self, width: int, height: int) -> bool:
+        """An image of this size [px] can be this camera's, perhaps scaled: the aspects agree within 1% or a pixel."""
+        expected = self.height * width / self.width
+        return abs(expected - height) <= max(1.0, _ASPECT_TOLERANCE * expected)
+
+    def colmap_camera(self) -> pycolmap.Camera:
+        """The same camera as a pycolmap object."""
+        return pycolmap.Camera(model=self.model, params=list(self.params), width=self.width, height=self.height)
+
+
+@dataclass(frozen=True, eq=False)
+class Rectification:
+    """A pinhole camera, and the resampling that brings a file's image to it.
+
+    Args:
+        camera: The pinhole camera.
+        maps: [height, width, 2] float32 position in the file's image for each pixel, counted from the first pixel's
+            centre as `cv2.remap` does; None where the image is already a pinhole image.
+    """
+
+    camera: Camera
+    maps: NDArray[np.float32] | None
+
+    def apply(self, image: NDArray[Any]) -> NDArray[Any]:
+        """The image as the pinhole camera sees it (bilinear)."""
+        if self.maps is None:
+            return image
+        return cv2.remap(image, self.maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+@functools.lru_cache(maxsize=8)
+def rectification(lens: Lens, width: int, height: int) -> Rectification:
+    """How an image file of a given size becomes a pinhole image.
+
+    Args:
+        lens: The file's camera; may be calibrated at another size, then the intrinsics are scaled.
+        width: Width of the file's image [px].
+        height: Height of the file's image [px].
+    """
+    source = lens.colmap_camera()
+    if not lens.distorted:
+        matrix = source.calibration_matrix()
+        fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        return Rectification(Camera(fx, fy, cx, cy, lens.width, lens.height).resized(width, height), None)
+    ideal = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
+    matrix = ideal.calibration_matrix()
+    camera = Camera(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], ideal.width, ideal.height)
+    scale = np.array([width / lens.width, height / lens.height])
+    camera = camera.resized(max(1, round(ideal.width * scale[0])), max(1, round(ideal.height * scale[1])))
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
+    seen = source.img_from_cam(rays.reshape(-1, 3)) * scale - 0.5
+    return Rectification(camera, seen.reshape(camera.height, camera.width, 2).astype(np.float32))
+
+
+def shrunk(camera: Camera, factor: int) -> Camera:
+    """The camera of an image whose sides are divided by `factor` (rounded, at least 1 px)."""
+    return camera.resized(max(1, round(camera.width / factor)), max(1, round(camera.height / factor)))

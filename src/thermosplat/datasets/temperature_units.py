@@ -1,0 +1,142 @@
+"""Units of radiometric images: into °C, and whether values can be what they are said to be."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.errors import UserError
+
+Unit = Literal["kelvin", "centikelvin", "celsius", "centicelsius", "counts"]
+
+_TO_CELSIUS: dict[Unit, tuple[float, float]] = {
+    "kelvin": (1.0, -273.15),
+    "centikelvin": (0.01, -273.15),
+    "celsius": (1.0, 0.0),
+    "centicelsius": (0.01, 0.0),
+}
+"""Factor and offset of each unit with degrees."""
+_SPELLINGS: dict[str, Unit] = {"k": "kelvin", "c": "celsius", "degc": "celsius", "°c": "celsius", "dn": "counts"}
+_POSSIBLE_CELSIUS = (-150.0, 3000.0)
+"""Temperatures [°C] outside of which a stated unit must be wrong; a clear sky reads as low as about -100."""
+_USUAL_CELSIUS = (-60.0, 600.0)
+"""Temperatures [°C] within which values are taken for a unit that nobody stated."""
+
+
+@dataclass(frozen=True)
+class RadiometricStatement:
+    """What a capture says of its radiometric values (``units.json``); None for what it does not say."""
+
+    unit: Unit | None = None
+    palette_celsius: tuple[float, float] | None = None
+
+
+def to_celsius(values: NDArray[Any], unit: Unit) -> NDArray[np.float32] | None:
+    """Temperatures [°C], float32, same shape; None for counts, which have none."""
+    if unit == "counts":
+        return None
+    factor, offset = _TO_CELSIUS[unit]
+    return (values.astype(np.float64) * factor + offset).astype(np.float32)
+
+
+def judge_unit(low: float, high: float, *, integer: bool) -> Unit:
+    """The unit in which a range of values is a usual temperature; counts if there is none.
+
+    Integers are never taken for whole degrees or for hundredths of a °C: sensor counts of a few thousand look the same.
+
+    Args:
+        low: Low end of the values (a percentile, so that dead pixels do not matter).
+        high: High end.
+        integer: The files hold integers.
+    """
+    candidates: tuple[Unit, ...] = ("centikelvin",) if integer else ("centikelvin", "kelvin", "celsius")
+    for unit in candidates:
+        factor, offset = _TO_CELSIUS[unit]
+        if low * factor + offset >= _USUAL_CELSIUS[0] and high * factor + offset <= _USUAL_CELSIUS[1]:
+            return unit
+    return "counts"
+
+
+def check_plausible(low: float, high: float, unit: Unit, folder: str) -> None:
+    """Refuse a stated unit in which the values are impossible.
+
+    Args:
+        low: Low end of the values (a percentile).
+        high: High end.
+        unit: The stated unit.
+        folder: Where the values come from, for the message.
+
+    Raises:
+        UserError: The values are outside of what anything measured can be; the hint names the unit they look like.
+    """
+    if unit == "counts":
+        return
+    factor, offset = _TO_CELSIUS[unit]
+    if low * factor + offset >= _POSSIBLE_CELSIUS[0] and high * factor + offset <= _POSSIBLE_CELSIUS[1]:
+        return
+    message = f"Values {low:,.6g}-{high:,.6g} in {folder} read as {unit.capitalize()} are impossible"
+    likely = judge_unit(low, high, integer=False)
+    if likely == "counts":
+        raise UserError(f"{message}.", "If they are raw sensor values without degrees: --thermal.unit counts")
+    raise UserError(f"{message}; they look like {likely}.", f"--thermal.unit {likely}")
+
+
+def read_statement(path: Path) -> RadiometricStatement:
+    """Read a ``units.json``: {"unit": "centikelvin", "palette_min_C": 20, "palette_max_C": 41.5}; missing file: nothing.
+
+    Raises:
+        UserError: The file is no JSON object or names an unknown unit.
+    """
+    if not path.is_file():
+        return RadiometricStatement()
+    content = read_json(path)
+    unit = _unit(str(content["unit"]), path) if "unit" in content else None
+    span = celsius_range(content, path, "palette_min_C", "palette_max_C")
+    return RadiometricStatement(unit, span)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object from a file.
+
+    Raises:
+        UserError: The file cannot be read or holds something else.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path} is not readable JSON: {error}.") from error
+    if not isinstance(content, dict):
+        raise UserError(f"{path} must hold a JSON object, found a {type(content).__name__}.")
+    return content
+
+
+def celsius_range(content: dict[str, Any], path: Path, low_key: str, high_key: str) -> tuple[float, float] | None:
+    """Two temperatures [°C] of a JSON object, or None where it has neither.
+
+    Raises:
+        UserError: One is missing or not a number, or they are the wrong way round.
+    """
+    if low_key not in content and high_key not in content:
+        return None
+    try:
+        low, high = float(content[low_key]), float(content[high_key])
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path} must give both {low_key} and {high_key} as numbers [°C].") from error
+    if not low < high:
+        raise UserError(f"{path}: {low_key} ({low:g}) must be below {high_key} ({high:g}).")
+    return low, high
+
+
+def _unit(text: str, path: Path) -> Unit:
+    """A unit by its name, whatever the case and hyphenation ("centi-Kelvin")."""
+    plain = text.strip().lower().replace("-", "").replace("_", "").replace(" ", "")
+    if plain in _SPELLINGS:
+        return _SPELLINGS[plain]
+    for unit in (*_TO_CELSIUS, "counts"):
+        if plain == unit:
+            return unit  # type: ignore[return-value]
+    known = ", ".join((*_TO_CELSIUS, "counts"))
+    raise UserError(f"{path} names the unit {text!r}; known are {known}.", "Or say it with --thermal.unit.")

@@ -1,0 +1,175 @@
+"""ThermoScenes and nerfstudio: transforms_thermal.json or transforms.json with a camera-to-world pose per frame.
+
+Poses have OpenGL axes (y up, z backwards). Intrinsics are global or per frame; distortion follows `camera_model`. The
+thermal image of a frame is its `thermal_file_path`, else the file of the same stem in thermal/, and shares the RGB
+image's camera. Names like frame_train_00001 and frame_eval_00001 state the split, as do train_filenames and
+test_filenames. temperature_bounds.json gives the temperatures of black and white.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot, Split
+from thermosplat.datasets.image_files import list_images, read_image
+from thermosplat.datasets.lens import Lens
+from thermosplat.datasets.temperature_units import celsius_range, read_json
+from thermosplat.datasets.transforms_points import transforms_points
+from thermosplat.errors import UserError
+
+_NAMES = ("transforms_thermal.json", "transforms.json")
+_OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_PINHOLE = ("fl_x", "fl_y", "cx", "cy")
+_DISTORTION = {
+    "OPENCV": ("k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
+}
+"""Distortion parameters of nerfstudio's camera models, in COLMAP's order."""
+_EVAL_WORDS = frozenset({"eval", "test", "val"})
+
+
+def find_transforms(root: Path) -> Path | None:
+    """The transforms file of a capture, or None."""
+    return next((root / name for name in _NAMES if (root / name).is_file()), None)
+
+
+def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listing:
+    """Files, cameras and points of a capture in this layout.
+
+    Args:
+        root: The capture's folder.
+        path: Its transforms file.
+        model_folder: A COLMAP model beside it, for its points; or None.
+
+    Raises:
+        UserError: The file lacks intrinsics, poses or frames.
+    """
+    content = read_json(path)
+    entries = content.get("frames")
+    if not isinstance(entries, list) or not entries:
+        raise UserError(f"{path} lists no frames.", "Expected nerfstudio's transforms with a list under 'frames'.")
+    thermal_by_stem = {file.stem: file for file in list_images(root / "thermal", recursive=True)}
+    raw_by_stem = {file.stem: file for file in list_images(root / "thermal_raw", recursive=True)}
+    stated = _stated_splits(content)
+    frames, missing = [], 0
+    for number, entry in enumerate(entries):
+        rgb = _file(root, entry.get("file_path"))
+        stem = Path(str(entry.get("file_path") or entry.get("thermal_file_path"))).stem
+        thermal = _file(root, entry.get("thermal_file_path")) or thermal_by_stem.get(stem)
+        values = raw_by_stem.get(stem)
+        thermal = thermal or values
+        if rgb is None and thermal is None:
+            missing += 1
+            continue
+        if rgb == thermal:
+            rgb = None
+        viewmat = _viewmat(entry, path, number)
+        lens = _lens(entry, content, path, number, rgb or thermal)
+        frames.append(
+            FrameFiles(
+                stem,
+                None if rgb is None else Shot(rgb, lens, viewmat),
+                None if thermal is None else Shot(thermal, lens, viewmat, values),
+                stated.get(stem),
+            )
+        )
+    if not frames:
+        raise UserError(f"None of the {len(entries)} images that {path} lists exists.", "Is it the right folder?")
+    points, colors, notes = transforms_points(root, content, frames, model_folder)
+    if missing:
+        notes.append(f"{missing} frames of {path.name} have no file and were left out.")
+    return Listing(
+        "transforms",
+        tuple(_with_splits_from_names(frames)),
+        points,
+        colors,
+        celsius_range=_temperature_bounds(root),
+        notes=tuple(notes),
+    )
+
+
+def _file(root: Path, stated: Any) -> Path | None:
+    """The file that a frame names, with or without its ending; None if it does not exist."""
+    if not stated:
+        return None
+    path = root / str(stated)
+    if path.is_file():
+        return path
+    return next((file for file in list_images(path.parent) if file.stem == path.name), None)
+
+
+def _viewmat(entry: dict[str, Any], path: Path, number: int) -> NDArray[np.float64]:
+    """World-to-camera pose with OpenCV axes from the camera-to-world pose with OpenGL axes."""
+    try:
+        pose = np.array(entry["transform_matrix"], np.float64)
+    except (KeyError, ValueError, TypeError) as error:
+        raise UserError(f"Frame {number} of {path} has no transform_matrix of numbers.") from error
+    if pose.shape not in ((4, 4), (3, 4)) or not np.isfinite(pose).all():
+        raise UserError(f"Frame {number} of {path}: transform_matrix must be 4x4 and finite, got shape {pose.shape}.")
+    pose = np.vstack([pose[:3], [0, 0, 0, 1]])
+    if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(pose[:3, :3]) < 0:
+        raise UserError(f"Frame {number} of {path}: transform_matrix is no rotation with a translation.")
+    return np.linalg.inv(pose @ _OPENGL_TO_OPENCV)
+
+
+def _lens(entry: dict[str, Any], content: dict[str, Any], path: Path, number: int, image: Path | None) -> Lens:
+    """Intrinsics of a frame, its own or the file's."""
+    stated = {**content, **{key: value for key, value in entry.items() if value is not None}}
+    width, height = stated.get("w"), stated.get("h")
+    if (width is None or height is None) and image is not None:
+        height, width = read_image(image).shape[:2]
+    if width is None or height is None:
+        raise UserError(f"Frame {number} of {path} has no image size (w, h).")
+    try:
+        if "fl_x" not in stated and "camera_angle_x" in stated:
+            stated["fl_x"] = 0.5 * float(width) / np.tan(0.5 * float(stated["camera_angle_x"]))
+        stated.setdefault("fl_y", stated["fl_x"])
+        stated.setdefault("cx", float(width) / 2)
+        stated.setdefault("cy", float(height) / 2)
+        pinhole = tuple(float(stated[key]) for key in _PINHOLE)
+    except KeyError as error:
+        raise UserError(f"Frame {number} of {path} has no focal length (fl_x, fl_y).") from error
+    model = str(stated.get("camera_model", "OPENCV"))
+    if model in ("PINHOLE", "SIMPLE_PINHOLE"):
+        return Lens("PINHOLE", pinhole, int(width), int(height))
+    if model == "OPENCV" and float(stated.get("k3") or 0) != 0:
+        model = "FULL_OPENCV"
+    if model not in _DISTORTION:
+        known = ", ".join(("PINHOLE", *_DISTORTION))
+        raise UserError(f"Frame {number} of {path} has the camera model {model!r}; known are {known}.")
+    distortion = tuple(float(stated.get(key) or 0) for key in _DISTORTION[model])
+    if not any(distortion) and model != "OPENCV_FISHEYE":
+        return Lens("PINHOLE", pinhole, int(width), int(height))
+    return Lens(model, pinhole + distortion, int(width), int(height))
+
+
+def _stated_splits(content: dict[str, Any]) -> dict[str, Split]:
+    """Splits by file stem from nerfstudio's lists of names; validation images count as test images."""
+    splits: dict[str, Split] = {}
+    for key, split in (("train_filenames", "train"), ("val_filenames", "test"), ("test_filenames", "test")):
+        for name in content.get(key) or []:
+            splits[Path(str(name)).stem] = split  # type: ignore[assignment]
+    return splits
+
+
+def _with_splits_from_names(frames: list[FrameFiles]) -> list[FrameFiles]:
+    """Splits by words of the names, if none is stated and the names tell both kinds apart."""
+    words = [set(frame.name.lower().replace("-", "_").split("_")) for frame in frames]
+    held_out = [bool(word & _EVAL_WORDS) for word in words]
+    trained = ["train" in word for word in words]
+    if any(frame.split for frame in frames) or not (any(held_out) and any(trained)):
+        return frames
+    return [
+        FrameFiles(frame.name, frame.rgb, frame.thermal, "test" if test else "train")
+        for frame, test in zip(frames, held_out, strict=True)
+    ]
+
+
+def _temperature_bounds(root: Path) -> tuple[float, float] | None:
+    path = root / "temperature_bounds.json"
+    if not path.is_file():
+        return None
+    return celsius_range(read_json(path), path, "absolute_min_temperature", "absolute_max_temperature")

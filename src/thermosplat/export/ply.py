@@ -1,0 +1,107 @@
+"""Gaussians as PLY, in the layout of the original 3D Gaussian Splatting code that third-party viewers open.
+
+One vertex a Gaussian, 62 float32 properties, binary little endian: position, a zero normal, SH degree 0, SH degrees 1 to
+3 channel by channel (padded with zeros where the model has fewer), opacity and scales before their activation, and the
+wxyz quaternion. Positions are in the frame of the capture's own camera poses (COLMAP's, for a COLMAP model).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from thermosplat.checkpoint import write_atomically
+
+REST_COEFFICIENTS = 15  # SH degrees 1 to 3
+PROPERTIES = (
+    *("x", "y", "z", "nx", "ny", "nz"),
+    *(f"f_dc_{i}" for i in range(3)),
+    *(f"f_rest_{i}" for i in range(3 * REST_COEFFICIENTS)),
+    "opacity",
+    *(f"scale_{i}" for i in range(3)),
+    *(f"rot_{i}" for i in range(4)),
+)
+INVISIBLE_OPACITY = 1.0 / 255.0
+"""Fainter Gaussians never reach the renderer's smallest blended alpha, 1/255 (3DGS, gsplat)."""
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Gaussians that carry spherical-harmonic colours only: what a third-party viewer can draw."""
+
+    means: Tensor
+    """Centres [world units], shape [N, 3]."""
+    quats: Tensor
+    """Rotations wxyz, not necessarily normalised, shape [N, 4]."""
+    log_scales: Tensor
+    """Logarithms of the standard deviations [world units], shape [N, 3]."""
+    logit_opacities: Tensor
+    """Opacities before the sigmoid, shape [N]."""
+    sh0: Tensor
+    """SH coefficients of degree 0, shape [N, 1, 3]."""
+    shN: Tensor
+    """SH coefficients of degrees 1 and up, shape [N, K-1, 3], K <= 16."""
+
+
+@dataclass(frozen=True)
+class WrittenPly:
+    """What became of the Gaussians."""
+
+    path: Path
+    """The file."""
+    num_gaussians: int
+    """Gaussians in the file."""
+    num_dropped: int
+    """Gaussians left out: a value that is not finite, or an opacity below 1/255."""
+
+
+def write_splats(path: Path, splats: Splats, comments: Iterable[str] = ()) -> WrittenPly:
+    """Write Gaussians as PLY; the file appears at once and whole.
+
+    Args:
+        path: Where to write; its folder must exist.
+        splats: The Gaussians.
+        comments: Lines for the header; text outside ASCII is written as "?".
+
+    Returns:
+        The path and how many Gaussians went in and were left out.
+    """
+    table = _table(splats)
+    visible = torch.sigmoid(splats.logit_opacities.detach()).cpu().numpy() >= INVISIBLE_OPACITY
+    kept = table[np.isfinite(table).all(axis=1) & visible]
+    header = _header(len(kept), comments)
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            file.write(header)
+            file.write(np.ascontiguousarray(kept, dtype="<f4").tobytes())
+
+    write_atomically(path, write)
+    return WrittenPly(path, len(kept), len(table) - len(kept))
+
+
+def _table(splats: Splats) -> np.ndarray:
+    """All properties in file order, float32 [N, 62]."""
+    count, bases, _ = splats.shN.shape
+    rest = splats.shN.new_zeros(count, 3, REST_COEFFICIENTS)
+    rest[..., :bases] = splats.shN.detach().transpose(1, 2)  # the file runs through a channel's bases, then the next
+    columns = [
+        splats.means,
+        torch.zeros_like(splats.means),
+        splats.sh0.reshape(count, 3),
+        rest.reshape(count, 3 * REST_COEFFICIENTS),
+        splats.logit_opacities.reshape(count, 1),
+        splats.log_scales,
+        torch.nn.functional.normalize(splats.quats, dim=-1),  # not every viewer normalises
+    ]
+    return torch.cat([column.detach().float() for column in columns], dim=1).cpu().numpy()
+
+
+def _header(count: int, comments: Iterable[str]) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"comment {' '.join(comment.split())}" for comment in comments]
+    lines += [f"element vertex {count}", *(f"property float {name}" for name in PROPERTIES), "end_header"]
+    return ("\n".join(lines) + "\n").encode("ascii", errors="replace")

@@ -1,0 +1,161 @@
+"""The Gaussians: their stored parameters, their activations, and their start from sparse points.
+
+Notation: N Gaussians, d latent feature channels, K = (degree + 1)² spherical harmonics. ``log_`` and ``logit_`` mark
+what is stored before its activation; the properties without the prefix are what the renderer takes.
+"""
+
+import math
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from thermosplat.config import ModelConfig
+from thermosplat.errors import UserError
+from thermosplat.neighbor_distances import NUM_NEIGHBORS, neighbor_distances
+
+SH_C0 = 0.5 / math.sqrt(math.pi)
+"""The constant spherical harmonic of degree 0: a colour c in [0, 1] is stored as sh0 = (c - 0.5) / SH_C0."""
+
+LUMA_WEIGHTS = (0.299, 0.587, 0.114)
+"""Luma of an RGB colour, ITU-R BT.601."""
+
+
+class Gaussians(nn.Module):
+    """A set of anisotropic 3D Gaussians.
+
+    All parameters share their first dimension N, so that densification can treat them by name, without knowing them.
+
+    Attributes:
+        means: Centres [world units], shape [N, 3].
+        quats: Rotations as wxyz quaternions, not necessarily normalised (the renderer does that), shape [N, 4].
+        log_scales: Logarithms of the standard deviations along the axes [log world units], shape [N, 3].
+        logit_opacities: Logits of the visible opacity α, shape [N].
+        sh0: Spherical harmonics coefficients of degree 0, shape [N, 1, 3].
+        shN: Coefficients of the higher degrees, shape [N, K-1, 3]; [N, 0, 3] for degree 0.
+        features: Latent features f, rendered as they are, shape [N, d]; only where the model decodes features.
+        thermal_opacity_offsets: Δ_t α, the thermal opacity is sigmoid(logit α + Δ_t α), shape [N]; only in a set that
+            two spectra share, with geometric decoupling.
+
+    Args:
+        parameters: Initial value of each parameter by its name; the optional ones may be missing.
+    """
+
+    means: nn.Parameter
+    quats: nn.Parameter
+    log_scales: nn.Parameter
+    logit_opacities: nn.Parameter
+    sh0: nn.Parameter
+    shN: nn.Parameter
+    features: nn.Parameter
+    thermal_opacity_offsets: nn.Parameter
+
+    def __init__(self, parameters: dict[str, Tensor]) -> None:
+        super().__init__()
+        for name, value in parameters.items():
+            setattr(self, name, nn.Parameter(value.detach().clone()))
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def scales(self) -> Tensor:
+        """Standard deviations along the axes [world units], > 0, shape [N, 3]."""
+        return torch.exp(self.log_scales)
+
+    @property
+    def opacities(self) -> Tensor:
+        """Visible opacities α in (0, 1), shape [N]."""
+        return torch.sigmoid(self.logit_opacities)
+
+    @property
+    def thermal_opacities(self) -> Tensor:
+        """Thermal opacities α_t in (0, 1), shape [N]; α itself in a set without thermal offsets."""
+        if "thermal_opacity_offsets" not in self._parameters:
+            return self.opacities
+        return torch.sigmoid(self.logit_opacities + self.thermal_opacity_offsets)
+
+    @property
+    def sh_coeffs(self) -> Tensor:
+        """Spherical harmonics coefficients of all degrees, shape [N, K, 3]."""
+        return torch.cat([self.sh0, self.shN], dim=1)
+
+    @property
+    def has_features(self) -> bool:
+        """Whether the Gaussians carry latent features."""
+        return "features" in self._parameters
+
+    @classmethod
+    def from_points(
+        cls,
+        points: NDArray[np.float32],
+        colors: NDArray[np.uint8],
+        *,
+        config: ModelConfig,
+        sh_degree: int,
+        generator: torch.Generator,
+        modality: Literal["rgb", "thermal"] | None = None,
+    ) -> "Gaussians":
+        """Gaussians at sparse points: round, faint, of the points' colours.
+
+        Rotations start at the identity, as in 3DGS (gsplat draws them at random): the Gaussians start round, so the
+        first images do not depend on it.
+
+        Args:
+            points: Positions [world units], shape [M, 3], M >= 4.
+            colors: 8-bit RGB colours of the points, shape [M, 3].
+            config: Says which parameters there are and how they start.
+            sh_degree: Highest degree of the spherical harmonics, 0 to 3.
+            generator: Source of the random features, on the CPU.
+            modality: The one spectrum that a set of its own renders; such a set has neither features nor thermal
+                offsets, and a thermal one starts grey, from the points' luma. None: a set for all modelled spectra.
+
+        Returns:
+            M Gaussians on the CPU.
+
+        Raises:
+            UserError: If there are too few points, or some are not finite.
+        """
+        if len(points) <= NUM_NEIGHBORS:
+            raise UserError(
+                f"Training starts from at least {NUM_NEIGHBORS + 1} sparse points, but the capture has {len(points)}.",
+                "Make them with COLMAP: colmap mapper, or colmap point_triangulator where the poses are known.",
+            )
+        if not np.isfinite(points).all():
+            bad = int((~np.isfinite(points)).any(axis=1).sum())
+            raise UserError(
+                f"{bad} of the capture's {len(points)} sparse points have coordinates that are not finite numbers.",
+                "Make the model again with COLMAP: colmap point_triangulator.",
+            )
+        num_points = len(points)
+        point_colors = torch.as_tensor(np.asarray(colors, dtype=np.float32) / 255.0)
+        luma = point_colors @ torch.tensor(LUMA_WEIGHTS)
+        base_colors = luma[:, None].expand(-1, 3) if modality == "thermal" else point_colors
+        log_distances = torch.as_tensor(np.log(neighbor_distances(points) * config.init_scale))
+        parameters = {
+            "means": torch.as_tensor(np.array(points, dtype=np.float32)),
+            "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(num_points, 1),
+            "log_scales": log_distances[:, None].repeat(1, 3),
+            "logit_opacities": torch.logit(torch.full((num_points,), config.init_opacity)),
+            "sh0": ((base_colors - 0.5) / SH_C0)[:, None, :],
+            "shN": torch.zeros(num_points, (sh_degree + 1) ** 2 - 1, 3),
+        }
+        if modality is None and config.feature_dim > 0:
+            # The first four channels are supervised as colour and thermal intensity, so they start as such.
+            known = torch.cat([point_colors, luma[:, None]], dim=1)[:, : config.feature_dim]
+            noise = torch.randn(num_points, config.feature_dim - known.shape[1], generator=generator)
+            parameters["features"] = torch.cat([known, config.feature_noise * noise], dim=1)
+            if config.geometric_decoupling and config.rgb and config.thermal:
+                parameters["thermal_opacity_offsets"] = torch.zeros(num_points)
+        return cls(parameters)
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Tensor]) -> "Gaussians":
+        """Gaussians of a checkpoint, as many and with the same parameters as it holds.
+
+        Args:
+            state: What ``state_dict()`` returned.
+        """
+        return cls(state)

@@ -1,0 +1,75 @@
+"""Images as people look at them: 8-bit colours of RGB, thermal and error images.
+
+Convention: all images are numpy [H, W, C]; 8-bit images are in RGB order (OpenCV's writers want BGR: `encode_png`).
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.radiometry import ThermalScale
+
+Image8 = NDArray[np.uint8]
+
+
+def rgb_bytes(image: NDArray[np.floating]) -> Image8:
+    """Colours to 8 bits, clamped.
+
+    Args:
+        image: Colours, 0 to 1, shape [H, W, 3].
+    """
+    return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def thermal_bytes(image: NDArray[np.floating], scale: ThermalScale) -> Image8:
+    """A thermal image as 8-bit colours: as it is where it is pseudo-coloured, through the palette where it is a scalar.
+
+    Args:
+        image: Thermal image, 0 to 1, shape [H, W, 3] or [H, W, 1] as the scale's kind says.
+        scale: What the capture's thermal values mean.
+    """
+    if scale.kind == "color":
+        return rgb_bytes(image)
+    return rgb_bytes(scale.palette.to_color(np.clip(image[..., 0], 0.0, 1.0)))
+
+
+def error_bytes(error: NDArray[np.floating], largest: float) -> Image8:
+    """An error map in the Inferno palette: black is none, pale yellow is ``largest`` or more.
+
+    Args:
+        error: Absolute errors, shape [H, W].
+        largest: Error at the palette's bright end, in the unit of ``error``.
+    """
+    levels = np.rint(np.clip(error / largest, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_INFERNO)[..., ::-1])
+
+
+def encode_png(image: Image8) -> bytes:
+    """An 8-bit RGB image as a PNG file's content.
+
+    Args:
+        image: Shape [H, W, 3].
+    """
+    return cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+
+
+def side_by_side(left: Image8, right: Image8) -> Image8:
+    """Two images beside each other; the right one is scaled to the left one's height if it differs.
+
+    Args:
+        left: Shape [H, W, 3].
+        right: Shape [H', W', 3].
+
+    Returns:
+        Shape [H, W + W'·H/H', 3].
+    """
+    if right.shape[0] != left.shape[0]:
+        width = max(1, round(right.shape[1] * left.shape[0] / right.shape[0]))
+        right = resized(right, width, left.shape[0])
+    return np.concatenate([left, right], axis=1)
+
+
+def resized(image: Image8, width: int, height: int) -> Image8:
+    """An 8-bit image at another size [px]; enlarged without smoothing, so that its pixels stay visible."""
+    enlarged = width >= image.shape[1]
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST if enlarged else cv2.INTER_AREA)

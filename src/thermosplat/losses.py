@@ -1,0 +1,142 @@
+"""The training loss: image terms of both spectra, feature terms, thermal smoothness (docs/method.md, equations 9-13).
+
+Images are [H, W, C] in [0, 1]; renders are the raw, unclamped ones.
+
+SSIM is kornia's: 11x11 Gaussian window with σ = 1.5, reflected at the borders. Its *loss* is halved there
+((1 - SSIM) / 2), which is not what λ_s multiplies in 3DGS, so 1 - SSIM is formed from its *metric*.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from kornia.losses import total_variation
+from kornia.metrics import ssim
+from torch import Tensor
+
+from thermosplat.config import LossConfig
+from thermosplat.rendered_frame import RenderedFrame
+
+if TYPE_CHECKING:
+    from thermosplat.datasets.frame_tensors import FrameTensors
+
+SSIM_WINDOW = 11
+"""Taps of the SSIM window along an axis [px]. 3DGS, ThermalGaussian, MMOne."""
+
+
+@dataclass(frozen=True)
+class _ImageTerm:
+    """One weighted image loss L(render, target)."""
+
+    name: str
+    weight: float
+    render: Tensor  # [H, W, C]
+    target: Tensor  # [H, W, C]
+
+
+def image_loss(render: Tensor, target: Tensor, ssim_lambda: float) -> Tensor:
+    """(1 - λ_s) |render - target|_1 + λ_s (1 - SSIM), each the mean over pixels and channels (equation 9).
+
+    Args:
+        render: Rendered image, shape [H, W, C], H and W > 5.
+        target: Ground truth in [0, 1], shape [H, W, C].
+        ssim_lambda: λ_s, the share of the SSIM term, 0 to 1.
+
+    Returns:
+        The loss, a scalar.
+    """
+    return _image_losses([_ImageTerm("image", 1.0, render, target)], ssim_lambda)["image"]
+
+
+def frame_losses(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig) -> dict[str, Tensor]:
+    """All weighted terms of one frame's loss; the total is their sum.
+
+    A term whose weight is 0, or whose render or target is missing, is not computed and not listed.
+
+    Args:
+        rendered: What the model rendered of the frame.
+        frame: The ground truth.
+        config: The weights.
+
+    Returns:
+        Scalars by term, in this order: "rgb", "thermal", "features_rgb", "features_thermal", "thermal_smoothness".
+    """
+    losses = _image_losses(_image_terms(rendered, frame, config), config.ssim_lambda)
+    if rendered.thermal is not None and config.thermal_smoothness > 0:
+        losses["thermal_smoothness"] = config.thermal_smoothness * smoothness(rendered.thermal)
+    return losses
+
+
+def smoothness(image: Tensor) -> Tensor:
+    """Mean over pixels and channels of |∂x| + |∂y|, forward differences without wrap-around (equation 12).
+
+    Normalised by H·W·C, as ThermalGaussian does; kornia's own mean would divide each direction by the number of its
+    differences instead.
+
+    Args:
+        image: Image, shape [H, W, C].
+
+    Returns:
+        The smoothness term, a scalar.
+    """
+    return total_variation(image.permute(2, 0, 1), reduction="sum").sum() / image.numel()
+
+
+def _image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig) -> list[_ImageTerm]:
+    """The image losses that apply to this frame (equations 10 and 11)."""
+    rgb = frame.rgb.image if frame.rgb is not None else None
+    thermal = frame.thermal.image if frame.thermal is not None else None
+    intensity = frame.thermal.intensity if frame.thermal is not None else None
+    candidates: list[tuple[str, float, Tensor | None, Tensor | None]] = [
+        ("rgb", config.rgb, rendered.rgb, rgb),
+        ("thermal", config.thermal, rendered.thermal, thermal),
+        ("features_rgb", config.features * config.features_rgb, _channels(rendered.visible_features, 0, 3), rgb),
+        (
+            "features_thermal",
+            config.features * config.features_thermal,
+            _channels(rendered.thermal_features, 3, 4),
+            intensity[..., None] if intensity is not None else None,
+        ),
+    ]
+    return [
+        _ImageTerm(name, weight, render, target)
+        for name, weight, render, target in candidates
+        if weight > 0 and render is not None and target is not None
+    ]
+
+
+def _channels(features: Tensor | None, start: int, stop: int) -> Tensor | None:
+    return None if features is None else features[..., start:stop]
+
+
+def _image_losses(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
+    """Weighted image losses by name, with one SSIM call for all images of one size.
+
+    SSIM treats channels separately, so stacking the channels of several images changes no value; one convolution over
+    ten channels takes about a third of the time of four small ones.
+    """
+    losses = {}
+    for term in terms:
+        losses[term.name] = term.weight * (1 - ssim_lambda) * (term.render - term.target).abs().mean()
+    if ssim_lambda > 0:
+        for term, similarity in zip(terms, _ssim_means(terms)):
+            losses[term.name] = losses[term.name] + term.weight * ssim_lambda * (1 - similarity)
+    return losses
+
+
+def _ssim_means(terms: list[_ImageTerm]) -> list[Tensor]:
+    """Mean SSIM of every term, in their order."""
+    means: dict[int, Tensor] = {}
+    for size in dict.fromkeys(term.render.shape[:2] for term in terms):
+        members = [index for index, term in enumerate(terms) if term.render.shape[:2] == size]
+        renders = torch.cat([terms[index].render for index in members], dim=-1)
+        targets = torch.cat([terms[index].target for index in members], dim=-1)
+        ssim_map = ssim(_as_batch(renders), _as_batch(targets), SSIM_WINDOW, max_val=1.0)[0]  # [sum of C, H, W]
+        channel_means = ssim_map.mean(dim=(1, 2)).split([terms[index].render.shape[-1] for index in members])
+        means.update((index, values.mean()) for index, values in zip(members, channel_means))
+    return [means[index] for index in range(len(terms))]
+
+
+def _as_batch(image: Tensor) -> Tensor:
+    """[H, W, C] as kornia's [1, C, H, W]."""
+    return image.permute(2, 0, 1)[None].contiguous()

@@ -1,0 +1,242 @@
+"""What thermal pixel values mean: palettes of pseudo-coloured images, units of radiometric ones, degrees.
+
+A palette maps a scalar *intensity* in [0, 1], monotone in temperature, to a colour. Its inverse finds the nearest point
+of the palette's curve in RGB space, so that noise and JPEG artefacts next to the curve do no harm.
+"""
+
+import csv
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from thermosplat.errors import UserError
+
+_TABLE_SIZE = 32
+"""Cells along each colour axis of the table that starts the inverse: 8 levels of 8 bits each."""
+_TABLE_SAMPLES = 512
+"""Points of the curve that compete for a cell of the table."""
+_WINDOW = 1 / 64
+"""Share of the curve to either side of the table's answer within which the inverse looks for the nearest segment."""
+_CHUNK = 1 << 12
+"""Pixels treated at once, so that the intermediate arrays stay in the cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class Palette:
+    """A colour curve, linear between equally spaced entries.
+
+    Args:
+        colors: [n, 3] float32 in [0, 1], n ≥ 2; entry 0 is the coldest.
+    """
+
+    colors: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        colors = np.array(self.colors, np.float32)
+        if colors.ndim != 2 or colors.shape[1] != 3 or len(colors) < 2 or not np.isfinite(colors).all():
+            raise UserError(f"A palette needs at least two finite RGB entries, got an array of shape {colors.shape}.")
+        if colors.min() < 0 or colors.max() > 1:
+            raise UserError(f"Palette colours must lie in [0, 1], got {colors.min():g} to {colors.max():g}.")
+        colors.setflags(write=False)
+        object.__setattr__(self, "colors", colors)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Palette) and np.array_equal(self.colors, other.colors)
+
+    def __hash__(self) -> int:
+        return hash(self.colors.tobytes())
+
+    def to_color(self, intensity: ArrayLike) -> NDArray[np.float32]:
+        """Colour of an intensity.
+
+        Args:
+            intensity: [...] in [0, 1]; values outside are clipped.
+
+        Returns:
+            [..., 3] float32 in [0, 1].
+        """
+        position = np.clip(np.asarray(intensity, np.float32), 0, 1) * np.float32(len(self.colors) - 1)
+        segment = np.minimum(position.astype(np.intp), len(self.colors) - 2)
+        fraction = (position - segment)[..., None]
+        return self.colors[segment] * (1 - fraction) + self.colors[segment + 1] * fraction
+
+    def to_intensity(self, color: ArrayLike) -> NDArray[np.float32]:
+        """Intensity of the curve's point nearest to a colour.
+
+        Args:
+            color: [..., 3] in [0, 1].
+
+        Returns:
+            [...] float32 in [0, 1].
+        """
+        return self._project(color)[0]
+
+    def residual(self, color: ArrayLike) -> float:
+        """Mean distance of colours to the curve [8-bit levels]: about 2 for JPEGs of the right palette.
+
+        Args:
+            color: [..., 3] in [0, 1].
+        """
+        return float(np.mean(self._project(color)[1])) * 255
+
+    def _project(self, color: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Intensity of, and distance to, the nearest point of the curve; both [...]."""
+        color = np.asarray(color, np.float32)
+        flat = color.reshape(-1, 3)
+        intensity = np.empty(len(flat), np.float32)
+        distance = np.empty(len(flat), np.float32)
+        for start in range(0, len(flat), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            intensity[part], distance[part] = self._project_near_table(flat[part])
+        return intensity.reshape(color.shape[:-1]), distance.reshape(color.shape[:-1])
+
+    def _project_near_table(self, color: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Exact projection [m] onto the segments around the one that the table names for each colour [m, 3]."""
+        cell = np.clip((color * _TABLE_SIZE).astype(np.intp), 0, _TABLE_SIZE - 1)
+        centre = self._table[cell[:, 0], cell[:, 1], cell[:, 2]]
+        best = np.full(len(color), np.inf, np.float32)
+        position = np.zeros(len(color), np.float32)
+        window = 1 + int(_WINDOW * len(self.colors))
+        for offset in range(-window, window + 1):
+            segment = np.clip(centre + offset, 0, len(self.colors) - 2)
+            along, squared = _project_on_segments(color, self.colors[segment], self.colors[segment + 1])
+            closer = squared < best
+            best = np.where(closer, squared, best)
+            position = np.where(closer, segment + along, position)
+        return (position / np.float32(len(self.colors) - 1)).astype(np.float32), np.sqrt(best)
+
+    @cached_property
+    def _table(self) -> NDArray[np.intp]:
+        """Nearest segment of each cell's centre, [32, 32, 32]; made once, the first time the inverse is asked."""
+        axis = (np.arange(_TABLE_SIZE, dtype=np.float32) + 0.5) / _TABLE_SIZE
+        centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+        intensity = np.linspace(0, 1, _TABLE_SAMPLES, dtype=np.float32)
+        samples = self.to_color(intensity)
+        half_squares = (samples * samples).sum(-1) / 2
+        parts = [
+            np.argmin(half_squares - centres[start : start + 4096] @ samples.T, axis=1)
+            for start in range(0, len(centres), 4096)
+        ]
+        segment = (intensity[np.concatenate(parts)] * (len(self.colors) - 1)).astype(np.intp)
+        return segment.reshape(_TABLE_SIZE, _TABLE_SIZE, _TABLE_SIZE)
+
+
+def _project_on_segments(
+    color: NDArray[np.float32], start: NDArray[np.float32], end: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Position in [0, 1] along a segment each [m], and squared distance to it [m]."""
+    direction = end - start
+    length = np.maximum(np.einsum("mc,mc->m", direction, direction), np.float32(1e-12))
+    offset = color - start
+    along = np.clip(np.einsum("mc,mc->m", offset, direction) / length, 0, 1)
+    offset -= along[:, None] * direction
+    return along, np.einsum("mc,mc->m", offset, offset)
+
+
+def _flir_iron() -> Palette:
+    """FLIR's "Iron", read out of FLIR E6xt files (Y, Cr, Cb, limited-range BT.601), at nine of its 256 entries."""
+    stops = [0, 32, 64, 96, 128, 160, 192, 224, 255]
+    colors = np.array(
+        [
+            (0, 0, 0),
+            (62, 0, 142),
+            (144, 2, 164),
+            (202, 35, 126),
+            (237, 83, 62),
+            (254, 139, 7),
+            (254, 192, 0),
+            (253, 236, 73),
+            (254, 254, 254),
+        ]
+    )
+    entries = np.stack([np.interp(np.arange(256), stops, channel) for channel in colors.T], -1)
+    return Palette((entries / 255).astype(np.float32))
+
+
+FLIR_IRON = _flir_iron()
+"""The palette of RGBT-Scenes and of most FLIR cameras ("ironbow"), linear between nine stops."""
+
+
+def load_palette(path: str | Path) -> Palette:
+    """Read a palette.
+
+    Args:
+        path: JSON ``{"lut": [[r, g, b], ...]}`` or CSV rows ``r,g,b``, levels 0 to 255, coldest first. A CSV may begin
+            with one line of column names.
+
+    Raises:
+        UserError: The file cannot be read or holds something else.
+    """
+    path = Path(path)
+    hint = 'Give a JSON file {"lut": [[r, g, b], ...]} or a CSV with r,g,b rows (0-255) to --thermal.palette.'
+    try:
+        text = path.read_text()
+        rows = json.loads(text)["lut"] if path.suffix.lower() == ".json" else _csv_rows(text)
+        levels = np.array(rows, np.float64)
+    except OSError as error:
+        raise UserError(f"Cannot read the palette {path}: {error.strerror or error}.", hint) from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path} is not a palette.", hint) from error
+    if levels.ndim != 2 or levels.shape[1:] != (3,) or len(levels) < 2:
+        raise UserError(f"{path} is not a palette: expected rows of three levels, got shape {levels.shape}.", hint)
+    if not (levels.min() >= 0 and levels.max() <= 255):
+        raise UserError(f"{path}: levels must lie in 0 to 255, got {levels.min():g} to {levels.max():g}.", hint)
+    return Palette((levels / 255).astype(np.float32))
+
+
+def _csv_rows(text: str) -> list[list[float]]:
+    rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].lstrip().startswith("#")]
+    if rows and not rows[0][0].strip().replace(".", "", 1).isdigit():
+        rows = rows[1:]
+    return [[float(level) for level in row] for row in rows]
+
+
+@dataclass(frozen=True)
+class ThermalScale:
+    """What the thermal pixel values of a capture mean.
+
+    Args:
+        kind: "color" for 3-channel pseudo-colour, "scalar" for one normalised channel.
+        palette: The data's palette ("color"), or the one to show a scalar with.
+        range_celsius: Temperatures [°C] that intensity 0 and 1 stand for; None where the data has no degrees.
+    """
+
+    kind: Literal["color", "scalar"]
+    palette: Palette = FLIR_IRON
+    range_celsius: tuple[float, float] | None = None
+
+    @property
+    def channels(self) -> int:
+        """Channels of a thermal image: 3 for pseudo-colour, 1 for a scalar."""
+        return 3 if self.kind == "color" else 1
+
+    def celsius(self, intensity: Any) -> Any:
+        """Temperature [°C] of an intensity (an array or tensor of any shape, or a number).
+
+        Raises:
+            ValueError: The capture has no degrees (``range_celsius`` is None).
+        """
+        if self.range_celsius is None:
+            raise ValueError("This capture's thermal images have no temperature range, so no °C.")
+        low, high = self.range_celsius
+        return low + intensity * (high - low)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Plain Python values that `from_state_dict` understands."""
+        return {
+            "kind": self.kind,
+            "palette": self.palette.colors.tolist(),
+            "range_celsius": None if self.range_celsius is None else [float(end) for end in self.range_celsius],
+        }
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> "ThermalScale":
+        """The scale that `state_dict` described."""
+        span = state["range_celsius"]
+        palette = Palette(np.array(state["palette"], np.float32))
+        return cls(state["kind"], palette, None if span is None else (float(span[0]), float(span[1])))

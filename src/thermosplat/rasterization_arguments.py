@@ -1,0 +1,204 @@
+"""Checks of the rasterizer's arguments: each failure says what was expected, what was found and what is supported."""
+
+import math
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from thermosplat.errors import UserError
+from warp_kernels.constants import TILE_SIZES
+
+RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
+RasterizeMode = Literal["classic", "antialiased"]
+CameraModel = Literal["pinhole", "ortho"]
+
+SH_DEGREE_MAX = 3
+SUPPORTED = "pinhole and ortho cameras without distortion, dense gradients, one process"
+
+
+def refuse_unsupported(**arguments: Any) -> None:
+    """Raises for arguments of gsplat that only have their default here.
+
+    Args:
+        **arguments: by name; anything but None, False or a global shutter is refused.
+
+    Raises:
+        UserError: naming the argument and what is supported.
+    """
+    for name, value in arguments.items():
+        is_global_shutter = name == "rolling_shutter" and getattr(value, "name", None) == "GLOBAL"
+        if value is None or value is False or is_global_shutter:
+            continue
+        raise UserError(f"rasterization() does not support {name}; supported: {SUPPORTED}.", f"Leave {name} out.")
+
+
+def check_modes(
+    render_mode: str,
+    rasterize_mode: str,
+    camera_model: str,
+    tile_size: int,
+    width: int,
+    height: int,
+    sh_degree: int | None,
+) -> None:
+    """Checks the scalar arguments.
+
+    Args:
+        render_mode: one of ``RenderMode``.
+        rasterize_mode: one of ``RasterizeMode``.
+        camera_model: one of ``CameraModel``.
+        tile_size: one of ``TILE_SIZES`` [px].
+        width: image width [px].
+        height: image height [px].
+        sh_degree: None or 0 to 3.
+
+    Raises:
+        UserError: naming the argument, what is supported, and what was given.
+    """
+    choices: list[tuple[str, Any, tuple[Any, ...]]] = [
+        ("render_mode", render_mode, get_args(RenderMode)),
+        ("rasterize_mode", rasterize_mode, get_args(RasterizeMode)),
+        ("camera_model", camera_model, get_args(CameraModel)),
+        ("tile_size", tile_size, TILE_SIZES),
+        ("sh_degree", sh_degree, (None, *range(SH_DEGREE_MAX + 1))),
+    ]
+    for name, value, allowed in choices:
+        if value not in allowed:
+            raise UserError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}.")
+    for name, size in (("width", width), ("height", height)):
+        if not isinstance(size, int) or size < 1:
+            raise UserError(f"{name} must be a positive number of pixels, got {size!r}.")
+
+
+def check_limits(**limits: float) -> None:
+    """Checks near_plane, far_plane, radius_clip and eps2d.
+
+    Args:
+        **limits: by name.
+
+    Raises:
+        UserError: naming the argument, what is allowed, and what was given.
+    """
+    for name, value in limits.items():
+        if math.isnan(value):
+            raise UserError(f"{name} must be a number, got {value}.")
+    if limits["eps2d"] < 0:
+        raise UserError(f"eps2d must be at least 0 px², got {limits['eps2d']}.")
+
+
+def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, meaning: str = "") -> None:
+    """Checks a tensor's type, shape, dtype and device against the means'.
+
+    Args:
+        name: of the argument.
+        tensor: what was given.
+        shape: what it must have.
+        means: the tensor that fixes dtype and device.
+        meaning: the shape in letters, for the message.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    if not isinstance(tensor, Tensor):
+        raise UserError(f"{name} must be a torch.Tensor, got {type(tensor).__name__}.")
+    if tuple(tensor.shape) != shape:
+        letters = f" = {meaning}" if meaning else ""
+        raise UserError(f"{name} must have shape {list(shape)}{letters}, got {list(tensor.shape)}.")
+    if tensor.dtype != means.dtype:
+        raise UserError(f"{name} must have the dtype of means, {means.dtype}, got {tensor.dtype}.")
+    if tensor.device != means.device:
+        raise UserError(f"{name} must be on the device of means, {means.device}, got {tensor.device}.")
+
+
+def check_scene(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    covars: Tensor | None,
+    opacities: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+) -> tuple[int, int]:
+    """Checks Gaussians and cameras.
+
+    Args:
+        means: [..., N, 3].
+        quats: [..., N, 4], or None with covars.
+        scales: [..., N, 3], or None with covars.
+        covars: [..., N, 3, 3] or None.
+        opacities: [..., N].
+        viewmats: [..., C, 4, 4].
+        Ks: [..., C, 3, 3].
+
+    Returns:
+        The number of cameras per scene and of Gaussians per scene.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    if not isinstance(means, Tensor):
+        raise UserError(f"means must be a torch.Tensor, got {type(means).__name__}.")
+    if means.dim() < 2 or means.shape[-1] != 3:
+        raise UserError(f"means must have shape [..., N, 3], got {list(means.shape)}.")
+    if means.dtype not in (torch.float32, torch.float64):
+        raise UserError(f"means must be float32 or float64, got {means.dtype}.")
+    batch, count = tuple(means.shape[:-2]), means.shape[-2]
+    if covars is None:
+        for name, value, width in (("quats", quats, 4), ("scales", scales, 3)):
+            if value is None:
+                raise UserError(f"{name} must be given unless covars is, got None.")
+            check_shape(name, value, (*batch, count, width), means, f"[..., N, {width}] with N from means")
+    else:
+        check_shape("covars", covars, (*batch, count, 3, 3), means, "[..., N, 3, 3] with N from means")
+    check_shape("opacities", opacities, (*batch, count), means, "[..., N] with N from means")
+    if not isinstance(viewmats, Tensor) or viewmats.dim() != len(batch) + 3:
+        found = list(viewmats.shape) if isinstance(viewmats, Tensor) else type(viewmats).__name__
+        raise UserError(f"viewmats must have shape {[*batch, 'C', 4, 4]}, got {found}.")
+    cameras = viewmats.shape[-3]
+    check_shape("viewmats", viewmats, (*batch, cameras, 4, 4), means, "[..., C, 4, 4]")
+    check_shape("Ks", Ks, (*batch, cameras, 3, 3), means, "[..., C, 3, 3] with C from viewmats")
+    if cameras == 0:
+        raise UserError("viewmats must hold at least one camera, got 0.")
+    return cameras, count
+
+
+def check_colors(name: str, colors: Tensor, means: Tensor, cameras: int, sh_degree: int | None) -> bool:
+    """Checks colours or features.
+
+    Args:
+        name: of the argument.
+        colors: [..., (C,) N, D], or [..., (C,) N, K, 3] with ``sh_degree``.
+        means: [..., N, 3].
+        cameras: C.
+        sh_degree: active degree or None.
+
+    Returns:
+        Whether there are values of their own for each camera.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    if not isinstance(colors, Tensor):
+        raise UserError(f"{name} must be a torch.Tensor, got {type(colors).__name__}.")
+    batch, count = tuple(means.shape[:-2]), means.shape[-2]
+    tail = 1 if sh_degree is None else 2
+    per_camera = colors.dim() == len(batch) + 2 + tail
+    lead = (*batch, cameras, count) if per_camera else (*batch, count)
+    letters = "[..., (C,) N, D]" if sh_degree is None else "[..., (C,) N, K, 3]"
+    if colors.dim() != len(lead) + tail or tuple(colors.shape[: len(lead)]) != lead:
+        expected = f"{letters} with N = {count} (from means) and C = {cameras} (from viewmats)"
+        mode = "without sh_degree" if sh_degree is None else f"with sh_degree={sh_degree}"
+        raise UserError(f"{name} {mode} must have shape {expected}, got {list(colors.shape)}.")
+    check_shape(name, colors, tuple(colors.shape), means)
+    if sh_degree is None:
+        if colors.shape[-1] < 1:
+            raise UserError(f"{name} must have at least one channel, got {list(colors.shape)}.")
+        return per_camera
+    needed = (sh_degree + 1) ** 2
+    if colors.shape[-1] != 3 or colors.shape[-2] < needed:
+        raise UserError(
+            f"{name} must hold at least {needed} coefficients of 3 channels for sh_degree={sh_degree} "
+            f"({letters}), got {list(colors.shape)}."
+        )
+    return per_camera

@@ -1,0 +1,233 @@
+"""The folder a training run writes, and what lies where in it.
+
+ckpts/step_030000.pt   checkpoints           config.yaml       the resolved configuration; reproduces the run
+stats/                 metrics per step      environment.json  versions, device and threads
+renders/               PNG strips            metrics.jsonl     one line per log interval and evaluation
+ply/                   exported Gaussians    metrics.json      the final numbers
+videos/                camera paths          tb/               TensorBoard events
+"""
+
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import re
+import shlex
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from thermosplat import __version__
+from thermosplat.checkpoint import write_atomically
+from thermosplat.devices import device_name
+from thermosplat.errors import UserError
+
+if TYPE_CHECKING:
+    from thermosplat.config import TrainConfig
+
+_FOLDERS = ("ckpts", "stats", "renders", "ply", "videos", "tb")
+_FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "environment.json")
+_CHECKPOINT_NAME = re.compile(r"step_(\d+)\.pt")
+_PACKAGES = ("torch", "warp-lang", "numpy", "kornia", "pycolmap", "opencv-contrib-python-headless")
+
+
+class RunDirectory:
+    """Paths of one run. The folders are made when they are first asked for.
+
+    Args:
+        path: The result folder, as the user gave it.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+
+    @classmethod
+    def create(cls, path: str | Path, overwrite: bool = False) -> "RunDirectory":
+        """Start a run in a folder.
+
+        Args:
+            path: The result folder; made where there is none. Files that no run wrote are left alone.
+            overwrite: Delete what an earlier run left there.
+
+        Raises:
+            UserError: If the folder already holds a run, or is a file.
+        """
+        run = cls(path)
+        if run.path.exists() and not run.path.is_dir():
+            raise UserError(f"{run.path} is a file; the result folder cannot go there.", "Give another --result-dir.")
+        if run.holds_a_run():
+            if not overwrite:
+                latest = run.latest_checkpoint()
+                steps = f"{checkpoint_step(latest):,} steps" if latest else "no checkpoint yet"
+                resume = f"Go on with it: --resume {shlex.quote(str(run.path))}. Or start" if latest else "Start"
+                raise UserError(
+                    f"{run.path} already holds a run ({steps}).", f"{resume} again in its place: --overwrite."
+                )
+            run._delete()
+        try:
+            run.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(
+                f"Could not make the result folder {run.path}: {error.strerror}.", "Give another --result-dir."
+            ) from error
+        return run
+
+    @classmethod
+    def open(cls, path: str | Path) -> "RunDirectory":
+        """An existing run.
+
+        Raises:
+            UserError: If there is none at ``path``.
+        """
+        run = cls(path)
+        if not run.holds_a_run():
+            what = "the folder holds no run" if run.path.is_dir() else "there is no such folder"
+            raise UserError(
+                f"No training run in {run.path}: {what}.", "Give the --result-dir of a thermosplat-train run."
+            )
+        return run
+
+    def holds_a_run(self) -> bool:
+        """Whether a training run has written here."""
+        return any((self.path / name).is_file() for name in _FILES) or self.latest_checkpoint() is not None
+
+    def _delete(self) -> None:
+        for name in _FOLDERS:
+            shutil.rmtree(self.path / name, ignore_errors=True)
+        for name in _FILES:
+            (self.path / name).unlink(missing_ok=True)
+
+    def _folder(self, name: str) -> Path:
+        folder = self.path / name
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    @property
+    def ckpts(self) -> Path:
+        """Folder of the checkpoints."""
+        return self._folder("ckpts")
+
+    @property
+    def stats(self) -> Path:
+        """Folder of the evaluations' numbers."""
+        return self._folder("stats")
+
+    @property
+    def renders(self) -> Path:
+        """Folder of the PNG strips."""
+        return self._folder("renders")
+
+    @property
+    def ply(self) -> Path:
+        """Folder of the exported Gaussians."""
+        return self._folder("ply")
+
+    @property
+    def videos(self) -> Path:
+        """Folder of the rendered camera paths."""
+        return self._folder("videos")
+
+    @property
+    def tb(self) -> Path:
+        """Folder of the TensorBoard events."""
+        return self._folder("tb")
+
+    @property
+    def config_yaml(self) -> Path:
+        """The resolved configuration."""
+        return self.path / "config.yaml"
+
+    @property
+    def metrics_json(self) -> Path:
+        """The final numbers."""
+        return self.path / "metrics.json"
+
+    @property
+    def metrics_jsonl(self) -> Path:
+        """The numbers over the steps."""
+        return self.path / "metrics.jsonl"
+
+    @property
+    def environment_json(self) -> Path:
+        """What the run ran on."""
+        return self.path / "environment.json"
+
+    def checkpoint(self, step: int) -> Path:
+        """Path of the checkpoint of a step."""
+        return self.ckpts / f"step_{step:06d}.pt"
+
+    def latest_checkpoint(self) -> Path | None:
+        """The checkpoint with the most steps, or None where there is none."""
+        folder = self.path / "ckpts"
+        found = [file for file in folder.glob("step_*.pt") if _CHECKPOINT_NAME.fullmatch(file.name)]
+        return max(found, key=checkpoint_step, default=None)
+
+    def resume_command(self) -> str:
+        """The command line that goes on with this run."""
+        return f"thermosplat-train --resume {shlex.quote(str(self.path))}"
+
+    def write_config(self, config: "TrainConfig") -> None:
+        """Write ``config.yaml``."""
+        from thermosplat.config_files import to_yaml
+
+        text = to_yaml(config)
+        write_atomically(self.config_yaml, lambda path: _write_text(path, text))
+
+    def write_environment(self, device: torch.device) -> None:
+        """Write ``environment.json``: versions, device and threads, so that numbers can be traced to a machine."""
+        self.write_json(self.environment_json, environment(device))
+
+    def write_json(self, path: Path, value: dict[str, Any]) -> None:
+        """Write a JSON file, atomically.
+
+        Args:
+            path: Where in the run folder.
+            value: Plain types. Numbers that are not finite become null: JSON has none.
+        """
+        text = json.dumps(finite_or_null(value), indent=2, allow_nan=False) + "\n"
+        write_atomically(path, lambda temporary: _write_text(temporary, text))
+
+
+def checkpoint_step(path: Path) -> int:
+    """The step in a checkpoint's file name, ``step_000411.pt``."""
+    match = _CHECKPOINT_NAME.fullmatch(path.name)
+    if match is None:
+        raise ValueError(f"expected a checkpoint named step_<number>.pt, got {path.name}")
+    return int(match[1])
+
+
+def finite_or_null(value: Any) -> Any:
+    """A JSON value with None in place of every number that is not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: finite_or_null(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_null(item) for item in value]
+    return value
+
+
+def environment(device: torch.device) -> dict[str, Any]:
+    """Versions, device and threads of this process; no paths."""
+    versions: dict[str, str | None] = {"thermosplat": __version__}
+    for package in _PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            versions[package] = None
+    return {
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "packages": versions,
+        "device": device_name(device),
+        "cuda": torch.version.cuda if device.type == "cuda" else None,
+        "cpu_cores": os.cpu_count(),
+        "torch_threads": torch.get_num_threads(),
+    }
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")

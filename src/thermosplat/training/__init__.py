@@ -1,0 +1,1 @@
+"""Training: the loop (trainer.py) and what it is made of."""

@@ -1,0 +1,193 @@
+"""Adaptive density control: where Gaussians are added, split, removed and made transparent again. 3DGS.
+
+Behaves as gsplat 1.5.3's ``DefaultStrategy`` with the same constants, and differs in three points:
+
+- Opacities really are reset every ``reset_every`` steps, as in 3DGS. (gsplat 1.5.3 writes ``step % reset_every == 0 &
+  step > 0``, which Python reads as ``... == (0 & step) > 0``: never true.)
+- A Gaussian with two opacities is pruned when both are low, and both are reset.
+- ``max_gaussians`` caps growth; the largest gradients grow first.
+
+A frame is one observation of a Gaussian. Where one traversal renders both spectra, the gradient of ``means2d`` already
+is the vector sum over both (MMOne). Where the spectra have cameras of their own, their image axes need not agree, so
+each call's gradient is scaled by its own image size and the *norms* are added.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from thermosplat.config import DensificationConfig
+from thermosplat.errors import UserError
+from thermosplat.gaussians import Gaussians
+from thermosplat.training.gaussian_ops import Optimizers, clone, prune, reset_opacities, split
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What one refinement did to a set of Gaussians."""
+
+    cloned: int = 0
+    """Small Gaussians that were doubled."""
+    split: int = 0
+    """Large Gaussians that became two smaller ones."""
+    pruned: int = 0
+    """Gaussians that were removed."""
+
+
+class DefaultStrategy:
+    """Density control of one set of Gaussians.
+
+    The trainer calls :meth:`step_pre_backward` after rendering, :meth:`step_post_backward` after the optimizers. Steps
+    count from 1: the number of the step that is being done.
+
+    Args:
+        config: Schedule and thresholds.
+        scene_extent: Radius of the cameras [world units]; what "large" is measured against.
+        num_gaussians: Gaussians in the set.
+        device: Where they are.
+    """
+
+    def __init__(
+        self, config: DensificationConfig, scene_extent: float, num_gaussians: int, device: torch.device | str
+    ) -> None:
+        self.config = config
+        self.scene_extent = scene_extent
+        self.grad_norm_sum = torch.zeros(num_gaussians, device=device)
+        """Norms of the means2d gradients since the last refinement, in units of half the image, shape [N]."""
+        self.observations = torch.zeros(num_gaussians, device=device)
+        """Frames in which each Gaussian was visible since then, shape [N]."""
+
+    def is_active(self, step: int) -> bool:
+        """Whether gradients of this step count towards a refinement."""
+        return self.config.enabled and step < self.config.stop_step
+
+    def refines_at(self, step: int) -> bool:
+        """Whether Gaussians are added and removed at this step."""
+        return self.is_active(step) and step > self.config.start_step and step % self.config.every == 0
+
+    def resets_at(self, step: int) -> bool:
+        """Whether opacities are reset at this step."""
+        return self.is_active(step) and step % self.config.reset_every == 0
+
+    def step_pre_backward(self, infos: list[dict[str, Any]], step: int) -> None:
+        """Keep the gradients that the refinement looks at.
+
+        Args:
+            infos: What the rasterization said about each call that rendered this set.
+            step: The step.
+        """
+        if self.is_active(step):
+            for info in infos:
+                info["means2d"].retain_grad()
+
+    def step_post_backward(
+        self,
+        gaussians: Gaussians,
+        optimizers: Optimizers,
+        infos: list[dict[str, Any]],
+        step: int,
+        generator: torch.Generator,
+        blocked: Tensor,
+    ) -> Refinement | None:
+        """Note the gradients, and refine or reset where this step is the one to do so.
+
+        Args:
+            gaussians: The set.
+            optimizers: Its optimizers.
+            infos: As given to :meth:`step_pre_backward`.
+            step: The step.
+            generator: Draws where the halves of split Gaussians go.
+            blocked: Scalar, 1 where this step's gradients are not finite and must not be noted.
+
+        Returns:
+            What changed; None where this step does not refine.
+
+        Raises:
+            UserError: If no Gaussian is left.
+        """
+        if not self.is_active(step):
+            return None
+        self._observe(infos, blocked)
+        refinement = None
+        if self.refines_at(step):
+            try:
+                cloned, halved = self._grow(gaussians, optimizers, generator)
+                pruned = self._prune(gaussians, optimizers, step)
+                refinement = Refinement(cloned, halved, pruned)
+            finally:  # also where memory ran out between two operations: the sums must fit the Gaussians there are
+                self.grad_norm_sum = self.grad_norm_sum.new_zeros(len(gaussians))
+                self.observations = self.observations.new_zeros(len(gaussians))
+        if self.resets_at(step):
+            reset_opacities(gaussians, optimizers, self.config.reset_opacity)
+        return refinement
+
+    @torch.no_grad()
+    def _observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:
+        """Add this step's gradients. Nothing here waits for the device."""
+        norms = torch.zeros_like(self.grad_norm_sum)
+        visible = torch.zeros_like(self.observations)
+        for info in infos:
+            means2d = info["means2d"]
+            gradient = getattr(means2d, "absgrad", None) if self.config.absgrad else means2d.grad
+            if gradient is None:  # nothing of this call reached the loss
+                continue
+            half_width, half_height = (info[side] / 2.0 * info["n_cameras"] for side in ("width", "height"))
+            norm = torch.hypot(gradient[..., 0] * half_width, gradient[..., 1] * half_height).reshape(-1, len(norms))
+            seen = (info["radii"] > 0).all(dim=-1).reshape(-1, len(norms))  # [C, N]
+            norms += torch.where(seen, norm, 0.0).sum(dim=0)
+            visible = torch.maximum(visible, seen.sum(dim=0).to(visible.dtype))
+        finite = blocked == 0
+        self.grad_norm_sum += torch.where(finite, norms, 0.0)
+        self.observations += torch.where(finite, visible, 0.0)
+
+    @torch.no_grad()
+    def _grow(self, gaussians: Gaussians, optimizers: Optimizers, generator: torch.Generator) -> tuple[int, int]:
+        """Clone small and split large Gaussians with a large mean gradient; how many of each."""
+        gradient = self.grad_norm_sum / self.observations.clamp(min=1.0)
+        grows = gradient > self.config.grad_threshold
+        if self.config.max_gaussians is not None:
+            grows &= _largest(gradient, self.config.max_gaussians - len(gaussians))
+        is_small = gaussians.scales.amax(dim=-1) <= self.config.grow_scale3d * self.scene_extent
+        cloned, halved = grows & is_small, grows & ~is_small
+        num_cloned, num_split = int(cloned.sum()), int(halved.sum())
+        if num_cloned:
+            clone(gaussians, optimizers, cloned)
+        if num_split:  # not the clones just appended
+            split(gaussians, optimizers, torch.cat([halved, halved.new_zeros(num_cloned)]), generator)
+        return num_cloned, num_split
+
+    @torch.no_grad()
+    def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:
+        """Remove Gaussians that are too faint or too large; how many."""
+        removed = torch.maximum(gaussians.opacities, gaussians.thermal_opacities) < self.config.prune_opacity
+        if step > self.config.reset_every:
+            removed |= gaussians.scales.amax(dim=-1) > self.config.prune_scale3d * self.scene_extent
+        num_pruned = int(removed.sum())
+        if num_pruned == len(gaussians):
+            raise UserError(
+                f"No Gaussian is left after the refinement of step {step:,}: all {num_pruned:,} were fainter than "
+                f"{self.config.prune_opacity} or larger than {self.config.prune_scale3d} of the scene.",
+                "Check the camera poses, or lower --densification.prune-opacity.",
+            )
+        if num_pruned:
+            prune(gaussians, optimizers, removed)
+        return num_pruned
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """What a checkpoint holds of this strategy."""
+        return {"grad_norm_sum": self.grad_norm_sum, "observations": self.observations}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Go on from a checkpoint's state."""
+        self.grad_norm_sum = state["grad_norm_sum"].to(self.grad_norm_sum)
+        self.observations = state["observations"].to(self.observations)
+
+
+def _largest(values: Tensor, count: int) -> Tensor:
+    """Mask of the ``count`` largest of values [N]; the first of equal ones."""
+    mask = torch.zeros_like(values, dtype=torch.bool)
+    if count > 0:
+        mask[torch.argsort(values, descending=True, stable=True)[:count]] = True
+    return mask

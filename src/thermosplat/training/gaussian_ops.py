@@ -1,0 +1,125 @@
+"""Operations that change which Gaussians there are: parameters and optimizer state together.
+
+``gaussians`` is any module whose parameters share their first dimension N (``gaussians.Gaussians``), ``optimizers`` has
+one Adam for each parameter name. New Gaussians start with zero moments, as in gsplat. Every operation first makes all
+the new tensors and then puts them in place, so that running out of memory half-way leaves the Gaussians as they were.
+"""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+Optimizers = dict[str, torch.optim.Adam]
+"""One optimizer for each parameter name of a set of Gaussians."""
+
+SPLIT_SCALE = 1.6
+"""The two halves of a split Gaussian are this much smaller. 3DGS: 0.8 x 2."""
+
+
+@torch.no_grad()
+def clone(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor) -> None:
+    """Append a copy of each selected Gaussian.
+
+    Args:
+        gaussians: The Gaussians, N of them.
+        optimizers: Their optimizers.
+        selected: Boolean, shape [N].
+    """
+    everyone = torch.arange(len(selected), device=selected.device)
+    added = {name: parameter[selected] for name, parameter in gaussians.named_parameters()}
+    _rebuild(gaussians, optimizers, everyone, added)
+
+
+@torch.no_grad()
+def split(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor, generator: torch.Generator) -> None:
+    """Replace each selected Gaussian by two smaller ones, drawn from its own distribution. 3DGS.
+
+    Args:
+        gaussians: The Gaussians, N of them.
+        optimizers: Their optimizers.
+        selected: Boolean, shape [N].
+        generator: Draws the new means; a CPU generator, so that every device draws the same.
+    """
+    parameters = dict(gaussians.named_parameters())
+    scales = parameters["log_scales"][selected].exp()
+    noise = torch.randn(2, *scales.shape, generator=generator, dtype=scales.dtype).to(scales.device)
+    samples = _rotate(parameters["quats"][selected], noise * scales)  # [2, n, 3]
+
+    added = {}
+    for name, parameter in parameters.items():
+        chosen = parameter[selected]
+        if name == "means":
+            added[name] = (chosen + samples).reshape(-1, 3)
+        elif name == "log_scales":
+            added[name] = (chosen - math.log(SPLIT_SCALE)).repeat(2, 1)
+        else:
+            added[name] = chosen.repeat(2, *[1] * (chosen.dim() - 1))
+    _rebuild(gaussians, optimizers, torch.where(~selected)[0], added)
+
+
+@torch.no_grad()
+def prune(gaussians: nn.Module, optimizers: Optimizers, removed: Tensor) -> None:
+    """Remove Gaussians.
+
+    Args:
+        gaussians: The Gaussians, N of them.
+        optimizers: Their optimizers.
+        removed: Boolean, shape [N].
+    """
+    added = {name: parameter[:0] for name, parameter in gaussians.named_parameters()}
+    _rebuild(gaussians, optimizers, torch.where(~removed)[0], added)
+
+
+@torch.no_grad()
+def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: float) -> None:
+    """Lower every opacity to at most ``max_opacity``, so that only Gaussians the images need come back. 3DGS.
+
+    The thermal opacity sigmoid(logit α + Δ) is lowered likewise, by itself: a Gaussian that was fainter than the limit
+    in one spectrum stays as faint in it. Moments of both parameters start again from zero.
+
+    Args:
+        gaussians: The Gaussians.
+        optimizers: Their optimizers.
+        max_opacity: In (0, 1).
+    """
+    parameters = dict(gaussians.named_parameters())
+    limit = math.log(max_opacity / (1.0 - max_opacity))
+    logits, offsets = parameters["logit_opacities"], parameters.get("thermal_opacity_offsets")
+    new_logits = logits.clamp(max=limit)
+    if offsets is not None:
+        offsets.copy_((logits + offsets).clamp(max=limit) - new_logits)
+    logits.copy_(new_logits)
+
+    for name in ("logit_opacities", "thermal_opacity_offsets"):
+        if name in parameters:
+            for key, value in optimizers[name].state.get(parameters[name], {}).items():
+                if key != "step":
+                    value.zero_()
+
+
+def _rebuild(gaussians: nn.Module, optimizers: Optimizers, kept: Tensor, added: dict[str, Tensor]) -> None:
+    """Make the Gaussians those of indices ``kept`` followed by ``added``, in every parameter and its moments."""
+    replacements = {}
+    for name, parameter in gaussians.named_parameters():
+        new = nn.Parameter(torch.cat([parameter[kept], added[name]]), requires_grad=parameter.requires_grad)
+        state = dict(optimizers[name].state.get(parameter, {}))
+        for key, moment in state.items():
+            if key != "step":
+                state[key] = torch.cat([moment[kept], moment.new_zeros(added[name].shape)])
+        replacements[name] = (parameter, new, state)
+
+    for name, (parameter, new, state) in replacements.items():
+        setattr(gaussians, name, new)
+        optimizers[name].param_groups[0]["params"] = [new]
+        optimizers[name].state.pop(parameter, None)
+        if state:
+            optimizers[name].state[new] = state
+
+
+def _rotate(quats: Tensor, vectors: Tensor) -> Tensor:
+    """Rotate vectors [..., n, 3] by quaternions [n, 4] (wxyz, any length): v + 2w (u x v) + 2 u x (u x v)."""
+    w, u = nn.functional.normalize(quats, dim=-1).split((1, 3), dim=-1)
+    u = u.expand_as(vectors)
+    uv = torch.linalg.cross(u, vectors)
+    return vectors + 2.0 * (w * uv + torch.linalg.cross(u, uv))

@@ -1,0 +1,47 @@
+"""Telling an exhausted device from other errors, and saying what helps."""
+
+import torch
+
+from thermosplat.errors import UserError
+
+_WARP_ALLOCATION = "Failed to allocate"  # the start of Warp's RuntimeError, on the CPU and on CUDA
+_TORCH_CPU_ALLOCATION = "can't allocate memory"  # "DefaultCPUAllocator: can't allocate memory: you tried to ..."
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that memory ran out, be it torch's, Warp's or Python's own."""
+    if isinstance(error, torch.OutOfMemoryError | MemoryError):
+        return True
+    text = str(error)
+    return isinstance(error, RuntimeError) and (_WARP_ALLOCATION in text or _TORCH_CPU_ALLOCATION in text)
+
+
+def out_of_memory_error(
+    step: int, num_gaussians: int, image_size: str, device: torch.device, saved: str, resume_command: str
+) -> UserError:
+    """The error to show.
+
+    Args:
+        step: The step that failed.
+        num_gaussians: Gaussians in all sets.
+        image_size: Size of the images that were rendered.
+        device: The device.
+        saved: One sentence about the checkpoint.
+        resume_command: The command line that goes on from it.
+    """
+    where = "memory"
+    if device.type == "cuda":
+        used = torch.cuda.max_memory_allocated(device) / 2**30
+        total = torch.cuda.get_device_properties(device).total_memory / 2**30
+        where = f"GPU memory ({used:.1f} of {total:.1f} GiB)"
+    return UserError(
+        f"Out of {where} at step {step:,} with {num_gaussians:,} Gaussians at {image_size}. {saved}",
+        f"Use --data-factor 2 (smaller images) or --densification.max-gaussians {_round_down(num_gaussians)} "
+        f"(fewer Gaussians). Go on with: {resume_command}",
+    )
+
+
+def _round_down(count: int) -> int:
+    """A count with one significant digit, below ``count``: a cap to suggest."""
+    digit = 10 ** max(len(str(count)) - 1, 0)
+    return max(count // digit * digit, 1)

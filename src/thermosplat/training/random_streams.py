@@ -1,0 +1,45 @@
+"""Everything random in a training run, as a function of the seed and the step.
+
+A stream is named by (seed, purpose, index) and starts afresh for each name, so nothing random carries a state from
+step to step: a resumed run, and a step taken back, draw what the uninterrupted run would have drawn.
+"""
+
+import numpy as np
+import torch
+
+_PURPOSES = ("frame order", "split", "initialisation")
+
+
+def random_stream(seed: int, purpose: str, index: int = 0) -> torch.Generator:
+    """A CPU generator for one purpose at one step or epoch.
+
+    Args:
+        seed: The run's seed, at least 0.
+        purpose: "frame order", "split" or "initialisation".
+        index: Step or epoch, at least 0.
+    """
+    entropy = np.random.SeedSequence([seed, _PURPOSES.index(purpose), index])
+    return torch.Generator().manual_seed(int(entropy.generate_state(1, np.uint64)[0] >> np.uint64(1)))
+
+
+class FrameOrder:
+    """Which training frame each step takes: all of them in random order, then all again in another. 3DGS.
+
+    Args:
+        num_frames: Training frames, at least 1.
+        seed: The run's seed.
+    """
+
+    def __init__(self, num_frames: int, seed: int) -> None:
+        self.num_frames = num_frames
+        self.seed = seed
+        self._epoch = -1
+        self._order: list[int] = []
+
+    def __getitem__(self, step: int) -> int:
+        """Index of the frame of a step, 0 being the first step."""
+        epoch, place = divmod(step, self.num_frames)
+        if epoch != self._epoch:
+            stream = random_stream(self.seed, "frame order", epoch)
+            self._epoch, self._order = epoch, torch.randperm(self.num_frames, generator=stream).tolist()
+        return self._order[place]

@@ -1,0 +1,67 @@
+"""The training frames as tensors, kept on the device as far as memory allows."""
+
+import os
+
+import torch
+from torch import Tensor
+
+from thermosplat.config import ModelConfig
+from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, frame_tensors
+from thermosplat.errors import UserError
+
+_CACHED_SHARE = 0.25
+"""Share of the free memory that frames may fill; Gaussians and the renderer need the rest."""
+
+
+class TrainFrames:
+    """The frames to learn from, in the capture's order, by index.
+
+    Args:
+        capture: The capture. Frames without a view that the model renders are left out.
+        model: Says which spectra are modelled.
+        device: Where the tensors go.
+
+    Raises:
+        UserError: If no frame is left.
+    """
+
+    def __init__(self, capture: Capture, model: ModelConfig, device: torch.device) -> None:
+        self.frames = [
+            frame
+            for frame in capture.train
+            if (model.rgb and frame.rgb is not None) or (model.thermal and frame.thermal is not None)
+        ]
+        if not self.frames:
+            raise UserError(f"{capture.root} has no training frame of a spectrum that is modelled.")
+        self.thermal_scale = capture.thermal_scale
+        self.device = device
+        self._cache: dict[int, FrameTensors] = {}
+        self._budget = _CACHED_SHARE * _free_bytes(device)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> FrameTensors:
+        """Tensors of a frame; made again each time once the memory for them is full."""
+        if index in self._cache:
+            return self._cache[index]
+        frame = frame_tensors(self.frames[index], self.thermal_scale, self.device)
+        size = sum(_bytes(view) for view in (frame.rgb, frame.thermal))
+        if size <= self._budget:
+            self._budget -= size
+            self._cache[index] = frame
+        return frame
+
+
+def _bytes(view: ViewTensors | None) -> int:
+    if view is None:
+        return 0
+    tensors = [value for value in (view.image, view.intensity, view.celsius) if isinstance(value, Tensor)]
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+
+
+def _free_bytes(device: torch.device) -> int:
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[0]
+    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

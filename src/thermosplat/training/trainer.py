@@ -1,0 +1,330 @@
+"""The training loop: one frame a step, both spectra at once.
+
+    thermosplat-train data/shed                       on the GPU where there is one
+    thermosplat-train sample                          a few minutes on two CPU cores
+
+Read :meth:`Trainer.train` for the run and :meth:`Trainer._train_step` for a step; everything they call says what it
+does in its own file. Steps count from 1. The state is always that of a whole number of steps, whatever ends the run:
+Ctrl-C, a full memory or a bad loss.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from thermosplat.checkpoint import save_checkpoint
+from thermosplat.config import TrainConfig
+from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.devices import choose_device, device_name
+from thermosplat.errors import UserError
+from thermosplat.evaluation import evaluate
+from thermosplat.export.scene import export_scene
+from thermosplat.losses import frame_losses
+from thermosplat.lpips import Lpips, find_lpips
+from thermosplat.model import RenderedFrame, SceneModel
+from thermosplat.run_directory import RunDirectory
+from thermosplat.training.finite_guard import FiniteGuard
+from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts
+from thermosplat.training.optimizers import set_learning_rates, step_unless
+from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
+from thermosplat.training.random_streams import FrameOrder, random_stream
+from thermosplat.training.resuming import check_resumable, newest_checkpoint
+from thermosplat.training.run_logger import RunLogger, StepRecord
+from thermosplat.training.train_frames import TrainFrames
+from thermosplat.training.training_state import TrainingState
+
+
+class Trainer:
+    """A training run.
+
+    Args:
+        config: The whole configuration.
+        capture: The frames to learn from and to be judged by.
+        run: Where everything goes.
+        logger: What tells the user; None for the default one.
+        checkpoint: State to go on from (``resuming.newest_checkpoint``); None starts from the capture's points.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        capture: Capture,
+        run: RunDirectory,
+        logger: RunLogger | None = None,
+        checkpoint: dict[str, Any] | None = None,
+    ) -> None:
+        self.config = config
+        self.capture = capture
+        self.run = run
+        self.device = choose_device(config.device)
+        self.logger = logger or RunLogger(
+            run,
+            max_steps=config.max_steps,
+            log_every=config.log_every,
+            device=self.device,
+            tensorboard=config.tensorboard,
+        )
+        self.frames = TrainFrames(capture, config.model, self.device)
+        self.frame_order = FrameOrder(len(self.frames), config.seed)
+        if checkpoint is None:
+            self.model = SceneModel.from_capture(config, capture, self.device)
+        else:
+            self.model = SceneModel.from_checkpoint(checkpoint, self.device)
+        self.state = TrainingState(self.model, config, capture.scene_extent, self.device)
+        if checkpoint is not None:
+            self.state.load(checkpoint)
+        self.guard = FiniteGuard(self.device)
+        self.lpips: Lpips | None = None
+        self._warm = False
+
+    @classmethod
+    def resume(
+        cls, config: TrainConfig, capture: Capture, run: RunDirectory, logger: RunLogger | None = None
+    ) -> "Trainer":
+        """Go on from the newest checkpoint of a run; on the CPU, bit for bit as if it had never stopped.
+
+        Args:
+            config: The run's configuration; rates, schedule and device may differ from the first time, the model not.
+            capture: The same capture as the first time.
+            run: The run.
+            logger: What tells the user; None for the default one.
+
+        Raises:
+            UserError: If there is no checkpoint, or it holds another model than the configuration asks for.
+        """
+        checkpoint = newest_checkpoint(run)
+        check_resumable(checkpoint, config, run)
+        return cls(config, capture, run, logger, checkpoint)
+
+    @property
+    def step(self) -> int:
+        """Steps done."""
+        return self.state.step
+
+    # ---- the run -----------------------------------------------------------------------------------------------------
+
+    def train(self) -> dict[str, Any]:
+        """Train to ``max_steps``, evaluate, and write everything the run leaves behind.
+
+        Returns:
+            The content of metrics.json.
+
+        Raises:
+            TrainingInterrupted: After Ctrl-C; carries the checkpoint and the command that goes on.
+            UserError: If memory runs out, or a loss or gradient becomes NaN or infinite; says what was saved where.
+        """
+        config, state = self.config, self.state
+        started = time.perf_counter() - state.seconds.wall
+        try:
+            self.lpips, remark = find_lpips(config.lpips_weights, self.device)
+            self.run.write_config(config)
+            self.run.write_environment(self.device)
+            self.logger.start(state.step)
+            self._greet(remark)
+            while state.step < config.max_steps:
+                self._train_step()
+                state.seconds.wall = time.perf_counter() - started
+                if state.step in config.save_steps and state.step < config.max_steps:
+                    self._save()
+                if state.step in config.eval_steps and state.step < config.max_steps:
+                    self._evaluate()
+            self._save()  # before the evaluation, so that nothing which goes wrong there costs the training
+            metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+            state.seconds.wall = time.perf_counter() - started
+            return self._finish(metrics)
+        except KeyboardInterrupt:
+            with deferred_interrupts(redeliver=False):
+                self._stop_if_not_finite()
+                raise TrainingInterrupted(self._save(), self.run.resume_command()) from None
+        except Exception as error:
+            if not is_out_of_memory(error):
+                raise
+            raise self._out_of_memory() from error
+        finally:
+            self.logger.close()
+
+    def _train_step(self) -> None:
+        """One step: render a frame, compare it with its images, improve Gaussians and decoders."""
+        config, state = self.config, self.state
+        step, started = state.step + 1, time.perf_counter()
+        frame = self.frames[self.frame_order[state.step]]
+        sh_degree = self._sh_degree(step)
+        state.clear_gradients()  # an interrupted step may have left some
+
+        with self._first_step():
+            rendered = self.model.render(
+                frame.rgb,
+                frame.thermal,
+                sh_degree=sh_degree,
+                absgrad=config.densification.absgrad,
+                aligned=frame.aligned,
+            )
+            losses = frame_losses(rendered, frame, config.loss)
+            if not losses:
+                raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
+            for name, strategy in state.strategies.items():
+                strategy.step_pre_backward(rendered.infos.get(name, []), step)
+            torch.stack(list(losses.values())).sum().backward()
+
+        self.guard.observe(step, losses, state.gradients())
+        if self._looks_at_guard(step):
+            self._stop_if_not_finite()
+
+        with deferred_interrupts():  # from here on the step is done as a whole
+            for optimizers in state.optimizers.values():
+                progress = state.step / config.max_steps
+                set_learning_rates(optimizers, config.optimizer, progress, self.capture.scene_extent)
+                step_unless(self.guard.blocked, optimizers)
+            state.clear_gradients()
+            state.step = step
+            for name, strategy in state.strategies.items():
+                strategy.step_post_backward(
+                    state.gaussian_sets[name],
+                    state.optimizers[name],
+                    rendered.infos.get(name, []),
+                    step,
+                    random_stream(config.seed, "split", step),
+                    self.guard.blocked,
+                )
+            state.seconds.train += time.perf_counter() - started
+
+        squared_errors = _squared_errors(rendered, frame)
+        self.logger.step(
+            StepRecord(step, losses, squared_errors, self.model.num_gaussians, sh_degree, state.seconds.train)
+        )
+
+    def _sh_degree(self, step: int) -> int:
+        """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
+        return min(max(step - 1, 0) // self.config.sh_degree_interval, self.config.sh_degree)
+
+    @contextmanager
+    def _first_step(self) -> Iterator[None]:
+        """Around what compiles kernels in the first step of a process; times it."""
+        if self._warm:
+            yield
+            return
+        started = time.perf_counter()
+        with self.logger.compiling():
+            yield
+        self.state.seconds.first_step, self._warm = time.perf_counter() - started, True
+
+    def _greet(self, lpips: str) -> None:
+        """Say once what is trained on what, and what the capture has to say."""
+        say, step = self.logger.say, self.state.step
+        for note in (*self.capture.notes, lpips):
+            say(note)
+        if self.device.type == "cpu":
+            why = "Training on the CPU" if torch.cuda.is_available() else "No CUDA device: training on the CPU"
+            name = device_name(self.device)
+            say(f"{why} with Warp ({name}), many times slower than a GPU; --config demo is made for it.")
+        say(
+            f"{self.capture.name}: {len(self.frames)} training and {len(self.capture.test)} held-out frames, "
+            f"{self.model.num_gaussians:,} Gaussians{f', from step {step:,}' if step else ''}; "
+            f"results go to {self.run.path}"
+        )
+
+    # ---- evaluation and what is left behind --------------------------------------------------------------------------
+
+    def _evaluate(self, strips: Path | None = None, per_view: Path | None = None) -> dict[str, Any]:
+        """Judge the model by the held-out views; at the end with strips and numbers for every view."""
+        step = self.state.step
+        metrics = evaluate(
+            self.model,
+            self.capture,
+            sh_degree=self._sh_degree(step),
+            device=self.device,
+            lpips=self.lpips,
+            strips_dir=strips,
+            csv_path=per_view,
+        )
+        self.logger.evaluation(step, metrics)
+        self.run.write_json(self.run.stats / f"step_{step:06d}.json", metrics)
+        return metrics
+
+    def _finish(self, evaluated: dict[str, Any]) -> dict[str, Any]:
+        """Export the Gaussians and write metrics.json."""
+        export_scene(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
+        seconds = self.state.seconds
+        metrics = {
+            "rgb": evaluated["rgb"],
+            "thermal": evaluated["thermal"],
+            "num_gaussians": self.model.num_gaussians,
+            "steps": self.state.step,
+            "train_seconds": seconds.train,
+            "device": device_name(self.device),
+            "wall_seconds": seconds.wall,
+            "first_step_seconds": seconds.first_step,
+            "gaussians": {name: len(gaussians) for name, gaussians in self.state.gaussian_sets.items()},
+            "lpips_net": self.lpips.name if self.lpips is not None else None,
+        }
+        self.run.write_json(self.run.metrics_json, metrics)
+        return metrics
+
+    def _save(self) -> Path:
+        """Write a checkpoint of the steps done. Callers have made sure that the state is finite."""
+        path = self.run.checkpoint(self.state.step)
+        sh_degree = self._sh_degree(self.state.step)
+        with deferred_interrupts():
+            save_checkpoint(path, self.state.checkpoint(self.config, sh_degree, self.capture.thermal_scale))
+        return path
+
+    # ---- when it goes wrong ------------------------------------------------------------------------------------------
+
+    def _looks_at_guard(self, step: int) -> bool:
+        """Whether to wait for the device before this step's update: where a bad state would spread or be kept."""
+        config = self.config
+        return (
+            self.device.type == "cpu"  # nothing to wait for
+            or step % config.log_every == 0
+            or step in (*config.eval_steps, *config.save_steps, config.max_steps)
+            or any(strategy.refines_at(step) or strategy.resets_at(step) for strategy in self.state.strategies.values())
+        )
+
+    def _stop_if_not_finite(self) -> None:
+        """Raise if a loss or gradient was NaN or infinite; the state from before that step is saved."""
+        found = self.guard.first_bad()
+        if found is None:
+            return
+        bad_step, name = found
+        self.state.step = bad_step - 1  # the guard has kept every update since from being made
+        frame = self.frames.frames[self.frame_order[self.state.step]]
+        raise UserError(
+            f"The loss became NaN or infinite at step {bad_step:,} (term: {name}; frame: {frame.name}). "
+            f"Last finite state saved to {self._save()}.",
+            "Check the images and the pose of that frame, or lower the learning rates (--optimizer.means-lr and the "
+            f"others), and go on with: {self.run.resume_command()}",
+        )
+
+    def _out_of_memory(self) -> UserError:
+        """Save what there is; the error says what would need less memory."""
+        failed, num_gaussians = self.state.step + 1, self.model.num_gaussians
+        self.state.clear_gradients()
+        if self.device.type == "cuda":
+            torch.cuda.empty_cache()
+        self._stop_if_not_finite()
+        frame = self.frames.frames[self.frame_order[self.state.step]]
+        view = frame.rgb or frame.thermal
+        return out_of_memory_error(
+            failed,
+            num_gaussians,
+            f"{view.camera.width}x{view.camera.height}" if view is not None else "no image",
+            self.device,
+            f"Checkpoint saved to {self._save()}.",
+            self.run.resume_command(),
+        )
+
+
+def _squared_errors(rendered: RenderedFrame, frame: FrameTensors) -> dict[str, Tensor]:
+    """Mean squared errors of the frame's own images, clamped to [0, 1], by modality; on the device."""
+    pairs = {"rgb": (rendered.rgb, frame.rgb), "thermal": (rendered.thermal, frame.thermal)}
+    return {
+        modality: (image.detach().clamp(0.0, 1.0) - view.image).square().mean()
+        for modality, (image, view) in pairs.items()
+        if image is not None and view is not None and view.image is not None
+    }

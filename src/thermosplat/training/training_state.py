@@ -1,0 +1,122 @@
+"""Everything that changes while training, and that a checkpoint must hold to go on exactly."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import to_dict
+from thermosplat.gaussians import Gaussians
+from thermosplat.model import SceneModel
+from thermosplat.radiometry import ThermalScale
+from thermosplat.training.densification import DefaultStrategy
+from thermosplat.training.gaussian_ops import Optimizers
+from thermosplat.training.optimizers import decoder_optimizer, gaussian_optimizers
+
+
+@dataclass
+class Seconds:
+    """Where a run's time went, summed over all its sittings [s]."""
+
+    train: float = 0.0
+    """In training steps: rendering, losses, gradients, updates, densification. The first step of a sitting includes
+    what kernels had to be compiled."""
+    wall: float = 0.0
+    """Between the start and the last step, with evaluations and files."""
+    first_step: float = 0.0
+    """The first step of the last sitting alone."""
+
+
+class TrainingState:
+    """The model, its optimizers and density control, and how far they have come.
+
+    Nothing random is in here: random_streams.py makes it from the seed and the step.
+
+    Attributes:
+        model: The scene.
+        gaussian_sets: The model's sets of Gaussians by name.
+        optimizers: By name of the set, and "decoders", the optimizers by parameter name.
+        strategies: Density control by name of the set.
+        step: Steps done.
+        seconds: Where the time went.
+
+    Args:
+        model: The scene, on its device.
+        config: The whole configuration.
+        scene_extent: Radius of the cameras [world units].
+        device: The model's device.
+    """
+
+    def __init__(self, model: SceneModel, config: TrainConfig, scene_extent: float, device: torch.device) -> None:
+        self.model = model
+        self.gaussian_sets: dict[str, Gaussians] = {name: model.gaussians(name) for name in model.gaussian_sets}
+        self.optimizers: dict[str, Optimizers] = {
+            name: gaussian_optimizers(gaussians, config.optimizer) for name, gaussians in self.gaussian_sets.items()
+        }
+        if model.decoders is not None:
+            self.optimizers["decoders"] = {"decoders": decoder_optimizer(model.decoders, config.optimizer)}
+        self.strategies = {
+            name: DefaultStrategy(config.densification, scene_extent, len(gaussians), device)
+            for name, gaussians in self.gaussian_sets.items()
+        }
+        self.step = 0
+        self.seconds = Seconds()
+
+    def clear_gradients(self) -> None:
+        """Forget all gradients, and free their memory."""
+        for optimizers in self.optimizers.values():
+            for optimizer in optimizers.values():
+                optimizer.zero_grad(set_to_none=True)
+
+    def gradients(self) -> dict[str, list[Tensor]]:
+        """The gradients there are, by set and parameter name; the decoders' all under one name."""
+        return {
+            owner if owner == name else f"{owner} {name}": [
+                parameter.grad
+                for parameter in optimizer.param_groups[0]["params"]
+                if parameter.grad is not None and parameter.numel() > 0
+            ]
+            for owner, optimizers in self.optimizers.items()
+            for name, optimizer in optimizers.items()
+        }
+
+    def checkpoint(self, config: TrainConfig, sh_degree: int, thermal_scale: ThermalScale | None) -> dict[str, Any]:
+        """What ``checkpoint.save_checkpoint`` writes.
+
+        Args:
+            config: The whole configuration.
+            sh_degree: Degree of the spherical harmonics in use.
+            thermal_scale: What thermal pixel values mean.
+        """
+        return {
+            "step": self.step,
+            "config": to_dict(config),
+            "sh_degree": sh_degree,
+            "model": self.model.checkpoint_state(),
+            "thermal_scale": thermal_scale.state_dict() if thermal_scale is not None else None,
+            "training": {
+                "optimizers": {
+                    owner: {name: optimizer.state_dict() for name, optimizer in optimizers.items()}
+                    for owner, optimizers in self.optimizers.items()
+                },
+                "strategies": {name: strategy.state_dict() for name, strategy in self.strategies.items()},
+                "seconds": vars(self.seconds),
+            },
+        }
+
+    def load(self, checkpoint: dict[str, Any]) -> None:
+        """Go on from a checkpoint; the model must already be its.
+
+        Args:
+            checkpoint: What ``checkpoint.load_checkpoint`` read.
+        """
+        training = checkpoint["training"]
+        for owner, optimizers in self.optimizers.items():
+            for name, optimizer in optimizers.items():
+                optimizer.load_state_dict(training["optimizers"][owner][name])
+        for name, strategy in self.strategies.items():
+            strategy.load_state_dict(training["strategies"][name])
+        self.step = checkpoint["step"]
+        self.seconds = Seconds(**training["seconds"])

@@ -1,0 +1,98 @@
+"""Writing a sequence of images as MP4 or as numbered PNGs."""
+
+import importlib.util
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from thermosplat.checkpoint import write_atomically
+from thermosplat.image_display import Image8, encode_png, resized
+
+VideoFormat = Literal["mp4", "png"]
+
+
+def write_images(images: Iterable[Image8], target: Path, *, format: VideoFormat, fps: int) -> Path:
+    """Write images as a video, or as PNGs in a folder.
+
+    MP4 is H.264 by imageio-ffmpeg where that is installed (extra "video"), else OpenCV's MPEG-4, which some browsers do
+    not play; where OpenCV has no encoder either, PNGs are written instead.
+
+    Args:
+        images: 8-bit RGB images, shape [H, W, 3] each, at least one; consumed once. In a video all are resized to the
+            first one's size.
+        target: File or folder without a suffix; ``.mp4`` is appended for a video.
+        format: What to write.
+        fps: Images a second of the video, >= 1.
+
+    Returns:
+        The video file, or the folder of PNGs.
+    """
+    images = iter(images)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if format == "mp4":
+        first = next(images)
+        images = chain([first], images)
+        try:
+            return _write_video(images, target.with_name(f"{target.name}.mp4"), first.shape, fps)
+        except NoEncoderError:
+            pass  # nothing was consumed
+    target.mkdir(exist_ok=True)
+    for index, image in enumerate(images):
+        write_atomically(target / f"{index:05d}.png", partial(Path.write_bytes, data=encode_png(image)))
+    return target
+
+
+class NoEncoderError(Exception):
+    """Neither imageio-ffmpeg nor OpenCV can write a video here."""
+
+
+def _write_video(images: Iterator[Image8], path: Path, shape: tuple[int, ...], fps: int) -> Path:
+    height, width = (size // 2 * 2 for size in shape[:2])  # 4:2:0 chroma needs even sizes: drop a last odd row
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.mp4")  # the encoders go by the suffix
+    try:
+        with _encoder(temporary, width, height, fps) as append:
+            for image in images:
+                if image.shape != shape:
+                    image = resized(image, shape[1], shape[0])
+                append(np.ascontiguousarray(image[:height, :width]))
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+def _encoder(path: Path, width: int, height: int, fps: int) -> AbstractContextManager[Callable[[Image8], None]]:
+    open_encoder = _h264 if importlib.util.find_spec("imageio_ffmpeg") else _mpeg4
+    return open_encoder(path, width, height, fps)
+
+
+@contextmanager
+def _h264(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], None]]:
+    import imageio_ffmpeg
+
+    writer = imageio_ffmpeg.write_frames(
+        str(path), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
+    )
+    writer.send(None)
+    try:
+        yield writer.send
+    finally:
+        writer.close()
+
+
+@contextmanager
+def _mpeg4(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], None]]:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
+    if not writer.isOpened():
+        raise NoEncoderError
+    try:
+        yield lambda image: writer.write(image[..., ::-1])
+    finally:
+        writer.release()

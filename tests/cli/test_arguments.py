@@ -1,0 +1,137 @@
+"""The command line of thermosplat-train: presets, flags on top, resuming, help."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from thermosplat.cli.arguments import parse_train_arguments
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import load_config, to_yaml
+from thermosplat.errors import UserError
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path) -> Path:
+    """A result folder as an interrupted run leaves it, as far as the command line looks."""
+    folder = tmp_path / "shed"
+    folder.mkdir()
+    config = replace(load_config("demo"), data="data/shed", result_dir=str(folder), sh_degree=2)
+    (folder / "config.yaml").write_text(to_yaml(config))
+    return folder
+
+
+def test_flags_override_the_preset() -> None:
+    """Flags change single values of the preset that --config names, wherever it stands."""
+    config = parse_train_arguments(["data/shed", "--max-steps", "9", "--config", "3dgs", "--loss.ssim-lambda", "0.5"])
+    expected = load_config("3dgs")
+    assert config == replace(expected, data="data/shed", max_steps=9, loss=replace(expected.loss, ssim_lambda=0.5))
+
+
+def test_sample_takes_the_demo_preset() -> None:
+    """The sample capture trains with the short schedule unless another preset is named; other data with the paper's."""
+    assert parse_train_arguments(["sample"]) == replace(load_config("demo"), data="sample")
+    assert parse_train_arguments(["sample", "--config", "thermosplat"]) == replace(TrainConfig(), data="sample")
+    assert parse_train_arguments(["data/shed"]) == replace(TrainConfig(), data="data/shed")
+
+
+def test_resolved_config_reproduces_the_run(tmp_path: Path) -> None:
+    """A run's config.yaml, given as --config, asks for the same run."""
+    config = parse_train_arguments(["data/shed", "--config", "demo", "--seed", "3", "--eval-steps", "5", "10"])
+    path = tmp_path / "config.yaml"
+    path.write_text(to_yaml(config))
+    assert parse_train_arguments(["--config", str(path)]) == config
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        "--result-dir x --max-steps 3 --data-factor 2 --test-every 4 --sh-degree 1 --device cpu --seed 1",
+        "--thermal.source raw --thermal.unit centikelvin --thermal.range-celsius 10 30 --thermal.aligned",
+        "--model.gaussian-sets separate --model.feature-dim 0 --model.no-geometric-decoupling",
+        "--densification.max-gaussians 1000 --optimizer.means-lr 1e-4 --decoder.no-modulation --overwrite",
+    ],
+)
+def test_flags_have_the_documented_names(flags: str) -> None:
+    """Flags named as gsplat's trainer names them, and the nested groups, are understood and change something."""
+    assert parse_train_arguments(["data/shed", *flags.split()]) != replace(TrainConfig(), data="data/shed")
+
+
+def test_no_capture() -> None:
+    """Without a capture the message names the command for a first try."""
+    with pytest.raises(UserError, match="No capture given") as caught:
+        parse_train_arguments([])
+    assert "thermosplat-train sample" in caught.value.hint
+
+
+def test_impossible_flag_value() -> None:
+    """Values out of range are refused with the flag's name."""
+    with pytest.raises(UserError, match="--sh-degree must be at most 3, found 4"):
+        parse_train_arguments(["x", "--sh-degree", "4"])
+
+
+def test_typo_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
+    """A mistyped flag ends with code 2 and the nearest flag."""
+    with pytest.raises(SystemExit) as stop:
+        parse_train_arguments(["x", "--max-step", "3"])
+    assert stop.value.code == 2
+    assert "--max-steps" in capsys.readouterr().err
+
+
+def test_help_shows_the_presets_values(capsys: pytest.CaptureFixture[str]) -> None:
+    """--help beside --config shows that preset's values as the defaults."""
+    with pytest.raises(SystemExit) as stop:
+        parse_train_arguments(["--config", "demo", "--help"])
+    assert stop.value.code == 0
+    assert f"(default: {load_config('demo').max_steps})" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate", "render", "export"])
+def test_help_imports_nothing_heavy(command: str) -> None:
+    """--help of every command answers without torch, Warp, OpenCV, kornia or pycolmap."""
+    script = (
+        "import sys\n"
+        f"from thermosplat.cli.{command} import main\n"
+        "try:\n    main(['--help'])\n"
+        "except SystemExit as stop:\n    code = stop.code\n"
+        "print('heavy:', code, sorted({'torch', 'warp', 'cv2', 'kornia', 'pycolmap', 'numpy'} & set(sys.modules)))\n"
+    )
+    path = [str(Path(__file__).parents[2] / "src"), *sys.path]
+    result = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path[:0] = {path!r}\n{script}"], capture_output=True, text=True
+    )
+    assert result.stdout.splitlines()[-1] == "heavy: 0 []", result.stderr
+    assert "usage: thermosplat-" in result.stdout
+
+
+def test_resume_takes_the_runs_configuration(run_folder: Path) -> None:
+    """--resume needs no capture: everything comes from the run's config.yaml."""
+    config = parse_train_arguments(["--resume", str(run_folder)])
+    assert config == replace(load_config(run_folder / "config.yaml"), resume=str(run_folder))
+
+
+def test_resume_may_go_on_longer(run_folder: Path) -> None:
+    """More steps, another device and other reporting are no contradiction."""
+    flags = ["--max-steps", "5000", "--device", "cpu", "--log-every", "7", "--config", "demo"]
+    config = parse_train_arguments(["--resume", str(run_folder), *flags])
+    assert (config.max_steps, config.device, config.log_every) == (5000, "cpu", 7)
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        (["--sh-degree", "3"], "was trained with sh_degree=2, the command asks for 3"),
+        (["--loss.thermal", "0.5"], "was trained with loss.thermal=1.0, the command asks for 0.5"),
+        (["--config", "3dgs"], "was trained with config=demo, the command asks for 3dgs"),
+        (["--result-dir", "elsewhere"], "result_dir="),
+        (["--max-steps", "10"], "the command asks for 10"),
+        (["--overwrite"], "--overwrite deletes"),
+    ],
+)
+def test_resume_refuses_contradictions(run_folder: Path, flags: list[str], expected: str) -> None:
+    """A flag that contradicts the run is refused with both values."""
+    with pytest.raises(UserError) as caught:
+        parse_train_arguments(["--resume", str(run_folder), *flags])
+    assert expected in caught.value.message

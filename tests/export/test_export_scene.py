@@ -1,0 +1,103 @@
+"""What an exported scene looks like: colours and opacities of each spectrum."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from thermosplat.errors import UserError
+from thermosplat.export.scene import export_scene, modality_splats
+from thermosplat.gaussians import SH_C0
+from thermosplat.radiometry import FLIR_IRON, ThermalScale
+from toy_scene import toy_capture, toy_config, toy_model
+
+
+def constant_color(sh0: torch.Tensor) -> torch.Tensor:
+    return 0.5 + SH_C0 * sh0[:, 0]
+
+
+def test_hybrid_rgb_adds_the_decoded_color() -> None:
+    """RGB is the SH colour plus each Gaussian's own decoded features; higher degrees and opacity stay."""
+    capture = toy_capture()
+    model = toy_model(toy_config(), capture)
+    gaussians = model.gaussians("shared")
+    splats = modality_splats(model, "rgb", capture.thermal_scale)
+    expected = constant_color(gaussians.sh0) + model.decoders.rgb(gaussians.features)
+    torch.testing.assert_close(constant_color(splats.sh0), expected)
+    torch.testing.assert_close(splats.shN, gaussians.shN)
+    torch.testing.assert_close(splats.logit_opacities, gaussians.logit_opacities)
+    assert not splats.sh0.requires_grad
+
+
+def test_decoded_rgb_alone_replaces_the_sh_color() -> None:
+    """Without the hybrid sum the colour is the decoded one, the same from everywhere."""
+    capture = toy_capture()
+    model = toy_model(toy_config(decoder={"hybrid_rgb": False}), capture)
+    splats = modality_splats(model, "rgb", capture.thermal_scale)
+    torch.testing.assert_close(constant_color(splats.sh0), model.decoders.rgb(model.gaussians("shared").features))
+    assert not splats.shN.any()
+
+
+@pytest.mark.parametrize("kind", ["color", "scalar"])
+def test_thermal_is_decoded_at_the_thermal_opacity(kind: str) -> None:
+    """Thermal colours are decoded features, a scalar through the palette; the opacity is α_t, even where it saturates."""
+    capture = toy_capture(thermal_kind=kind)
+    model = toy_model(toy_config(), capture)
+    gaussians = model.gaussians("shared")
+    with torch.no_grad():
+        gaussians.logit_opacities[0] = 40.0
+    splats = modality_splats(model, "thermal", capture.thermal_scale)
+    decoded = model.decoders.thermal(gaussians.features).detach()
+    if kind == "scalar":
+        decoded = torch.as_tensor(FLIR_IRON.to_color(decoded[:, 0].numpy()))
+    torch.testing.assert_close(constant_color(splats.sh0), decoded)
+    torch.testing.assert_close(torch.sigmoid(splats.logit_opacities), gaussians.thermal_opacities)
+    assert torch.isfinite(splats.logit_opacities).all()
+
+
+def test_separate_sets_export_their_own_harmonics() -> None:
+    """In the 3DGS configuration each spectrum is its own set, exactly as it is rendered."""
+    capture = toy_capture()
+    model = toy_model(toy_config(gaussian_sets="separate", feature_dim=0), capture)
+    for modality in ("rgb", "thermal"):
+        splats, gaussians = modality_splats(model, modality, capture.thermal_scale), model.gaussians(modality)
+        torch.testing.assert_close(splats.sh0, gaussians.sh0)
+        torch.testing.assert_close(splats.shN, gaussians.shN)
+        torch.testing.assert_close(splats.logit_opacities, gaussians.logit_opacities)
+
+
+def test_files_state_what_thermal_colors_mean(tmp_path: Path) -> None:
+    """Both files are written; the thermal header has the palette and the temperatures of its ends."""
+    plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install "thermosplat[test]")')
+    capture = toy_capture(thermal_kind="scalar")
+    model = toy_model(toy_config(), capture)
+    written = export_scene(model, tmp_path / "ply", thermal_scale=capture.thermal_scale)
+    assert {path.name for path in (tmp_path / "ply").iterdir()} == {"splat_rgb.ply", "splat_thermal.ply"}
+    rgb, thermal = (plyfile.PlyData.read(str(written[modality].path)) for modality in ("rgb", "thermal"))
+    assert thermal["vertex"].count == written["thermal"].num_gaussians > 0
+    assert "thermal_range_celsius 10 30" in thermal.comments
+    palette = next(comment for comment in thermal.comments if comment.startswith("thermal_palette"))
+    assert palette.split()[-1] == "#fefefe"
+    assert "#000000" in palette
+    assert not any("thermal" in comment for comment in rgb.comments)
+    assert any("approximate" in comment for comment in rgb.comments)
+
+
+def test_unmodelled_spectrum_is_an_error(tmp_path: Path) -> None:
+    """Asking for the splats of a spectrum that was not trained says so; by default only the trained one is written."""
+    capture = toy_capture(thermal=False)
+    model = toy_model(toy_config(thermal=False), capture)
+    with pytest.raises(UserError, match="trained without thermal images"):
+        export_scene(model, tmp_path, thermal_scale=None, modalities=["thermal"])
+    assert list(export_scene(model, tmp_path, thermal_scale=None)) == ["rgb"]
+
+
+def test_unknown_temperatures_are_said_to_be_unknown(tmp_path: Path) -> None:
+    """Without degrees the header does not invent any."""
+    capture = toy_capture()
+    model = toy_model(toy_config(), capture)
+    written = export_scene(model, tmp_path, thermal_scale=ThermalScale("color", FLIR_IRON, None))
+    header = written["thermal"].path.read_bytes().split(b"end_header")[0]
+    assert b"comment thermal_range_celsius unknown\n" in header
+    assert np.frombuffer(written["thermal"].path.read_bytes().split(b"end_header\n", 1)[1], "<f4").size % 62 == 0

@@ -1,0 +1,87 @@
+"""PLY files against plyfile, an independent reader."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from thermosplat.export.ply import Splats, write_splats
+
+plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install "thermosplat[test]")')
+
+INRIA_ORDER = (
+    ["x", "y", "z", "nx", "ny", "nz"]
+    + [f"f_dc_{i}" for i in range(3)]
+    + [f"f_rest_{i}" for i in range(45)]
+    + ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+)
+
+
+def random_splats(count: int, sh_degree: int) -> Splats:
+    generator = torch.Generator().manual_seed(1)
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    bases = (sh_degree + 1) ** 2
+    return Splats(
+        normal(count, 3),
+        normal(count, 4),
+        normal(count, 3),
+        normal(count),
+        normal(count, 1, 3),
+        normal(count, bases - 1, 3),
+    )
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1, 3])
+def test_layout_is_inrias(sh_degree: int, tmp_path: Path) -> None:
+    """Names, order, type and meaning of the 62 properties; lower SH degrees are padded with zeros."""
+    splats = random_splats(7, sh_degree)
+    written = write_splats(tmp_path / "splat.ply", splats, ["thermosplat test", "range 10 °C"])
+    assert (written.num_gaussians, written.num_dropped) == (7, 0)
+    ply = plyfile.PlyData.read(str(written.path))
+    assert not ply.text
+    assert ply.byte_order == "<"
+    assert ply.comments == ["thermosplat test", "range 10 ?C"]
+    vertex = ply["vertex"]
+    assert [prop.name for prop in vertex.properties] == INRIA_ORDER
+    assert {prop.val_dtype for prop in vertex.properties} == {"f4"}
+
+    def columns(*names: str) -> np.ndarray:
+        return np.stack([vertex[name] for name in names], axis=1)
+
+    np.testing.assert_array_equal(columns("x", "y", "z"), splats.means.numpy())
+    np.testing.assert_array_equal(columns("nx", "ny", "nz"), 0)
+    np.testing.assert_array_equal(columns("f_dc_0", "f_dc_1", "f_dc_2"), splats.sh0[:, 0].numpy())
+    np.testing.assert_array_equal(vertex["opacity"], splats.logit_opacities.numpy())
+    np.testing.assert_array_equal(columns("scale_0", "scale_1", "scale_2"), splats.log_scales.numpy())
+    quats = splats.quats / splats.quats.norm(dim=1, keepdim=True)
+    np.testing.assert_allclose(columns("rot_0", "rot_1", "rot_2", "rot_3"), quats.numpy(), atol=1e-6)
+    bases = splats.shN.shape[1]
+    for channel in range(3):
+        names = [f"f_rest_{15 * channel + base}" for base in range(15)]
+        expected = np.zeros((7, 15), np.float32)
+        expected[:, :bases] = splats.shN[:, :, channel].numpy()
+        np.testing.assert_array_equal(columns(*names), expected)
+
+
+def test_broken_and_invisible_gaussians_are_dropped_and_counted(tmp_path: Path) -> None:
+    """A NaN anywhere, or an opacity below 1/255, keeps a Gaussian out of the file; the others keep their order."""
+    splats = random_splats(6, 1)
+    splats.logit_opacities[:] = torch.logit(torch.tensor(0.5))
+    splats.means[1, 2] = torch.nan
+    splats.shN[2, 0, 0] = torch.inf
+    splats.logit_opacities[4] = torch.logit(torch.tensor(0.9 / 255))
+    splats.logit_opacities[5] = torch.logit(torch.tensor(1.1 / 255))
+    written = write_splats(tmp_path / "splat.ply", splats)
+    assert (written.num_gaussians, written.num_dropped) == (3, 3)
+    vertex = plyfile.PlyData.read(str(written.path))["vertex"]
+    np.testing.assert_array_equal(vertex["x"], splats.means[[0, 3, 5], 0].numpy())
+
+
+def test_empty_scene(tmp_path: Path) -> None:
+    """No Gaussians make a valid file with no vertices."""
+    written = write_splats(tmp_path / "splat.ply", random_splats(0, 2))
+    assert plyfile.PlyData.read(str(written.path))["vertex"].count == 0

@@ -1,0 +1,64 @@
+"""Ranges of configuration values, and settings that exclude each other."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from thermosplat.config import TrainConfig
+from thermosplat.config_checks import check_config
+from thermosplat.errors import UserError
+
+
+def changed(key: str, value: Any) -> TrainConfig:
+    config = TrainConfig()
+    group, _, field = key.rpartition(".")
+    if not group:
+        return replace(config, **{field: value})
+    return replace(config, **{group: replace(getattr(config, group), **{field: value})})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("max_steps", 0, "--max-steps must be at least 1, found 0"),
+        ("data_factor", 0, "--data-factor must be at least 1"),
+        ("test_every", 1, "--test-every must be at least 2"),
+        ("sh_degree", 4, "--sh-degree must be at most 3"),
+        ("loss.ssim_lambda", 1.5, "--loss.ssim-lambda must lie between 0 and 1"),
+        ("loss.thermal", -1.0, "--loss.thermal must be zero or positive"),
+        ("optimizer.means_lr", float("nan"), "--optimizer.means-lr must be zero or positive"),
+        ("optimizer.decoders_lr_final", 0.0, "--optimizer.decoders-lr-final must be positive"),
+        ("model.init_opacity", 1.0, "--model.init-opacity must lie between 0 and 1"),
+        ("model.feature_dim", 2, "--model.feature-dim must be 0 or at least 4"),
+        ("model.feature_dim", 0, "renders thermal images from its features"),
+        ("model.gaussian_sets", "separate", "Separate Gaussians have no shared features"),
+        ("background", (0.0, 2.0, 0.0), "--background must be three values between 0 and 1"),
+        ("thermal.range_celsius", (30.0, 20.0), "--thermal.range-celsius must rise"),
+        ("densification.max_gaussians", 0, "--densification.max-gaussians must be at least 1"),
+    ],
+)
+def test_impossible_value_is_named(key: str, value: Any, expected: str) -> None:
+    """A value that no run can work with is refused with its flag and what was expected."""
+    with pytest.raises(UserError) as caught:
+        check_config(changed(key, value))
+    assert expected in caught.value.message
+
+
+def test_nothing_to_train() -> None:
+    """A model of neither spectrum is refused."""
+    config = changed("model.rgb", False)
+    with pytest.raises(UserError, match="both off"):
+        check_config(replace(config, model=replace(config.model, thermal=False)))
+
+
+def test_file_is_named_in_place_of_flags() -> None:
+    """Values from a file are reported with the file and the key as it is written there."""
+    with pytest.raises(UserError) as caught:
+        check_config(changed("max_steps", 0), source="my.yaml")
+    assert caught.value.message.startswith("my.yaml: max_steps must")
+
+
+def test_default_is_valid() -> None:
+    """The schema's defaults pass."""
+    check_config(TrainConfig())

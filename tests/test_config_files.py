@@ -1,0 +1,125 @@
+"""Presets, user's files and resolved configurations as YAML."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from thermosplat import config_files
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import from_dict, list_presets, load_config, to_dict, to_yaml
+from thermosplat.errors import UserError
+
+ABLATIONS = {
+    "mlp_based": ("decoder", "modulation", False),
+    "no_geometric_decoupling": ("model", "geometric_decoupling", False),
+    "no_hybrid_rgb": ("decoder", "hybrid_rgb", False),
+    "no_thermal_feature_loss": ("loss", "features_thermal", 0.0),
+    "no_rgb_feature_loss": ("loss", "features_rgb", 0.0),
+}
+
+
+def write(folder: Path, text: str, name: str = "mine.yaml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def test_presets_are_the_documented_ones() -> None:
+    """Every preset of the documentation exists, and no other."""
+    assert set(list_presets()) == {"thermosplat", "demo", "3dgs", *ABLATIONS}
+
+
+@pytest.mark.parametrize("name", list_presets())
+def test_preset_survives_yaml_and_dict(name: str, tmp_path: Path) -> None:
+    """The resolved configuration of every preset reads back to an equal one."""
+    config = load_config(name)
+    assert config.config == name
+    assert from_dict(to_dict(config)) == config
+    assert load_config(write(tmp_path, to_yaml(config), "config.yaml")) == config
+
+
+def test_thermosplat_preset_is_the_schema_default() -> None:
+    """thermosplat.yaml restates the schema's defaults, so that the two cannot drift apart."""
+    assert load_config("thermosplat") == TrainConfig()
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_ablation_changes_one_thing(name: str) -> None:
+    """An ablation differs from the full method in exactly the field it is named for."""
+    group, field, value = ABLATIONS[name]
+    full = load_config("thermosplat")
+    changed = replace(getattr(full, group), **{field: value})
+    assert load_config(name) == replace(full, config=name, **{group: changed})
+
+
+def test_baseline_trains_each_spectrum_alone() -> None:
+    """3dgs.yaml has separate Gaussians without features, and 3DGS's own schedule."""
+    config = load_config("3dgs")
+    assert (config.model.gaussian_sets, config.model.feature_dim) == ("separate", 0)
+    assert (config.loss.features, config.loss.thermal_smoothness) == (0.0, 0.0)
+    assert config.densification == TrainConfig().densification
+
+
+def test_file_states_only_differences(tmp_path: Path) -> None:
+    """A file inherits from its base; scientific notation without a point is a number."""
+    config = load_config(write(tmp_path, "base: 3dgs\noptimizer:\n  scales_lr: 1e-3\nbackground: [1, 1, 1]\n"))
+    assert config.config == "mine"
+    assert config.model.gaussian_sets == "separate"
+    assert config.optimizer.scales_lr == 0.001
+    assert config.background == (1.0, 1.0, 1.0)
+
+
+def test_base_may_be_a_file_beside(tmp_path: Path) -> None:
+    """A base is looked for beside the file that names it."""
+    write(tmp_path, "max_steps: 12\n", "short.yaml")
+    assert load_config(write(tmp_path, "base: short.yaml\nseed: 1\n")).max_steps == 12
+
+
+def test_presets_are_found_in_a_wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installed package finds the presets inside itself, before any folder above."""
+    (tmp_path / "thermosplat" / "configs").mkdir(parents=True)
+    write(tmp_path / "thermosplat" / "configs", "max_steps: 3\n", "thermosplat.yaml")
+    monkeypatch.setattr(config_files, "__file__", str(tmp_path / "thermosplat" / "config_files.py"))
+    config_files.presets_folder.cache_clear()
+    try:
+        assert load_config("thermosplat").max_steps == 3
+    finally:
+        config_files.presets_folder.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("max_stesp: 3\n", 'unknown key "max_stesp" (did you mean "max_steps"?)'),
+        ("densification:\n  stop_stp: 3\n", 'unknown key "densification.stop_stp" (did you mean "stop_step"?)'),
+        ("loss: 3\n", '"loss" is a group of settings, found 3'),
+        ("max_steps: many\n", "\"max_steps\" must be a whole number, found 'many'"),
+        ("max_steps: true\n", '"max_steps" must be a whole number, found True'),
+        ("model:\n  gaussian_sets: sepparate\n", 'must be one of "shared", "separate", found \'sepparate\''),
+        ("background: [0, 0]\n", '"background" must be a list of 3, each a number'),
+        ("thermal:\n  range_celsius: hot\n", '"thermal.range_celsius" must be a list of 2, each a number or null'),
+        ("max_steps: 1\nmax_steps: 2\n", "cannot be read as YAML"),
+        ("a: [1\n", "cannot be read as YAML"),
+        ("- 1\n", "must hold keys and values"),
+        ("base: 7\n", "base must be the name of a preset"),
+        ("base: mine.yaml\n", "is its own base"),
+        ("base: 3dsg\n", 'neither a preset nor a YAML file (did you mean "3dgs"?)'),
+        ("sh_degree: 5\n", "sh_degree must be at most 3, found 5"),
+    ],
+)
+def test_mistake_names_file_and_key(text: str, expected: str, tmp_path: Path) -> None:
+    """A mistake in a file is one sentence with the file, the key and, for a typo, the nearest key."""
+    path = write(tmp_path, text)
+    with pytest.raises(UserError) as caught:
+        load_config(path)
+    assert expected in caught.value.message
+    assert "mine.yaml" in caught.value.message or "3dsg" in caught.value.message
+
+
+def test_missing_file_and_unknown_preset() -> None:
+    """A path that is not there and a name that is no preset are told apart; both list the presets."""
+    for name, expected in [("nowhere/x.yaml", "no configuration file nowhere/x.yaml"), ("dmeo", 'did you mean "demo"')]:
+        with pytest.raises(UserError, match=expected) as caught:
+            load_config(name)
+        assert "thermosplat" in caught.value.hint

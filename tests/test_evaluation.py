@@ -1,0 +1,140 @@
+"""Evaluation: numbers, their means, the CSV and the pictures."""
+
+import csv
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from thermosplat.datasets.capture import Capture
+from thermosplat.evaluation import evaluate
+from thermosplat.metrics import psnr, ssim
+from thermosplat.radiometry import FLIR_IRON, ThermalScale
+from thermosplat.rendered_frame import RenderedFrame
+from toy_scene import HEIGHT, WIDTH, toy_capture, toy_config, toy_frame, toy_model
+
+
+def held_out(capture: Capture) -> Capture:
+    """The toy capture with its one frame held out, twice: as it is, and brighter by a third."""
+    frame = capture.train[0]
+    brighter = dataclasses.replace(
+        frame.rgb, image=np.minimum(frame.rgb.image.astype(int) * 4 // 3, 255).astype(np.uint8)
+    )
+    return dataclasses.replace(capture, test=(frame, dataclasses.replace(frame, name="b", rgb=brighter)))
+
+
+class FixedImages:
+    """A model whose images are known beforehand."""
+
+    num_gaussians = 7
+
+    def __init__(self, rgb: torch.Tensor | None, thermal: torch.Tensor | None) -> None:
+        self.images = rgb, thermal
+
+    def render(self, rgb: Any, thermal: Any, *, sh_degree: int) -> RenderedFrame:
+        return RenderedFrame(
+            rgb=self.images[0] if rgb is not None else None, thermal=self.images[1] if thermal is not None else None
+        )
+
+
+def run(model: Any, capture: Capture, **options: Any) -> dict[str, Any]:
+    return evaluate(model, capture, sh_degree=1, device="cpu", **options)
+
+
+@pytest.mark.parametrize("kind", ["color", "scalar"])
+def test_temperature_error(kind: str) -> None:
+    """A render 0.1 of the range too hot is 2 °C off, for scalars exactly, through the palette nearly."""
+    capture = toy_capture(thermal_kind=kind)
+    frame = capture.train[0]
+    intensity = np.linspace(0.1, 0.8, HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
+    image = intensity[..., None] if kind == "scalar" else np.round(FLIR_IRON.to_color(intensity) * 255).astype(np.uint8)
+    view = dataclasses.replace(frame.thermal, image=image, celsius=10.0 + 20.0 * intensity)
+    capture = dataclasses.replace(capture, test=(dataclasses.replace(frame, thermal=view),))
+    hotter = torch.as_tensor(intensity + 0.1)
+    render = hotter[..., None] if kind == "scalar" else torch.as_tensor(FLIR_IRON.to_color(hotter.numpy()))
+    metrics = run(FixedImages(torch.zeros(HEIGHT, WIDTH, 3), render), capture)
+    assert metrics["thermal"]["mae_celsius"] == pytest.approx(2.0, abs=1e-4 if kind == "scalar" else 0.02)
+
+
+def test_means_csv_and_clamping(tmp_path: Path) -> None:
+    """Numbers are those of the clamped image; means are means of the views; the CSV has a row for each view."""
+    capture = held_out(toy_capture())
+    render = torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0)) * 2 - 0.5
+    thermal = torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(1))
+    metrics = run(FixedImages(render, thermal), capture, csv_path=tmp_path / "per_view.csv")
+    targets = [torch.as_tensor(frame.rgb.image / 255.0, dtype=torch.float32) for frame in capture.test]
+    for name, metric in (("psnr", psnr), ("ssim", ssim)):
+        expected = np.mean([metric(render.clamp(0, 1), target) for target in targets])
+        assert metrics["rgb"][name] == pytest.approx(expected, rel=1e-6)
+    assert metrics["rgb"]["lpips"] is None
+    assert metrics["num_gaussians"] == 7
+    rows = list(csv.DictReader((tmp_path / "per_view.csv").open()))
+    assert [(row["frame"], row["modality"]) for row in rows] == [
+        *(("a", "rgb"), ("a", "thermal"), ("b", "rgb"), ("b", "thermal"))
+    ]
+    assert float(rows[0]["psnr"]) != float(rows[2]["psnr"])
+    assert np.mean([float(row["psnr"]) for row in rows[::2]]) == pytest.approx(metrics["rgb"]["psnr"])
+    assert rows[0]["lpips"] == rows[0]["mae_celsius"] == ""
+    assert float(rows[1]["mae_celsius"]) > 0
+
+
+def test_lpips_is_asked_for_both_spectra() -> None:
+    """A given LPIPS fills its column with the mean of what it returns; views too small for it stay null."""
+    capture = held_out(toy_capture())
+    model = FixedImages(torch.zeros(HEIGHT, WIDTH, 3), torch.zeros(HEIGHT, WIDTH, 3))
+    answers = iter([0.1, None, 0.3, None])
+    metrics = run(model, capture, lpips=lambda render, target: next(answers))
+    assert metrics["rgb"]["lpips"] == pytest.approx(0.2)
+    assert metrics["thermal"]["lpips"] is None
+
+
+def test_no_degrees_no_error_in_degrees() -> None:
+    """Without a temperature range, or without measured temperatures, the error in °C is null."""
+    capture = held_out(toy_capture())
+    model = FixedImages(torch.zeros(HEIGHT, WIDTH, 3), torch.zeros(HEIGHT, WIDTH, 3))
+    no_range = dataclasses.replace(capture, thermal_scale=ThermalScale("color", FLIR_IRON, None))
+    assert run(model, no_range)["thermal"]["mae_celsius"] is None
+    frames = tuple(dataclasses.replace(f, thermal=dataclasses.replace(f.thermal, celsius=None)) for f in capture.test)
+    assert run(model, dataclasses.replace(capture, test=frames))["thermal"]["mae_celsius"] is None
+
+
+def test_equal_images_do_not_swallow_the_mean() -> None:
+    """A view met exactly has no finite PSNR and is left out of its mean."""
+    capture = held_out(toy_capture())
+    exact = torch.as_tensor(capture.test[0].rgb.image / 255.0, dtype=torch.float32)
+    metrics = run(FixedImages(exact, torch.zeros(HEIGHT, WIDTH, 3)), capture)
+    assert np.isfinite(metrics["rgb"]["psnr"])
+
+
+def test_missing_modality_is_null(tmp_path: Path) -> None:
+    """A spectrum that is not modelled, or has no held-out views, is null as a whole; the other one is evaluated."""
+    capture = held_out(toy_capture())
+    metrics = run(FixedImages(torch.zeros(HEIGHT, WIDTH, 3), None), capture, strips_dir=tmp_path)
+    assert metrics["thermal"] is None
+    assert metrics["rgb"]["psnr"] > 0
+    assert len(list(tmp_path.iterdir())) == 2
+    none_held_out = run(FixedImages(None, None), dataclasses.replace(capture, test=()))
+    assert none_held_out["rgb"] is None
+    assert none_held_out["thermal"] is None
+
+
+@pytest.mark.parametrize("aligned", [True, False])
+def test_strips_of_a_real_model(aligned: bool, tmp_path: Path) -> None:
+    """A real model is rendered without gradients; each frame leaves one PNG with a row for each spectrum."""
+    capture = held_out(toy_capture(aligned=aligned))
+    model = toy_model(toy_config(), capture)
+    metrics = run(model, capture, strips_dir=tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
+    strip = cv2.imread(str(tmp_path / "a.png"))
+    rows = [240 * HEIGHT // WIDTH, 240 * HEIGHT // WIDTH if aligned else 240 * 14 // 16]
+    assert strip.shape[:2] == (sum(rows) + 2 * 20 + 4, 3 * 240 + 2 * 4)
+    frame = toy_frame(capture)
+    rendered = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    one = dataclasses.replace(capture, test=capture.test[:1])
+    assert run(model, one)["rgb"]["psnr"] == pytest.approx(psnr(rendered.rgb.detach(), frame.rgb.image), rel=1e-5)
+    assert all(parameter.grad is None for parameter in model.parameters())
+    assert metrics["num_gaussians"] == 60

@@ -1,0 +1,51 @@
+"""8-bit images of renders, thermal values and errors."""
+
+import cv2
+import numpy as np
+
+from thermosplat.image_display import encode_png, error_bytes, resized, rgb_bytes, side_by_side, thermal_bytes
+from thermosplat.radiometry import FLIR_IRON, ThermalScale
+
+
+def test_colors_are_clamped_and_rounded() -> None:
+    """0 to 1 becomes 0 to 255, to the nearest level; what lies outside is clamped."""
+    image = np.array([[[-0.5, 0.0, 0.5], [1.0, 1.7, 100.4 / 255]]])
+    np.testing.assert_array_equal(rgb_bytes(image), [[[0, 0, 128], [255, 255, 100]]])
+
+
+def test_scalar_thermal_is_shown_through_its_palette() -> None:
+    """A scalar becomes the palette's colour; pseudo-colours are shown as they are."""
+    intensity = np.array([[[0.0], [0.5], [1.2]]], np.float32)
+    shown = thermal_bytes(intensity, ThermalScale("scalar", FLIR_IRON, None))
+    np.testing.assert_array_equal(shown, rgb_bytes(FLIR_IRON.to_color(np.array([[0.0, 0.5, 1.0]]))))
+    color = np.full((1, 2, 3), 0.2)
+    np.testing.assert_array_equal(thermal_bytes(color, ThermalScale("color", FLIR_IRON, None)), rgb_bytes(color))
+
+
+def test_error_palette_brightens() -> None:
+    """More error is brighter, up to the largest, and black is none."""
+    shown = error_bytes(np.array([[0.0, 0.1, 0.2, 0.4, 9.0]]), largest=0.4).astype(int).sum(axis=-1)[0]
+    assert shown[0] < 10
+    assert (np.diff(shown[:4]) > 0).all()
+    assert shown[3] == shown[4]
+
+
+def test_png_keeps_rgb_order() -> None:
+    """What is encoded decodes to the same colours in RGB order."""
+    image = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    decoded = cv2.imdecode(np.frombuffer(encode_png(image), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    np.testing.assert_array_equal(decoded, image)
+
+
+def test_side_by_side_scales_to_the_left_height() -> None:
+    """Images of different size get one height, each keeping its aspect."""
+    left, right = np.zeros((30, 40, 3), np.uint8), np.full((10, 20, 3), 9, np.uint8)
+    both = side_by_side(left, right)
+    assert both.shape == (30, 40 + 60, 3)
+    assert (both[:, 40:] == 9).all()
+
+
+def test_enlarging_keeps_pixels_sharp() -> None:
+    """An enlarged image has no colours that the small one lacks."""
+    image = np.array([[[0, 0, 0], [255, 255, 255]]], np.uint8)
+    assert set(np.unique(resized(image, 8, 4))) == {0, 255}

@@ -1,0 +1,153 @@
+"""The training loss, term by term, against direct formulas."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from kornia.losses import ssim_loss
+
+from thermosplat.config import LossConfig
+from thermosplat.losses import frame_losses, image_loss, smoothness
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
+
+
+def direct_ssim(first: np.ndarray, second: np.ndarray) -> float:
+    """SSIM by its definition: 11x11 Gaussian window, σ = 1.5, borders reflected, one channel at a time."""
+    taps = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+    window = np.outer(taps, taps) / taps.sum() ** 2
+
+    def blur(image: np.ndarray) -> np.ndarray:
+        padded = np.pad(image, ((5, 5), (5, 5), (0, 0)), mode="reflect")
+        patches = np.lib.stride_tricks.sliding_window_view(padded, (11, 11), axis=(0, 1))
+        return np.einsum("hwcij,ij->hwc", patches, window)
+
+    a, b = blur(first), blur(second)
+    variance_a, variance_b = blur(first * first) - a * a, blur(second * second) - b * b
+    covariance = blur(first * second) - a * b
+    c1, c2 = 0.01**2, 0.03**2
+    similarity = (2 * a * b + c1) * (2 * covariance + c2) / ((a * a + b * b + c1) * (variance_a + variance_b + c2))
+    return float(similarity.mean())
+
+
+def images(channels: int = 3, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    target = torch.rand(18, 24, channels, generator=generator)
+    return (target + 0.2 * torch.randn(target.shape, generator=generator)), target
+
+
+def rendered_and_frame(**capture):
+    toy = toy_capture(**capture)
+    frame = toy_frame(toy)
+    return toy_model(toy_config(), toy).render(frame.rgb, frame.thermal, sh_degree=1), frame
+
+
+def direct_image_loss(render: torch.Tensor, target: torch.Tensor) -> float:
+    a, b = render.detach().double().numpy(), target.double().numpy()
+    return 0.8 * np.abs(a - b).mean() + 0.2 * (1 - direct_ssim(a, b))
+
+
+def test_image_loss_against_the_definition() -> None:
+    """0.8 L1 + 0.2 (1 - SSIM), on a render that leaves [0, 1]."""
+    render, target = images()
+    assert render.max() > 1.2
+    np.testing.assert_allclose(image_loss(render, target, 0.2).item(), direct_image_loss(render, target), rtol=1e-5)
+
+
+def test_ssim_term_is_not_halved() -> None:
+    """With λ_s = 1 the loss is 1 - SSIM, twice kornia's own SSIM loss."""
+    render, target = images()
+    halved = ssim_loss(render.permute(2, 0, 1)[None], target.permute(2, 0, 1)[None], 11)
+    torch.testing.assert_close(image_loss(render, target, 1.0), 2 * halved)
+
+
+def test_l1_alone() -> None:
+    """λ_s = 0 leaves the mean absolute error."""
+    render, target = images()
+    torch.testing.assert_close(image_loss(render, target, 0.0), (render - target).abs().mean())
+
+
+def test_saturated_pixels_keep_their_gradient() -> None:
+    """The loss is on the raw render: too bright is pulled back."""
+    render = torch.full((12, 12, 3), 1.5, requires_grad=True)
+    image_loss(render, torch.ones(12, 12, 3), 0.2).backward()
+    assert (render.grad > 0).all()
+
+
+@pytest.mark.parametrize("capture", [{}, {"thermal_kind": "scalar"}, {"aligned": False}])
+def test_all_terms_against_the_definitions(capture: dict) -> None:
+    """The batched SSIM gives every term its own value, whatever sizes and channels the images have."""
+    rendered, frame = rendered_and_frame(**capture)
+    losses = {name: value.item() for name, value in frame_losses(rendered, frame, LossConfig()).items()}
+    thermal = rendered.thermal.detach().double().numpy()
+    variation = np.abs(np.diff(thermal, axis=0)).sum() + np.abs(np.diff(thermal, axis=1)).sum()
+    expected = {
+        "rgb": direct_image_loss(rendered.rgb, frame.rgb.image),
+        "thermal": direct_image_loss(rendered.thermal, frame.thermal.image),
+        "features_rgb": direct_image_loss(rendered.visible_features[..., :3], frame.rgb.image),
+        "features_thermal": 0.5
+        * direct_image_loss(rendered.thermal_features[..., 3:4], frame.thermal.intensity[..., None]),
+        "thermal_smoothness": 0.3 * variation / thermal.size,
+    }
+    assert list(losses) == list(expected)
+    for name, value in expected.items():
+        np.testing.assert_allclose(losses[name], value, rtol=2e-5, err_msg=name)
+
+
+def test_weights_scale_their_terms() -> None:
+    """Each weight multiplies its own term; features multiplies both feature terms."""
+    rendered, frame = rendered_and_frame()
+    ones = LossConfig(rgb=1, thermal=1, features=1, features_rgb=1, features_thermal=1, thermal_smoothness=1)
+    weights = LossConfig(rgb=2, thermal=3, features=5, features_rgb=7, features_thermal=11, thermal_smoothness=13)
+    base, weighted = frame_losses(rendered, frame, ones), frame_losses(rendered, frame, weights)
+    factors = {"rgb": 2, "thermal": 3, "features_rgb": 35, "features_thermal": 55, "thermal_smoothness": 13}
+    for name, factor in factors.items():
+        torch.testing.assert_close(weighted[name], factor * base[name])
+
+
+@pytest.mark.parametrize(
+    ("switch", "gone"),
+    [
+        ("rgb", {"rgb"}),
+        ("thermal", {"thermal"}),
+        ("features", {"features_rgb", "features_thermal"}),
+        ("features_rgb", {"features_rgb"}),
+        ("features_thermal", {"features_thermal"}),
+        ("thermal_smoothness", {"thermal_smoothness"}),
+    ],
+)
+def test_zero_weight_drops_the_term(switch: str, gone: set[str]) -> None:
+    """The ablations: a term with weight 0 is not listed, the others keep their values."""
+    rendered, frame = rendered_and_frame()
+    full = frame_losses(rendered, frame, LossConfig())
+    reduced = frame_losses(rendered, frame, dataclasses.replace(LossConfig(), **{switch: 0.0}))
+    assert set(full) - set(reduced) == gone
+    for name, value in reduced.items():
+        torch.testing.assert_close(value, full[name])
+
+
+def test_one_spectrum_alone() -> None:
+    """Without a thermal image only the RGB terms are there, and the other way round."""
+    toy = toy_capture()
+    frame, model = toy_frame(toy), toy_model(toy_config(), toy)
+    rgb = model.render(frame.rgb, None, sh_degree=1)
+    assert list(frame_losses(rgb, frame, LossConfig())) == ["rgb", "features_rgb"]
+    thermal = model.render(None, frame.thermal, sh_degree=1)
+    assert list(frame_losses(thermal, frame, LossConfig())) == ["thermal", "features_thermal", "thermal_smoothness"]
+
+
+def test_total_trains_every_gaussian_parameter() -> None:
+    """The sum of all terms reaches every parameter of the Gaussians."""
+    toy = toy_capture()
+    frame, model = toy_frame(toy), toy_model(toy_config(), toy)
+    rendered = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    sum(frame_losses(rendered, frame, LossConfig()).values()).backward()
+    assert all(p.grad.abs().max() > 0 for p in model.gaussians("shared").parameters())
+
+
+def test_smoothness_of_a_ramp() -> None:
+    """Forward differences, no wrap-around, normalised by all pixels and channels."""
+    ramp = (torch.arange(4.0)[:, None] + 10 * torch.arange(5.0)[None])[..., None].expand(-1, -1, 2)
+    expected = (3 * 5 * 1.0 + 4 * 4 * 10.0) / 20
+    torch.testing.assert_close(smoothness(ramp), torch.tensor(expected))
+    assert smoothness(torch.full((4, 5, 3), 0.7)) == 0

@@ -1,0 +1,73 @@
+"""Image and temperature metrics against direct formulas."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from test_losses import direct_ssim
+from thermosplat.metrics import mae_celsius, psnr, ssim, thermal_intensity
+from thermosplat.radiometry import FLIR_IRON, ThermalScale
+
+
+def test_psnr_of_a_known_error() -> None:
+    """An error of 0.1 everywhere is 20 dB, of 0.01 it is 40 dB; channels and pixels count alike."""
+    target = torch.full((6, 7, 3), 0.5)
+    assert psnr(target + 0.1, target) == pytest.approx(20.0, abs=1e-4)
+    one_channel = target.clone()
+    one_channel[..., 0] += 0.1
+    assert psnr(one_channel, target) == pytest.approx(20.0 + 10 * math.log10(3), abs=1e-4)
+
+
+def test_psnr_of_known_noise() -> None:
+    """Gaussian noise of standard deviation σ has -20 log10(σ) dB."""
+    noise = 0.03 * torch.randn(200, 200, 3, generator=torch.Generator().manual_seed(0))
+    target = torch.full_like(noise, 0.5)
+    assert psnr(target + noise, target) == pytest.approx(-20 * math.log10(0.03), abs=0.05)
+
+
+def test_psnr_clamps_the_render() -> None:
+    """Values outside [0, 1] count as the nearest displayable one; equal images are infinitely good."""
+    target = torch.tensor([0.0, 1.0]).expand(4, 4, 2)
+    assert psnr(torch.tensor([-3.0, 7.0]).expand(4, 4, 2), target) == math.inf
+
+
+def test_ssim_against_the_definition() -> None:
+    """Reflected borders, as torchmetrics; the render is clamped."""
+    generator = torch.Generator().manual_seed(1)
+    target = torch.rand(20, 25, 3, generator=generator)
+    render = target + 0.3 * torch.randn(20, 25, 3, generator=generator)
+    expected = direct_ssim(render.clamp(0, 1).double().numpy(), target.double().numpy())
+    assert ssim(render, target) == pytest.approx(expected, abs=1e-5)
+
+
+def test_ssim_of_equal_images() -> None:
+    """Equal images score 1."""
+    target = torch.rand(16, 16, 1, generator=torch.Generator().manual_seed(2))
+    assert ssim(target, target) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_thermal_intensity_of_pseudo_colours() -> None:
+    """The palette's inverse for colour captures, the channel itself for scalar ones; clamped first."""
+    intensity = torch.linspace(0, 1, 35).reshape(5, 7)
+    colors = torch.as_tensor(FLIR_IRON.to_color(intensity.numpy()))
+    color_scale, scalar_scale = ThermalScale("color", FLIR_IRON, None), ThermalScale("scalar", FLIR_IRON, None)
+    torch.testing.assert_close(thermal_intensity(colors, color_scale), intensity, atol=2e-3, rtol=0)
+    torch.testing.assert_close(thermal_intensity(3 * intensity[..., None], scalar_scale), (3 * intensity).clamp(0, 1))
+
+
+def test_mae_celsius() -> None:
+    """Degrees by the capture's span; pixels without a measurement do not count."""
+    scale = ThermalScale("scalar", FLIR_IRON, (10.0, 30.0))
+    celsius = torch.tensor([[12.0, 20.0], [25.0, math.nan]])
+    intensity = torch.tensor([[0.1, 0.55], [0.65, 0.9]])  # 12, 21, 23 °C and one that is not measured
+    assert mae_celsius(intensity, celsius, scale) == pytest.approx((0 + 1 + 2) / 3, abs=1e-5)
+
+
+def test_mae_celsius_without_degrees() -> None:
+    """No span or no measured pixel: no number, rather than an invented one."""
+    intensity = torch.full((2, 2), 0.5)
+    assert mae_celsius(intensity, intensity, ThermalScale("scalar", FLIR_IRON, None)) is None
+    nothing = torch.full((2, 2), np.nan)
+    assert mae_celsius(intensity, nothing, ThermalScale("scalar", FLIR_IRON, (0.0, 1.0))) is None

@@ -1,0 +1,283 @@
+"""The scene model: what is rendered from what, ablation switches, gradients, and restoring."""
+
+import dataclasses
+from typing import Any
+
+import pytest
+import torch
+
+from thermosplat import model as model_module
+from thermosplat.config_files import to_dict
+from thermosplat.errors import UserError
+from thermosplat.model import RenderedFrame, SceneModel
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
+
+
+def render(model: SceneModel, frame: Any, **changes: Any) -> RenderedFrame:
+    arguments = {"rgb": frame.rgb, "thermal": frame.thermal, "sh_degree": 1} | changes
+    return model.render(arguments.pop("rgb"), arguments.pop("thermal"), **arguments)
+
+
+def gradients(model: SceneModel, loss: torch.Tensor) -> dict[str, float]:
+    """Largest gradient of every parameter; 0 where there is none."""
+    model.zero_grad()
+    loss.backward()
+    return {name: 0.0 if p.grad is None else p.grad.abs().max().item() for name, p in model.named_parameters()}
+
+
+def count_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the rasterization functions in the order in which the model calls them."""
+    calls: list[str] = []
+    for name in ("rasterization", "rasterization_rgbt"):
+        original = getattr(model_module, name)
+
+        def recorded(*args: Any, _original: Any = original, _name: str = name, **kwargs: Any) -> Any:
+            calls.append(_name)
+            return _original(*args, **kwargs)
+
+        monkeypatch.setattr(model_module, name, recorded)
+    return calls
+
+
+def test_aligned_frame_is_one_traversal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two views of one camera cost one call; images, features and opacities come out of it."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(), capture)
+    calls = count_calls(monkeypatch)
+    rendered = render(model, frame)
+    assert calls == ["rasterization_rgbt"]
+    assert rendered.rgb.shape == rendered.thermal.shape == (18, 24, 3)
+    assert rendered.visible_features.shape == rendered.thermal_features.shape == (18, 24, 8)
+    assert rendered.rgb_alpha.shape == rendered.thermal_alpha.shape == (18, 24, 1)
+    assert len(rendered.infos["shared"]) == 1
+    assert not torch.allclose(rendered.rgb_alpha, rendered.thermal_alpha)
+
+
+def test_single_views_equal_the_joint_traversal() -> None:
+    """RGB alone and thermal alone give the images of the joint call, and leave the other spectrum out."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(), capture)
+    both = render(model, frame)
+    rgb, thermal = render(model, frame, thermal=None), render(model, frame, rgb=None)
+    apart = render(model, frame, aligned=False)
+    assert rgb.thermal is None
+    assert rgb.thermal_features is None
+    assert thermal.rgb is None
+    assert thermal.visible_features is None
+    for name in ("rgb", "visible_features", "rgb_alpha"):
+        torch.testing.assert_close(getattr(rgb, name), getattr(both, name), atol=2e-6, rtol=1e-5)
+        torch.testing.assert_close(getattr(apart, name), getattr(both, name), atol=2e-6, rtol=1e-5)
+    for name in ("thermal", "thermal_features", "thermal_alpha"):
+        torch.testing.assert_close(getattr(thermal, name), getattr(both, name), atol=2e-6, rtol=1e-5)
+        torch.testing.assert_close(getattr(apart, name), getattr(both, name), atol=2e-6, rtol=1e-5)
+
+
+def test_unaligned_frame_is_one_call_a_spectrum() -> None:
+    """A thermal camera of its own keeps its size; densification sees one info for each call."""
+    capture = toy_capture(aligned=False)
+    rendered = render(toy_model(toy_config(), capture), toy_frame(capture))
+    assert rendered.rgb.shape == (18, 24, 3)
+    assert rendered.thermal.shape == (14, 16, 3)
+    assert [info["width"] for info in rendered.infos["shared"]] == [24, 16]
+
+
+def test_rgb_alone_has_no_thermal_gradient() -> None:
+    """Rendered alone, RGB moves the Gaussians as in the joint call, and never the thermal opacities."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(), capture)
+    joint = render(model, frame)
+    alone = render(model, frame, thermal=None)
+    model.zero_grad()
+    joint.rgb.square().sum().backward()
+    expected = {name: p.grad.clone() for name, p in model.named_parameters() if p.grad is not None}
+    model.zero_grad()
+    alone.rgb.square().sum().backward()
+    shared = model.gaussians("shared")
+    for name in ("means", "log_scales", "logit_opacities", "features", "sh0"):
+        torch.testing.assert_close(
+            getattr(shared, name).grad, expected[f"gaussian_sets.shared.{name}"], atol=1e-4, rtol=1e-3
+        )
+    assert shared.thermal_opacity_offsets.grad is None or not shared.thermal_opacity_offsets.grad.any()
+
+
+def test_hybrid_sum_starts_at_the_sh_colour() -> None:
+    """With untrained decoders the RGB image is the SH render, brighter by about 0.018."""
+    capture = toy_capture()
+    config = dataclasses.replace(toy_config(), background=(0.2, 0.4, 0.6))
+    model = SceneModel.from_capture(config, capture, "cpu")
+    frame = toy_frame(capture)
+    hybrid = render(model, frame).rgb
+    model.decoders.rgb_head.bias.data.fill_(-100.0)
+    explicit = render(model, frame).rgb
+    difference = (hybrid - explicit).detach()
+    assert difference.min() > 0.01
+    assert difference.max() < 0.03
+
+
+def test_without_hybrid_rgb_is_the_decoded_part() -> None:
+    """Ablation: the SH colours then have neither effect nor gradient."""
+    capture = toy_capture()
+    frame = toy_frame(capture)
+    model = toy_model(toy_config(decoder={"hybrid_rgb": False}), capture)
+    rendered = render(model, frame)
+    torch.testing.assert_close(rendered.rgb, model.decoders.rgb(rendered.visible_features))
+    largest = gradients(model, rendered.rgb.square().sum())
+    assert largest["gaussian_sets.shared.sh0"] == 0.0
+    assert largest["gaussian_sets.shared.features"] > 0.0
+
+
+def test_hybrid_rgb_is_the_sum() -> None:
+    """The full model: SH render plus decoded part, not clamped."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(), capture)
+    with torch.no_grad():
+        model.gaussians("shared").sh0 += 2.0
+    rendered = render(model, frame)
+    explicit = rendered.rgb - model.decoders.rgb(rendered.visible_features)
+    model.decoders.rgb_head.bias.data.fill_(-100.0)
+    torch.testing.assert_close(render(model, frame).rgb, explicit, atol=1e-5, rtol=1e-5)
+    assert rendered.rgb.max() > 1.0
+
+
+def test_every_parameter_is_trained_by_the_full_model() -> None:
+    """The two images together give a gradient to every parameter there is."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(), capture)
+    torch.nn.init.normal_(model.decoders.modulation.weight, std=0.1)  # else the prior's gradient comes by thermal alone
+    rendered = render(model, frame)
+    largest = gradients(model, rendered.rgb.square().sum() + rendered.thermal.square().sum())
+    assert [name for name, value in largest.items() if value == 0.0] == []
+
+
+def test_thermal_image_does_not_train_visible_colours() -> None:
+    """The thermal branch reaches geometry, features and offsets, but neither SH colours nor the RGB head."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(), capture)
+    largest = gradients(model, render(model, frame).thermal.square().sum())
+    untouched = {name for name, value in largest.items() if value == 0.0}
+    assert untouched == {
+        "gaussian_sets.shared.sh0",
+        "gaussian_sets.shared.shN",
+        "decoders.modulation.weight",
+        "decoders.modulation.bias",
+        "decoders.rgb_head.weight",
+        "decoders.rgb_head.bias",
+    }
+
+
+def test_without_geometric_decoupling_both_opacities_are_one() -> None:
+    """Ablation: features rendered for either spectrum are the same."""
+    capture = toy_capture()
+    rendered = render(toy_model(toy_config(geometric_decoupling=False), capture), toy_frame(capture))
+    torch.testing.assert_close(rendered.thermal_features, rendered.visible_features)
+    torch.testing.assert_close(rendered.thermal_alpha, rendered.rgb_alpha)
+
+
+def test_separate_sets_are_independent() -> None:
+    """Two 3DGS models side by side: no features, no decoders, no gradient across."""
+    capture = toy_capture(aligned=False)
+    model = toy_model(toy_config(gaussian_sets="separate", feature_dim=0), capture)
+    rendered = render(model, toy_frame(capture))
+    assert set(model.gaussian_sets) == set(rendered.infos) == {"rgb", "thermal"}
+    assert model.decoders is None
+    assert rendered.visible_features is None
+    assert rendered.thermal.shape == (14, 16, 3)
+    assert model.num_gaussians == 120
+    largest = gradients(model, rendered.rgb.square().sum())
+    assert largest["gaussian_sets.rgb.means"] > 0.0
+    assert largest["gaussian_sets.thermal.means"] == 0.0
+
+
+def test_one_thermal_channel_from_spherical_harmonics_stays_grey() -> None:
+    """A scalar thermal image is the mean of three channels that all get the same gradient."""
+    capture = toy_capture(thermal_kind="scalar")
+    model = SceneModel.from_capture(toy_config(gaussian_sets="separate", feature_dim=0), capture, "cpu")
+    rendered = render(model, toy_frame(capture))
+    assert rendered.thermal.shape == (18, 24, 1)
+    rendered.thermal.square().sum().backward()
+    gradient = model.gaussians("thermal").sh0.grad
+    assert gradient.abs().max() > 0
+    torch.testing.assert_close(gradient, gradient[..., :1].expand(-1, -1, 3))
+
+
+def test_plain_3dgs_in_one_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without features a shared set models RGB alone, from its SH colour."""
+    calls = count_calls(monkeypatch)
+    capture = toy_capture()
+    rendered = render(toy_model(toy_config(feature_dim=0, thermal=False), capture), toy_frame(capture))
+    assert rendered.rgb.shape == (18, 24, 3)
+    assert rendered.thermal is None
+    assert list(rendered.infos) == ["shared"]
+    assert calls == ["rasterization"]
+
+
+def test_scalar_thermal_has_one_decoded_channel() -> None:
+    """Radiometric captures are decoded to one channel."""
+    capture = toy_capture(thermal_kind="scalar")
+    rendered = render(toy_model(toy_config(), capture), toy_frame(capture))
+    assert rendered.thermal.shape == (18, 24, 1)
+
+
+def test_background_is_behind_rgb_only() -> None:
+    """Where nothing is, RGB shows the background, and the decoders see features of zero."""
+    capture = toy_capture()
+    frame = toy_frame(capture)
+    config = dataclasses.replace(toy_config(), background=(0.2, 0.4, 0.6))
+    model = toy_model(config, capture)
+    with torch.no_grad():
+        model.gaussians("shared").means[:, 2] = -50.0  # behind the camera
+    rendered = render(model, frame)
+    nothing = torch.zeros(18, 24, 8)
+    background = torch.tensor([0.2, 0.4, 0.6]).expand(18, 24, 3)
+    torch.testing.assert_close(rendered.rgb, background + model.decoders.rgb(nothing))
+    torch.testing.assert_close(rendered.thermal, model.decoders.thermal(nothing))
+
+
+def test_densification_reads_gradients_of_means2d() -> None:
+    """means2d of every call keeps its gradient, and absolute gradients where asked."""
+    capture = toy_capture()
+    rendered = render(toy_model(toy_config(), capture), toy_frame(capture), absgrad=True)
+    means2d = rendered.infos["shared"][0]["means2d"]
+    means2d.retain_grad()
+    (rendered.rgb.square().sum() + rendered.thermal.square().sum()).backward()
+    assert means2d.grad.shape == (1, 60, 2)
+    assert means2d.grad.abs().max() > 0
+    assert (means2d.absgrad >= means2d.grad.abs() - 1e-4).all()
+
+
+@pytest.mark.parametrize(
+    "model_config", [{}, {"gaussian_sets": "separate", "feature_dim": 0}, {"thermal": False}, {"rgb": False}]
+)
+def test_checkpoint_restores_the_same_images(model_config: dict[str, Any]) -> None:
+    """from_checkpoint of checkpoint_state renders the same, bit by bit, for every kind of model."""
+    capture = toy_capture()
+    config = dataclasses.replace(toy_config(**model_config), background=(0.1, 0.0, 0.3))
+    frame, model = toy_frame(capture), toy_model(config, capture)
+    state = {"config": to_dict(config), "model": model.checkpoint_state()}
+    expected, restored = render(model, frame), render(SceneModel.from_checkpoint(state, "cpu"), frame)
+    for name in ("rgb", "thermal"):
+        image = getattr(expected, name)
+        assert image is None if getattr(restored, name) is None else torch.equal(image, getattr(restored, name))
+
+
+def test_seed_decides_the_start() -> None:
+    """The same seed gives the same model whatever was drawn before, and leaves the global generator alone."""
+    capture = toy_capture()
+    first = SceneModel.from_capture(toy_config(), capture, "cpu").state_dict()
+    torch.manual_seed(99)
+    state = torch.get_rng_state()
+    again = SceneModel.from_capture(toy_config(), capture, "cpu").state_dict()
+    assert torch.equal(torch.get_rng_state(), state)
+    assert all(torch.equal(first[name], again[name]) for name in first)
+
+
+def test_missing_spectrum_is_a_users_error() -> None:
+    """A capture without thermal images cannot be modelled in thermal; the message names the flag."""
+    with pytest.raises(UserError, match="no-thermal"):
+        SceneModel.from_capture(toy_config(), toy_capture(thermal=False), "cpu")
+
+
+def test_shared_set_without_features_is_a_users_error() -> None:
+    """Two spectra from one set need features to tell them apart."""
+    with pytest.raises(UserError, match="feature-dim"):
+        SceneModel.from_capture(toy_config(feature_dim=0), toy_capture(), "cpu")

@@ -1,0 +1,233 @@
+"""What rasterization() refuses, and that it says in one sentence what was expected and what was given."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from gaussian_scenes import leaves, random_rgbt_scene, random_scene
+from thermosplat import UserError, rasterization, rasterization_rgbt
+
+
+def scene_with(**changes: Any) -> dict[str, Any]:
+    """A small float32 scene with some arguments replaced."""
+    scene = leaves(random_scene(n=4, cameras=2), "cpu", torch.float32)
+    return {key: value.detach() if isinstance(value, torch.Tensor) else value for key, value in scene.items()} | changes
+
+
+UNSUPPORTED = [
+    ("sparse_grad", True),
+    ("segmented", True),
+    ("distributed", True),
+    ("with_ut", True),
+    ("with_eval3d", True),
+    ("camera_model", "fisheye"),
+    ("camera_model", "ftheta"),
+    ("radial_coeffs", torch.zeros(2, 6)),
+    ("tangential_coeffs", torch.zeros(2, 2)),
+    ("thin_prism_coeffs", torch.zeros(2, 4)),
+    ("ftheta_coeffs", object()),
+    ("rolling_shutter", 1),
+    ("viewmats_rs", torch.eye(4).repeat(2, 1, 1)),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), UNSUPPORTED, ids=[f"{n}-{i}" for i, (n, _) in enumerate(UNSUPPORTED)])
+def test_unsupported_arguments_are_named(name: str, value: Any) -> None:
+    """Each of gsplat's arguments we do not support is named, with what is supported instead."""
+    with pytest.raises(UserError) as caught:
+        rasterization(**scene_with(**{name: value}))
+    text = str(caught.value)
+    assert name in text
+    assert "pinhole" in text
+    assert "ortho" in text
+    if name == "camera_model":
+        assert repr(value) in text
+
+
+def test_gsplat_defaults_are_accepted() -> None:
+    """The defaults of the unsupported arguments, and tuning knobs without influence, are no errors."""
+    plain = rasterization(**scene_with())[0]
+    same = rasterization(
+        **scene_with(
+            sparse_grad=False,
+            distributed=False,
+            with_ut=False,
+            with_eval3d=False,
+            radial_coeffs=None,
+            viewmats_rs=None,
+            channel_chunk=2,
+            segmented=False,
+        )
+    )[0]
+    assert torch.equal(plain, same)
+
+
+def test_gsplats_global_shutter_is_accepted() -> None:
+    """gsplat's own default of rolling_shutter means no rolling shutter."""
+    wrapper = pytest.importorskip("gsplat.cuda._wrapper", reason="gsplat 1.5.3 is not installed")
+    rasterization(**scene_with(rolling_shutter=wrapper.RollingShutterType.GLOBAL))
+    with pytest.raises(UserError, match="rolling_shutter"):
+        rasterization(**scene_with(rolling_shutter=wrapper.RollingShutterType.ROLLING_TOP_TO_BOTTOM))
+
+
+SHAPES = [
+    ("quats", (5, 4), "[4, 4]"),
+    ("means", (4, 2), "N, 3]"),
+    ("scales", (4, 4), "[4, 3]"),
+    ("opacities", (4, 1), "[4]"),
+    ("colors", (5, 3), "N = 4"),
+    ("viewmats", (2, 3, 4), "C, 4, 4]"),
+    ("Ks", (3, 3, 3), "[2, 3, 3]"),
+    ("backgrounds", (2, 4), "[2, 3]"),
+    ("backgrounds", (3,), "[2, 3]"),
+    ("covars", (4, 6), "[4, 3, 3]"),
+]
+
+
+@pytest.mark.parametrize(("name", "shape", "expected"), SHAPES)
+def test_wrong_shapes(name: str, shape: tuple[int, ...], expected: str) -> None:
+    """The argument, the expected shape with its numbers and the given shape, in one sentence."""
+    with pytest.raises(UserError) as caught:
+        rasterization(**scene_with(**{name: torch.zeros(shape)}))
+    text = str(caught.value)
+    assert text.startswith(name), text
+    assert expected in text, text
+    assert str(list(shape)) in text, text
+    assert text.count(". ") == 0
+    assert text.endswith(".")
+
+
+def test_shape_message_is_the_documented_sentence() -> None:
+    """The letter of the message users see most."""
+    with pytest.raises(UserError) as caught:
+        rasterization(**scene_with(quats=torch.zeros(5, 4)))
+    assert str(caught.value) == "quats must have shape [4, 4] = [..., N, 4] with N from means, got [5, 4]."
+
+
+@pytest.mark.parametrize(
+    ("colors", "sh_degree", "expected"),
+    [
+        ((4, 3), 1, "K"),  # SH asked for, features given
+        ((4, 3, 3), 1, "4"),  # fewer coefficients than the degree needs
+        ((4, 4, 2), 1, "3"),  # not RGB
+        ((4, 16, 3), 4, "0, 1, 2, 3"),
+        ((4, 16, 3), -1, "0, 1, 2, 3"),
+        ((3, 4, 5), None, "colors"),  # three cameras' colours for two cameras
+        ((4, 0), None, "at least one channel"),
+    ],
+)
+def test_wrong_colors(colors: tuple[int, ...], sh_degree: int | None, expected: str) -> None:
+    """Colours that do not fit the Gaussians, the cameras, the SH degree or the kernels."""
+    with pytest.raises(UserError) as caught:
+        rasterization(**scene_with(colors=torch.zeros(colors), sh_degree=sh_degree, backgrounds=None))
+    assert expected in str(caught.value)
+    assert "colors" in str(caught.value) or "sh_degree" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["quats", "opacities", "colors", "viewmats", "Ks", "backgrounds"])
+def test_mixed_dtypes(name: str) -> None:
+    """One tensor in another dtype than means: which, what it is, what it should be."""
+    with pytest.raises(UserError) as caught:
+        rasterization(**scene_with(**{name: scene_with()[name].double()}))
+    text = str(caught.value)
+    assert name in text
+    assert "float32" in text
+    assert "float64" in text
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.int32])
+def test_unsupported_dtypes(dtype: torch.dtype) -> None:
+    """Half precision and integers are refused by name, with what is supported."""
+    scene = {k: v.to(dtype) if isinstance(v, torch.Tensor) else v for k, v in scene_with().items()}
+    with pytest.raises(UserError) as caught:
+        rasterization(**scene)
+    assert str(dtype).removeprefix("torch.") in str(caught.value)
+    assert "float32" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["scales", "colors", "Ks"])
+def test_mixed_devices(name: str) -> None:
+    """A tensor on another device than means is named with both devices."""
+    with pytest.raises(UserError) as caught:
+        rasterization(**scene_with(**{name: scene_with()[name].to("meta")}))
+    text = str(caught.value)
+    assert name in text
+    assert "meta" in text
+    assert "cpu" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("width", 0, "width"),
+        ("height", -3, "height"),
+        ("width", 20.5, "width"),
+        ("tile_size", 7, "8, 16"),
+        ("render_mode", "depth", "RGB+ED"),
+        ("rasterize_mode", "smooth", "antialiased"),
+        ("camera_model", "pin hole", "pinhole"),
+        ("sh_degree", 1.5, "sh_degree"),
+        ("eps2d", -1.0, "eps2d"),
+        ("radius_clip", float("nan"), "radius_clip"),
+    ],
+)
+def test_wrong_values(name: str, value: Any, expected: str) -> None:
+    """Numbers and words out of range: the argument, what is allowed, what was given."""
+    with pytest.raises(UserError) as caught:
+        rasterization(**scene_with(**{name: value}))
+    text = str(caught.value)
+    assert name in text
+    assert expected in text
+    assert str(value) in text
+
+
+@pytest.mark.parametrize("name", ["means", "opacities", "colors", "viewmats", "Ks"])
+def test_what_is_no_tensor(name: str) -> None:
+    """None, lists and arrays in place of tensors."""
+    for value in (None, [1.0, 2.0]):
+        with pytest.raises(UserError, match=name):
+            rasterization(**scene_with(**{name: value}))
+
+
+def test_missing_geometry() -> None:
+    """Neither quats and scales nor covars."""
+    with pytest.raises(UserError, match="covars"):
+        rasterization(**scene_with(quats=None, scales=None))
+    with pytest.raises(UserError, match="scales"):
+        rasterization(**scene_with(scales=None))
+
+
+def rgbt_with(**changes: Any) -> dict[str, Any]:
+    """A small float32 scene for rasterization_rgbt with some arguments replaced."""
+    scene = leaves(random_rgbt_scene(n=4, cameras=2), "cpu", torch.float32)
+    return {key: value.detach() if isinstance(value, torch.Tensor) else value for key, value in scene.items()} | changes
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("features", (5, 8)),
+        ("features", (4,)),
+        ("thermal_opacities", (5,)),
+        ("colors", (5, 3)),
+        ("backgrounds", (2, 11)),
+        ("quats", (4, 3)),
+    ],
+)
+def test_wrong_shapes_of_rgbt(name: str, shape: tuple[int, ...]) -> None:
+    """The arguments rasterization_rgbt adds are checked like the others."""
+    with pytest.raises(UserError) as caught:
+        rasterization_rgbt(**rgbt_with(**{name: torch.zeros(shape)}))
+    assert str(caught.value).startswith(name)
+    assert str(list(shape)) in str(caught.value)
+
+
+def test_rgbt_refuses_other_values() -> None:
+    """Dtypes, modes and cameras, as rasterization does."""
+    with pytest.raises(UserError, match="thermal_opacities"):
+        rasterization_rgbt(**rgbt_with(thermal_opacities=rgbt_with()["thermal_opacities"].double()))
+    with pytest.raises(UserError, match="camera_model"):
+        rasterization_rgbt(**rgbt_with(camera_model="fisheye"))
+    with pytest.raises(UserError, match="rasterize_mode"):
+        rasterization_rgbt(**rgbt_with(rasterize_mode="soft"))

@@ -1,0 +1,82 @@
+"""Videos and numbered PNGs, read back by OpenCV."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from thermosplat import video
+from thermosplat.video import write_images
+
+COLORS = [(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)]
+
+
+def plain_images(height: int = 48, width: int = 64) -> list[np.ndarray]:
+    return [np.full((height, width, 3), color, np.uint8) for color in COLORS]
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    reader = cv2.VideoCapture(str(path))
+    frames = []
+    while (read := reader.read())[0]:
+        frames.append(read[1][..., ::-1])
+    return frames
+
+
+@pytest.mark.parametrize("encoder", ["_h264", "_mpeg4"])
+def test_video_has_every_image_in_order(encoder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each encoder writes all images, in RGB order, and drops a last odd row and column."""
+    if encoder == "_h264":
+        pytest.importorskip(
+            "imageio_ffmpeg", reason='imageio-ffmpeg is not installed (pip install "thermosplat[video]")'
+        )
+    monkeypatch.setattr(video, "_encoder", getattr(video, encoder))
+    path = write_images(iter(plain_images(49, 65)), tmp_path / "videos" / "path", format="mp4", fps=5)
+    assert path == tmp_path / "videos" / "path.mp4"
+    frames = frames_of(path)
+    assert len(frames) == len(COLORS)
+    for frame, color in zip(frames, COLORS):
+        assert frame.shape == (48, 64, 3)
+        np.testing.assert_allclose(frame.mean(axis=(0, 1)), color, atol=12)
+    assert [file.name for file in path.parent.iterdir()] == ["path.mp4"]
+
+
+def test_images_of_other_sizes_are_fitted(tmp_path: Path) -> None:
+    """A capture's views may differ in size: the first one decides the video's."""
+    images = [*plain_images()[:1], *plain_images(24, 32)[1:]]
+    frames = frames_of(write_images(images, tmp_path / "path", format="mp4", fps=5))
+    assert [frame.shape for frame in frames] == [(48, 64, 3)] * 4
+    np.testing.assert_allclose(frames[3].mean(axis=(0, 1)), COLORS[3], atol=12)
+
+
+def test_pngs_are_numbered(tmp_path: Path) -> None:
+    """PNGs are exact and sort in the order of the path."""
+    folder = write_images(plain_images(), tmp_path / "path", format="png", fps=5)
+    files = sorted(folder.iterdir())
+    assert [file.name for file in files] == ["00000.png", "00001.png", "00002.png", "00003.png"]
+    np.testing.assert_array_equal(cv2.imread(str(files[2]))[0, 0, ::-1], COLORS[2])
+
+
+def test_no_encoder_means_pngs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no video can be encoded, all images still come out, as PNGs."""
+
+    def broken(*_: object) -> None:
+        raise video.NoEncoderError
+
+    monkeypatch.setattr(video, "_encoder", broken)
+    folder = write_images(iter(plain_images()), tmp_path / "path", format="mp4", fps=5)
+    assert len(list(folder.iterdir())) == 4
+
+
+def test_failing_render_leaves_no_half_video(tmp_path: Path) -> None:
+    """If rendering fails half-way, an earlier video stays and nothing half-done is left."""
+
+    def failing():
+        yield from plain_images()[:2]
+        raise RuntimeError("render failed")
+
+    (tmp_path / "path.mp4").write_bytes(b"earlier")
+    with pytest.raises(RuntimeError, match="render failed"):
+        write_images(failing(), tmp_path / "path", format="mp4", fps=5)
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("path.mp4", b"earlier")]

@@ -1,0 +1,193 @@
+"""Density control grows, prunes and resets as gsplat's does, and as its documented differences say."""
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from random_gaussians import random_gaussians, stepped_optimizers
+
+from thermosplat.config import DensificationConfig
+from thermosplat.errors import UserError
+from thermosplat.gaussians import Gaussians
+from thermosplat.training.densification import DefaultStrategy, Refinement
+from thermosplat.training.gaussian_ops import Optimizers
+
+EXTENT = 3.0
+FINE = torch.zeros(())
+
+
+def _info(gradient: Tensor, visible: Tensor, width: int = 40, height: int = 30) -> dict[str, Any]:
+    """What the rasterization tells, with a backward pass behind it: gradient [C, N, 2], visible [C, N]."""
+    means2d = torch.zeros_like(gradient, requires_grad=True)
+    means2d.grad = gradient
+    radii = visible[..., None].expand(*visible.shape, 2).to(torch.int32) * 3
+    return {"means2d": means2d, "radii": radii, "width": width, "height": height, "n_cameras": gradient.shape[0]}
+
+
+def _gradients(count: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Gradients around the threshold in a 40x30 image, and who is visible."""
+    generator = torch.Generator().manual_seed(seed)
+    gradient = 1.3e-5 * torch.randn(1, count, 2, generator=generator)
+    return gradient, torch.rand(1, count, generator=generator) < 0.8
+
+
+def _run(
+    strategy: DefaultStrategy, gaussians: Gaussians, optimizers: Optimizers, infos: list[dict[str, Any]], step: int
+) -> Refinement | None:
+    generator = torch.Generator().manual_seed(step)
+    return strategy.step_post_backward(gaussians, optimizers, infos, step, generator, FINE)
+
+
+def _strategy(gaussians: Gaussians, **config: Any) -> DefaultStrategy:
+    return DefaultStrategy(DensificationConfig(**config), EXTENT, len(gaussians), "cpu")
+
+
+@pytest.mark.parametrize("step", [600, 3100])
+def test_same_gaussians_as_gsplat(step: int) -> None:
+    """The same gradients over four frames clone, split and prune the same Gaussians as gsplat's DefaultStrategy.
+
+    Step 3100 lies after the first reset, when Gaussians that are too large go as well. Splits draw their own means, so
+    everything but the means is compared.
+    """
+    gsplat_strategy = pytest.importorskip("gsplat.strategy", reason="gsplat is not installed")
+    gaussians = random_gaussians(400, thermal=False)
+    with torch.no_grad():
+        gaussians.log_scales[::40] += 4.0  # some larger than a tenth of the scene
+    optimizers = stepped_optimizers(gaussians)
+    theirs = {"means": gaussians.means, "scales": gaussians.log_scales, "quats": gaussians.quats}
+    params = {name: torch.nn.Parameter(value.detach().clone()) for name, value in theirs.items()}
+    params["opacities"] = torch.nn.Parameter(gaussians.logit_opacities.detach().clone())
+    their_optimizers = {name: torch.optim.Adam([param]) for name, param in params.items()}
+    reference = gsplat_strategy.DefaultStrategy()
+    state = reference.initialize_state(scene_scale=EXTENT)
+    strategy = _strategy(gaussians)
+
+    refinement = None
+    for number in (step - 3, step - 2, step - 1, step):
+        gradient, visible = _gradients(400, number)
+        refinement = _run(strategy, gaussians, optimizers, [_info(gradient, visible)], number)
+        info = {**_info(gradient, visible), "gaussian_ids": None}
+        reference.step_post_backward(params, their_optimizers, state, number, info)
+
+    assert refinement is not None
+    assert min(refinement.cloned, refinement.split, refinement.pruned) > 5
+    assert len(gaussians) == 400 + refinement.cloned + refinement.split - refinement.pruned
+    assert torch.equal(gaussians.logit_opacities, params["opacities"])
+    assert torch.equal(gaussians.quats, params["quats"])
+    torch.testing.assert_close(gaussians.log_scales, params["scales"])
+
+
+@pytest.mark.parametrize(
+    ("step", "refines"), [(500, False), (550, False), (600, True), (14_900, True), (15_000, False), (20_000, False)]
+)
+def test_schedule(step: int, refines: bool) -> None:
+    """Refinements come every 100 steps between 500 and 15,000, both excluded. 3DGS."""
+    gaussians = random_gaussians(50)
+    result = _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*_gradients(50, 0))], step)
+    assert (result is not None) == refines
+
+
+def test_switched_off_changes_nothing() -> None:
+    """Without densification neither refinement nor reset happens."""
+    gaussians = random_gaussians(50)
+    opacities = gaussians.opacities.detach()
+    strategy = _strategy(gaussians, enabled=False)
+    assert _run(strategy, gaussians, stepped_optimizers(gaussians), [_info(*_gradients(50, 0))], 3000) is None
+    assert len(gaussians) == 50
+    torch.testing.assert_close(gaussians.opacities, opacities, atol=0.02, rtol=0)  # one optimizer step away
+
+
+def test_opacities_are_reset() -> None:
+    """Every 3,000 steps no opacity of either spectrum stays above 0.01; not at 15,000, when density control is over."""
+    for step, largest in ((3000, 0.0101), (12_000, 0.0101), (15_000, 1.0)):
+        gaussians = random_gaussians(50)
+        _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*_gradients(50, 0))], step)
+        for opacities in (gaussians.opacities, gaussians.thermal_opacities):
+            assert opacities.max() <= largest
+            assert (opacities.max() > 0.5) == (step == 15_000)
+
+
+def test_bright_in_one_spectrum_is_enough_to_stay() -> None:
+    """A Gaussian is pruned when α and α_t are both low."""
+    gaussians = random_gaussians(4)
+    with torch.no_grad():
+        gaussians.log_scales.fill_(-4.0)
+        gaussians.logit_opacities.copy_(torch.tensor([-8.0, -8.0, 2.0, 2.0]))
+        gaussians.thermal_opacity_offsets.copy_(torch.tensor([0.0, 10.0, 0.0, -10.0]))
+    still = torch.zeros(1, 4, 2), torch.ones(1, 4, dtype=torch.bool)
+    refinement = _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*still)], 600)
+    assert refinement == Refinement(cloned=0, split=0, pruned=1)
+    assert gaussians.opacities.max() > 0.8
+
+
+def test_cap_lets_the_largest_gradients_grow() -> None:
+    """Close to the cap, the Gaussians with the largest gradients grow, up to the cap exactly."""
+    gaussians = random_gaussians(20)
+    with torch.no_grad():
+        gaussians.logit_opacities.fill_(1.0)
+        gaussians.log_scales.fill_(-8.0)
+        gaussians.means[:, 0] = torch.arange(20.0)
+    gradient = torch.zeros(1, 20, 2)
+    gradient[0, :, 1] = torch.linspace(1e-3, 2e-3, 20)  # all above the threshold
+    visible = torch.ones(1, 20, dtype=torch.bool)
+    strategy = _strategy(gaussians, max_gaussians=23)
+    refinement = _run(strategy, gaussians, stepped_optimizers(gaussians), [_info(gradient, visible)], 600)
+    assert refinement == Refinement(cloned=3, split=0, pruned=0)
+    assert sorted(gaussians.means[20:, 0].round().tolist()) == [17.0, 18.0, 19.0]
+    again = _info(*(torch.cat([part, part[:, :3]], dim=1) for part in (gradient, visible)))
+    assert _run(strategy, gaussians, stepped_optimizers(gaussians), [again], 700) == Refinement()
+
+
+def test_gradient_is_measured_in_half_images() -> None:
+    """An image of twice the size halves the pixel gradient that a threshold stands for; the mean is over frames seen."""
+    gaussians = random_gaussians(2)
+    strategy = _strategy(gaussians)
+    seen = torch.tensor([[True, True]])
+    _run(strategy, gaussians, {}, [_info(torch.full((1, 2, 2), 1.0), seen, width=6, height=8)], 1)
+    _run(strategy, gaussians, {}, [_info(torch.full((1, 2, 2), 1.0), ~seen, width=6, height=8)], 2)
+    assert strategy.grad_norm_sum.tolist() == [5.0, 5.0]  # (6/2, 8/2) has norm 5
+    assert strategy.observations.tolist() == [1.0, 1.0]
+
+
+def test_two_cameras_of_a_frame_are_one_observation() -> None:
+    """Norms of both spectra add up, each in its own half images, and the frame counts once."""
+    gaussians = random_gaussians(3)
+    strategy = _strategy(gaussians)
+    rgb = _info(torch.ones(1, 3, 2), torch.tensor([[True, True, False]]), width=6, height=8)
+    thermal = _info(-torch.ones(1, 3, 2), torch.tensor([[True, False, False]]), width=12, height=16)
+    _run(strategy, gaussians, {}, [rgb, thermal], 1)
+    assert strategy.grad_norm_sum.tolist() == [15.0, 5.0, 0.0]
+    assert strategy.observations.tolist() == [1.0, 1.0, 0.0]
+
+
+def test_absgrad_is_used_when_asked_for() -> None:
+    """With absgrad the sums come from means2d.absgrad."""
+    gaussians = random_gaussians(2)
+    strategy = _strategy(gaussians, absgrad=True)
+    info = _info(torch.zeros(1, 2, 2), torch.ones(1, 2, dtype=torch.bool), width=6, height=8)
+    info["means2d"].absgrad = torch.ones(1, 2, 2)
+    _run(strategy, gaussians, {}, [info], 1)
+    assert strategy.grad_norm_sum.tolist() == [5.0, 5.0]
+
+
+def test_bad_gradients_are_not_noted() -> None:
+    """A step that the guard blocked leaves the sums as they are."""
+    gaussians = random_gaussians(2)
+    strategy = _strategy(gaussians)
+    info = _info(torch.full((1, 2, 2), torch.nan), torch.ones(1, 2, dtype=torch.bool))
+    strategy.step_post_backward(gaussians, {}, [info], 1, torch.Generator(), torch.ones(()))
+    assert strategy.grad_norm_sum.tolist() == [0.0, 0.0]
+    assert strategy.observations.tolist() == [0.0, 0.0]
+
+
+def test_losing_every_gaussian_is_an_error() -> None:
+    """A scene that fades away altogether stops with the step and what to look at."""
+    gaussians = random_gaussians(3)
+    with torch.no_grad():
+        gaussians.logit_opacities.fill_(-9.0)
+        gaussians.thermal_opacity_offsets.fill_(0.0)
+    still = torch.zeros(1, 3, 2), torch.ones(1, 3, dtype=torch.bool)
+    with pytest.raises(UserError, match="No Gaussian is left after the refinement of step 600"):
+        _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*still)], 600)
+    assert len(gaussians) == 3

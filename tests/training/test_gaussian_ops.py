@@ -1,0 +1,147 @@
+"""Parameters and Adam's moments change together, whatever parameters there are."""
+
+import pytest
+import torch
+from random_gaussians import random_gaussians, stepped_optimizers
+
+from thermosplat.gaussians import Gaussians
+from thermosplat.training import gaussian_ops
+from thermosplat.training.gaussian_ops import Optimizers, clone, prune, reset_opacities, split
+
+
+def _snapshot(gaussians: Gaussians, optimizers: Optimizers) -> dict[str, dict[str, torch.Tensor]]:
+    """Copies of every parameter and its moments."""
+    result = {}
+    for name, parameter in gaussians.named_parameters():
+        state = optimizers[name].state[parameter]
+        result[name] = {"value": parameter, "exp_avg": state["exp_avg"], "exp_avg_sq": state["exp_avg_sq"]}
+    return {name: {key: value.detach().clone() for key, value in item.items()} for name, item in result.items()}
+
+
+@pytest.mark.parametrize("thermal", [True, False])
+def test_clone_appends_copies_with_fresh_moments(thermal: bool) -> None:
+    """Clones follow the others, equal in every parameter, with zero moments."""
+    gaussians = random_gaussians(6, thermal=thermal)
+    optimizers = stepped_optimizers(gaussians)
+    before = _snapshot(gaussians, optimizers)
+    selected = torch.tensor([False, True, False, False, True, False])
+    clone(gaussians, optimizers, selected)
+    assert len(gaussians) == 8
+    for name, now in _snapshot(gaussians, optimizers).items():
+        assert torch.equal(now["value"], torch.cat([before[name]["value"], before[name]["value"][selected]])), name
+        for key in ("exp_avg", "exp_avg_sq"):
+            assert torch.equal(now[key][:6], before[name][key]), name
+            assert not now[key][6:].any(), name
+
+
+def test_split_replaces_each_by_two_smaller_ones() -> None:
+    """The halves are 1.6 times smaller, else copies; the original is gone; moments are zero."""
+    gaussians = random_gaussians(5)
+    optimizers = stepped_optimizers(gaussians)
+    before = _snapshot(gaussians, optimizers)
+    selected = torch.tensor([True, False, False, True, False])
+    split(gaussians, optimizers, selected, torch.Generator().manual_seed(0))
+    assert len(gaussians) == 7
+    for name, now in _snapshot(gaussians, optimizers).items():
+        assert torch.equal(now["value"][:3], before[name]["value"][~selected]), name
+        assert torch.equal(now["exp_avg"][:3], before[name]["exp_avg"][~selected]), name
+        assert not now["exp_avg"][3:].any(), name
+        twice = torch.cat([before[name]["value"][selected]] * 2)
+        if name == "log_scales":
+            torch.testing.assert_close(now["value"][3:].exp(), twice.exp() / 1.6)
+        elif name != "means":
+            assert torch.equal(now["value"][3:], twice), name
+
+
+def test_halves_are_drawn_from_the_gaussian() -> None:
+    """Many splits of one Gaussian have its mean and its covariance."""
+    gaussians = random_gaussians(1, thermal=False)
+    with torch.no_grad():
+        gaussians.log_scales.copy_(torch.tensor([[0.5, 0.1, 1.0]]).log())
+        gaussians.means.fill_(2.0)
+    w, x, y, z = torch.nn.functional.normalize(gaussians.quats[0].detach(), dim=0).tolist()
+    rotation = torch.tensor(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    covariance = rotation @ torch.diag(torch.tensor([0.25, 0.01, 1.0])) @ rotation.T
+    many = Gaussians({name: p.detach().expand(20_000, *p.shape[1:]) for name, p in gaussians.named_parameters()})
+    split(many, fresh_optimizers(many), torch.ones(20_000, dtype=torch.bool), torch.Generator())
+    means = many.means.detach()
+    torch.testing.assert_close(means.mean(dim=0), torch.full((3,), 2.0), atol=0.02, rtol=0)
+    torch.testing.assert_close(torch.cov(means.T), covariance, atol=0.02, rtol=0)
+
+
+def fresh_optimizers(gaussians: Gaussians) -> Optimizers:
+    """Optimizers before their first step: they have no state yet."""
+    return {name: torch.optim.Adam([parameter]) for name, parameter in gaussians.named_parameters()}
+
+
+def test_prune_removes_parameters_and_moments() -> None:
+    """What stays keeps its moments."""
+    gaussians = random_gaussians(6)
+    optimizers = stepped_optimizers(gaussians)
+    before = _snapshot(gaussians, optimizers)
+    removed = torch.tensor([True, False, False, True, False, False])
+    prune(gaussians, optimizers, removed)
+    for name, now in _snapshot(gaussians, optimizers).items():
+        for key in ("value", "exp_avg", "exp_avg_sq"):
+            assert torch.equal(now[key], before[name][key][~removed]), name
+
+
+def test_reset_lowers_both_opacities() -> None:
+    """α and α_t are both at most the limit; what was fainter stays as it was, spectrum by spectrum."""
+    gaussians = random_gaussians(200)
+    optimizers = stepped_optimizers(gaussians)
+    opacities, thermal = gaussians.opacities.detach(), gaussians.thermal_opacities.detach()
+    assert (opacities > 0.01).any()
+    assert ((opacities < 0.01) & (thermal > 0.01)).any()
+    reset_opacities(gaussians, optimizers, 0.01)
+    torch.testing.assert_close(gaussians.opacities, opacities.clamp(max=0.01))
+    torch.testing.assert_close(gaussians.thermal_opacities, thermal.clamp(max=0.01))
+    for name in ("logit_opacities", "thermal_opacity_offsets"):
+        state = optimizers[name].state[getattr(gaussians, name)]
+        assert not state["exp_avg"].any()
+        assert state["step"] == 1
+    assert optimizers["means"].state[gaussians.means]["exp_avg"].any()
+
+
+def test_training_goes_on_after_every_operation() -> None:
+    """The optimizers hold the new parameters, count their steps on, and move them."""
+    gaussians = random_gaussians(4)
+    optimizers = stepped_optimizers(gaussians)
+    clone(gaussians, optimizers, torch.tensor([True, False, False, False]))
+    split(gaussians, optimizers, torch.tensor([False, True, False, False, False]), torch.Generator())
+    prune(gaussians, optimizers, torch.tensor([True, False, False, False, False, False]))
+    reset_opacities(gaussians, optimizers, 0.01)
+    for name, parameter in gaussians.named_parameters():
+        before = parameter.detach().clone()
+        parameter.grad = torch.full_like(parameter, 10.0)
+        optimizers[name].step()
+        assert (parameter < before).all(), name
+        assert optimizers[name].state[parameter]["step"] == 2
+
+
+def test_out_of_memory_leaves_the_gaussians_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An allocation that fails in the middle changes neither parameters nor moments."""
+    gaussians = random_gaussians(6)
+    optimizers = stepped_optimizers(gaussians)
+    before = _snapshot(gaussians, optimizers)
+    concatenate, calls = torch.cat, []
+
+    def fail_late(*args: object, **kwargs: object) -> torch.Tensor:
+        calls.append(1)
+        if len(calls) == 8:
+            raise torch.OutOfMemoryError
+        return concatenate(*args, **kwargs)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(gaussian_ops.torch, "cat", fail_late)
+    with pytest.raises(torch.OutOfMemoryError):
+        clone(gaussians, optimizers, torch.ones(6, dtype=torch.bool))
+    monkeypatch.undo()
+    for name, now in _snapshot(gaussians, optimizers).items():
+        for key, value in now.items():
+            assert torch.equal(value, before[name][key]), name

@@ -1,0 +1,63 @@
+"""Ctrl-C waits for what must not stop half-way, and is not forgotten."""
+
+import os
+import signal
+import threading
+
+import pytest
+
+from thermosplat.training.interruption import deferred_interrupts
+
+
+@pytest.fixture(autouse=True)
+def _python_sigint() -> None:
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_block_is_finished_first() -> None:
+    """An interrupt inside the block is raised at its end."""
+    done = []
+    with pytest.raises(KeyboardInterrupt), deferred_interrupts():
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append(1)
+    assert done == [1]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_nested_blocks_finish_all() -> None:
+    """An interrupt inside an inner block waits for the outer one as well."""
+    done = []
+    with pytest.raises(KeyboardInterrupt), deferred_interrupts():
+        with deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("inner")
+        done.append("outer")
+    assert done == ["inner", "outer"]
+
+
+def test_last_block_swallows() -> None:
+    """Where the program ends anyway, a second Ctrl-C changes nothing."""
+    with deferred_interrupts(redeliver=False), deferred_interrupts():
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_error_goes_before_interrupt() -> None:
+    """An error in the block is what the caller sees, and Ctrl-C works again."""
+    with pytest.raises(ZeroDivisionError), deferred_interrupts():
+        os.kill(os.getpid(), signal.SIGINT)
+        raise ZeroDivisionError
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_other_threads_can_use_it() -> None:
+    """In a thread, where no signals arrive and none may be set, the block just runs."""
+    done = []
+
+    def work() -> None:
+        with deferred_interrupts():
+            done.append(1)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert done == [1]

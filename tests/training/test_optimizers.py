@@ -1,0 +1,74 @@
+"""Learning rates follow the published schedule, and a blocked step changes nothing."""
+
+import pytest
+import torch
+from random_gaussians import random_gaussians, stepped_optimizers
+
+from thermosplat.config import OptimizerConfig
+from thermosplat.training.optimizers import gaussian_optimizers, learning_rate, set_learning_rates, step_unless
+
+CONFIG = OptimizerConfig()
+
+
+@pytest.mark.parametrize(
+    ("name", "progress", "expected"),
+    [
+        ("means", 0.0, 1.6e-4 * 3.0),
+        ("means", 0.5, 1.6e-5 * 3.0),
+        ("means", 1.0, 1.6e-6 * 3.0),
+        ("means", 1.5, 1.6e-6 * 3.0),
+        ("decoders", 0.0, 1e-3),
+        ("decoders", 1.0, 1e-4),
+        ("log_scales", 0.7, 5e-3),
+        ("logit_opacities", 0.7, 5e-2),
+        ("quats", 0.7, 1e-3),
+        ("sh0", 0.7, 2.5e-3),
+        ("shN", 0.7, 2.5e-3 / 20),
+        ("features", 0.7, 2.5e-3),
+        ("thermal_opacity_offsets", 0.7, 5e-2),
+    ],
+)
+def test_published_rates(name: str, progress: float, expected: float) -> None:
+    """Means and decoders decay exponentially, means in units of the scene; everything else is constant."""
+    assert learning_rate(name, CONFIG, progress, scene_extent=3.0) == pytest.approx(expected)
+
+
+def test_every_parameter_has_its_rate() -> None:
+    """Rates are set parameter by parameter, and there is one optimizer for each."""
+    gaussians = random_gaussians(3)
+    optimizers = gaussian_optimizers(gaussians, CONFIG)
+    set_learning_rates(optimizers, CONFIG, progress=1.0, scene_extent=2.0)
+    assert set(optimizers) == {name for name, _ in gaussians.named_parameters()}
+    for name, optimizer in optimizers.items():
+        assert optimizer.param_groups[0]["lr"] == learning_rate(name, CONFIG, 1.0, 2.0)
+        assert optimizer.param_groups[0]["eps"] == 1e-15
+
+
+def test_blocked_step_leaves_everything() -> None:
+    """NaN gradients behind the flag touch neither parameters, moments nor the step count; without the flag they would."""
+    gaussians = random_gaussians(3)
+    optimizers = stepped_optimizers(gaussians)
+    before = {name: parameter.detach().clone() for name, parameter in gaussians.named_parameters()}
+    for parameter in gaussians.parameters():
+        parameter.grad = torch.full_like(parameter, torch.nan)
+    step_unless(torch.ones(()), optimizers)
+    for name, parameter in gaussians.named_parameters():
+        assert torch.equal(parameter, before[name])
+        state = optimizers[name].state[parameter]
+        assert torch.isfinite(state["exp_avg"]).all()
+        assert state["step"] == 1
+    step_unless(torch.zeros(()), optimizers)
+    assert torch.isnan(gaussians.means).all()
+
+
+def test_degree_zero_has_an_empty_parameter() -> None:
+    """Adam steps over shN [N, 0, 3] of a model without higher spherical harmonics."""
+    gaussians = random_gaussians(3, thermal=False)
+    gaussians.shN = torch.nn.Parameter(torch.zeros(3, 0, 3))
+    before = gaussians.means.detach().clone()
+    optimizers = gaussian_optimizers(gaussians, CONFIG)
+    set_learning_rates(optimizers, CONFIG, 0.0, 1.0)
+    for parameter in gaussians.parameters():
+        parameter.grad = torch.ones_like(parameter)
+    step_unless(torch.zeros(()), optimizers)
+    assert (gaussians.means < before).all()

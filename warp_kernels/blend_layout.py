@@ -1,0 +1,85 @@
+"""How a tile's pixels are dealt to lanes: the one difference between the CPU's and CUDA's blending kernels.
+
+A tile is cut into blocks, each owned by one warp (``lanes`` lanes, 32 on CUDA, 1 on the CPU). A lane owns
+``rows * columns`` pixels: on the CPU all rows of the tile, so that a Gaussian's rows can be walked alone and clang
+vectorises the loop over columns; on CUDA one "row" of a few pixels, unrolled into registers.
+"""
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from warp_kernels.lanes import LANES_CUDA
+
+
+@dataclass(frozen=True)
+class BlendLayout:
+    """Deal of pixels to lanes; compile-time parameters of the blending kernels.
+
+    Attributes:
+        tile_size: edge of a tile [px].
+        block_width: width of the block one warp owns [px].
+        block_height: height of the block one warp owns [px].
+        lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
+    """
+
+    tile_size: int
+    block_width: int
+    block_height: int
+    lanes: int
+
+    @property
+    def blocks_x(self) -> int:
+        """Blocks across a tile."""
+        return self.tile_size // self.block_width
+
+    @property
+    def warps(self) -> int:
+        """Warps in a tile."""
+        return self.blocks_x * (self.tile_size // self.block_height)
+
+    @property
+    def rows(self) -> int:
+        """Rows of pixels a lane walks one after the other."""
+        return self.block_height if self.lanes == 1 else 1
+
+    @property
+    def columns(self) -> int:
+        """Pixels of a lane in each of its rows."""
+        return self.block_width * self.block_height // (self.lanes * self.rows)
+
+    @property
+    def threads(self) -> int:
+        """Threads of a tile, which are one CUDA block."""
+        return self.warps * self.lanes
+
+    @property
+    def tag(self) -> str:
+        """Part of a kernel's name."""
+        return f"{self.tile_size}_{self.block_width}x{self.block_height}_{self.lanes}"
+
+    @property
+    def module_options(self) -> dict:
+        """Warp options: on the CPU the column loop must stay rolled, or clang does not vectorise it."""
+        unroll = min(15, self.columns - 1) if self.lanes == 1 else 64
+        # fast_math concerns CUDA only: division and square roots by approximation, denormals flushed.
+        return {"max_unroll": unroll, "block_dim": self.threads, "fast_math": True}
+
+
+def default_layout(device: wp.Device, tile_size: int, channels: int, dtype: type) -> BlendLayout:
+    """The layout measured best for a device; see benchmarks/notes.md.
+
+    Args:
+        device: Warp device the kernels run on.
+        tile_size: edge of a tile [px].
+        channels: channels blended, over both opacities.
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        The layout.
+    """
+    if not device.is_cuda:
+        return BlendLayout(tile_size, tile_size, tile_size, 1)
+    if dtype is wp.float64 or channels > 24:
+        return BlendLayout(tile_size, 8, 4, LANES_CUDA)
+    return BlendLayout(tile_size, 8, 8, LANES_CUDA)

@@ -1,0 +1,301 @@
+"""Front-to-back alpha blending of C channels, the last D of them a second time with a second opacity.
+
+Per pixel at offset d from a Gaussian's mean: σ = ½ (a dx² + c dy²) + b dx dy, α = min(ALPHA_MAX, o exp(-σ)), skipped
+where σ < 0 or α < ALPHA_MIN; colour += α T f, T *= 1 - α, stopping before the Gaussian that would bring T to
+TRANSMITTANCE_MIN. The second opacity runs through the same list with a transmittance of its own.
+
+A warp tests 32 candidates at a time against its pixel block, one a lane, and walks the survivors by ballot. On the CPU
+the binning was exact for the whole tile, so candidates are walked directly, each over the rows its ellipse reaches.
+A pixel that has finished carries the sign bit in its transmittance.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.blend_layout import BlendLayout
+from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from warp_kernels.lanes import broadcast_int, lane_functions, lowest_bit, warp_any, warp_ballot
+
+BATCH = 32
+"""Candidates a warp looks at between two checks for unfinished pixels."""
+
+
+@functools.cache
+def alpha_functions(dtype: type):
+    """The response of a Gaussian at a pixel and its bounds; the forward pass and the adjoint share them.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(exponent, alpha, reaches_block, row_range)``, Warp functions.
+    """
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    zero, half, one = dtype(0.0), dtype(0.5), dtype(1.0)
+    alpha_min, alpha_max = dtype(ALPHA_MIN), dtype(ALPHA_MAX)
+    _, exp_negative, _ = lane_functions(dtype)
+    rounding = dtype(1.0e-5)
+    tolerance = dtype(4.0e-7)
+
+    @wp.func
+    def exponent(conic: vec3, dx: dtype, dy: dtype):
+        """-σ at an offset from the mean."""
+        return -half * (conic[0] * dx * dx + conic[2] * dy * dy) - conic[1] * dx * dy
+
+    @wp.func
+    def alpha(opacity: dtype, power: dtype, visibility: dtype):
+        """α, zero where the Gaussian is not drawn."""
+        a = wp.min(alpha_max, opacity * visibility)
+        a = wp.where(power > zero, zero, a)
+        return wp.where(a < alpha_min, zero, a)
+
+    @wp.func
+    def edge_exponent(conic: vec3, dx: dtype, dy: dtype):
+        """σ less a bound on its rounding error, so that culling never drops what the blend would draw."""
+        squares = half * (conic[0] * dx * dx + conic[2] * dy * dy)
+        mixed = conic[1] * dx * dy
+        return squares + mixed - tolerance * (squares + wp.abs(mixed)) - rounding
+
+    @wp.func
+    def reaches_block(mean: vec2, conic: vec3, opacity: dtype, x0: dtype, y0: dtype, x1: dtype, y1: dtype):
+        """Whether α reaches ALPHA_MIN anywhere in the rectangle of pixel centres [x0, x1] x [y0, y1]."""
+        left, right = mean[0] - x1, mean[0] - x0
+        top, bottom = mean[1] - y1, mean[1] - y0
+        smallest = dtype(1.0e30)
+        inside_x = left <= zero and right >= zero
+        inside_y = top <= zero and bottom >= zero
+        if inside_x and inside_y:
+            smallest = zero
+        else:
+            # The minimum over the rectangle lies on the edge that faces the mean, at its best point along that edge.
+            if not inside_x:
+                dx = wp.where(right < zero, right, left)
+                smallest = edge_exponent(conic, dx, wp.clamp(-conic[1] * dx / conic[2], top, bottom))
+            if not inside_y:
+                dy = wp.where(bottom < zero, bottom, top)
+                smallest = wp.min(smallest, edge_exponent(conic, wp.clamp(-conic[1] * dy / conic[0], left, right), dy))
+        return opacity * exp_negative(-wp.max(smallest, zero)) >= alpha_min * (one - rounding)
+
+    @wp.func
+    def row_range(mean: vec2, extent: vec2, y0: dtype, rows: int):
+        """Rows [first, end) of a lane, whose first row of pixel centres is y0, that the ellipse reaches."""
+        spare = extent[1] + dtype(1.0e-3) + dtype(1.0e-6) * (wp.abs(mean[1]) + extent[1])
+        first = int(wp.ceil(wp.clamp(mean[1] - spare - y0, zero, dtype(rows))))
+        end = int(wp.floor(wp.clamp(mean[1] + spare - y0, -one, dtype(rows - 1)))) + 1
+        return first, end
+
+    return exponent, alpha, reaches_block, row_range
+
+
+@functools.cache
+def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
+    """The forward kernel, one block of threads a tile.
+
+    Args:
+        channels: C, channels blended with the first opacity.
+        thermal_channels: D <= C; the last D channels are blended with the second opacity too. 0: one opacity.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        layout: deal of pixels to lanes.
+
+    Returns:
+        The Warp kernel.
+    """
+    C, D = channels, max(thermal_channels, 1)
+    dual = thermal_channels > 0
+    lanes, rows, columns = layout.lanes, layout.rows, layout.columns
+    cuda = lanes > 1
+    pixels = rows * columns
+    row_mask = rows - 1  # rows is a power of two: keeps the index provably non-negative, which vectorising needs
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
+    vecQ = wp.types.vector(columns, dtype)
+    vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
+    matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
+    exponent, alpha, reaches_block, row_range = alpha_functions(dtype)
+    broadcast, exp_negative, _ = lane_functions(dtype)
+    zero, half, one, transmittance_min = dtype(0.0), dtype(0.5), dtype(1.0), dtype(TRANSMITTANCE_MIN)
+    tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
+    blocks_x = layout.blocks_x
+    batch = BATCH
+    all_candidates = wp.uint32(0xFFFFFFFF)
+    first_thermal = C - D
+
+    @wp.kernel(
+        name=f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}",
+        enable_backward=False,
+        module="unique",
+        module_options=layout.module_options,
+        grid_stride=False,
+        launch_bounds=max(layout.threads, 32),
+    )
+    def blend_tiles_kernel(
+        first_tile: int,
+        tiles_x: int,
+        tiles_y: int,
+        width: int,
+        height: int,
+        means2d: wp.array(dtype=vec2),
+        conics: wp.array(dtype=vec3),
+        extents: wp.array(dtype=vec2),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+        features: wp.array(dtype=vecC),
+        gaussian_ids: wp.array(dtype=wp.int32),
+        tile_offsets: wp.array(dtype=wp.int32),
+        # outputs
+        render: wp.array2d(dtype=vecC),
+        transmittance: wp.array2d(dtype=dtype),
+        last_pairs: wp.array2d(dtype=wp.int32),
+        thermal_render: wp.array2d(dtype=vecD),
+        thermal_transmittance: wp.array2d(dtype=dtype),
+        thermal_last_pairs: wp.array2d(dtype=wp.int32),
+    ):
+        tile, thread = wp.tid()
+        tile = tile + first_tile
+        warp = thread // lanes
+        lane = thread % lanes
+        image = tile // (tiles_x * tiles_y)
+        in_image = tile % (tiles_x * tiles_y)
+        block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
+        block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
+
+        x0 = dtype(block_x) + half
+        y0 = dtype(block_y) + half
+        PX = vecQ()
+        PY = vecQ()
+        for q in range(columns):
+            PX[q] = x0 + dtype((lane + q * lanes) % block_width)
+            PY[q] = y0 + dtype((lane + q * lanes) // block_width)
+        T = vecP()
+        Tt = vecP()
+        last = vecPi()
+        last_t = vecPi()
+        acc = matCP()
+        acc_t = matDP()
+        for r in range(rows):
+            for q in range(columns):
+                inside = PX[q] < dtype(width) and PY[q] + dtype(r) < dtype(height)
+                T[r * columns + q] = wp.where(inside, one, -one)
+                Tt[r * columns + q] = wp.where(inside, one, -one)
+                last[r * columns + q] = -1
+                last_t[r * columns + q] = -1
+
+        i = int(tile_offsets[tile])
+        end = tile_offsets[tile + 1]
+        while i < end:
+            alive = 0
+            for p in range(pixels):
+                alive = alive | wp.where(T[p] > zero, 1, 0)
+                if wp.static(dual):
+                    alive = alive | wp.where(Tt[p] > zero, 1, 0)
+            if warp_any(alive) == 0:
+                break
+
+            # Candidate of this lane, tested against the warp's whole block.
+            g = 0
+            mean = vec2()
+            conic = vec3()
+            opacity = zero
+            opacity_t = zero
+            candidates = wp.uint32(0)
+            if wp.static(cuda):
+                hit = 0
+                if i + lane < end:
+                    g = gaussian_ids[i + lane]
+                    mean = means2d[g]
+                    conic = conics[g]
+                    opacity = opacities[g]
+                    bound = opacity
+                    if wp.static(dual):
+                        opacity_t = thermal_opacities[g]
+                        bound = wp.max(opacity, opacity_t)
+                    x1 = x0 + dtype(block_width - 1)
+                    y1 = y0 + dtype(block_height - 1)
+                    hit = wp.where(reaches_block(mean, conic, bound, x0, y0, x1, y1), 1, 0)
+                candidates = warp_ballot(hit)
+            else:
+                candidates = all_candidates >> wp.uint32(batch - wp.min(batch, end - i))
+
+            while candidates != wp.uint32(0):
+                j = lowest_bit(candidates)
+                candidates = candidates & (candidates - wp.uint32(1))
+                gaussian = 0
+                m = vec2()
+                Q = vec3()
+                o = zero
+                ot = zero
+                row = 0
+                row_end = 1
+                if wp.static(cuda):
+                    gaussian = broadcast_int(g, j)
+                    m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
+                    Q = vec3(broadcast(conic[0], j), broadcast(conic[1], j), broadcast(conic[2], j))
+                    o = broadcast(opacity, j)
+                    if wp.static(dual):
+                        ot = broadcast(opacity_t, j)
+                else:
+                    gaussian = gaussian_ids[i + j]
+                    m = means2d[gaussian]
+                    Q = conics[gaussian]
+                    o = opacities[gaussian]
+                    ot = thermal_opacities[gaussian]
+                    row, row_end = row_range(m, extents[gaussian], y0, rows)
+                f = features[gaussian]
+                pair = i + j
+                while row < row_end:
+                    offset = (row & row_mask) * columns
+                    weight = vecQ()
+                    weight_t = vecQ()
+                    for q in range(columns):
+                        power = exponent(Q, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
+                        visibility = exp_negative(wp.min(power, zero))
+                        a = alpha(o, power, visibility)
+                        t = T[offset + q]
+                        next_t = t * (one - a)
+                        stop = next_t <= transmittance_min
+                        w = wp.where(stop, zero, a * t)
+                        T[offset + q] = wp.where(stop, -wp.abs(t), next_t)
+                        last[offset + q] = wp.where(w > zero, pair, last[offset + q])
+                        weight[q] = w
+                        if wp.static(dual):
+                            a = alpha(ot, power, visibility)
+                            t = Tt[offset + q]
+                            next_t = t * (one - a)
+                            stop = next_t <= transmittance_min
+                            w = wp.where(stop, zero, a * t)
+                            Tt[offset + q] = wp.where(stop, -wp.abs(t), next_t)
+                            last_t[offset + q] = wp.where(w > zero, pair, last_t[offset + q])
+                            weight_t[q] = w
+                    for c in range(C):
+                        for q in range(columns):
+                            acc[c, offset + q] += weight[q] * f[c]
+                    if wp.static(dual):
+                        for c in range(D):
+                            for q in range(columns):
+                                acc_t[c, offset + q] += weight_t[q] * f[first_thermal + c]
+                    row += 1
+            i += batch
+
+        for r in range(rows):
+            for q in range(columns):
+                p = r * columns + q
+                x = int(PX[q])
+                y = int(PY[q]) + r
+                if x < width and y < height:
+                    line = image * height + y
+                    v = vecC()
+                    for c in range(C):
+                        v[c] = acc[c, p]
+                    render[line, x] = v
+                    transmittance[line, x] = wp.abs(T[p])
+                    last_pairs[line, x] = last[p]
+                    if wp.static(dual):
+                        vt = vecD()
+                        for c in range(D):
+                            vt[c] = acc_t[c, p]
+                        thermal_render[line, x] = vt
+                        thermal_transmittance[line, x] = wp.abs(Tt[p])
+                        thermal_last_pairs[line, x] = last_t[p]
+
+    return blend_tiles_kernel

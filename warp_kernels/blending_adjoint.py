@@ -1,0 +1,398 @@
+"""Adjoint of the blending, back to front, written by hand: Warp's generated adjoint of a dynamic loop is wrong.
+
+Walking a pixel's list backwards, T is recovered by division, and the colour behind the current Gaussian enters only
+through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
+dL/dα = T (f · dL/dcolour) - S / (1 - α).
+
+Each warp sums a Gaussian's gradient over its pixels into one record: mean2d (2), conic (3), opacity, [thermal opacity],
+features (C), [|mean2d| gradients (2)]. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair
+and summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.blend_layout import BlendLayout
+from warp_kernels.blending import BATCH, alpha_functions
+from warp_kernels.constants import ALPHA_MAX
+from warp_kernels.lanes import (
+    accumulate_snippet,
+    broadcast_int,
+    highest_bit,
+    lane_functions,
+    warp_any,
+    warp_ballot,
+    warp_max,
+)
+
+
+def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
+    """Numbers in one gradient record.
+
+    Args:
+        channels: C, channels blended with the first opacity.
+        thermal_channels: channels blended a second time; 0 for one opacity.
+        absgrad: sums of absolute mean2d gradients are wanted.
+
+    Returns:
+        The length.
+    """
+    return 6 + (1 if thermal_channels else 0) + channels + (2 if absgrad else 0)
+
+
+@functools.cache
+def blend_adjoint_kernel(
+    channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, absgrad: bool, by_slot: bool
+) -> wp.Kernel:
+    """The adjoint kernel, one block of threads a tile.
+
+    Args:
+        channels: C, channels blended with the first opacity.
+        thermal_channels: D <= C; the last D channels were blended with the second opacity too. 0: one opacity.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        layout: deal of pixels to lanes, one warp a tile when ``by_slot``.
+        absgrad: also sum the absolute values of each pixel's mean2d gradient.
+        by_slot: store one record a pair instead of adding atomically per Gaussian.
+
+    Returns:
+        The Warp kernel.
+    """
+    C, D = channels, max(thermal_channels, 1)
+    dual = thermal_channels > 0
+    lanes, rows, columns = layout.lanes, layout.rows, layout.columns
+    cuda = lanes > 1
+    pixels = rows * columns
+    row_mask = rows - 1
+    length = record_length(channels, thermal_channels, absgrad)
+    first_feature = 7 if dual else 6
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
+    vecQ = wp.types.vector(columns, dtype)
+    vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
+    matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
+    record = wp.types.vector(length, dtype)
+    exponent, alpha, reaches_block, row_range = alpha_functions(dtype)
+    broadcast, exp_negative, add = lane_functions(dtype)
+    zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
+    tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
+    blocks_x = layout.blocks_x
+    batch = BATCH
+    all_candidates = wp.uint32(0xFFFFFFFF)
+    first_thermal = C - D
+
+    @wp.func_native(accumulate_snippet(length, dtype, atomic=not by_slot))
+    def accumulate(dst: wp.array(dtype=record), index: int, v: record): ...
+
+    name = f"blend_adjoint_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}"
+
+    @wp.kernel(
+        name=name + ("_abs" if absgrad else "") + ("_slots" if by_slot else ""),
+        enable_backward=False,
+        module="unique",
+        module_options=layout.module_options,
+        grid_stride=False,
+        launch_bounds=max(layout.threads, 32),
+    )
+    def blend_tiles_adjoint_kernel(
+        first_tile: int,
+        tiles_x: int,
+        tiles_y: int,
+        width: int,
+        height: int,
+        means2d: wp.array(dtype=vec2),
+        conics: wp.array(dtype=vec3),
+        extents: wp.array(dtype=vec2),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+        features: wp.array(dtype=vecC),
+        gaussian_ids: wp.array(dtype=wp.int32),
+        slots: wp.array(dtype=wp.int32),
+        tile_offsets: wp.array(dtype=wp.int32),
+        transmittance: wp.array2d(dtype=dtype),
+        last_pairs: wp.array2d(dtype=wp.int32),
+        thermal_transmittance: wp.array2d(dtype=dtype),
+        thermal_last_pairs: wp.array2d(dtype=wp.int32),
+        v_render: wp.array2d(dtype=vecC),
+        v_transmittance: wp.array2d(dtype=dtype),
+        v_thermal_render: wp.array2d(dtype=vecD),
+        v_thermal_transmittance: wp.array2d(dtype=dtype),
+        # outputs
+        records: wp.array(dtype=record),
+    ):
+        tile, thread = wp.tid()
+        tile = tile + first_tile
+        warp = thread // lanes
+        lane = thread % lanes
+        image = tile // (tiles_x * tiles_y)
+        in_image = tile % (tiles_x * tiles_y)
+        block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
+        block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
+
+        x0 = dtype(block_x) + half
+        y0 = dtype(block_y) + half
+        PX = vecQ()
+        PY = vecQ()
+        for q in range(columns):
+            PX[q] = x0 + dtype((lane + q * lanes) % block_width)
+            PY[q] = y0 + dtype((lane + q * lanes) // block_width)
+        T = vecP()
+        Tt = vecP()
+        S = vecP()
+        St = vecP()
+        last = vecPi()
+        last_t = vecPi()
+        v_pixel = matCP()
+        v_pixel_t = matDP()
+        newest = -1
+        for r in range(rows):
+            for q in range(columns):
+                p = r * columns + q
+                x = int(PX[q])
+                y = int(PY[q]) + r
+                T[p] = one
+                Tt[p] = one
+                last[p] = -1
+                last_t[p] = -1
+                if x < width and y < height:
+                    line = image * height + y
+                    T[p] = transmittance[line, x]
+                    S[p] = v_transmittance[line, x] * T[p]
+                    last[p] = last_pairs[line, x]
+                    newest = wp.max(newest, last[p])
+                    v = v_render[line, x]
+                    for c in range(C):
+                        v_pixel[c, p] = v[c]
+                    if wp.static(dual):
+                        Tt[p] = thermal_transmittance[line, x]
+                        St[p] = v_thermal_transmittance[line, x] * Tt[p]
+                        last_t[p] = thermal_last_pairs[line, x]
+                        newest = wp.max(newest, last_t[p])
+                        vt = v_thermal_render[line, x]
+                        for c in range(D):
+                            v_pixel_t[c, p] = vt[c]
+
+        begin = tile_offsets[tile]
+        i = int(warp_max(newest))
+        while i >= begin:
+            # The 32 candidates i - 31 ... i, bit j standing for i - 31 + j.
+            g = 0
+            mean = vec2()
+            conic = vec3()
+            opacity = zero
+            opacity_t = zero
+            candidates = wp.uint32(0)
+            oldest = i - (batch - 1)
+            if wp.static(cuda):
+                hit = 0
+                if oldest + lane >= begin:
+                    g = gaussian_ids[oldest + lane]
+                    mean = means2d[g]
+                    conic = conics[g]
+                    opacity = opacities[g]
+                    bound = opacity
+                    if wp.static(dual):
+                        opacity_t = thermal_opacities[g]
+                        bound = wp.max(opacity, opacity_t)
+                    x1 = x0 + dtype(block_width - 1)
+                    y1 = y0 + dtype(block_height - 1)
+                    hit = wp.where(reaches_block(mean, conic, bound, x0, y0, x1, y1), 1, 0)
+                candidates = warp_ballot(hit)
+            else:
+                candidates = all_candidates << wp.uint32(wp.max(0, begin - oldest))
+
+            while candidates != wp.uint32(0):
+                j = highest_bit(candidates)
+                candidates = candidates & (~(wp.uint32(1) << wp.uint32(j)))
+                pair = oldest + j
+                gaussian = 0
+                m = vec2()
+                Q = vec3()
+                o = zero
+                ot = zero
+                row = 0
+                row_end = 1
+                if wp.static(cuda):
+                    gaussian = broadcast_int(g, j)
+                    m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
+                    Q = vec3(broadcast(conic[0], j), broadcast(conic[1], j), broadcast(conic[2], j))
+                    o = broadcast(opacity, j)
+                    if wp.static(dual):
+                        ot = broadcast(opacity_t, j)
+                else:
+                    gaussian = gaussian_ids[pair]
+                    m = means2d[gaussian]
+                    Q = conics[gaussian]
+                    o = opacities[gaussian]
+                    ot = thermal_opacities[gaussian]
+                    row, row_end = row_range(m, extents[gaussian], y0, rows)
+                f = features[gaussian]
+                v_x = zero
+                v_y = zero
+                v_a = zero
+                v_b = zero
+                v_c = zero
+                v_o = zero
+                v_ot = zero
+                abs_x = zero
+                abs_y = zero
+                v_f = vecC()
+                hits = 0
+                while row < row_end:
+                    offset = (row & row_mask) * columns
+                    # f · dL/dcolour of every pixel of the row
+                    dot = vecQ()
+                    dot_t = vecQ()
+                    for c in range(C):
+                        for q in range(columns):
+                            dot[q] += f[c] * v_pixel[c, offset + q]
+                    if wp.static(dual):
+                        for c in range(D):
+                            for q in range(columns):
+                                dot_t[q] += f[first_thermal + c] * v_pixel_t[c, offset + q]
+                    weight = vecQ()
+                    weight_t = vecQ()
+                    for q in range(columns):
+                        dx = m[0] - PX[q]
+                        dy = m[1] - (PY[q] + dtype(row))
+                        power = exponent(Q, dx, dy)
+                        visibility = exp_negative(wp.min(power, zero))
+                        a = alpha(o, power, visibility)
+                        a = wp.where(pair > last[offset + q], zero, a)
+                        hits = hits | wp.where(a > zero, 1, 0)
+                        ra = one / (one - a)
+                        t = T[offset + q] * ra
+                        T[offset + q] = t
+                        w = a * t
+                        weight[q] = w
+                        s = S[offset + q]
+                        v_alpha = t * dot[q] - s * ra
+                        S[offset + q] = s + w * dot[q]
+                        # no gradient where alpha was clamped or the Gaussian not drawn
+                        v_alpha = wp.where(a >= alpha_max or a == zero, zero, v_alpha)
+                        v_power = v_alpha * a
+                        v_o = add(v_o, v_alpha * visibility)
+                        if wp.static(dual):
+                            a = alpha(ot, power, visibility)
+                            a = wp.where(pair > last_t[offset + q], zero, a)
+                            hits = hits | wp.where(a > zero, 1, 0)
+                            ra = one / (one - a)
+                            t = Tt[offset + q] * ra
+                            Tt[offset + q] = t
+                            w = a * t
+                            weight_t[q] = w
+                            s = St[offset + q]
+                            v_alpha = t * dot_t[q] - s * ra
+                            St[offset + q] = s + w * dot_t[q]
+                            v_alpha = wp.where(a >= alpha_max or a == zero, zero, v_alpha)
+                            v_power = v_power + v_alpha * a
+                            v_ot = add(v_ot, v_alpha * visibility)
+                        pixel_x = v_power * (-Q[0] * dx - Q[1] * dy)
+                        pixel_y = v_power * (-Q[2] * dy - Q[1] * dx)
+                        v_x = add(v_x, pixel_x)
+                        v_y = add(v_y, pixel_y)
+                        v_a = add(v_a, -half * v_power * dx * dx)
+                        v_b = add(v_b, -v_power * dx * dy)
+                        v_c = add(v_c, -half * v_power * dy * dy)
+                        if wp.static(absgrad):
+                            abs_x = add(abs_x, wp.abs(pixel_x))
+                            abs_y = add(abs_y, wp.abs(pixel_y))
+                    for c in range(C):
+                        total = zero
+                        for q in range(columns):
+                            total = add(total, weight[q] * v_pixel[c, offset + q])
+                        v_f[c] += total
+                    if wp.static(dual):
+                        for c in range(D):
+                            total = zero
+                            for q in range(columns):
+                                total = add(total, weight_t[q] * v_pixel_t[c, offset + q])
+                            v_f[first_thermal + c] += total
+                    row += 1
+                if warp_any(hits) != 0:
+                    G = record()
+                    G[0] = v_x
+                    G[1] = v_y
+                    G[2] = v_a
+                    G[3] = v_b
+                    G[4] = v_c
+                    G[5] = v_o
+                    if wp.static(dual):
+                        G[6] = v_ot
+                    for c in range(C):
+                        G[first_feature + c] = v_f[c]
+                    if wp.static(absgrad):
+                        G[wp.static(length - 2)] = abs_x
+                        G[wp.static(length - 1)] = abs_y
+                    destination = gaussian
+                    if wp.static(by_slot):
+                        destination = slots[pair]
+                    accumulate(records, destination, G)
+            i -= batch
+
+    return blend_tiles_adjoint_kernel
+
+
+@functools.cache
+def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad: bool, by_slot: bool) -> wp.Kernel:
+    """Sums each Gaussian's records and adds them to the gradients, one thread a depth rank.
+
+    Args:
+        channels: C.
+        thermal_channels: D, or 0.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        absgrad: records end with the absolute mean2d gradients.
+        by_slot: records are one a pair, contiguous per Gaussian, rather than one a Gaussian.
+
+    Returns:
+        The Warp kernel.
+    """
+    C, dual = channels, thermal_channels > 0
+    first_feature = 7 if dual else 6
+    length = record_length(channels, thermal_channels, absgrad)
+    record = wp.types.vector(length, dtype)
+    vec2, vec3, vecC = wp.types.vector(2, dtype), wp.types.vector(3, dtype), wp.types.vector(C, dtype)
+
+    @wp.kernel(
+        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}{'_slots' * by_slot}",
+        enable_backward=False,
+        module="unique",
+    )
+    def distribute_records_kernel(
+        order: wp.array(dtype=wp.int32),
+        pair_ends: wp.array(dtype=wp.int64),
+        tiles_per_gaussian: wp.array(dtype=wp.int32),
+        records: wp.array(dtype=record),
+        # outputs
+        v_means2d: wp.array(dtype=vec2),
+        v_conics: wp.array(dtype=vec3),
+        v_opacities: wp.array(dtype=dtype),
+        v_thermal_opacities: wp.array(dtype=dtype),
+        v_features: wp.array(dtype=vecC),
+        absolute: wp.array(dtype=vec2),
+    ):
+        rank = wp.tid()
+        g = order[rank]
+        count = tiles_per_gaussian[g]
+        if count == 0:
+            return
+        total = record()
+        if wp.static(by_slot):
+            end = int(pair_ends[rank])
+            for slot in range(end - count, end):
+                total = total + records[slot]
+        else:
+            total = records[g]
+        v_means2d[g] = v_means2d[g] + vec2(total[0], total[1])
+        v_conics[g] = v_conics[g] + vec3(total[2], total[3], total[4])
+        v_opacities[g] = v_opacities[g] + total[5]
+        if wp.static(dual):
+            v_thermal_opacities[g] = v_thermal_opacities[g] + total[6]
+        v = v_features[g]
+        for c in range(C):
+            v[c] = v[c] + total[first_feature + c]
+        v_features[g] = v
+        if wp.static(absgrad):
+            absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
+
+    return distribute_records_kernel

@@ -1,0 +1,175 @@
+"""Warp-level cooperation of lanes, each helper with a CPU body that is the identity of a single lane.
+
+A kernel that touches another lane's data only through these helpers runs with 32 lanes on CUDA and with one lane on
+the CPU from the same source.
+"""
+
+import functools
+
+import warp as wp
+
+LANES_CUDA = 32
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __any_sync(0xffffffffu, x);
+#else
+    return x;
+#endif
+""")
+def warp_any(x: int) -> int: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __reduce_max_sync(0xffffffffu, x);
+#else
+    return x;
+#endif
+""")
+def warp_max(x: int) -> int: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ballot_sync(0xffffffffu, x);
+#else
+    return x ? 1u : 0u;
+#endif
+""")
+def warp_ballot(x: int) -> wp.uint32: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ffs(x) - 1;
+#else
+    return __builtin_ctz(x);
+#endif
+""")
+def lowest_bit(x: wp.uint32) -> int: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 31 - __clz(x);
+#else
+    return 31 - __builtin_clz(x);
+#endif
+""")
+def highest_bit(x: wp.uint32) -> int: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, x, lane);
+#else
+    return x;
+#endif
+""")
+def broadcast_int(x: int, lane: int) -> int: ...
+
+
+BROADCAST = """
+#if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, x, lane);
+#else
+    return x;
+#endif
+"""
+
+# Branch-free on the CPU, so that a loop over pixels vectorises (a call into libm does not). Valid for x <= 0, which is
+# all the blend needs; relative error below 2e-7. On CUDA __expf is one multiplication and one special-function op.
+EXP_NEGATIVE_F32 = """
+#if defined(__CUDA_ARCH__)
+    return __expf(x);
+#else
+    float y = x * 1.4426950408889634f;
+    y = y < -126.0f ? -126.0f : y;
+    float n = ::floorf(y + 0.5f);
+    float f = y - n;
+    float p = 1.5403530e-4f;
+    p = p * f + 1.33335581e-3f;
+    p = p * f + 9.61812911e-3f;
+    p = p * f + 5.550410866e-2f;
+    p = p * f + 2.4022650696e-1f;
+    p = p * f + 6.9314718056e-1f;
+    p = p * f + 1.0f;
+    union { int i; float f; } u;
+    u.i = ((int)n + 127) << 23;
+    return p * u.f;
+#endif
+"""
+EXP_NEGATIVE_F64 = "return ::exp(x);"
+
+# An addition the compiler may reorder: lets clang vectorise a sum over pixels without fast-math for the whole kernel.
+REASSOCIABLE_ADD = """
+#if !defined(__CUDA_ARCH__)
+    #pragma clang fp reassociate(on)
+#endif
+    return a + b;
+"""
+
+
+def accumulate_snippet(length: int, dtype: type, *, atomic: bool) -> str:
+    """Source of a native function that sums a vector over the warp and adds it to ``dst[index]`` (or stores it).
+
+    A transposed butterfly leaves component ``l`` in lane ``l``: 31 shuffles and one coalesced access for up to 32
+    components, instead of 5 shuffles a component. On the CPU, where the warp is one lane, the vector is stored.
+
+    Args:
+        length: Components of the vector.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        atomic: Add atomically (several warps meet in one record) instead of storing (one warp owns the record).
+
+    Returns:
+        C++ source using the arguments ``dst`` (array of vectors), ``index`` and ``v``.
+    """
+    scalar = "float" if dtype is wp.float32 else "double"
+    lines = [f"const int lane = threadIdx.x & 31; {scalar}* p = ({scalar}*)(dst.data + index);"]
+    for first in range(0, length, 32):
+        count = min(32, length - first)
+        width = 1 << (count - 1).bit_length()
+        values = ", ".join(f"v[{first + k}]" if k < count else f"({scalar})0" for k in range(width))
+        lines.append(f"{{ {scalar} r[{width}] = {{ {values} }};")
+        half = width // 2
+        while half >= 1:
+            lines.append(f"{{ const bool upper = (lane & {half}) != 0;")
+            for k in range(half):
+                lines.append(
+                    f"{{ const {scalar} keep = upper ? r[{k + half}] : r[{k}], send = upper ? r[{k}] : r[{k + half}]; "
+                    f"r[{k}] = keep + __shfl_xor_sync(0xffffffffu, send, {half}); }}"
+                )
+            lines.append("}")
+            half //= 2
+        distance = width
+        while distance < 32:
+            lines.append(f"r[0] += __shfl_xor_sync(0xffffffffu, r[0], {distance});")
+            distance *= 2
+        write = f"atomicAdd(p + {first} + lane, r[0]);" if atomic else f"p[{first} + lane] = r[0];"
+        lines.append(f"if (lane < {count}) {write} }}")
+    return "\n#if defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#else\n    dst.data[index] = v;\n#endif\n"
+
+
+@functools.cache
+def lane_functions(dtype: type):
+    """Helpers that depend on the scalar type.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(broadcast, exp_negative, add)``: value of another lane, exp(x) for x <= 0, re-associable addition.
+    """
+
+    @wp.func_native(BROADCAST)
+    def broadcast(x: dtype, lane: int) -> dtype: ...
+
+    @wp.func_native(EXP_NEGATIVE_F32 if dtype is wp.float32 else EXP_NEGATIVE_F64)
+    def exp_negative(x: dtype) -> dtype: ...
+
+    @wp.func_native(REASSOCIABLE_ADD)
+    def add(a: dtype, b: dtype) -> dtype: ...
+
+    return broadcast, exp_negative, add

@@ -1,0 +1,296 @@
+"""EWA projection of 3D Gaussians to the image plane (Zwicker et al. 2002, as 3DGS and gsplat 1.5.3 apply it).
+
+Notation of this file and of projection_adjoint: mean m, camera-space position p = R m + t, Jacobian J [2, 3] of the
+projection at p, M = J R, rotation-scale G = R(q) diag(s), A = M G with rows a0, a1. The 2D covariance is A Aᵀ plus the
+blur eps2d on its diagonal. Its determinant is |a0 x a1|² + eps2d (|a0|² + |a1|²) + eps2d²: a sum of non-negative
+terms, so that it does not cancel for needle-shaped Gaussians as xx·yy - xy² does in float32.
+
+Images are numbered i = scene · cameras + camera; per-image arrays of Gaussians are flat, index i · N + n.
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Literal
+
+import warp as wp
+
+from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, FOV_MARGIN
+from warp_kernels.rotation import rotation_functions
+
+CameraModel = Literal["pinhole", "ortho"]
+
+
+@functools.cache
+def projection_functions(dtype: type, camera_model: CameraModel):
+    """Straight-line pieces that the forward kernel and its adjoint share.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        camera_model: "pinhole" or "ortho".
+
+    Returns:
+        ``(jacobian, project_mean)``, Warp functions.
+    """
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    mat23, mat33 = wp.types.matrix((2, 3), dtype), wp.types.matrix((3, 3), dtype)
+    zero, half, margin = dtype(0.0), dtype(0.5), dtype(FOV_MARGIN)
+    pinhole = camera_model == "pinhole"
+
+    @wp.func
+    def fov_limits(focal: dtype, center: dtype, size: dtype):
+        """Smallest and largest x / z (or y / z) at which the Jacobian is evaluated."""
+        spare = margin * half * size / focal
+        return -(center / focal + spare), (size - center) / focal + spare
+
+    @wp.func
+    def clamped_position(p: vec3, K: mat33, width: int, height: int):
+        """Position at which the Jacobian is taken, and whether x and y are inside the limits."""
+        low_x, high_x = fov_limits(K[0, 0], K[0, 2], dtype(width))
+        low_y, high_y = fov_limits(K[1, 1], K[1, 2], dtype(height))
+        tx = p[2] * wp.clamp(p[0] / p[2], low_x, high_x)
+        ty = p[2] * wp.clamp(p[1] / p[2], low_y, high_y)
+        return tx, ty
+
+    @wp.func
+    def jacobian(p: vec3, K: mat33, width: int, height: int):
+        """J [2, 3]: derivative of the projection, linearised at the clamped position."""
+        if wp.static(pinhole):
+            tx, ty = clamped_position(p, K, width, height)
+            rz = dtype(1.0) / p[2]
+            return mat23(K[0, 0] * rz, zero, -K[0, 0] * tx * rz * rz, zero, K[1, 1] * rz, -K[1, 1] * ty * rz * rz)
+        return mat23(K[0, 0], zero, zero, zero, K[1, 1], zero)
+
+    @wp.func
+    def project_mean(p: vec3, K: mat33):
+        """Image position [px] of a camera-space point."""
+        if wp.static(pinhole):
+            return vec2(K[0, 0] * p[0] / p[2] + K[0, 2], K[1, 1] * p[1] / p[2] + K[1, 2])
+        return vec2(K[0, 0] * p[0] + K[0, 2], K[1, 1] * p[1] + K[1, 2])
+
+    return jacobian, project_mean, fov_limits
+
+
+@functools.cache
+def covariance_functions(dtype: type):
+    """2D covariance, its determinants and the gradient of the determinant, without cancellation.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(from_rows, from_covariance)``, Warp functions returning (xx, xy, yy, det) before the blur.
+    """
+    vec3 = wp.types.vector(3, dtype)
+    vec6 = wp.types.vector(6, dtype)
+    mat33 = wp.types.matrix((3, 3), dtype)
+
+    @wp.func
+    def from_rows(a0: vec3, a1: vec3):
+        normal = wp.cross(a0, a1)
+        return wp.dot(a0, a0), wp.dot(a0, a1), wp.dot(a1, a1), wp.dot(normal, normal)
+
+    @wp.func
+    def symmetric(c: vec6):
+        """Matrix of the upper triangle xx, xy, xz, yy, yz, zz."""
+        return mat33(c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5])
+
+    @wp.func
+    def from_covariance(m0: vec3, m1: vec3, covariance: mat33):
+        xx = wp.dot(m0, covariance * m0)
+        xy = wp.dot(m0, covariance * m1)
+        yy = wp.dot(m1, covariance * m1)
+        return xx, xy, yy, xx * yy - xy * xy
+
+    return from_rows, symmetric, from_covariance
+
+
+@functools.cache
+def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool) -> wp.Kernel:
+    """The forward kernel, one thread an (image, Gaussian) pair.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        camera_model: "pinhole" or "ortho".
+        from_covars: 3D covariances are given instead of quaternions and scales.
+
+    Returns:
+        The Warp kernel.
+    """
+    vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
+    vec6 = wp.types.vector(6, dtype)
+    mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
+    normalize, _, to_matrix, _ = rotation_functions(dtype)
+    jacobian, project_mean, _ = projection_functions(dtype, camera_model)
+    from_rows, symmetric, from_covariance = covariance_functions(dtype)
+    zero, two = dtype(0.0), dtype(2.0)
+    alpha_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MAX)
+    largest_radius = dtype(1.0e9)  # fits an int32
+
+    @wp.kernel(
+        name=f"project_{camera_model}_{'covars' if from_covars else 'quats'}_{dtype.__name__}",
+        enable_backward=False,
+        module="unique",
+    )
+    def project_kernel(
+        first: int,
+        num_gaussians: int,
+        num_cameras: int,
+        means: wp.array(dtype=vec3),
+        quats: wp.array(dtype=vec4),
+        scales: wp.array(dtype=vec3),
+        covars: wp.array(dtype=vec6),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+        viewmats: wp.array(dtype=mat44),
+        Ks: wp.array(dtype=mat33),
+        width: int,
+        height: int,
+        eps2d: dtype,
+        near_plane: dtype,
+        far_plane: dtype,
+        radius_clip: dtype,
+        antialiased: bool,
+        # outputs
+        means2d: wp.array(dtype=vec2),
+        depths: wp.array(dtype=dtype),
+        conics: wp.array(dtype=vec3),
+        compensations: wp.array(dtype=dtype),
+        radii: wp.array(dtype=wp.vec2i),
+        extents: wp.array(dtype=vec2),
+    ):
+        index = wp.tid() + first
+        image = index // num_gaussians
+        gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
+
+        # A culled Gaussian: everything zero, so that nothing undefined is ever read.
+        means2d[index] = vec2()
+        depths[index] = zero
+        conics[index] = vec3()
+        compensations[index] = zero
+        radii[index] = wp.vec2i(0, 0)
+        extents[index] = vec2()
+
+        view = viewmats[image]
+        K = Ks[image]
+        R = mat33(
+            view[0, 0], view[0, 1], view[0, 2],
+            view[1, 0], view[1, 1], view[1, 2],
+            view[2, 0], view[2, 1], view[2, 2],
+        )  # fmt: skip
+        p = R * means[gaussian] + vec3(view[0, 3], view[1, 3], view[2, 3])
+        # Written so that NaN is culled too. Positions are tested before anything divides by the depth.
+        if not (p[2] >= near_plane and p[2] <= far_plane):
+            return
+        if wp.static(camera_model == "pinhole"):
+            if p[2] == zero:
+                return
+
+        J = jacobian(p, K, width, height)
+        M = J * R
+        m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
+        m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
+        xx, xy, yy, det = zero, zero, zero, zero
+        if wp.static(from_covars):
+            xx, xy, yy, det = from_covariance(m0, m1, symmetric(covars[gaussian]))
+        else:
+            rotation = to_matrix(normalize(quats[gaussian]))
+            s = scales[gaussian]
+            back = wp.transpose(rotation)
+            xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
+        det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
+        xx = xx + eps2d
+        yy = yy + eps2d
+        mean2d = project_mean(p, K)
+        if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d[0]) and wp.isfinite(mean2d[1])):
+            return
+        compensation = dtype(1.0)
+        if antialiased:
+            compensation = wp.sqrt(wp.max(det / det_blurred, zero))
+
+        # Opacity-aware extent (StopThePop, arXiv 2402.00525, section B.2): beyond it alpha is below ALPHA_MIN.
+        opacity = wp.max(opacities[gaussian], thermal_opacities[gaussian]) * compensation
+        if not (wp.isfinite(opacities[gaussian] + thermal_opacities[gaussian]) and opacity >= alpha_min):
+            return
+        extent = wp.min(extent_max, wp.sqrt(two * wp.log(opacity / alpha_min)))
+        ex = extent * wp.sqrt(xx)
+        ey = extent * wp.sqrt(yy)
+        rx = wp.min(wp.ceil(ex), largest_radius)
+        ry = wp.min(wp.ceil(ey), largest_radius)
+        if rx <= radius_clip and ry <= radius_clip:
+            return
+        if mean2d[0] + rx <= zero or mean2d[0] - rx >= dtype(width):
+            return
+        if mean2d[1] + ry <= zero or mean2d[1] - ry >= dtype(height):
+            return
+
+        means2d[index] = mean2d
+        depths[index] = p[2]
+        conics[index] = vec3(yy / det_blurred, -xy / det_blurred, xx / det_blurred)
+        compensations[index] = compensation
+        radii[index] = wp.vec2i(int(rx), int(ry))
+        extents[index] = vec2(ex, ey)
+
+    return project_kernel
+
+
+@dataclass
+class GaussianArrays:
+    """Gaussians and cameras as the projection reads them; scenes and cameras are flattened (see the module).
+
+    Attributes:
+        means: vec3 [scenes · N], world units.
+        quats: vec4 [scenes · N], wxyz, any length. Empty when ``covars`` is given.
+        scales: vec3 [scenes · N], standard deviations in world units. Empty when ``covars`` is given.
+        covars: vec6 [scenes · N], upper triangle xx, xy, xz, yy, yz, zz; None to use quats and scales.
+        opacities: [scenes · N] in [0, 1].
+        thermal_opacities: [scenes · N] in [0, 1]; the same array as ``opacities`` where there is one opacity.
+        viewmats: mat44 [images], world to camera.
+        Ks: mat33 [images], pixels.
+    """
+
+    means: wp.array
+    quats: wp.array
+    scales: wp.array
+    covars: wp.array | None
+    opacities: wp.array
+    thermal_opacities: wp.array
+    viewmats: wp.array
+    Ks: wp.array
+
+
+@dataclass
+class ProjectedArrays:
+    """What the projection writes, one entry an (image, Gaussian) pair; all zero where the Gaussian is culled.
+
+    Attributes:
+        means2d: vec2 [images · N], px.
+        depths: [images · N], camera z in world units.
+        conics: vec3 [images · N], inverse 2D covariance (xx, xy, yy), 1/px².
+        compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one).
+        radii: vec2i [images · N], px; 0 where culled.
+        extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN.
+    """
+
+    means2d: wp.array
+    depths: wp.array
+    conics: wp.array
+    compensations: wp.array
+    radii: wp.array
+    extents: wp.array
+
+
+@dataclass(frozen=True)
+class ProjectionSettings:
+    """Scalars of the projection, with gsplat's names and meaning."""
+
+    width: int
+    height: int
+    num_gaussians: int
+    num_cameras: int
+    num_images: int
+    eps2d: float = 0.3
+    near_plane: float = 0.01
+    far_plane: float = 1e10
+    radius_clip: float = 0.0
+    antialiased: bool = False
+    camera_model: CameraModel = "pinhole"

@@ -1,0 +1,294 @@
+"""Adjoint of the EWA projection, written by hand; notation as in projection.
+
+One thread a Gaussian walks the cameras of its scene and sums its own gradient, so that nothing is atomic and the sum
+is the same on every run. Gradients to cameras are written one record an (image, Gaussian) pair and summed afterwards.
+
+With Q the conic and V the symmetric gradient of the loss to a matrix: V_cov = -Q V_Q Q, V_A = 2 V_cov A, and for the
+antialiasing compensation ρ = sqrt(det / det_blurred) the determinant's gradient |a0 x a1|² -> 2 a1 x (a0 x a1).
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.projection import CameraModel, covariance_functions, projection_functions
+from warp_kernels.rotation import rotation_functions
+from warp_kernels.strand_sums import STRANDS
+
+CAMERA_RECORD = 16
+"""Numbers per record of camera gradients: rotation 9 (row-major), translation 3, fx, fy, cx, cy."""
+
+
+@functools.cache
+def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covars: bool, to_cameras: bool) -> wp.Kernel:
+    """The adjoint kernel, one thread a Gaussian of a scene.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        camera_model: "pinhole" or "ortho".
+        from_covars: 3D covariances were given instead of quaternions and scales.
+        to_cameras: Also write gradients to view matrices and intrinsics.
+
+    Returns:
+        The Warp kernel.
+    """
+    vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
+    vec6, record = wp.types.vector(6, dtype), wp.types.vector(CAMERA_RECORD, dtype)
+    mat23, mat33, mat44 = (wp.types.matrix(shape, dtype) for shape in ((2, 3), (3, 3), (4, 4)))
+    normalize, inverse_norm, to_matrix, matrix_adjoint = rotation_functions(dtype)
+    jacobian, _, fov_limits = projection_functions(dtype, camera_model)
+    from_rows, symmetric, from_covariance = covariance_functions(dtype)
+    zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
+    pinhole = camera_model == "pinhole"
+    suffix = f"{camera_model}_{'covars' if from_covars else 'quats'}{'_cameras' if to_cameras else ''}"
+
+    @wp.func
+    def clamp_adjoint(position: dtype, depth: dtype, focal: dtype, center: dtype, size: dtype, v: dtype):
+        """Gradient v to t = z · clamp(x / z, low, high), passed on to x, z, focal length and principal point."""
+        low, high = fov_limits(focal, center, size)
+        ratio = position / depth
+        v_position, v_depth, v_focal, v_center = v, zero, zero, zero
+        if ratio < low or ratio > high:
+            limit = wp.clamp(ratio, low, high)
+            v_position = zero
+            v_depth = v * limit
+            v_focal = -v * depth * limit / focal
+            v_center = -v * depth / focal
+        return v_position, v_depth, v_focal, v_center
+
+    @wp.kernel(name=f"project_adjoint_{suffix}_{dtype.__name__}", enable_backward=False, module="unique")
+    def project_adjoint_kernel(
+        first: int,
+        num_gaussians: int,
+        num_cameras: int,
+        means: wp.array(dtype=vec3),
+        quats: wp.array(dtype=vec4),
+        scales: wp.array(dtype=vec3),
+        covars: wp.array(dtype=vec6),
+        viewmats: wp.array(dtype=mat44),
+        Ks: wp.array(dtype=mat33),
+        width: int,
+        height: int,
+        eps2d: dtype,
+        antialiased: bool,
+        conics: wp.array(dtype=vec3),
+        compensations: wp.array(dtype=dtype),
+        radii: wp.array(dtype=wp.vec2i),
+        v_means2d: wp.array(dtype=vec2),
+        v_depths: wp.array(dtype=dtype),
+        v_conics: wp.array(dtype=vec3),
+        v_compensations: wp.array(dtype=dtype),
+        # outputs
+        v_means: wp.array(dtype=vec3),
+        v_quats: wp.array(dtype=vec4),
+        v_scales: wp.array(dtype=vec3),
+        v_covars: wp.array(dtype=vec6),
+        v_cameras: wp.array(dtype=record),
+    ):
+        gaussian = wp.tid() + first
+        scene = gaussian // num_gaussians
+        mean = means[gaussian]
+        s = vec3()
+        q = vec4()
+        rotation = mat33()
+        covariance = mat33()
+        if wp.static(from_covars):
+            covariance = symmetric(covars[gaussian])
+        else:
+            q = normalize(quats[gaussian])
+            rotation = to_matrix(q)
+            s = scales[gaussian]
+        back = wp.transpose(rotation)
+
+        seen = False
+        g_mean = vec3()
+        g_scale = vec3()
+        g_rotation = mat33()
+        g_covar = vec6()
+        for camera in range(num_cameras):
+            image = scene * num_cameras + camera
+            index = image * num_gaussians + gaussian % num_gaussians
+            if radii[index][0] > 0:
+                seen = True
+                view = viewmats[image]
+                K = Ks[image]
+                R = mat33(
+                    view[0, 0], view[0, 1], view[0, 2],
+                    view[1, 0], view[1, 1], view[1, 2],
+                    view[2, 0], view[2, 1], view[2, 2],
+                )  # fmt: skip
+                p = R * mean + vec3(view[0, 3], view[1, 3], view[2, 3])
+                J = jacobian(p, K, width, height)
+                M = J * R
+                m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
+                m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
+
+                # conic -> covariance: V_cov = -Q V_Q Q, with the off-diagonal gradient shared by both entries
+                Q = conics[index]
+                v_Q = v_conics[index]
+                off = half * v_Q[1]
+                r00 = v_Q[0] * Q[0] + off * Q[1]
+                r01 = v_Q[0] * Q[1] + off * Q[2]
+                r10 = off * Q[0] + v_Q[2] * Q[1]
+                r11 = off * Q[1] + v_Q[2] * Q[2]
+                v_xx = -(Q[0] * r00 + Q[1] * r10)
+                v_xy = -(Q[0] * r01 + Q[1] * r11)
+                v_yy = -(Q[1] * r01 + Q[2] * r11)
+
+                # compensation -> determinant and blur
+                v_det = zero
+                if antialiased:
+                    rho = compensations[index]
+                    if rho > zero:
+                        # 1 / det_blurred is the conic's determinant; taken from the forward quantities without it
+                        xx, xy, yy, det = zero, zero, zero, zero
+                        if wp.static(from_covars):
+                            xx, xy, yy, det = from_covariance(m0, m1, covariance)
+                        else:
+                            xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
+                        det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
+                        k = half * v_compensations[index] / (rho * det_blurred)
+                        ratio = rho * rho
+                        v_det = k * (one - ratio)
+                        v_xx = v_xx - k * ratio * eps2d
+                        v_yy = v_yy - k * ratio * eps2d
+
+                # covariance -> M and the Gaussian's own shape
+                v_m0 = vec3()
+                v_m1 = vec3()
+                if wp.static(from_covars):
+                    c0 = covariance * m0
+                    c1 = covariance * m1
+                    xx = wp.dot(m0, c0)
+                    xy = wp.dot(m0, c1)
+                    yy = wp.dot(m1, c1)
+                    v_xx = v_xx + v_det * yy
+                    v_yy = v_yy + v_det * xx
+                    v_xy = v_xy - v_det * xy
+                    v_m0 = two * (v_xx * c0 + v_xy * c1)
+                    v_m1 = two * (v_xy * c0 + v_yy * c1)
+                    V = v_xx * wp.outer(m0, m0) + v_xy * (wp.outer(m0, m1) + wp.outer(m1, m0)) + v_yy * wp.outer(m1, m1)
+                    g_covar = g_covar + vec6(V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2])
+                else:
+                    b0 = back * m0
+                    b1 = back * m1
+                    a0 = wp.cw_mul(b0, s)
+                    a1 = wp.cw_mul(b1, s)
+                    normal = wp.cross(a0, a1)
+                    v_a0 = two * (v_xx * a0 + v_xy * a1 + v_det * wp.cross(a1, normal))
+                    v_a1 = two * (v_xy * a0 + v_yy * a1 + v_det * wp.cross(normal, a0))
+                    g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
+                    v_b0 = wp.cw_mul(v_a0, s)
+                    v_b1 = wp.cw_mul(v_a1, s)
+                    g_rotation = g_rotation + wp.outer(m0, v_b0) + wp.outer(m1, v_b1)
+                    v_m0 = rotation * v_b0
+                    v_m1 = rotation * v_b1
+
+                # M = J R -> J and R
+                v_M = mat23(v_m0[0], v_m0[1], v_m0[2], v_m1[0], v_m1[1], v_m1[2])
+                v_J = v_M * wp.transpose(R)
+                v_R = wp.transpose(J) * v_M
+
+                # image position and Jacobian -> camera-space position
+                v_xy2 = v_means2d[index]
+                v_p = vec3(zero, zero, v_depths[index])
+                v_fx = zero
+                v_fy = zero
+                v_cx = v_xy2[0]
+                v_cy = v_xy2[1]
+                fx = K[0, 0]
+                fy = K[1, 1]
+                if wp.static(pinhole):
+                    rz = one / p[2]
+                    rz2 = rz * rz
+                    v_fx = p[0] * rz * v_xy2[0] + rz * v_J[0, 0]
+                    v_fy = p[1] * rz * v_xy2[1] + rz * v_J[1, 1]
+                    # t = clamped position; J[0, 2] = -fx tx / z²
+                    tx = -J[0, 2] * p[2] * p[2] / fx
+                    ty = -J[1, 2] * p[2] * p[2] / fy
+                    v_fx = v_fx - tx * rz2 * v_J[0, 2]
+                    v_fy = v_fy - ty * rz2 * v_J[1, 2]
+                    x_x, x_z, x_f, x_c = clamp_adjoint(p[0], p[2], fx, K[0, 2], dtype(width), -fx * rz2 * v_J[0, 2])
+                    y_y, y_z, y_f, y_c = clamp_adjoint(p[1], p[2], fy, K[1, 2], dtype(height), -fy * rz2 * v_J[1, 2])
+                    v_fx = v_fx + x_f
+                    v_fy = v_fy + y_f
+                    v_cx = v_cx + x_c
+                    v_cy = v_cy + y_c
+                    v_z = (
+                        -(fx * p[0] * v_xy2[0] + fy * p[1] * v_xy2[1]) * rz2
+                        - (fx * v_J[0, 0] + fy * v_J[1, 1]) * rz2
+                        + two * (fx * tx * v_J[0, 2] + fy * ty * v_J[1, 2]) * rz2 * rz
+                        + x_z
+                        + y_z
+                    )
+                    v_p = v_p + vec3(fx * rz * v_xy2[0] + x_x, fy * rz * v_xy2[1] + y_y, v_z)
+                else:
+                    v_fx = p[0] * v_xy2[0] + v_J[0, 0]
+                    v_fy = p[1] * v_xy2[1] + v_J[1, 1]
+                    v_p = v_p + vec3(fx * v_xy2[0], fy * v_xy2[1], zero)
+
+                g_mean = g_mean + wp.transpose(R) * v_p
+                if wp.static(to_cameras):
+                    v_R = v_R + wp.outer(v_p, mean)
+                    v_cameras[index] = record(
+                        v_R[0, 0], v_R[0, 1], v_R[0, 2],
+                        v_R[1, 0], v_R[1, 1], v_R[1, 2],
+                        v_R[2, 0], v_R[2, 1], v_R[2, 2],
+                        v_p[0], v_p[1], v_p[2],
+                        v_fx, v_fy, v_cx, v_cy,
+                    )  # fmt: skip
+            else:
+                if wp.static(to_cameras):
+                    v_cameras[index] = record()
+
+        if not seen:
+            # Nothing to add, and what is not finite must not reach the gradient even times zero.
+            return
+        v_means[gaussian] = v_means[gaussian] + g_mean
+        if wp.static(from_covars):
+            v_covars[gaussian] = v_covars[gaussian] + g_covar
+        else:
+            v_scales[gaussian] = v_scales[gaussian] + g_scale
+            v_quats[gaussian] = v_quats[gaussian] + matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
+
+    return project_adjoint_kernel
+
+
+@functools.cache
+def camera_finish_kernel(dtype: type) -> wp.Kernel:
+    """Adds the strands of each image and hands the result to the gradients, one thread an image.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``, of the gradients.
+
+    Returns:
+        The Warp kernel.
+    """
+    record64 = wp.types.vector(CAMERA_RECORD, wp.float64)
+    mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
+
+    @wp.kernel(name=f"finish_camera_gradients_{dtype.__name__}", enable_backward=False, module="unique")
+    def finish_camera_gradients_kernel(
+        partial_sums: wp.array(dtype=record64),
+        # outputs
+        v_viewmats: wp.array(dtype=mat44),
+        v_Ks: wp.array(dtype=mat33),
+    ):
+        image = wp.tid()
+        total = record64()
+        for strand in range(wp.static(STRANDS)):
+            total = total + partial_sums[image * wp.static(STRANDS) + strand]
+        view = v_viewmats[image]
+        for i in range(3):
+            for j in range(3):
+                view[i, j] = view[i, j] + dtype(total[3 * i + j])
+            view[i, 3] = view[i, 3] + dtype(total[9 + i])
+        v_viewmats[image] = view
+        K = v_Ks[image]
+        K[0, 0] = K[0, 0] + dtype(total[12])
+        K[1, 1] = K[1, 1] + dtype(total[13])
+        K[0, 2] = K[0, 2] + dtype(total[14])
+        K[1, 2] = K[1, 2] + dtype(total[15])
+        v_Ks[image] = K
+
+    return finish_camera_gradients_kernel

@@ -1,0 +1,262 @@
+"""Which Gaussians touch which tile, in depth order: count, scan, emit, sort, tile ranges. No gradient.
+
+Gaussians are first sorted by depth (stable, so that equal depths keep their index order); pairs are emitted in that
+order and sorted, again stably, by tile alone, whose keys have few bits. A *pair* is one (Gaussian, tile) overlap; the
+pairs of one Gaussian are contiguous before the second sort, which is what the deterministic adjoint sums over.
+
+The overlap is exact for the ellipse of alpha >= ALPHA_MIN against the pixel centres of a row of tiles: within the row's
+band of dy, the ellipse spans dx = -(b/a) dy ± sqrt(2τ (1 - (dy / ey)²) / a) with conic (a, b, c), τ = ln(α / ALPHA_MIN)
+and half-height ey, so that nothing cancels for needles (ey comes from the covariance).
+"""
+
+import functools
+from dataclasses import dataclass
+
+import warp as wp
+
+from warp_kernels.constants import ALPHA_MIN
+
+# The bounds are widened a little, because the blend evaluates alpha in its own rounding: relative on the exponent,
+# and in pixels on the span. Pairs admitted in excess cost time, never correctness.
+EXPONENT_MARGIN = 1.0e-5
+PIXEL_MARGIN = 1.0e-3
+
+
+@functools.cache
+def overlap_functions(dtype: type):
+    """Rows and columns of tiles a Gaussian touches.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(tile_rows, tile_span)``, Warp functions giving half-open tile ranges.
+    """
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
+    margin, relative, alpha_min = dtype(PIXEL_MARGIN), dtype(1.0e-6), dtype(ALPHA_MIN)
+    exponent_margin = dtype(EXPONENT_MARGIN)
+    far = dtype(1.0e9)  # fits an int32
+
+    @wp.func
+    def pixel_range(center: dtype, low: dtype, high: dtype, size: int):
+        """Pixels whose centre lies in center + [low, high], as a half-open range clipped to the image."""
+        spare = margin + relative * (wp.abs(center) + wp.max(wp.abs(low), wp.abs(high)))
+        first = wp.max(0, int(wp.ceil(wp.clamp(center + low - half - spare, -far, far))))
+        last = wp.min(size - 1, int(wp.floor(wp.clamp(center + high - half + spare, -far, far))))
+        return first, last + 1
+
+    @wp.func
+    def tile_rows(mean2d: vec2, extent: vec2, height: int, tile_size: int):
+        """Rows of tiles [first, end) within the Gaussian's height."""
+        first, end = pixel_range(mean2d[1], -extent[1], extent[1], height)
+        if end <= first:
+            return 0, 0
+        return first // tile_size, (end - 1) // tile_size + 1
+
+    @wp.func
+    def tile_span(
+        mean2d: vec2, conic: vec3, extent: vec2, exponent: dtype, row: int, width: int, height: int, tile_size: int
+    ):
+        """Tiles [first, end) of one row that the ellipse touches."""
+        # The band of the row's pixel centres, relative to the mean, cut to the ellipse's height.
+        top = wp.max(dtype(row * tile_size) + half - mean2d[1], -extent[1])
+        bottom = wp.min(dtype(wp.min((row + 1) * tile_size, height)) - half - mean2d[1], extent[1])
+        if bottom < top:
+            # Only the rounding of tile_rows brought us here: the ellipse's tip, its whole width is a safe answer.
+            top = wp.clamp(top, -extent[1], extent[1])
+            bottom = top
+        slope = -conic[1] / conic[0]
+        # dy at which the ellipse reaches its right and left extremes, cut to the band
+        right_dy = wp.clamp(-conic[1] / conic[2] * extent[0], top, bottom)
+        left_dy = wp.clamp(conic[1] / conic[2] * extent[0], top, bottom)
+        scale = two * exponent / conic[0]
+        right_share = right_dy / extent[1]
+        left_share = left_dy / extent[1]
+        right = slope * right_dy + wp.sqrt(wp.max(zero, scale * (one - right_share * right_share)))
+        left = slope * left_dy - wp.sqrt(wp.max(zero, scale * (one - left_share * left_share)))
+        first, end = pixel_range(mean2d[0], wp.max(left, -extent[0]), wp.min(right, extent[0]), width)
+        if end <= first:
+            return 0, 0
+        return first // tile_size, (end - 1) // tile_size + 1
+
+    @wp.func
+    def cut_exponent(opacity: dtype):
+        """τ: the exponent at which alpha falls to ALPHA_MIN, widened by the rounding margin."""
+        return wp.log(opacity / alpha_min) * (one + exponent_margin) + exponent_margin
+
+    return tile_rows, tile_span, cut_exponent
+
+
+@functools.cache
+def binning_kernels(dtype: type):
+    """The kernels of this stage.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``, of the projected Gaussians.
+
+    Returns:
+        ``(count, gather, emit)``.
+    """
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    tile_rows, tile_span, cut_exponent = overlap_functions(dtype)
+    infinity = dtype(float("inf"))
+
+    @wp.kernel(name=f"count_tiles_{dtype.__name__}", enable_backward=False, module="unique")
+    def count_tiles_kernel(
+        first: int,
+        width: int,
+        height: int,
+        tile_size: int,
+        means2d: wp.array(dtype=vec2),
+        conics: wp.array(dtype=vec3),
+        extents: wp.array(dtype=vec2),
+        depths: wp.array(dtype=dtype),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+        features: wp.array2d(dtype=dtype),
+        # outputs
+        radii: wp.array(dtype=wp.vec2i),
+        tiles_per_gaussian: wp.array(dtype=wp.int32),
+        depth_keys: wp.array(dtype=dtype),
+        order: wp.array(dtype=wp.int32),
+    ):
+        index = wp.tid() + first
+        count = 0
+        if radii[index][0] > 0:
+            finite = True
+            for c in range(features.shape[1]):
+                if not wp.isfinite(features[index, c]):
+                    finite = False
+            if finite:
+                mean2d = means2d[index]
+                extent = extents[index]
+                exponent = cut_exponent(wp.max(opacities[index], thermal_opacities[index]))
+                row, row_end = tile_rows(mean2d, extent, height, tile_size)
+                while row < row_end:
+                    start, end = tile_span(mean2d, conics[index], extent, exponent, row, width, height, tile_size)
+                    count += end - start
+                    row += 1
+            else:
+                # A Gaussian whose colour or features are not finite would spread over every pixel it touches.
+                radii[index] = wp.vec2i(0, 0)
+        tiles_per_gaussian[index] = count
+        depth_keys[index] = wp.where(count > 0, depths[index], infinity)
+        order[index] = index
+
+    @wp.kernel(name="gather_counts", enable_backward=False, module="unique")
+    def gather_counts_kernel(
+        order: wp.array(dtype=wp.int32),
+        tiles_per_gaussian: wp.array(dtype=wp.int32),
+        # outputs
+        counts: wp.array(dtype=wp.int64),
+    ):
+        rank = wp.tid()
+        counts[rank] = wp.int64(tiles_per_gaussian[order[rank]])
+
+    @wp.kernel(name=f"emit_pairs_{dtype.__name__}", enable_backward=False, module="unique")
+    def emit_pairs_kernel(
+        first: int,
+        num_gaussians: int,
+        width: int,
+        height: int,
+        tile_size: int,
+        tiles_x: int,
+        tiles_y: int,
+        by_slot: bool,
+        means2d: wp.array(dtype=vec2),
+        conics: wp.array(dtype=vec3),
+        extents: wp.array(dtype=vec2),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+        order: wp.array(dtype=wp.int32),
+        tiles_per_gaussian: wp.array(dtype=wp.int32),
+        pair_ends: wp.array(dtype=wp.int64),
+        # outputs
+        keys: wp.array(dtype=wp.int32),
+        values: wp.array(dtype=wp.int32),
+        owners: wp.array(dtype=wp.int32),
+    ):
+        rank = wp.tid() + first
+        index = order[rank]
+        count = tiles_per_gaussian[index]
+        if count == 0:
+            return
+        slot = int(pair_ends[rank]) - count
+        image_first = (index // num_gaussians) * tiles_x * tiles_y
+        mean2d = means2d[index]
+        extent = extents[index]
+        exponent = cut_exponent(wp.max(opacities[index], thermal_opacities[index]))
+        row, row_end = tile_rows(mean2d, extent, height, tile_size)
+        while row < row_end:
+            start, end = tile_span(mean2d, conics[index], extent, exponent, row, width, height, tile_size)
+            while start < end:
+                keys[slot] = image_first + row * tiles_x + start
+                if by_slot:
+                    values[slot] = slot
+                    owners[slot] = index
+                else:
+                    values[slot] = index
+                slot += 1
+                start += 1
+            row += 1
+
+    return count_tiles_kernel, gather_counts_kernel, emit_pairs_kernel
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def tile_ranges_kernel(
+    num_pairs: int,
+    num_tiles: int,
+    by_slot: bool,
+    keys: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.int32),
+    owners: wp.array(dtype=wp.int32),
+    # outputs
+    tile_offsets: wp.array(dtype=wp.int32),
+    gaussian_ids: wp.array(dtype=wp.int32),
+):
+    """Offsets of each tile's pairs in the sorted list, and the Gaussian of each sorted pair; threads: pairs + 1."""
+    k = wp.tid()
+    tile = num_tiles
+    if k < num_pairs:
+        tile = keys[k]
+        if by_slot:
+            gaussian_ids[k] = owners[values[k]]
+        else:
+            gaussian_ids[k] = values[k]
+    previous = -1
+    if k > 0:
+        previous = keys[k - 1]
+    while previous < tile:
+        previous += 1
+        tile_offsets[previous] = k
+
+
+@dataclass
+class TileBins:
+    """Pairs sorted by image, tile and depth.
+
+    Attributes:
+        gaussian_ids: [pairs] flat (image, Gaussian) index of each sorted pair.
+        tile_offsets: [images · tiles + 1] first sorted pair of each tile; the last entry is the number of pairs.
+        order: [images · N] flat indices in depth order, Gaussians without tiles last.
+        pair_ends: int64 [images · N] end of each depth rank's range of unsorted pairs.
+        tiles_per_gaussian: [images · N] number of tiles.
+        slots: [pairs] unsorted position of each sorted pair; None unless the adjoint writes one record a pair.
+        num_pairs: number of pairs.
+        tile_size: edge of a tile [px].
+        tiles_x: tiles across the image.
+        tiles_y: tiles down the image.
+    """
+
+    gaussian_ids: wp.array
+    tile_offsets: wp.array
+    order: wp.array
+    pair_ends: wp.array
+    tiles_per_gaussian: wp.array
+    slots: wp.array | None
+    num_pairs: int
+    tile_size: int
+    tiles_x: int
+    tiles_y: int
