@@ -12,7 +12,8 @@ UP = np.array([0.0, -1.0, 0.0])  # OpenCV worlds hang down
 def ring(count: int = 12, target: tuple[float, float, float] = (0.5, 0.2, -0.3)) -> np.ndarray:
     """Cameras on an ellipse with half axes 3 and 2 at height -1, all looking at a target."""
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    centres = np.stack([3 * np.cos(angles), -np.ones(count), 2 * np.sin(angles)], axis=1) + [target[0], 0, target[2]]
+    middle = np.array([target[0], 0.0, target[2]])
+    centres = [middle + np.array([3 * np.cos(angle), -1.0, 2 * np.sin(angle)]) for angle in angles]
     return np.stack([look_to(centre, np.array(target) - centre, UP) for centre in centres])
 
 

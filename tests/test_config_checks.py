@@ -31,7 +31,7 @@ def changed(key: str, value: Any) -> TrainConfig:
         ("optimizer.decoders_lr_final", 0.0, "--optimizer.decoders-lr-final must be positive"),
         ("model.init_opacity", 1.0, "--model.init-opacity must lie between 0 and 1"),
         ("model.feature_dim", 2, "--model.feature-dim must be 0 or at least 4"),
-        ("model.feature_dim", 0, "renders thermal images from its features"),
+        ("model.feature_dim", 0, "render thermal images from their features"),
         ("model.gaussian_sets", "separate", "Separate Gaussians have no shared features"),
         ("background", (0.0, 2.0, 0.0), "--background must be three values between 0 and 1"),
         ("thermal.range_celsius", (30.0, 20.0), "--thermal.range-celsius must rise"),

@@ -1,9 +1,11 @@
 """8-bit images of renders, thermal values and errors."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
-from thermosplat.image_display import encode_png, error_bytes, resized, rgb_bytes, side_by_side, thermal_bytes
+from thermosplat.image_display import error_bytes, resized, rgb_bytes, side_by_side, thermal_bytes, write_png
 from thermosplat.radiometry import FLIR_IRON, ThermalScale
 
 
@@ -30,11 +32,11 @@ def test_error_palette_brightens() -> None:
     assert shown[3] == shown[4]
 
 
-def test_png_keeps_rgb_order() -> None:
-    """What is encoded decodes to the same colours in RGB order."""
+def test_png_keeps_rgb_order(tmp_path: Path) -> None:
+    """What is written reads back with the same colours in RGB order."""
     image = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    decoded = cv2.imdecode(np.frombuffer(encode_png(image), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-    np.testing.assert_array_equal(decoded, image)
+    write_png(tmp_path / "new" / "image.png", image)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "new" / "image.png"))[..., ::-1], image)
 
 
 def test_side_by_side_scales_to_the_left_height() -> None:

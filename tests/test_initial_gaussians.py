@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 import torch
-from toy_scene import toy_capture, toy_config
 
 from thermosplat.errors import UserError
 from thermosplat.initial_gaussians import initial_gaussians
+from toy_scene import toy_capture, toy_config
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from thermosplat.datasets.frame_tensors import FrameTensors, frame_tensors
 
 from thermosplat.cameras import Camera
 from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.datasets.capture import Capture, Frame, View
+from thermosplat.datasets.frame_tensors import FrameTensors, frame_tensors
 from thermosplat.model import SceneModel
 from thermosplat.radiometry import FLIR_IRON, ThermalScale
 

@@ -184,7 +184,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         i = int(tile_offsets[tile])
         end = tile_offsets[tile + 1]
         while i < end:
-            alive = 0
+            alive = int(0)
             for p in range(pixels):
                 alive = alive | wp.where(T[p] > zero, 1, 0)
                 if wp.static(dual):
@@ -193,14 +193,14 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                 break
 
             # Candidate of this lane, tested against the warp's whole block.
-            g = 0
+            g = int(0)
             mean = vec2()
             conic = vec3()
             opacity = zero
             opacity_t = zero
             candidates = wp.uint32(0)
             if wp.static(cuda):
-                hit = 0
+                hit = int(0)
                 if i + lane < end:
                     g = gaussian_ids[i + lane]
                     mean = means2d[g]
@@ -220,13 +220,13 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
             while candidates != wp.uint32(0):
                 j = lowest_bit(candidates)
                 candidates = candidates & (candidates - wp.uint32(1))
-                gaussian = 0
+                gaussian = int(0)
                 m = vec2()
                 Q = vec3()
                 o = zero
                 ot = zero
-                row = 0
-                row_end = 1
+                row_first = int(0)
+                row_end = int(1)
                 if wp.static(cuda):
                     gaussian = broadcast_int(g, j)
                     m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
@@ -240,10 +240,10 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                     Q = conics[gaussian]
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
-                    row, row_end = row_range(m, extents[gaussian], y0, rows)
+                    row_first, row_end = row_range(m, extents[gaussian], y0, rows)
                 f = features[gaussian]
                 pair = i + j
-                while row < row_end:
+                for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
                     weight = vecQ()
                     weight_t = vecQ()
@@ -274,7 +274,6 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                         for c in range(D):
                             for q in range(columns):
                                 acc_t[c, offset + q] += weight_t[q] * f[first_thermal + c]
-                    row += 1
             i += batch
 
         for r in range(rows):

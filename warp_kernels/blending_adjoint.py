@@ -144,7 +144,7 @@ def blend_adjoint_kernel(
         last_t = vecPi()
         v_pixel = matCP()
         v_pixel_t = matDP()
-        newest = -1
+        newest = int(-1)
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
@@ -176,7 +176,7 @@ def blend_adjoint_kernel(
         i = int(warp_max(newest))
         while i >= begin:
             # The 32 candidates i - 31 ... i, bit j standing for i - 31 + j.
-            g = 0
+            g = int(0)
             mean = vec2()
             conic = vec3()
             opacity = zero
@@ -184,7 +184,7 @@ def blend_adjoint_kernel(
             candidates = wp.uint32(0)
             oldest = i - (batch - 1)
             if wp.static(cuda):
-                hit = 0
+                hit = int(0)
                 if oldest + lane >= begin:
                     g = gaussian_ids[oldest + lane]
                     mean = means2d[g]
@@ -205,13 +205,13 @@ def blend_adjoint_kernel(
                 j = highest_bit(candidates)
                 candidates = candidates & (~(wp.uint32(1) << wp.uint32(j)))
                 pair = oldest + j
-                gaussian = 0
+                gaussian = int(0)
                 m = vec2()
                 Q = vec3()
                 o = zero
                 ot = zero
-                row = 0
-                row_end = 1
+                row_first = int(0)
+                row_end = int(1)
                 if wp.static(cuda):
                     gaussian = broadcast_int(g, j)
                     m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
@@ -225,7 +225,7 @@ def blend_adjoint_kernel(
                     Q = conics[gaussian]
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
-                    row, row_end = row_range(m, extents[gaussian], y0, rows)
+                    row_first, row_end = row_range(m, extents[gaussian], y0, rows)
                 f = features[gaussian]
                 v_x = zero
                 v_y = zero
@@ -237,8 +237,8 @@ def blend_adjoint_kernel(
                 abs_x = zero
                 abs_y = zero
                 v_f = vecC()
-                hits = 0
-                while row < row_end:
+                hits = int(0)
+                for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
                     # f · dL/dcolour of every pixel of the row
                     dot = vecQ()
@@ -308,7 +308,6 @@ def blend_adjoint_kernel(
                             for q in range(columns):
                                 total = add(total, weight_t[q] * v_pixel_t[c, offset + q])
                             v_f[first_thermal + c] += total
-                    row += 1
                 if warp_any(hits) != 0:
                     G = record()
                     G[0] = v_x

@@ -100,7 +100,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
             s = scales[gaussian]
         back = wp.transpose(rotation)
 
-        seen = False
+        seen = bool(False)
         g_mean = vec3()
         g_scale = vec3()
         g_rotation = mat33()

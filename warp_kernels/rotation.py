@@ -57,7 +57,7 @@ def rotation_functions(dtype: type):
 
     @wp.func
     def matrix_adjoint(q: vec4, v: mat33):
-        """Gradient to the *unnormalised* quaternion behind the unit quaternion q, for the matrix gradient v; times |q|."""
+        """Gradient to the quaternion before its normalisation to q, times its length, for the matrix gradient v."""
         w, x, y, z = q[0], q[1], q[2], q[3]
         g = vec4(
             two * (x * (v[2, 1] - v[1, 2]) + y * (v[0, 2] - v[2, 0]) + z * (v[1, 0] - v[0, 1])),

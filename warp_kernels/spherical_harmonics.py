@@ -29,7 +29,7 @@ def basis_functions(dtype: type):
         -> gradient to d for the gradient v to the values.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
-    one, two, three, four, eight = (dtype(x) for x in (1.0, 2.0, 3.0, 4.0, 8.0))
+    one, two, three = (dtype(x) for x in (1.0, 2.0, 3.0))
     c0, c1 = dtype(C0), dtype(C1)
     c20, c21, c22 = (dtype(x) for x in C2)
     c30, c31, c32, c33, c34 = (dtype(x) for x in C3)

@@ -122,9 +122,9 @@ def binning_kernels(dtype: type):
         order: wp.array(dtype=wp.int32),
     ):
         index = wp.tid() + first
-        count = 0
+        count = int(0)
         if radii[index][0] > 0:
-            finite = True
+            finite = bool(True)
             for c in range(features.shape[1]):
                 if not wp.isfinite(features[index, c]):
                     finite = False
@@ -225,7 +225,7 @@ def tile_ranges_kernel(
             gaussian_ids[k] = owners[values[k]]
         else:
             gaussian_ids[k] = values[k]
-    previous = -1
+    previous = int(-1)
     if k > 0:
         previous = keys[k - 1]
     while previous < tile:

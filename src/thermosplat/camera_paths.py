@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from thermosplat.errors import UserError
 
-Matrices = NDArray[np.float64]
+Matrices = NDArray[np.floating]
 
 SPIRAL_TURNS = 2  # as in LLFF's spiral, which this path follows in spirit
 
@@ -16,7 +16,7 @@ SPIRAL_TURNS = 2  # as in LLFF's spiral, which this path follows in spirit
 def interpolated_path(viewmats: Matrices, num_frames: int) -> Matrices:
     """A smooth path through the given poses in their order, at constant speed along its length.
 
-    Centres follow a Catmull-Rom spline; viewing and up directions follow the same spline and are made orthonormal again.
+    Centres follow a Catmull-Rom spline; so do viewing and up directions, which are made orthonormal again.
 
     Args:
         viewmats: Poses to pass through, shape [V, 4, 4], V >= 2.
@@ -95,7 +95,8 @@ def look_to(centre: Matrices, forward: Matrices, up: Matrices) -> Matrices:
     Args:
         centre: Camera centre [world units], shape [3].
         forward: Viewing direction of any length, shape [3].
-        up: Direction that points upwards in the image, shape [3]; where it is parallel to ``forward``, any other is taken.
+        up: Direction that points upwards in the image, shape [3]; another one is taken where it is parallel to
+            ``forward``.
 
     Returns:
         Shape [4, 4].

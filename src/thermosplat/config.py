@@ -20,7 +20,7 @@ class ThermalConfig:
     """Unit of radiometric images; "auto" reads the capture's own statement (units.json) or judges by the values.
     "counts" trains on raw sensor values, without degrees."""
     range_celsius: tuple[float, float] | None = None
-    """Temperatures [°C] that the palette's ends, or the normalised values 0 and 1, stand for. None: from the capture."""
+    """Temperatures [°C] that the palette's ends, or normalised values 0 and 1, stand for. None: from the capture."""
     palette: str | None = None
     """File with the palette of pseudo-coloured images (JSON {"lut": [[r, g, b], ...]} or CSV of r,g,b rows, 0-255).
     None: the capture's ironbow_lut.json, else FLIR Iron."""
@@ -33,7 +33,7 @@ class DecoderConfig:
     """The pixel-wise networks between rendered features and images (ThermoSplat, section on feature modulation)."""
 
     hidden_dim: int = 64
-    """Width of the shared encoder and of the thermal prior head. Open choice: MS-Splatting uses 16 to 32, FeatSplat 64."""
+    """Width of the shared encoder and of the thermal prior head. Open choice: MS-Splatting 16 to 32, FeatSplat 64."""
     hidden_layers: int = 2
     """Layers of the shared encoder, each followed by SiLU. Open choice ("multiple pixel-wise linear layers")."""
     modulation: bool = True
@@ -56,7 +56,7 @@ class ModelConfig:
     thermal: bool = True
     """Model the thermal images."""
     feature_dim: int = 8
-    """Latent channels d per Gaussian, decoded per pixel. 0: no features, each spectrum is rendered from its SH colour."""
+    """Latent channels d per Gaussian, decoded per pixel. 0: none, each spectrum is rendered from its SH colour."""
     geometric_decoupling: bool = True
     """Thermal opacity of its own, sigmoid(logit α + Δ). Off: α_t = α (ablation "w/o geometric decoupling")."""
     rasterize_mode: Literal["classic", "antialiased"] = "classic"

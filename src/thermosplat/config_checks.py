@@ -98,7 +98,7 @@ def _check_model(config: TrainConfig, name: Any) -> None:
         )
     if model.gaussian_sets == "shared" and not model.feature_dim and model.thermal:
         raise UserError(
-            f"A shared set of Gaussians renders thermal images from its features, but {name('model.feature_dim')} is 0.",
+            f"Shared Gaussians render thermal images from their features, but {name('model.feature_dim')} is 0.",
             "Set it to 8, or train each spectrum alone with --config 3dgs.",
         )
 

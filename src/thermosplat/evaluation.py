@@ -2,8 +2,8 @@
 
 import csv
 import math
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,9 +13,9 @@ from torch import Tensor
 
 from thermosplat.checkpoint import write_atomically
 from thermosplat.comparison_strips import Comparison, comparison_strip
-from thermosplat.datasets.capture import Capture
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, frame_tensors
-from thermosplat.image_display import encode_png, rgb_bytes, thermal_bytes
+from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.datasets.frame_tensors import ViewTensors, frame_tensors
+from thermosplat.image_display import rgb_bytes, thermal_bytes, write_png
 from thermosplat.metrics import mae_celsius, psnr, ssim, thermal_intensity
 from thermosplat.model import SceneModel
 from thermosplat.radiometry import ThermalScale
@@ -47,33 +47,25 @@ def evaluate(
         sh_degree: Highest SH degree in use.
         device: Where the model is.
         lpips: LPIPS of two images [H, W, 3] in [0, 1]; None leaves the LPIPS numbers null.
-        strips_dir: Existing folder for one PNG a frame: ground truth, render and error of its modalities.
+        strips_dir: Folder for one PNG a frame: ground truth, render and error of its modalities.
         csv_path: File for the numbers of every view.
 
     Returns:
-        ``{"rgb": {"psnr", "ssim", "lpips"} | None, "thermal": {the same, "mae_celsius"} | None, "num_gaussians"}``: PSNR
-        [dB], mean absolute error [°C], each the mean over the views that have it, None where none has. A modality
-        without held-out views, or not modelled, is None as a whole.
+        ``{"rgb": {"psnr", "ssim", "lpips"} | None, "thermal": {the same, "mae_celsius"} | None, "num_gaussians"}``,
+        with PSNR in dB and the mean absolute error in °C, each the mean over the views that have it, None where none
+        has. A modality without held-out views, or not modelled, is None as a whole.
     """
     scale = capture.thermal_scale
     rows: list[dict[str, Any]] = []
     for frame in capture.test:
-        tensors = frame_tensors(frame, scale, device)
-        rendered = model.render(tensors.rgb, tensors.thermal, sh_degree=sh_degree)
-        images: dict[Modality, Tensor | None] = {"rgb": rendered.rgb, "thermal": rendered.thermal}
         comparisons = []
-        for modality, image in images.items():
-            view = _view(tensors, modality)
-            if image is None or view is None or view.image is None:
-                continue
-            image = image.clamp(0.0, 1.0)
-            numbers = _numbers(modality, image, view.image, view, scale, lpips)
-            rows.append({"frame": frame.name, "modality": modality, **numbers})
+        for result in _results(model, frame, scale, sh_degree, device):
+            numbers = _numbers(result, lpips)
+            rows.append({"frame": frame.name, "modality": result.modality, **numbers})
             if strips_dir is not None:
-                comparisons.append(_comparison(modality, image, view.image, view, scale, numbers["psnr"]))
+                comparisons.append(_comparison(result, numbers["psnr"]))
         if strips_dir is not None and comparisons:
-            png = encode_png(comparison_strip(comparisons))
-            write_atomically(strips_dir / f"{_file_stem(frame.name)}.png", partial(Path.write_bytes, data=png))
+            write_png(strips_dir / f"{_file_stem(frame.name)}.png", comparison_strip(comparisons))
     if csv_path is not None:
         _write_csv(csv_path, rows)
     return {
@@ -83,28 +75,45 @@ def evaluate(
     }
 
 
-def _view(tensors: FrameTensors, modality: Modality) -> ViewTensors | None:
-    return tensors.rgb if modality == "rgb" else tensors.thermal
+@dataclass(frozen=True, eq=False)
+class _Result:
+    """One modality of one frame: its render, clamped to [0, 1], and what it should have been."""
+
+    modality: Modality
+    image: Tensor
+    target: Tensor
+    scale: ThermalScale | None  # thermal only
+    celsius: Tensor | None  # thermal only, where there are degrees
 
 
-def _numbers(
-    modality: Modality,
-    image: Tensor,
-    target: Tensor,
-    view: ViewTensors,
-    scale: ThermalScale | None,
-    lpips: Lpips | None,
-) -> dict[str, float | None]:
+def _results(
+    model: SceneModel, frame: Frame, scale: ThermalScale | None, sh_degree: int, device: torch.device | str
+) -> Iterator[_Result]:
+    """Render a frame; yields its modalities that are both modelled and photographed."""
+    tensors = frame_tensors(frame, scale, device)
+    rendered = model.render(tensors.rgb, tensors.thermal, sh_degree=sh_degree)
+    views: tuple[tuple[Modality, Tensor | None, ViewTensors | None], ...] = (
+        ("rgb", rendered.rgb, tensors.rgb),
+        ("thermal", rendered.thermal, tensors.thermal),
+    )
+    for modality, image, view in views:
+        if image is not None and view is not None and view.image is not None:
+            thermal_scale = scale if modality == "thermal" else None
+            has_degrees = thermal_scale is not None and thermal_scale.range_celsius is not None
+            yield _Result(modality, image.clamp(0, 1), view.image, thermal_scale, view.celsius if has_degrees else None)
+
+
+def _numbers(result: _Result, lpips: Lpips | None) -> dict[str, float | None]:
     numbers: dict[str, float | None] = {
-        "psnr": psnr(image, target),
-        "ssim": ssim(image, target),
-        "lpips": None if lpips is None else lpips(image, target),
+        "psnr": psnr(result.image, result.target),
+        "ssim": ssim(result.image, result.target),
+        "lpips": None if lpips is None else lpips(result.image, result.target),
     }
-    if modality == "thermal":
-        has_degrees = view.celsius is not None and scale is not None
-        numbers["mae_celsius"] = (
-            mae_celsius(thermal_intensity(image, scale), view.celsius, scale) if has_degrees else None
-        )
+    if result.scale is not None:
+        numbers["mae_celsius"] = None
+        if result.celsius is not None:
+            intensity = thermal_intensity(result.image, result.scale)
+            numbers["mae_celsius"] = mae_celsius(intensity, result.celsius, result.scale)
     return {name: _finite(number) for name, number in numbers.items()}
 
 
@@ -113,25 +122,18 @@ def _finite(number: float | None) -> float | None:
     return number if number is not None and math.isfinite(number) else None
 
 
-def _comparison(
-    modality: Modality,
-    image: Tensor,
-    target: Tensor,
-    view: ViewTensors,
-    scale: ThermalScale | None,
-    decibels: float | None,
-) -> Comparison:
-    render, truth = image.cpu().numpy(), target.cpu().numpy()
+def _comparison(result: _Result, decibels: float | None) -> Comparison:
+    render, truth = result.image.cpu().numpy(), result.target.cpu().numpy()
     score = "exact" if decibels is None else f"{decibels:.2f} dB"
     error = np.abs(render - truth).mean(axis=-1)
-    if modality == "rgb" or scale is None:
+    if result.scale is None:
         return Comparison("RGB", score, rgb_bytes(truth), rgb_bytes(render), error, LARGEST_ERROR)
-    shown = thermal_bytes(truth, scale), thermal_bytes(render, scale)
-    if view.celsius is None or scale.range_celsius is None:
+    shown = thermal_bytes(truth, result.scale), thermal_bytes(render, result.scale)
+    if result.celsius is None or result.scale.range_celsius is None:
         return Comparison("thermal", score, *shown, error, LARGEST_ERROR)
-    low, high = scale.range_celsius
-    celsius = scale.celsius(thermal_intensity(image, scale).numpy())
-    degrees = np.nan_to_num(np.abs(celsius - view.celsius.cpu().numpy()))  # unmeasured pixels show as no error
+    low, high = result.scale.range_celsius
+    celsius = result.scale.celsius(thermal_intensity(result.image, result.scale).numpy())
+    degrees = np.nan_to_num(np.abs(celsius - result.celsius.cpu().numpy()))  # unmeasured pixels show as no error
     return Comparison("thermal", score, *shown, degrees, LARGEST_ERROR_CELSIUS * (high - low), unit="C")
 
 

@@ -1,12 +1,15 @@
 """Images as people look at them: 8-bit colours of RGB, thermal and error images.
 
-Convention: all images are numpy [H, W, C]; 8-bit images are in RGB order (OpenCV's writers want BGR: `encode_png`).
+Convention: all images are numpy [H, W, C]; 8-bit images are in RGB order (OpenCV's own writers want BGR).
 """
+
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.checkpoint import write_atomically
 from thermosplat.radiometry import ThermalScale
 
 Image8 = NDArray[np.uint8]
@@ -44,13 +47,19 @@ def error_bytes(error: NDArray[np.floating], largest: float) -> Image8:
     return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_INFERNO)[..., ::-1])
 
 
-def encode_png(image: Image8) -> bytes:
-    """An 8-bit RGB image as a PNG file's content.
+def write_png(path: Path, image: Image8) -> None:
+    """Write an 8-bit RGB image as PNG; the file appears at once and whole.
 
     Args:
+        path: The file; its folder is made where there is none.
         image: Shape [H, W, 3].
     """
-    return cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+    content = cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(content)
+
+    write_atomically(path, write)
 
 
 def side_by_side(left: Image8, right: Image8) -> Image8:

@@ -140,16 +140,12 @@ class SceneModel(nn.Module):
         """
         gaussians = self.gaussians("shared")
         opacities = gaussians.opacities
-        if with_thermal:
-            thermal_opacities = gaussians.thermal_opacities
-        else:
-            thermal_opacities = opacities.detach()
         output = rasterization_rgbt(
             gaussians.means,
             gaussians.quats,
             gaussians.scales,
             opacities,
-            thermal_opacities,
+            gaussians.thermal_opacities if with_thermal else opacities.detach(),
             gaussians.sh_coeffs,
             gaussians.features,
             view.viewmat[None],

@@ -65,7 +65,8 @@ class RasterizationInfo(dict[str, Any]):
 
     def get(self, key: str, default: Any = None) -> Any:
         """As ``dict.get``."""
-        return self[key] if key in self else default
+        value = self[key] if key in self.keys() else default
+        return value
 
     def items(self) -> Any:
         """As ``dict.items``, with every value computed."""
@@ -101,10 +102,10 @@ class _Projected:
         self.viewmats = viewmats.reshape(-1, 4, 4)
         if covars is not None:
             upper = covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].reshape(-1, 6).contiguous()
-            quats, scales = means.new_empty(0, 4), means.new_empty(0, 3)
         else:
             upper = None
-        assert quats is not None and scales is not None  # noqa: S101  (check_scene saw to it; for the type checker)
+        if covars is not None or quats is None or scales is None:
+            quats, scales = means.new_empty(0, 4), means.new_empty(0, 3)
         bound = opacities.detach().reshape(-1).contiguous()
         thermal_bound = bound if thermal_opacities is None else thermal_opacities.detach().reshape(-1).contiguous()
         means2d, self.depths, conics, compensations, self.radii, self.extents = Project.apply(
@@ -164,8 +165,9 @@ class _Projected:
 
         Returns images [..., C, H, W, channels] and transmittances [..., C, H, W, 1], alternating, a pair an opacity.
         """
-        opacities = self.thermal_opacities if thermal_opacity else self.opacities
-        assert opacities is not None  # noqa: S101  (for the type checker)
+        opacities = self.opacities
+        if thermal_opacity and self.thermal_opacities is not None:
+            opacities = self.thermal_opacities
         inputs = BlendInputs(*self._bin(features), self.settings, thermal_channels, absgrad, [self.means2d])
         results = Blend.apply(
             self.means2d.reshape(-1, 2),

@@ -4,7 +4,6 @@ import importlib.util
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Literal
@@ -12,8 +11,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from thermosplat.checkpoint import write_atomically
-from thermosplat.image_display import Image8, encode_png, resized
+from thermosplat.image_display import Image8, resized, write_png
 
 VideoFormat = Literal["mp4", "png"]
 
@@ -45,7 +43,7 @@ def write_images(images: Iterable[Image8], target: Path, *, format: VideoFormat,
             pass  # nothing was consumed
     target.mkdir(exist_ok=True)
     for index, image in enumerate(images):
-        write_atomically(target / f"{index:05d}.png", partial(Path.write_bytes, data=encode_png(image)))
+        write_png(target / f"{index:05d}.png", image)
     return target
 
 
@@ -68,14 +66,14 @@ def _write_video(images: Iterator[Image8], path: Path, shape: tuple[int, ...], f
     return path
 
 
-def _encoder(path: Path, width: int, height: int, fps: int) -> AbstractContextManager[Callable[[Image8], None]]:
+def _encoder(path: Path, width: int, height: int, fps: int) -> AbstractContextManager[Callable[[Image8], object]]:
     open_encoder = _h264 if importlib.util.find_spec("imageio_ffmpeg") else _mpeg4
     return open_encoder(path, width, height, fps)
 
 
 @contextmanager
-def _h264(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], None]]:
-    import imageio_ffmpeg
+def _h264(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], object]]:
+    import imageio_ffmpeg  # type: ignore[import-untyped]
 
     writer = imageio_ffmpeg.write_frames(
         str(path), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
@@ -88,7 +86,7 @@ def _h264(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[I
 
 
 @contextmanager
-def _mpeg4(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], None]]:
+def _mpeg4(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], object]]:
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
     if not writer.isOpened():
         raise NoEncoderError

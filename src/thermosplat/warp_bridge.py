@@ -41,8 +41,10 @@ def wrap(tensor: Tensor, dtype: Any) -> wp.array:
         The array; it shares memory and does not own it.
     """
     tensor = tensor.detach()
-    if tensor.shape and tensor.shape[0] == 1:
-        # Torch calls any stride of a dimension of size 1 contiguous; Warp compares strides.
+    # Torch calls any stride of a dimension of size 1, or of an empty tensor, contiguous; Warp compares strides.
+    if tensor.numel() == 0:
+        tensor = tensor.new_empty(tensor.shape)
+    elif tensor.shape[0] == 1:
         tensor = tensor.view(-1).view(tensor.shape)
     return wp.from_torch(tensor, dtype=dtype, requires_grad=False)
 
@@ -136,7 +138,6 @@ class Project(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, viewmats, Ks = ctx.saved_tensors[:6]
-        scalar = SCALARS[means.dtype]
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
         v_means, v_quats, v_scales = (torch.zeros_like(t) for t in (means, quats, scales))
         v_covars = _zeros(covars, True) if covars is not None else None

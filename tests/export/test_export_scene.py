@@ -41,7 +41,7 @@ def test_decoded_rgb_alone_replaces_the_sh_color() -> None:
 
 @pytest.mark.parametrize("kind", ["color", "scalar"])
 def test_thermal_is_decoded_at_the_thermal_opacity(kind: str) -> None:
-    """Thermal colours are decoded features, a scalar through the palette; the opacity is α_t, even where it saturates."""
+    """Thermal colours are decoded features, a scalar through the palette; the opacity is α_t, even if it saturates."""
     capture = toy_capture(thermal_kind=kind)
     model = toy_model(toy_config(), capture)
     gaussians = model.gaussians("shared")

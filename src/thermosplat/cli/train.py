@@ -5,6 +5,7 @@ thermosplat-train data/shed               a capture of one's own
 thermosplat-train --resume results/shed   go on after an interruption
 """
 
+import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +41,7 @@ def _train(argv: list[str]) -> int:
     try:
         trainer.train()
     except TrainingInterrupted as stop:
-        print(f"Stopped at step {trainer.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}")
+        print(f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}")
         return INTERRUPTED
     _say_where(trainer)
     return 0
@@ -54,7 +55,7 @@ def _new_trainer(config: "TrainConfig") -> "Trainer":
     capture = load_capture(
         config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
     )
-    folder = config.result_dir or str(Path("results") / capture.name / config.config)
+    folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
     data = config.data if config.data == "sample" else str(Path(config.data).resolve())  # holds from any directory
     trainer = Trainer(replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder))
     # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
@@ -83,4 +84,4 @@ def _say_where(trainer: "Trainer") -> None:
     print(f"  {'renders/':<14} {pictures} held-out frames: ground truth | render | error")
     for ply in sorted(run.ply.glob("*.ply")):
         print(f"  ply/{ply.name:<18} opens in third-party splat viewers")
-    print(f"  {run.checkpoint(trainer.step).relative_to(run.path)}: thermosplat-render {run.path} makes a video of it")
+    print(f"A video of it: thermosplat-render {shlex.quote(str(run.path))}")

@@ -15,8 +15,11 @@ SAMPLE = "sample"
 """Name by which `load_capture` finds the small capture that comes with the package."""
 
 
+_DEFAULT_THERMAL = ThermalConfig()
+
+
 def load_capture(
-    data: str | Path, *, data_factor: int = 1, test_every: int = 8, thermal: ThermalConfig = ThermalConfig()
+    data: str | Path, *, data_factor: int = 1, test_every: int = 8, thermal: ThermalConfig = _DEFAULT_THERMAL
 ) -> Capture:
     """Read a capture, whatever its layout (docs/data-layouts.md).
 

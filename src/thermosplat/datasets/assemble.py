@@ -10,21 +10,20 @@ from numpy.typing import NDArray
 from thermosplat.cameras import Camera
 from thermosplat.config import ThermalConfig
 from thermosplat.datasets.capture import Capture, Frame, Modality, View
+from thermosplat.datasets.capture_palette import choose_palette
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.image_files import read_images, resize
 from thermosplat.datasets.lens import rectification, shrunk
 from thermosplat.datasets.msx import msx_note
-from thermosplat.datasets.splits import divide, test_mask
+from thermosplat.datasets.splits import divide, hold_out_mask
 from thermosplat.datasets.temperature_units import RadiometricStatement, read_statement
 from thermosplat.datasets.thermal_images import ThermalFile, ThermalReading, interpret, is_radiometric
 from thermosplat.errors import UserError
-from thermosplat.radiometry import FLIR_IRON, Palette, load_palette
-
-CAPTURE_PALETTE = "ironbow_lut.json"
-"""File in a capture's folder with its own palette."""
 
 
-def assemble(root: Path, name: str, listing: Listing, *, data_factor: int, test_every: int, thermal: ThermalConfig) -> Capture:
+def assemble(
+    root: Path, name: str, listing: Listing, *, data_factor: int, test_every: int, thermal: ThermalConfig
+) -> Capture:
     """Read all images of a listing.
 
     Args:
@@ -43,7 +42,7 @@ def assemble(root: Path, name: str, listing: Listing, *, data_factor: int, test_
     frames = sorted(listing.frames, key=lambda frame: frame.name)
     if not frames:
         raise UserError(f"No image of {root} has a camera in its model.", "Are images and model of the same capture?")
-    mask = test_mask(frames, test_every)
+    mask = hold_out_mask(frames, test_every)
     rgb_images = _read_each([frame.rgb for frame in frames])
     thermal_files = _read_thermal(frames)
     reading = _interpret(root, thermal_files, listing, thermal)
@@ -66,9 +65,7 @@ def assemble(root: Path, name: str, listing: Listing, *, data_factor: int, test_
         [(image, file.display) for image, file in zip(rgb_images, thermal_files, strict=True) if file is not None]
     )
     scale = None if reading is None else reading.scale
-    return Capture(
-        name, root, listing.layout, train, test, listing.points, listing.point_colors, scale, tuple(notes)
-    )
+    return Capture(name, root, listing.layout, train, test, listing.points, listing.point_colors, scale, tuple(notes))
 
 
 def _read_each(shots: Sequence[Shot | None]) -> list[NDArray[Any] | None]:
@@ -95,8 +92,13 @@ def _read_thermal(frames: Sequence[FrameFiles]) -> list[ThermalFile | None]:
             raise UserError(
                 f"{raw_path} is an 8-bit image; radiometric values are 16-bit or floating-point with one channel."
             )
-        display: NDArray[np.uint8] | None = None if is_radiometric(image) else _as_8bit(frame.thermal.path, image)
-        files.append(ThermalFile(frame.thermal.path, display, image if beside is None and display is None else beside))
+        path = frame.thermal.path
+        if is_radiometric(image):
+            files.append(
+                ThermalFile(path, None, image, path) if beside is None else ThermalFile(path, None, beside, raw_path)
+            )
+        else:
+            files.append(ThermalFile(path, _as_8bit(path, image), beside, raw_path))
     return files
 
 
@@ -112,18 +114,10 @@ def _interpret(
         if (root / folder / "units.json").is_file():
             statement = read_statement(root / folder / "units.json")
             break
-    reading = interpret(
-        present, config, palette=_palette(root, config), statement=statement, grey_range=listing.celsius_range
-    )
+    palette = choose_palette(root, config, [file.path for file in present])
+    reading = interpret(present, config, palette=palette, statement=statement, grey_range=listing.celsius_range)
     pixels = iter(reading.pixels)
     return ThermalReading(reading.scale, tuple(None if file is None else next(pixels) for file in files), reading.notes)
-
-
-def _palette(root: Path, config: ThermalConfig) -> Palette:
-    if config.palette is not None:
-        return load_palette(config.palette)
-    own = root / CAPTURE_PALETTE
-    return load_palette(own) if own.is_file() else FLIR_IRON
 
 
 def _check_size(shot: Shot, image: NDArray[Any], root: Path) -> None:
@@ -179,12 +173,16 @@ def _view(
 
 def _as_8bit(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype != np.uint8:
-        raise UserError(f"{path} has {image.dtype} colour; 8-bit colour or one-channel radiometric images are expected.")
+        raise UserError(
+            f"{path} has {image.dtype} colour; 8-bit colour or one-channel radiometric images are expected."
+        )
     return image
 
 
 def _as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
-    image = image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image
+    """8-bit RGB of an RGB file: 16 bits are reduced, grey is repeated."""
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
     image = _as_8bit(path, image)
     return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=-1)
 

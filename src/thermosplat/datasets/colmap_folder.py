@@ -21,6 +21,4 @@ def list_colmap_folder(root: Path, model: ColmapModel) -> Listing:
     frames, notes = frames_with_borrowed_cameras(
         root / "images", root / "thermal", root / "thermal_raw", StemIndex(model.images)
     )
-    return Listing(
-        "colmap", tuple(frames), model.points, model.point_colors, registered=False, notes=tuple(notes)
-    )
+    return Listing("colmap", tuple(frames), model.points, model.point_colors, registered=False, notes=tuple(notes))

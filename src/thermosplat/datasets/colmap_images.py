@@ -20,6 +20,11 @@ def stem_key(name: PurePosixPath) -> str:
     return "/".join([*folders, name.stem])
 
 
+def frame_name(key: str) -> str:
+    """A frame's name from its `stem_key`: without folders, since output files are named after it."""
+    return key.replace("/", "_")
+
+
 class StemIndex:
     """Look-up of images by `stem_key`, or by bare file stem where that is unambiguous.
 
@@ -71,7 +76,8 @@ def frames_with_borrowed_cameras(
     without_pose: list[Path] = []
     used: set[str] = set()
     for key in sorted(rgb.keys() | thermal.keys()):
-        path, split = rgb.get(key) or thermal[key]
+        path = (rgb.get(key) or thermal[key])[0]
+        split = next((files[key][1] for files in (rgb, thermal) if key in files and files[key][1]), None)
         image = index.find(PurePosixPath(key))
         if image is None:
             without_pose.append(path)
@@ -82,7 +88,7 @@ def frames_with_borrowed_cameras(
             values = raw[key][0] if key in raw else None
             heat = Shot(thermal[key][0], image.lens, image.viewmat, values)
         seen = Shot(rgb[key][0], image.lens, image.viewmat) if key in rgb else None
-        frames.append(FrameFiles(key, seen, heat, split))
+        frames.append(FrameFiles(frame_name(key), seen, heat, split))
     return frames, registration_notes(without_pose, len(index) - len(used))
 
 

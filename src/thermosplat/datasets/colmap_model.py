@@ -15,8 +15,8 @@ MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse")
 """Where a model is looked for; RGBT-Scenes is downloaded with the second and documented with the first."""
 THERMAL_FOLDERS = frozenset({"thermal", "ir", "tir", "lwir", "infrared"})
 """A registered image below a folder of this name (any case) is a thermal one."""
-_RECORD_BYTES = {"cameras.bin": 48, "images.bin": 73, "frames.bin": 84, "points3D.bin": 59}
-"""Least size of a record of COLMAP's binary files (a camera of 3 parameters, an image without observations, ...)."""
+_RECORD_BYTES = {"cameras.bin": 48, "images.bin": 73, "frames.bin": 84, "points3D.bin": 51}
+"""Least size of a record of COLMAP's binary files: a camera of 3 parameters, a point without observations."""
 _MIN_POINTS = 4
 _MIN_REGISTERED_SHARE = 0.1
 
@@ -72,7 +72,9 @@ def read_model(folder: Path) -> ColmapModel:
     try:
         model = pycolmap.Reconstruction(folder)
     except (ValueError, IndexError, RuntimeError, OSError) as error:
-        raise UserError(f"The COLMAP model in {folder} is incomplete or damaged ({_last_words(error)}).", hint) from error
+        raise UserError(
+            f"The COLMAP model in {folder} is incomplete or damaged ({_last_words(error)}).", hint
+        ) from error
     lenses = {camera_id: Lens.from_colmap(camera) for camera_id, camera in model.cameras.items()}
     images = [
         RegisteredImage(
@@ -154,4 +156,4 @@ def _check_sizes(folder: Path, hint: str) -> None:
 
 def _last_words(error: Exception) -> str:
     """The part of a pycolmap message that says what is wrong, without source file and line."""
-    return str(error).rpartition("] ")[2].strip().splitlines()[0].rstrip(".")
+    return " ".join(str(error).rpartition("] ")[2].split()).rstrip(".") or type(error).__name__

@@ -8,9 +8,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
-from thermosplat.datasets.colmap_images import SPLIT_FOLDERS, files_by_key, registration_notes, stem_key
+from thermosplat.datasets.colmap_images import SPLIT_FOLDERS, files_by_key, frame_name, registration_notes, stem_key
 from thermosplat.datasets.colmap_model import ColmapModel, RegisteredImage
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot, Split
+from thermosplat.datasets.image_files import list_images
 
 
 def has_thermal_cameras(model: ColmapModel) -> bool:
@@ -27,6 +28,7 @@ def list_colmap_rig(root: Path, model: ColmapModel) -> Listing:
     """
     raw = files_by_key(root / "thermal_raw")
     frames: list[FrameFiles] = []
+    used: set[Path] = set()
     without_file = 0
     for exposure in _exposures(model.images):
         shots: dict[bool, Shot] = {}
@@ -41,15 +43,20 @@ def list_colmap_rig(root: Path, model: ColmapModel) -> Listing:
             shots[image.thermal] = Shot(path, image.lens, image.viewmat, None if values is None else values[0])
             names[image.thermal] = stem_key(image.name)
             split = split or next((s for s in SPLIT_FOLDERS if s in path.parent.parts[len(root.parts) :]), None)
+        used.update(shot.path for shot in shots.values())
         if shots:
             name = names.get(False) or names[True]
-            frames.append(FrameFiles(name, shots.get(False), shots.get(True), split, thermal_has_camera=True))
+            frames.append(
+                FrameFiles(frame_name(name), shots.get(False), shots.get(True), split, thermal_has_camera=True)
+            )
+    folders = (root / "images", root / "rgb", root / "thermal")
+    unregistered = [path for folder in folders for path in list_images(folder, recursive=True) if path not in used]
     return Listing(
         "colmap-rig",
         tuple(frames),
         model.points,
         model.point_colors,
-        notes=tuple(registration_notes([], without_file)),
+        notes=tuple(registration_notes(unregistered, without_file)),
     )
 
 

@@ -13,7 +13,9 @@ from thermosplat.errors import UserError
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
 
-cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_FATAL)  # unreadable files are reported by read_image, not by OpenCV on the side
+cv2.utils.logging.setLogLevel(
+    cv2.utils.logging.LOG_LEVEL_FATAL
+)  # unreadable files are reported by read_image, not by OpenCV on the side
 
 
 def list_images(folder: Path, *, recursive: bool = False) -> list[Path]:
@@ -28,7 +30,7 @@ def read_image(path: Path) -> NDArray[Any]:
     """Pixels as the file stores them; EXIF orientation is ignored, as COLMAP ignores it.
 
     Returns:
-        [H, W] for one channel, [H, W, 3] RGB for colour (an alpha channel is dropped); uint8, uint16, float32 or float64.
+        [H, W] for one channel, [H, W, 3] RGB for colour (alpha is dropped); uint8, uint16, float32 or float64.
 
     Raises:
         UserError: The file is missing, damaged or no image.
@@ -65,7 +67,8 @@ def resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
 def _decode(path: Path, data: NDArray[np.uint8]) -> NDArray[Any] | None:
     """The decoded image as OpenCV gives it (BGR), or None.
 
-    A JPEG or PNG that was cut off decodes to a half-grey picture without an error in some versions, so its end mark is looked for first.
+    Some versions of OpenCV decode a JPEG or PNG that was cut off to a half-grey picture without an error, so its end
+    mark is looked for first.
     """
     content = data.tobytes()
     if content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content:

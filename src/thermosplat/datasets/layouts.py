@@ -23,9 +23,9 @@ IMAGE_FOLDERS = ("rgb", "images", "thermal", "thermal_raw")
 def list_capture(root: Path) -> Listing:
     """Tell the layout of a folder and list its files.
 
-    rgb/ with a COLMAP model is RGBT-Scenes; a transforms file is ThermoScenes or nerfstudio, even if a model lies beside
-    it (ThermoScenes ships one of the unprocessed images); images/ or thermal/ with a model is a COLMAP project. A model
-    that has thermal images of its own is a rig, whatever the folders.
+    rgb/ with a COLMAP model is RGBT-Scenes; a transforms file is ThermoScenes or nerfstudio, even if a model lies
+    beside it (ThermoScenes ships one of the unprocessed images); images/ or thermal/ with a model is a COLMAP project.
+    A model that has thermal images of its own is a rig, whatever the folders.
 
     Raises:
         UserError: No layout fits.
@@ -41,7 +41,7 @@ def list_capture(root: Path) -> Listing:
         raise missing_model(root)
     model = read_model(model_folder)
     rig = has_thermal_cameras(model)
-    folders = present if rig else present[:1]
+    folders = [folder for folder in present if folder != "thermal_raw"] if rig else present[:1]
     check_reconstruction(model, sum(len(list_images(root / folder, recursive=True)) for folder in folders), root)
     if rig:
         return list_colmap_rig(root, model)
@@ -49,9 +49,7 @@ def list_capture(root: Path) -> Listing:
 
 
 def _unknown_layout(root: Path) -> UserError:
-    found = ", ".join(
-        describe_folder(path) if path.is_dir() else path.name for path in sorted(root.iterdir())[:12]
-    )
+    found = ", ".join(describe_folder(path) if path.is_dir() else path.name for path in sorted(root.iterdir())[:12])
     return UserError(
         f"{root} is no capture of a known layout. Looked for rgb/ and thermal/, images/ and thermal/, and "
         f"transforms_thermal.json or transforms.json. Found: {found or 'nothing'}.",

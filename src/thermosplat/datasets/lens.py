@@ -1,7 +1,7 @@
 """Calibrated cameras as the data states them, and how their images become pinhole images.
 
-PINHOLE and SIMPLE_PINHOLE cameras are used as they are. Any other COLMAP model (nerfstudio's OPENCV included) is replaced
-by the pinhole camera that COLMAP's own undistorter would choose, and its images are resampled to it.
+PINHOLE and SIMPLE_PINHOLE cameras are used as they are. Any other COLMAP model (nerfstudio's OPENCV included) is
+replaced by the pinhole camera that COLMAP's own undistorter would choose, and its images are resampled to it.
 """
 
 import functools
@@ -87,12 +87,9 @@ def rectification(lens: Lens, width: int, height: int) -> Rectification:
     """
     source = lens.colmap_camera()
     if not lens.distorted:
-        matrix = source.calibration_matrix()
-        fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        return Rectification(Camera(fx, fy, cx, cy, lens.width, lens.height).resized(width, height), None)
+        return Rectification(_pinhole(source).resized(width, height), None)
     ideal = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
-    matrix = ideal.calibration_matrix()
-    camera = Camera(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], ideal.width, ideal.height)
+    camera = _pinhole(ideal)
     scale = np.array([width / lens.width, height / lens.height])
     camera = camera.resized(max(1, round(ideal.width * scale[0])), max(1, round(ideal.height * scale[1])))
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
@@ -104,3 +101,10 @@ def rectification(lens: Lens, width: int, height: int) -> Rectification:
 def shrunk(camera: Camera, factor: int) -> Camera:
     """The camera of an image whose sides are divided by `factor` (rounded, at least 1 px)."""
     return camera.resized(max(1, round(camera.width / factor)), max(1, round(camera.height / factor)))
+
+
+def _pinhole(camera: pycolmap.Camera) -> Camera:
+    """Intrinsics of a PINHOLE or SIMPLE_PINHOLE camera."""
+    matrix = camera.calibration_matrix()
+    fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(fx, fy, cx, cy, camera.width, camera.height)

@@ -9,8 +9,8 @@ from thermosplat.errors import UserError
 T = TypeVar("T")
 
 
-def test_mask(frames: Sequence[FrameFiles], test_every: int) -> list[bool]:
-    """Whether each frame is held out: as the folders say, else every `test_every`-th from the first (3DGS, RGBT-Scenes).
+def hold_out_mask(frames: Sequence[FrameFiles], test_every: int) -> list[bool]:
+    """Whether each frame is held out: as the folders say, else every `test_every`-th from the first (as 3DGS does).
 
     Args:
         frames: All frames, sorted by name.

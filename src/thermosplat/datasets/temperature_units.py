@@ -85,7 +85,10 @@ def check_plausible(low: float, high: float, unit: Unit, folder: str) -> None:
 
 
 def read_statement(path: Path) -> RadiometricStatement:
-    """Read a ``units.json``: {"unit": "centikelvin", "palette_min_C": 20, "palette_max_C": 41.5}; missing file: nothing.
+    """Read a ``units.json``: {"unit": "centikelvin", "palette_min_C": 20, "palette_max_C": 41.5}.
+
+    Returns:
+        What it states; nothing for a missing file.
 
     Raises:
         UserError: The file is no JSON object or names an unknown unit.
@@ -137,6 +140,6 @@ def _unit(text: str, path: Path) -> Unit:
         return _SPELLINGS[plain]
     for unit in (*_TO_CELSIUS, "counts"):
         if plain == unit:
-            return unit  # type: ignore[return-value]
+            return unit
     known = ", ".join((*_TO_CELSIUS, "counts"))
     raise UserError(f"{path} names the unit {text!r}; known are {known}.", "Or say it with --thermal.unit.")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.config import ThermalConfig
+from thermosplat.datasets.capture_palette import ChosenPalette, palette_notes
 from thermosplat.datasets.image_files import resize
 from thermosplat.datasets.temperature_units import (
     RadiometricStatement,
@@ -18,14 +19,10 @@ from thermosplat.datasets.temperature_units import (
     to_celsius,
 )
 from thermosplat.errors import UserError
-from thermosplat.radiometry import Palette, ThermalScale
+from thermosplat.radiometry import ThermalScale
 
 _GREY_TOLERANCE = 4
 """Largest difference between channels [8-bit levels] at which a colour file is a grey image (JPEG leaves some)."""
-_PALETTE_RESIDUAL = 15.0
-"""Mean distance to the palette [8-bit levels] beyond which it is not the images' palette (measured: 2 for the right one)."""
-_SAMPLED_FRAMES = 6
-"""Frames looked at where a few tell enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +30,16 @@ class ThermalFile:
     """A thermal exposure as read: the displayable image, the radiometric values, or both.
 
     Args:
-        path: File for messages.
+        path: File of the displayable image, or of the values where there is no other; for messages.
         display: uint8 [H, W] grey or [H, W, 3] colour.
         raw: [H, W] radiometric values.
+        raw_path: Their file.
     """
 
     path: Path
     display: NDArray[np.uint8] | None
-    raw: NDArray[Any] | None
+    raw: NDArray[Any] | None = None
+    raw_path: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ def interpret(
     files: Sequence[ThermalFile],
     config: ThermalConfig,
     *,
-    palette: Palette,
+    palette: ChosenPalette,
     statement: RadiometricStatement,
     grey_range: tuple[float, float] | None,
 ) -> ThermalReading:
@@ -78,7 +77,7 @@ def interpret(
     Args:
         files: At least one exposure.
         config: The user's choices; they win over everything the capture states.
-        palette: Palette of pseudo-coloured images.
+        palette: ChosenPalette of pseudo-coloured images.
         statement: What the capture says of its radiometric values.
         grey_range: Temperatures [°C] of black and white in grey images, if the capture states them.
 
@@ -103,7 +102,10 @@ def _check_sources(files: Sequence[ThermalFile], config: ThermalConfig, grey_ran
     for file in files:
         if file.raw is not None and not np.isfinite(file.raw).all():
             count = int((~np.isfinite(file.raw)).sum())
-            raise UserError(f"{file.path} has {count:,} pixels that are not finite numbers.", "Fill or re-export them.")
+            raise UserError(
+                f"{file.raw_path or file.path} has {count:,} pixels that are not finite numbers.",
+                "Fill or re-export them.",
+            )
     if config.source == "color" and all(file.display is None for file in files):
         kind = files[0].raw.dtype if files[0].raw is not None else "unknown"
         raise UserError(
@@ -138,7 +140,7 @@ def _unit_of(
         return "counts"
     values = np.concatenate([np.ravel(file.raw[::4, ::4]) for file in raws if file.raw is not None])
     low, high = (float(end) for end in np.percentile(values, [1, 99]))
-    folder = _folder_name(raws[0].path)
+    folder = _folder_name(raws[0].raw_path or raws[0].path)
     if config.unit != "auto":
         check_plausible(low, high, config.unit, folder)
         return config.unit
@@ -154,7 +156,7 @@ def _unit_of(
 def _color_reading(
     files: Sequence[ThermalFile],
     config: ThermalConfig,
-    palette: Palette,
+    palette: ChosenPalette,
     statement: RadiometricStatement,
     unit: Unit,
     notes: list[str],
@@ -164,29 +166,28 @@ def _color_reading(
         None if file.display is None else ThermalPixels(_three_channels(file.display), _celsius_beside(file, unit))
         for file in files
     ]
-    images = [exposure.image for exposure in pixels if exposure is not None]
-    step = max(1, len(images) // _SAMPLED_FRAMES)
-    residual = float(np.mean([palette.residual(image[::4, ::4] / np.float32(255)) for image in images[::step]]))
-    if residual > _PALETTE_RESIDUAL:
-        notes.append(
-            f"Thermal colours lie {residual:.0f} of 255 levels off the palette: another palette, or an overlay? "
-            "Intensities are unreliable; give the right one with --thermal.palette."
-        )
+    shown = [_three_channels(file.display) for file in files if file.display is not None]
+    notes += palette_notes(palette, shown)
     span = config.range_celsius or statement.palette_celsius
-    return ThermalReading(ThermalScale("color", palette, span), tuple(pixels), tuple(notes))
+    if span is None and any(exposure is not None and exposure.celsius is not None for exposure in pixels):
+        notes.append(
+            "The temperatures of the palette's ends are unknown, so renders have no °C; "
+            "state them with --thermal.range-celsius MIN MAX."
+        )
+    return ThermalReading(ThermalScale("color", palette.palette, span), tuple(pixels), tuple(notes))
 
 
 def _grey_reading(
     files: Sequence[ThermalFile],
     config: ThermalConfig,
-    palette: Palette,
+    palette: ChosenPalette,
     grey_range: tuple[float, float] | None,
     unit: Unit,
     notes: list[str],
 ) -> ThermalReading:
     """8-bit grey: level / 255 is the intensity, black to white the stated range."""
     span = config.range_celsius or grey_range
-    scale = ThermalScale("scalar", palette, span)
+    scale = ThermalScale("scalar", palette.palette, span)
     pixels: list[ThermalPixels | None] = []
     for file in files:
         if file.display is None:
@@ -202,7 +203,7 @@ def _grey_reading(
 
 
 def _raw_reading(
-    files: Sequence[ThermalFile], config: ThermalConfig, palette: Palette, unit: Unit, notes: list[str]
+    files: Sequence[ThermalFile], config: ThermalConfig, palette: ChosenPalette, unit: Unit, notes: list[str]
 ) -> ThermalReading:
     """Radiometric values, normalised by the user's range or by the extremes of the whole capture.
 
@@ -228,8 +229,9 @@ def _raw_reading(
             continue
         celsius = to_celsius(file.raw, unit)
         values = file.raw.astype(np.float32) if celsius is None else celsius
-        pixels.append(ThermalPixels(np.clip((values - low) / width, 0, 1)[..., None].astype(np.float32), celsius))
-    return ThermalReading(ThermalScale("scalar", palette, span), tuple(pixels), tuple(notes))
+        image = np.asarray(np.clip((values - low) / width, 0, 1)[..., None], np.float32)
+        pixels.append(ThermalPixels(image, celsius))
+    return ThermalReading(ThermalScale("scalar", palette.palette, span), tuple(pixels), tuple(notes))
 
 
 def _celsius_beside(file: ThermalFile, unit: Unit) -> NDArray[np.float32] | None:

@@ -6,12 +6,13 @@ image's camera. Names like frame_train_00001 and frame_eval_00001 state the spli
 test_filenames. temperature_bounds.json gives the temperatures of black and white.
 """
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.datasets.colmap_images import frame_name, stem_key
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot, Split
 from thermosplat.datasets.image_files import list_images, read_image
 from thermosplat.datasets.lens import Lens
@@ -57,7 +58,8 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
     frames, missing = [], 0
     for number, entry in enumerate(entries):
         rgb = _file(root, entry.get("file_path"))
-        stem = Path(str(entry.get("file_path") or entry.get("thermal_file_path"))).stem
+        name = PurePosixPath(str(entry.get("file_path") or entry.get("thermal_file_path")))
+        stem = name.stem
         thermal = _file(root, entry.get("thermal_file_path")) or thermal_by_stem.get(stem)
         values = raw_by_stem.get(stem)
         thermal = thermal or values
@@ -70,7 +72,7 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
         lens = _lens(entry, content, path, number, rgb or thermal)
         frames.append(
             FrameFiles(
-                stem,
+                frame_name(stem_key(name)),
                 None if rgb is None else Shot(rgb, lens, viewmat),
                 None if thermal is None else Shot(thermal, lens, viewmat, values),
                 stated.get(stem),
@@ -112,7 +114,7 @@ def _viewmat(entry: dict[str, Any], path: Path, number: int) -> NDArray[np.float
     pose = np.vstack([pose[:3], [0, 0, 0, 1]])
     if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(pose[:3, :3]) < 0:
         raise UserError(f"Frame {number} of {path}: transform_matrix is no rotation with a translation.")
-    return np.linalg.inv(pose @ _OPENGL_TO_OPENCV)
+    return np.asarray(np.linalg.inv(pose @ _OPENGL_TO_OPENCV), np.float64)
 
 
 def _lens(entry: dict[str, Any], content: dict[str, Any], path: Path, number: int, image: Path | None) -> Lens:

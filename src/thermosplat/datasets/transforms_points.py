@@ -19,7 +19,7 @@ _RANDOM_POINTS = 50_000
 _RANDOM_RADIUS = 3.0
 """Half the side of the box of random points, in camera-to-centre distances (gsplat's trainer: init_extent 3)."""
 _AGREEMENT = 0.02
-"""Share of the cameras' spread by which COLMAP's camera positions may differ from the file's for its points to be used."""
+"""Share of the cameras' spread by which COLMAP's camera positions may differ for its points to be used."""
 
 Points = tuple[NDArray[np.float32], NDArray[np.uint8]]
 
@@ -47,8 +47,8 @@ def transforms_points(
         notes.append("The COLMAP model beside the transforms file has other poses; its points were not used.")
     points, colors = _random_points(_centers(frames))
     notes.append(
-        f"No point cloud (ply_file_path, sparse_pc.ply or a COLMAP model): starting from {_RANDOM_POINTS:,} random points "
-        "around the cameras."
+        "No point cloud (ply_file_path, sparse_pc.ply or a COLMAP model): "
+        f"starting from {_RANDOM_POINTS:,} random points around the cameras."
     )
     return points, colors, notes
 
@@ -58,7 +58,9 @@ def _ply_points(path: Path) -> Points:
     try:
         model.import_PLY(path)
     except (ValueError, RuntimeError, IndexError) as error:
-        raise UserError(f"{path} is not a readable point cloud.", "Expected a PLY with x, y, z, red, green, blue.") from error
+        raise UserError(
+            f"{path} is not a readable point cloud.", "Expected a PLY with x, y, z, red, green, blue."
+        ) from error
     points = list(model.points3D.values())
     if len(points) < 4:
         raise UserError(f"{path} holds {len(points)} points; at least 4 are needed.")

@@ -1,8 +1,8 @@
 """Gaussians as PLY, in the layout of the original 3D Gaussian Splatting code that third-party viewers open.
 
-One vertex a Gaussian, 62 float32 properties, binary little endian: position, a zero normal, SH degree 0, SH degrees 1 to
-3 channel by channel (padded with zeros where the model has fewer), opacity and scales before their activation, and the
-wxyz quaternion. Positions are in the frame of the capture's own camera poses (COLMAP's, for a COLMAP model).
+One vertex a Gaussian, 62 float32 properties, binary little endian: position, a zero normal, SH degree 0, SH degrees 1
+to 3 channel by channel (padded with zeros where the model has fewer), opacity and scales before their activation, and
+the wxyz quaternion. Positions are in the frame of the capture's own camera poses (COLMAP's, for a COLMAP model).
 """
 
 from collections.abc import Iterable

@@ -74,7 +74,9 @@ def modality_splats(model: SceneModel, modality: Modality, thermal_scale: Therma
     if modality not in modelled(model):
         raise UserError(f"This scene was trained without {modality} images, so it has no {modality} splats to export.")
     gaussians = model.gaussians("shared" if "shared" in model.gaussian_sets else modality)
-    logit_opacities, sh0, shN = gaussians.logit_opacities, gaussians.sh0, gaussians.shN
+    logit_opacities: Tensor = gaussians.logit_opacities
+    sh0: Tensor = gaussians.sh0
+    shN: Tensor = gaussians.shN
     if model.decoders is not None and modality == "rgb":
         decoded = model.decoders.rgb(gaussians.features)
         if model.decoder_config.hybrid_rgb:

@@ -1,0 +1,66 @@
+"""A run goes on only with the model it was trained with."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from thermosplat.checkpoint import save_checkpoint
+from thermosplat.config import DecoderConfig, ModelConfig, OptimizerConfig, TrainConfig
+from thermosplat.config_files import to_dict
+from thermosplat.errors import UserError
+from thermosplat.run_directory import RunDirectory
+from thermosplat.training.resuming import check_resumable, newest_checkpoint
+
+CONFIG = TrainConfig(sh_degree=2)
+
+
+def _run(path: Path, step: int = 100) -> RunDirectory:
+    run = RunDirectory.create(path)
+    state = {"config": to_dict(CONFIG), "sh_degree": 0, "model": {}, "thermal_scale": None, "training": {}}
+    save_checkpoint(run.checkpoint(step), {"step": step, **state})
+    return run
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sh_degree": 3}, "was trained with sh_degree=2, the command asks for 3"),
+        ({"model": ModelConfig(feature_dim=16)}, "model.feature_dim=8, the command asks for 16"),
+        ({"model": ModelConfig(geometric_decoupling=False)}, "model.geometric_decoupling=True"),
+        ({"decoder": DecoderConfig(hidden_dim=32)}, "decoder.hidden_dim=64, the command asks for 32"),
+        ({"max_steps": 99}, "has done 100 steps, the command asks for 99 in all"),
+    ],
+)
+def test_other_models_are_refused(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    """The first setting that differs is named with both values."""
+    run = _run(tmp_path)
+    with pytest.raises(UserError, match=message) as caught:
+        check_resumable(newest_checkpoint(run), dataclasses.replace(CONFIG, **changes), run)  # type: ignore[arg-type]
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"data_factor": 2, "max_steps": 60_000, "device": "cpu"},
+        {"model": ModelConfig(init_opacity=0.5)},
+        {"optimizer": OptimizerConfig(means_lr=1e-5)},
+    ],
+)
+def test_what_may_change(tmp_path: Path, changes: dict[str, object]) -> None:
+    """Rates, schedule, size of the images and device may; so may what only matters before the first step."""
+    run = _run(tmp_path)
+    check_resumable(newest_checkpoint(run), dataclasses.replace(CONFIG, **changes), run)  # type: ignore[arg-type]
+
+
+def test_newest_checkpoint_is_taken(tmp_path: Path) -> None:
+    """Of several, the one with the most steps; without any, an error that says how to start again."""
+    run = _run(tmp_path / "run")
+    _save = newest_checkpoint(run)
+    save_checkpoint(run.checkpoint(40), {**_save, "step": 40})
+    assert newest_checkpoint(run)["step"] == 100
+    empty = RunDirectory.create(tmp_path / "empty")
+    with pytest.raises(UserError, match="no checkpoint to go on from"):
+        newest_checkpoint(empty)

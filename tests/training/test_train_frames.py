@@ -1,0 +1,46 @@
+"""Training frames are the modelled ones, cached while there is room."""
+
+import dataclasses
+
+import pytest
+import torch
+from toy_run import many_frames
+from toy_scene import toy_capture
+
+from thermosplat.config import ModelConfig
+from thermosplat.errors import UserError
+from thermosplat.training import train_frames
+from thermosplat.training.train_frames import TrainFrames
+
+CPU = torch.device("cpu")
+
+
+def test_frames_without_a_modelled_view_are_left_out() -> None:
+    """A model of one spectrum learns from the frames that show it."""
+    capture = many_frames(toy_capture())
+    first, *rest = capture.train
+    capture = dataclasses.replace(capture, train=(dataclasses.replace(first, rgb=None), *rest))
+    assert len(TrainFrames(capture, ModelConfig(), CPU)) == 4
+    assert len(TrainFrames(capture, ModelConfig(thermal=False), CPU)) == 3
+    assert len(TrainFrames(capture, ModelConfig(rgb=False), CPU)) == 4
+    only_thermal = dataclasses.replace(capture, train=capture.train[:1])
+    with pytest.raises(UserError, match="no training frame of a spectrum that is modelled"):
+        TrainFrames(only_thermal, ModelConfig(thermal=False), CPU)
+
+
+@pytest.mark.parametrize(("free_bytes", "kept"), [(10**9, 4), (0, 0), (4 * 30_000, 2)])
+def test_cache_ends_with_its_budget(monkeypatch: pytest.MonkeyPatch, free_bytes: int, kept: int) -> None:
+    """A quarter of the free memory is filled; frames beyond are made anew and are the same."""
+    monkeypatch.setattr(train_frames, "_free_bytes", lambda device: free_bytes)
+    frames = TrainFrames(many_frames(toy_capture()), ModelConfig(), CPU)  # 24x18 pixels of 3 + 3 + 1 + 1 floats
+    first = [frames[index] for index in range(4)]
+    again = [frames[index] for index in range(4)]
+    assert sum(one is other for one, other in zip(first, again)) == kept
+    for one, other in zip(first, again):
+        assert one.rgb is not None and other.rgb is not None  # noqa: PT018
+        assert torch.equal(one.rgb.image, other.rgb.image)
+
+
+def test_free_memory_is_known() -> None:
+    """There is some free memory, or nothing would run."""
+    assert train_frames._free_bytes(CPU) > 2**20

@@ -1,0 +1,270 @@
+"""The loop trains, stops at any moment without loss, and goes on exactly where it stopped."""
+
+import csv
+import dataclasses
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_scene import toy_capture
+
+from thermosplat.config import LossConfig, TrainConfig
+from thermosplat.datasets.capture import Capture
+from thermosplat.errors import UserError
+from thermosplat.run_directory import RunDirectory
+from thermosplat.training import trainer as trainer_module
+from thermosplat.training.interruption import TrainingInterrupted
+from thermosplat.training.trainer import Trainer
+
+SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
+KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "shared": ({}, {}),
+    "shared, two cameras": ({}, {"aligned": False}),
+    "separate, scalar thermal": (SEPARATE, {"thermal_kind": "scalar"}),
+}
+
+
+@pytest.fixture(params=KINDS)
+def task(request: pytest.FixtureRequest) -> tuple[TrainConfig, Capture]:
+    """Every kind of model and capture that trains differently."""
+    model, capture = KINDS[request.param]
+    return toy_run_config(model=model), many_frames(toy_capture(**capture))
+
+
+@pytest.fixture(scope="module")
+def capture() -> Capture:
+    """The toy capture with four training frames and one held out."""
+    return many_frames(toy_capture())
+
+
+@pytest.fixture(scope="module")
+def whole_run(tmp_path_factory: pytest.TempPathFactory, capture: Capture) -> dict[int, dict[str, torch.Tensor]]:
+    """State after every step of an undisturbed run, by step."""
+    trainer = toy_trainer(tmp_path_factory.mktemp("whole"), toy_run_config(), capture)
+    states = {}
+    while trainer.step < 12:
+        trainer._train_step()
+        states[trainer.step] = state_tensors(trainer)
+    return states
+
+
+def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, task: tuple[TrainConfig, Capture]) -> None:
+    """Twelve steps equal six, a checkpoint, and six more, with Gaussians added, removed and reset in both halves."""
+    config, capture = task
+    whole = toy_trainer(tmp_path / "whole", config, capture)
+    counts = [whole.model.num_gaussians]
+    while whole.step < 12:
+        whole._train_step()
+        counts.append(whole.model.num_gaussians)
+    assert counts[0] != counts[6] != counts[12]
+
+    first = toy_trainer(tmp_path / "halves", config, capture)
+    while first.step < 6:
+        first._train_step()
+    first._save()
+    second = Trainer.resume(config, capture, RunDirectory.open(tmp_path / "halves"))
+    assert second.step == 6
+    assert_same_state(state_tensors(second), state_tensors(first))
+    second.train()
+    assert_same_state(state_tensors(second), state_tensors(whole))
+
+
+def test_results_of_a_run(tmp_path: Path, capture: Capture) -> None:
+    """A run leaves the numbers, pictures, files and checkpoints that the README promises."""
+    config = toy_run_config(max_steps=7, save_steps=(3, 7), eval_steps=(4, 7))
+    metrics = toy_trainer(tmp_path, config, capture).train()
+    run = RunDirectory.open(tmp_path)
+    written = json.loads(run.metrics_json.read_text())
+    assert written == metrics
+    assert list(written)[:6] == ["rgb", "thermal", "num_gaussians", "steps", "train_seconds", "device"]
+    assert list(written["rgb"]) == ["psnr", "ssim", "lpips"]
+    assert list(written["thermal"]) == ["psnr", "ssim", "lpips", "mae_celsius"]
+    assert written["thermal"]["mae_celsius"] > 0
+    assert written["steps"] == 7
+    assert 0 < written["train_seconds"] < written["wall_seconds"]
+    assert sum(written["gaussians"].values()) == written["num_gaussians"]
+    assert sorted(path.name for path in run.ckpts.iterdir()) == ["step_000003.pt", "step_000007.pt"]
+    assert sorted(path.name for path in run.ply.iterdir()) == ["splat_rgb.ply", "splat_thermal.ply"]
+    assert [path.name for path in run.renders.iterdir()] == ["frame0.png"]
+    with (run.stats / "per_view.csv").open() as file:
+        assert [(row["frame"], row["modality"]) for row in csv.DictReader(file)] == [
+            ("frame0", "rgb"),
+            ("frame0", "thermal"),
+        ]
+    lines = [json.loads(line) for line in run.metrics_jsonl.read_text().splitlines()]
+    assert [line["step"] for line in lines if "evaluation" in line] == [4, 7]
+    assert [line["step"] for line in lines if "loss" in line] == [5, 7]
+    assert json.loads((run.stats / "step_000007.json").read_text())["rgb"] == written["rgb"]
+    assert run.config_yaml.is_file()
+    assert run.environment_json.is_file()
+
+
+def test_training_learns(tmp_path: Path, capture: Capture) -> None:
+    """Both spectra of the frames trained on get closer to their images."""
+    config = dataclasses.replace(
+        toy_run_config(max_steps=60), densification=dataclasses.replace(toy_run_config().densification, enabled=False)
+    )
+    capture = dataclasses.replace(capture, train=capture.train[:1], test=capture.train[:1])
+    trainer = toy_trainer(tmp_path, config, capture)
+    before = trainer._evaluate()
+    after = trainer.train()
+    assert after["rgb"]["psnr"] > before["rgb"]["psnr"] + 1.0
+    assert after["thermal"]["psnr"] > before["thermal"]["psnr"] + 0.5
+
+
+def test_sh_degree_rises_with_the_steps(tmp_path: Path, capture: Capture) -> None:
+    """One more degree every interval, up to the configured one: as gsplat, from the step after the interval on."""
+    trainer = toy_trainer(tmp_path, toy_run_config(), capture)  # interval 4, degree 1
+    assert [trainer._sh_degree(step) for step in (0, 1, 4, 5, 8, 9, 12)] == [0, 0, 0, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("place", ["render", "frame_losses", "evaluate"])
+def test_interrupt_between_updates(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    """Ctrl-C while a step is being computed, or during an evaluation, saves the last whole step; nothing differs after."""
+    config = toy_run_config(eval_steps=(4,))
+    trainer = toy_trainer(tmp_path, config, capture)
+    owner = trainer.model if place == "render" else trainer_module
+    genuine: Callable[..., Any] = getattr(owner, place)
+
+    def interrupted(*args: object, **kwargs: object) -> object:
+        if trainer.step == 4:
+            raise KeyboardInterrupt
+        return genuine(*args, **kwargs)
+
+    monkeypatch.setattr(owner, place, interrupted)
+    with pytest.raises(TrainingInterrupted) as stop:
+        trainer.train()
+    monkeypatch.undo()
+    assert stop.value.checkpoint == tmp_path / "ckpts" / "step_000004.pt"
+    assert stop.value.resume_command == f"thermosplat-train --resume {tmp_path}"
+    resumed = Trainer.resume(config, capture, RunDirectory.open(tmp_path))
+    assert_same_state(state_tensors(resumed), whole_run[4])
+    resumed.train()
+    assert_same_state(state_tensors(resumed), whole_run[12])
+
+
+@pytest.mark.parametrize("place", ["step_unless", "random_stream", "save_checkpoint"])
+def test_interrupt_during_an_update(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    """Ctrl-C while optimizers, density control or a checkpoint are at work lets them finish first."""
+    trainer = toy_trainer(tmp_path, toy_run_config(save_steps=(6,)), capture)
+    genuine: Callable[..., Any] = getattr(trainer_module, place)
+    done = []
+
+    def interrupted(*args: Any, **kwargs: Any) -> object:
+        if trainer.step >= (5 if place == "step_unless" else 6) and not done:
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append(1)
+        return genuine(*args, **kwargs)
+
+    monkeypatch.setattr(trainer_module, place, interrupted)
+    with pytest.raises(TrainingInterrupted) as stop:
+        trainer.train()
+    monkeypatch.undo()
+    assert stop.value.checkpoint == tmp_path / "ckpts" / "step_000006.pt"
+    resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))
+    assert_same_state(state_tensors(resumed), whole_run[6])
+
+
+@pytest.mark.parametrize("looks_every", [1, 4])
+def test_nan_stops_with_the_last_good_state(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, looks_every: int
+) -> None:
+    """A NaN loss names term, step and frame, and what is saved is the step before, also where nobody looked at once."""
+    trainer = toy_trainer(tmp_path, toy_run_config(), capture)
+    genuine = trainer_module.frame_losses
+
+    def spoiled(*args: Any) -> dict[str, torch.Tensor]:
+        losses = genuine(*args)
+        if trainer.step == 6:
+            losses["thermal_smoothness"] = losses["thermal_smoothness"] * torch.nan
+        return losses
+
+    monkeypatch.setattr(trainer_module, "frame_losses", spoiled)
+    monkeypatch.setattr(trainer, "_looks_at_guard", lambda step: step % looks_every == 0)
+    with pytest.raises(UserError, match=r"NaN or infinite at step 7 \(term: thermal_smoothness; frame: frame\d\)") as e:
+        trainer.train()
+    monkeypatch.undo()
+    assert "step_000006.pt" in e.value.message
+    assert [path.name for path in (tmp_path / "ckpts").iterdir()] == ["step_000006.pt"]
+    resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))
+    assert_same_state(state_tensors(resumed), whole_run[6])
+
+
+def test_guard_is_looked_at_where_a_bad_state_would_spread(tmp_path: Path, capture: Capture) -> None:
+    """On a device that is not waited for at every step, refinements, resets, evaluations and files still wait."""
+    config = toy_run_config(max_steps=40, eval_steps=(16,), save_steps=(17,))
+    trainer = toy_trainer(tmp_path, config, capture)
+    trainer.device = torch.device("cuda")  # nothing is computed here
+    refined, reset, logged = {*range(3, 41, 3)}, {*range(5, 41, 5)}, {*range(5, 41, 5)}
+    assert {step for step in range(1, 41) if trainer._looks_at_guard(step)} == refined | reset | logged | {16, 17, 40}
+
+
+def test_out_of_memory_saves_and_tells(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Memory that runs out in the renderer costs the step it was needed for, no more."""
+    trainer = toy_trainer(tmp_path, toy_run_config(), capture)
+    genuine = trainer.model.render
+
+    def exhausted(*args: Any, **kwargs: Any) -> object:
+        if trainer.step == 5:
+            raise RuntimeError("Failed to allocate 8589934592 bytes on device 'cuda:0'")
+        return genuine(*args, **kwargs)
+
+    monkeypatch.setattr(trainer.model, "render", exhausted)
+    with pytest.raises(UserError, match=r"Out of memory at step 6 with \d+ Gaussians at 24x18\. Checkpoint saved") as e:
+        trainer.train()
+    monkeypatch.undo()
+    assert f"thermosplat-train --resume {tmp_path}" in e.value.hint
+    resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))
+    assert_same_state(state_tensors(resumed), whole_run[5])
+
+
+def test_other_errors_are_not_hidden(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A defect of the program comes through as it is, and leaves no checkpoint that looks like progress."""
+    trainer = toy_trainer(tmp_path, toy_run_config(), capture)
+
+    def broken(*args: object, **kwargs: object) -> object:
+        raise RuntimeError("shapes do not fit")
+
+    monkeypatch.setattr(trainer.model, "render", broken)
+    with pytest.raises(RuntimeError, match="shapes do not fit"):
+        trainer.train()
+    assert list((tmp_path / "ckpts").glob("*")) == []
+
+
+def test_finished_run_can_be_judged_again(tmp_path: Path, capture: Capture) -> None:
+    """Resuming a run that has done its steps evaluates it again and changes nothing."""
+    config = toy_run_config(max_steps=4)
+    first = toy_trainer(tmp_path, config, capture).train()
+    again = Trainer.resume(config, capture, RunDirectory.open(tmp_path)).train()
+    for key in ("rgb", "thermal", "num_gaussians", "steps", "train_seconds", "device"):
+        assert again[key] == first[key]
+
+
+def test_no_loss_is_an_error(tmp_path: Path, capture: Capture) -> None:
+    """With all weights at zero there is nothing to learn, and the message says so."""
+    config = toy_run_config(loss=LossConfig(rgb=0.0, thermal=0.0, features=0.0, thermal_smoothness=0.0))
+    with pytest.raises(UserError, match="All loss weights are 0"):
+        toy_trainer(tmp_path, config, capture).train()
+
+
+def test_frames_of_one_spectrum_train_what_they_show(tmp_path: Path, capture: Capture) -> None:
+    """A frame without a thermal image trains the rest; both kinds of frames in one run."""
+    frames = tuple(
+        dataclasses.replace(frame, thermal=None if index % 2 else frame.thermal)
+        for index, frame in enumerate(capture.train)
+    )
+    metrics = toy_trainer(tmp_path, toy_run_config(), dataclasses.replace(capture, train=frames)).train()
+    assert metrics["steps"] == 12
+    assert metrics["thermal"]["psnr"] > 0

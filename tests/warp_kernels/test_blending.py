@@ -1,0 +1,119 @@
+"""Blending with other deals of pixels to lanes and threads: the same image and the same gradients."""
+
+import numpy as np
+import pytest
+import warp as wp
+from warp_scene import WarpScene, image_opacities, projected, warp_scene
+
+from warp_kernels import launching
+from warp_kernels.blend_layout import BlendLayout
+from warp_kernels.projection import ProjectedArrays
+from warp_kernels.rasterization import BlendedArrays, bin_tiles, blend, scalar_view
+
+
+def blended(
+    scene: WarpScene, layout: BlendLayout, thermal_channels: int = 0
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Images, and gradients of means2d, conics, opacities and features for a fixed random loss."""
+    settings, dtype = scene.settings, scene.gaussians.opacities.dtype
+    rows = settings.num_images * settings.height
+    opacities = thermal = image_opacities(scene, scene.gaussians.opacities)
+    if thermal_channels:
+        other = scene.gaussians.opacities.numpy()[::-1].copy()
+        scene.gaussians.thermal_opacities = wp.array(other, dtype=dtype, device="cpu")
+        thermal = image_opacities(scene, scene.gaussians.thermal_opacities)
+    arrays: ProjectedArrays = projected(scene, wp.Tape())
+    bins = bin_tiles(arrays, opacities, thermal, scalar_view(scene.features), settings, layout.tile_size, by_slot=True)
+
+    def image(kind: type, requires_grad: bool = True) -> wp.array:
+        return wp.zeros((rows, settings.width), dtype=kind, device="cpu", requires_grad=requires_grad)
+
+    result = BlendedArrays(image(scene.features.dtype), image(dtype), image(wp.int32, False))
+    outputs = [result.render, result.transmittance]
+    if thermal_channels:
+        result.thermal_render = image(wp.types.vector(thermal_channels, dtype))
+        result.thermal_transmittance = image(dtype)
+        result.thermal_last_pairs = image(wp.int32, False)
+        outputs += [result.thermal_render, result.thermal_transmittance]
+    tape = wp.Tape()
+    blend(arrays, opacities, thermal, scene.features, bins, settings, result, tape, layout=layout)
+    rng = np.random.default_rng(1)
+    for output in outputs:
+        output.grad.assign(rng.normal(size=output.numpy().shape))
+    tape.backward()
+    inputs = [arrays.means2d, arrays.conics, opacities, scene.features] + [thermal] * bool(thermal_channels)
+    # numpy() of a CPU array is its memory: copies, because gradients accumulate
+    return [output.numpy().copy() for output in outputs], [array.grad.numpy().copy() for array in inputs]
+
+
+@pytest.mark.parametrize("thermal_channels", [0, 2])
+@pytest.mark.parametrize("tile_size", [8, 32])
+def test_tile_sizes_agree(tile_size: int, thermal_channels: int) -> None:
+    """Tiles of 8, 16 and 32 pixels give the same images and gradients to float64 rounding."""
+    arguments = {"n": 80, "width": 45, "height": 35, "cameras": 2, "channels": 3, "requires_grad": True}
+    results = []
+    for size in (16, tile_size):
+        images, gradients = blended(
+            warp_scene(wp.float64, **arguments), BlendLayout(size, size, size, 1), thermal_channels
+        )
+        results.append(images + gradients)
+    for one, other in zip(*results, strict=True):
+        assert np.linalg.norm(one) > 0
+        assert np.linalg.norm(one - other) < 1e-12 * np.linalg.norm(one)
+
+
+def test_gradients_accumulate() -> None:
+    """The adjoint adds to gradients that are already there, as a tape with several uses of an array needs."""
+    layout = BlendLayout(16, 16, 16, 1)
+    scene = warp_scene(wp.float64, n=20, requires_grad=True)
+    _, (_, _, _, once) = blended(scene, layout)
+    _, (_, _, _, twice) = blended(scene, layout)  # scene.features is the same array with its gradient kept
+    assert np.allclose(twice, 2 * once, rtol=1e-12)
+
+
+@pytest.mark.parametrize("threads", [2, 5])
+def test_thread_count_does_not_change_a_bit(threads: int) -> None:
+    """Tiles spread over CPU threads give bit-identical images and gradients."""
+    before = launching.num_threads()
+    results = []
+    try:
+        for count in (1, threads):
+            launching.set_num_threads(count)
+            scene = warp_scene(n=400, width=150, height=90, channels=4, requires_grad=True)
+            images, gradients = blended(scene, BlendLayout(16, 16, 16, 1))
+            results.append(images + gradients)
+    finally:
+        launching.set_num_threads(before)
+    assert all((one == other).all() for one, other in zip(*results, strict=True))
+
+
+def test_too_many_channels_for_one_traversal() -> None:
+    """The limit is named."""
+    scene = warp_scene(n=5, channels=33)
+    with pytest.raises(ValueError, match="32"):
+        blended(scene, BlendLayout(16, 16, 16, 1))
+
+
+@pytest.mark.parametrize(
+    ("layout", "expected"),
+    [
+        (BlendLayout(16, 16, 16, 1), (1, 16, 16, 1)),
+        (BlendLayout(16, 8, 8, 32), (4, 1, 2, 128)),
+        (BlendLayout(16, 8, 4, 32), (8, 1, 1, 256)),
+        (BlendLayout(32, 16, 8, 32), (8, 1, 4, 256)),
+    ],
+)
+def test_layout_deals_every_pixel_once(layout: BlendLayout, expected: tuple[int, int, int, int]) -> None:
+    """Warps, rows, columns and threads of a tile; the lanes' pixels tile the tile."""
+    assert (layout.warps, layout.rows, layout.columns, layout.threads) == expected
+    pixels = set()
+    for warp in range(layout.warps):
+        left = warp % layout.blocks_x * layout.block_width
+        top = warp // layout.blocks_x * layout.block_height
+        for lane in range(layout.lanes):
+            for row in range(layout.rows):
+                for column in range(layout.columns):
+                    q = lane + column * layout.lanes
+                    pixels.add((left + q % layout.block_width, top + row + q // layout.block_width))
+    assert pixels == {(x, y) for x in range(layout.tile_size) for y in range(layout.tile_size)}
+    assert layout.warps * layout.lanes * layout.rows * layout.columns == layout.tile_size**2

@@ -1,0 +1,95 @@
+"""Arithmetic of the lane helpers on the CPU."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warp_kernels.lanes import accumulate_snippet, highest_bit, lane_functions, lowest_bit
+
+EXP32 = lane_functions(wp.float32)[1]
+EXP64 = lane_functions(wp.float64)[1]
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def exp32_kernel(x: wp.array(dtype=wp.float32), y: wp.array(dtype=wp.float32)):
+    """The blend's exponential in float32."""
+    i = wp.tid()
+    y[i] = EXP32(x[i])
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def exp64_kernel(x: wp.array(dtype=wp.float64), y: wp.array(dtype=wp.float64)):
+    """The blend's exponential in float64."""
+    i = wp.tid()
+    y[i] = EXP64(x[i])
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def bits_kernel(x: wp.array(dtype=wp.uint32), low: wp.array(dtype=int), high: wp.array(dtype=int)):
+    """Lowest and highest set bit."""
+    i = wp.tid()
+    low[i] = lowest_bit(x[i])
+    high[i] = highest_bit(x[i])
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(wp.float32, 4e-7), (wp.float64, 4e-16)])
+def test_exponential(dtype: type, tolerance: float) -> None:
+    """exp(x) where alpha can reach 1/255 (x >= -ln 255): relative error of a few roundings, exactly 1 at 0."""
+    x = np.concatenate([[0.0], -np.logspace(-8, np.log10(np.log(255.0)), 4000)])
+    array = wp.array(x, dtype=dtype, device="cpu")
+    y = wp.zeros(len(x), dtype=dtype, device="cpu")
+    wp.launch(exp32_kernel if dtype is wp.float32 else exp64_kernel, dim=len(x), inputs=[array, y], device="cpu")
+    truth = np.exp(array.numpy().astype(np.float64))
+    assert np.abs(y.numpy() / truth - 1).max() < tolerance
+    assert y.numpy()[0] == 1.0
+
+
+def test_exponential_far_below_zero() -> None:
+    """Exponents beyond float32's range give a negligible number, not garbage."""
+    x = wp.array([-100.0, -1e4, -1e30, -np.inf], dtype=wp.float32, device="cpu")
+    y = wp.zeros(4, dtype=wp.float32, device="cpu")
+    wp.launch(exp32_kernel, dim=4, inputs=[x, y], device="cpu")
+    assert (y.numpy() >= 0).all()
+    assert (y.numpy() < 1e-37).all()
+
+
+def test_bit_positions() -> None:
+    """The walk over a ballot's survivors."""
+    x = np.array([1, 2, 3, 0x80000000, 0xFFFFFFFF, 0b10110000], np.uint32)
+    low, high = (wp.zeros(len(x), dtype=int, device="cpu") for _ in range(2))
+    wp.launch(bits_kernel, dim=len(x), inputs=[wp.array(x, dtype=wp.uint32, device="cpu"), low, high], device="cpu")
+    assert low.numpy().tolist() == [0, 1, 0, 31, 0, 4]
+    assert high.numpy().tolist() == [0, 1, 1, 31, 31, 7]
+
+
+@pytest.mark.parametrize("length", [7, 17, 32, 33, 42])
+def test_butterfly_sums_over_a_warp(length: int) -> None:
+    """The CUDA source of the reduction, replayed in Python lane by lane, sums every component over 32 lanes."""
+    source = accumulate_snippet(length, wp.float32, atomic=True)
+    values = np.random.default_rng(length).normal(size=(32, length))
+    stored: dict[int, float] = {}
+    first = 0
+    for part in source.split("float r[")[1:]:
+        width = int(part.split("]")[0])
+        count = min(32, length - first)
+        r = np.zeros((32, width))
+        r[:, :count] = values[:, first : first + count]
+        half = width // 2
+        while half:
+            upper = (np.arange(32) & half) != 0
+            keep = np.where(upper[:, None], r[:, half : 2 * half], r[:, :half])
+            send = np.where(upper[:, None], r[:, :half], r[:, half : 2 * half])
+            assert f"__shfl_xor_sync(0xffffffffu, send, {half})" in part
+            r = keep + send[np.arange(32) ^ half]
+            half //= 2
+        distance = width
+        while distance < 32:
+            assert f"__shfl_xor_sync(0xffffffffu, r[0], {distance})" in part
+            r = r + r[np.arange(32) ^ distance]
+            distance *= 2
+        assert f"if (lane < {count}) atomicAdd(p + {first} + lane, r[0]);" in part
+        stored |= {first + lane: r[lane, 0] for lane in range(count)}
+        first += 32
+    total = values.sum(0)
+    assert len(stored) == length
+    assert max(abs(stored[k] - total[k]) for k in range(length)) < 1e-12
