@@ -81,7 +81,7 @@ def random_rgbt_scene(*, features: int = 8, **arguments: Any) -> Scene:
 def leaves(scene: Scene, device: torch.device | str, dtype: torch.dtype) -> Scene:
     """A copy on the device, in the dtype, whose tensors collect gradients."""
     return {
-        key: value.to(device, dtype, copy=True).requires_grad_() if isinstance(value, Tensor) else value
+        key: value.detach().to(device, dtype, copy=True).requires_grad_() if isinstance(value, Tensor) else value
         for key, value in scene.items()
     }
 

@@ -66,20 +66,29 @@ class BlendLayout:
         return {"max_unroll": unroll, "block_dim": self.threads, "fast_math": True}
 
 
-def default_layout(device: wp.Device, tile_size: int, channels: int, dtype: type) -> BlendLayout:
-    """The layout measured best for a device; see benchmarks/notes.md.
+CROWDED = 250
+"""Mean pairs a tile above which the smallest block blends fastest on CUDA; measured in benchmarks/notes.md."""
+
+
+def default_layout(
+    device: wp.Device, tile_size: int, channels: int, dtype: type, pairs_per_tile: float
+) -> BlendLayout:
+    """The layout measured best for a device and a frame; see benchmarks/notes.md.
 
     Args:
         device: Warp device the kernels run on.
         tile_size: edge of a tile [px].
         channels: channels blended, over both opacities.
         dtype: ``wp.float32`` or ``wp.float64``.
+        pairs_per_tile: mean number of Gaussians a tile.
 
     Returns:
         The layout.
     """
     if not device.is_cuda:
         return BlendLayout(tile_size, tile_size, tile_size, 1)
-    if dtype is wp.float64 or channels > 24:
+    # Crowded tiles are decided by culling, which is sharper for a small block; sparse ones by how often a Gaussian's
+    # gradient is reduced over a warp, which a large block does less often.
+    if dtype is wp.float64 or (channels <= 24 and pairs_per_tile > CROWDED):
         return BlendLayout(tile_size, 8, 4, LANES_CUDA)
     return BlendLayout(tile_size, 8, 8, LANES_CUDA)

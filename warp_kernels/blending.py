@@ -82,7 +82,7 @@ def alpha_functions(dtype: type):
         """Rows [first, end) of a lane, whose first row of pixel centres is y0, that the ellipse reaches."""
         spare = extent[1] + dtype(1.0e-3) + dtype(1.0e-6) * (wp.abs(mean[1]) + extent[1])
         first = int(wp.ceil(wp.clamp(mean[1] - spare - y0, zero, dtype(rows))))
-        end = int(wp.floor(wp.clamp(mean[1] + spare - y0, -one, dtype(rows - 1)))) + 1
+        end = int(wp.floor(wp.clamp(mean[1] + spare - y0, dtype(-1.0), dtype(rows - 1)))) + 1
         return first, end
 
     return exponent, alpha, reaches_block, row_range
@@ -114,7 +114,8 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     exponent, alpha, reaches_block, row_range = alpha_functions(dtype)
     broadcast, exp_negative, _ = lane_functions(dtype)
-    zero, half, one, transmittance_min = dtype(0.0), dtype(0.5), dtype(1.0), dtype(TRANSMITTANCE_MIN)
+    zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
+    transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
     batch = BATCH
@@ -176,8 +177,8 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         for r in range(rows):
             for q in range(columns):
                 inside = PX[q] < dtype(width) and PY[q] + dtype(r) < dtype(height)
-                T[r * columns + q] = wp.where(inside, one, -one)
-                Tt[r * columns + q] = wp.where(inside, one, -one)
+                T[r * columns + q] = wp.where(inside, one, minus_one)
+                Tt[r * columns + q] = wp.where(inside, one, minus_one)
                 last[r * columns + q] = -1
                 last_t[r * columns + q] = -1
 

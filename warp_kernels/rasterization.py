@@ -137,7 +137,9 @@ def project(
                 record_tape=False,
             )
 
-    _record(tape, adjoint, gaussians.means, projected.means2d, projected.conics, projected.depths)
+    g, p = gaussians, projected
+    inputs = [g.means, g.quats, g.scales, g.viewmats, g.Ks, *([g.covars] if g.covars is not None else [])]
+    _record(tape, adjoint, *inputs, p.means2d, p.depths, p.conics, p.compensations)
 
 
 def sh_colors(
@@ -381,10 +383,11 @@ def blend(
     thermal_channels = blended.thermal_render.dtype._length_ if blended.thermal_render is not None else 0
     if channels > CHANNELS_MAX:
         raise ValueError(f"features must have at most {CHANNELS_MAX} channels a traversal, got {channels}.")
-    if layout is None:
-        layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype)
     by_slot = bins.slots is not None
     num_tiles = len(bins.tile_offsets) - 1
+    if layout is None:
+        pairs_per_tile = bins.num_pairs / num_tiles
+        layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype, pairs_per_tile)
 
     nothing = wp.empty((0, 0), dtype=wp.types.vector(max(thermal_channels, 1), dtype), device=device)
     thermal_render = blended.thermal_render if dual else nothing
@@ -464,7 +467,9 @@ def blend(
             record_tape=False,
         )
 
-    _record(tape, adjoint, projected.means2d, projected.conics, opacities, features, blended.render)
+    inputs = [projected.means2d, projected.conics, opacities, thermal_opacities, features]
+    images = [blended.render, blended.transmittance, thermal_render, thermal_transmittance]
+    _record(tape, adjoint, *inputs, *images)
 
 
 @dataclass

@@ -2,8 +2,7 @@
 
 Images are [H, W, C] in [0, 1]; renders are the raw, unclamped ones.
 
-SSIM is kornia's: 11x11 Gaussian window with σ = 1.5, reflected at the borders. Its *loss* is halved there
-((1 - SSIM) / 2), which is not what λ_s multiplies in 3DGS, so 1 - SSIM is formed from its *metric*.
+The SSIM term is 1 - SSIM, as in 3DGS. kornia's ready-made loss is half of that and would halve λ_s silently.
 """
 
 from dataclasses import dataclass
@@ -11,17 +10,14 @@ from typing import TYPE_CHECKING
 
 import torch
 from kornia.losses import total_variation
-from kornia.metrics import ssim
 from torch import Tensor
 
 from thermosplat.config import LossConfig
 from thermosplat.rendered_frame import RenderedFrame
+from thermosplat.ssim import ssim_map
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import FrameTensors
-
-SSIM_WINDOW = 11
-"""Taps of the SSIM window along an axis [px]. 3DGS, ThermalGaussian, MMOne."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +127,7 @@ def _ssim_means(terms: list[_ImageTerm]) -> list[Tensor]:
         members = [index for index, term in enumerate(terms) if term.render.shape[:2] == size]
         renders = torch.cat([terms[index].render for index in members], dim=-1)
         targets = torch.cat([terms[index].target for index in members], dim=-1)
-        ssim_map = ssim(_as_batch(renders), _as_batch(targets), SSIM_WINDOW, max_val=1.0)[0]  # [sum of C, H, W]
-        channel_means = ssim_map.mean(dim=(1, 2)).split([terms[index].render.shape[-1] for index in members])
+        similarities = ssim_map(renders, targets).mean(dim=(1, 2))
+        channel_means = similarities.split([terms[index].render.shape[-1] for index in members])
         means.update((index, values.mean()) for index, values in zip(members, channel_means))
     return [means[index] for index in range(len(terms))]
-
-
-def _as_batch(image: Tensor) -> Tensor:
-    """[H, W, C] as kornia's [1, C, H, W]."""
-    return image.permute(2, 0, 1)[None].contiguous()

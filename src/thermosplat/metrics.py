@@ -8,12 +8,11 @@ by 0.006 dB at 30 dB, by 0.06 dB at 40 dB.) Averages over views are means of per
 import math
 from typing import TYPE_CHECKING
 
-import kornia
 import numpy as np
 import torch
 from torch import Tensor
 
-from thermosplat.losses import SSIM_WINDOW
+from thermosplat.ssim import ssim_map
 
 if TYPE_CHECKING:
     from thermosplat.radiometry import ThermalScale
@@ -34,11 +33,7 @@ def psnr(render: Tensor, target: Tensor) -> float:
 
 
 def ssim(render: Tensor, target: Tensor) -> float:
-    """Mean structural similarity: 11x11 Gaussian window, σ = 1.5, data range 1.
-
-    Convention: borders are reflected, as in kornia and torchmetrics (and so in gsplat's trainer). The metric of 3DGS,
-    ThermalGaussian and MMOne pads with zeros instead, which differs within 5 px of the border only: 0.9453 where this
-    gives 0.9488 on one 64 px image, less on larger ones.
+    """Mean structural similarity: 11x11 Gaussian window, σ = 1.5, borders reflected (see ``ssim_map``).
 
     Args:
         render: Rendered image, shape [H, W, C], H and W > 5; clamped to [0, 1] here.
@@ -47,8 +42,7 @@ def ssim(render: Tensor, target: Tensor) -> float:
     Returns:
         SSIM, at most 1.
     """
-    images = [image.permute(2, 0, 1)[None].contiguous() for image in (render.clamp(0, 1), target)]
-    return kornia.metrics.ssim(images[0], images[1], SSIM_WINDOW, max_val=1.0).mean().item()
+    return ssim_map(render.clamp(0, 1), target).mean().item()
 
 
 def thermal_intensity(render: Tensor, scale: "ThermalScale") -> Tensor:

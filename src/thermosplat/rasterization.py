@@ -37,12 +37,12 @@ class RGBTRender(NamedTuple):
     """Colours at the visible opacity, [..., C, H, W, D]."""
     render_features: Tensor
     """Features at the visible opacity, [..., C, H, W, d]."""
-    render_thermal_features: Tensor
-    """The same features at the thermal opacity, [..., C, H, W, d]."""
+    render_thermal_features: Tensor | None
+    """The same features at the thermal opacity, [..., C, H, W, d]; None without thermal opacities."""
     render_alphas: Tensor
     """Accumulated visible opacity, [..., C, H, W, 1]."""
-    render_thermal_alphas: Tensor
-    """Accumulated thermal opacity, [..., C, H, W, 1]."""
+    render_thermal_alphas: Tensor | None
+    """Accumulated thermal opacity, [..., C, H, W, 1]; None without thermal opacities."""
     info: dict[str, Any]
     """As ``rasterization``'s, with ``thermal_opacities`` beside ``opacities``."""
 
@@ -428,7 +428,7 @@ def rasterization_rgbt(
     quats: Tensor,  # [..., N, 4]
     scales: Tensor,  # [..., N, 3]
     opacities: Tensor,  # [..., N]
-    thermal_opacities: Tensor,  # [..., N]
+    thermal_opacities: Tensor | None,  # [..., N]
     colors: Tensor,  # [..., (C,) N, 3] or [..., (C,) N, K, 3]
     features: Tensor,  # [..., (C,) N, d]
     viewmats: Tensor,  # [..., C, 4, 4]
@@ -457,7 +457,7 @@ def rasterization_rgbt(
         quats: Rotations (w, x, y, z) of any length, [..., N, 4].
         scales: Standard deviations, [..., N, 3], world units.
         opacities: Visible opacities α in [0, 1], [..., N].
-        thermal_opacities: Thermal opacities α_t in [0, 1], [..., N].
+        thermal_opacities: Thermal opacities α_t in [0, 1], [..., N]. None: only the visible pass is rendered.
         colors: As in ``rasterization``; with ``sh_degree``, SH coefficients.
         features: Latent features, [..., N, d] or [..., C, N, d].
         viewmats: World-to-camera, OpenCV axes, [..., C, 4, 4].
@@ -485,7 +485,8 @@ def rasterization_rgbt(
     check_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
     cameras, count = check_scene(means, quats, scales, None, opacities, viewmats, Ks)
     batch = means.shape[:-2]
-    check_shape("thermal_opacities", thermal_opacities, (*batch, count), means)
+    if thermal_opacities is not None:
+        check_shape("thermal_opacities", thermal_opacities, (*batch, count), means)
     colors_per_camera = check_colors("colors", colors, means, cameras, sh_degree)
     features_per_camera = check_colors("features", features, means, cameras, None)
     channels = 3 if sh_degree is not None else colors.shape[-1]
@@ -512,16 +513,20 @@ def rasterization_rgbt(
     flat_features = scene.per_image(features, per_camera=features_per_camera)
     both = torch.cat([flat_colors, flat_features], -1)
     dim = features.shape[-1]
-    if channels + 2 * dim <= CHANNELS_MAX:
+    render_thermal, thermal_alphas = None, None
+    if thermal_opacities is not None and channels + 2 * dim <= CHANNELS_MAX:
         render, transmittance, render_thermal, thermal_transmittance = scene.blend(both, dim, absgrad)
+        thermal_alphas = 1.0 - thermal_transmittance
     else:
         render, transmittance = _blend_in_chunks(scene, both, CHANNELS_MAX, absgrad)
-        render_thermal, thermal_transmittance = _blend_in_chunks(
-            scene, flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True
-        )
+        if thermal_opacities is not None:
+            render_thermal, thermal_transmittance = _blend_in_chunks(
+                scene, flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True
+            )
+            thermal_alphas = 1.0 - thermal_transmittance
     render_colors, render_features = render[..., :channels], render[..., channels:]
     if backgrounds is not None:
         render_colors = render_colors + transmittance * backgrounds[..., None, None, :]
     return RGBTRender(
-        render_colors, render_features, render_thermal, 1.0 - transmittance, 1.0 - thermal_transmittance, scene.info()
+        render_colors, render_features, render_thermal, 1.0 - transmittance, thermal_alphas, scene.info()
     )

@@ -4,12 +4,13 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 from random_gaussians import random_gaussians, stepped_optimizers
+from torch import Tensor
 
 from thermosplat.config import DensificationConfig
 from thermosplat.errors import UserError
 from thermosplat.gaussians import Gaussians
+from thermosplat.training import densification
 from thermosplat.training.densification import DefaultStrategy, Refinement
 from thermosplat.training.gaussian_ops import Optimizers
 
@@ -140,7 +141,7 @@ def test_cap_lets_the_largest_gradients_grow() -> None:
 
 
 def test_gradient_is_measured_in_half_images() -> None:
-    """An image of twice the size halves the pixel gradient that a threshold stands for; the mean is over frames seen."""
+    """Pixel gradients count in units of half the image, and only in frames where the Gaussian is visible."""
     gaussians = random_gaussians(2)
     strategy = _strategy(gaussians)
     seen = torch.tensor([[True, True]])
@@ -191,3 +192,31 @@ def test_losing_every_gaussian_is_an_error() -> None:
     with pytest.raises(UserError, match="No Gaussian is left after the refinement of step 600"):
         _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*still)], 600)
     assert len(gaussians) == 3
+
+
+def test_out_of_memory_between_two_operations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory that runs out after cloning, before splitting, leaves sums that fit the Gaussians there are."""
+    gaussians = random_gaussians(20)
+    strategy = _strategy(gaussians, grow_scale3d=0.02)
+    info = _info(torch.full((1, 20, 2), 1.0), torch.ones(1, 20, dtype=torch.bool))
+
+    def exhausted(*args: object) -> None:
+        raise torch.OutOfMemoryError
+
+    monkeypatch.setattr(densification, "split", exhausted)
+    with pytest.raises(torch.OutOfMemoryError):
+        _run(strategy, gaussians, stepped_optimizers(gaussians), [info], 600)
+    assert len(gaussians) > 20
+    assert strategy.grad_norm_sum.tolist() == [0.0] * len(gaussians)
+    assert strategy.observations.tolist() == [0.0] * len(gaussians)
+
+
+def test_state_comes_back() -> None:
+    """A strategy that is loaded goes on with the sums of the one that was saved."""
+    gaussians = random_gaussians(20)
+    strategy, other = _strategy(gaussians), _strategy(gaussians)
+    _run(strategy, gaussians, {}, [_info(*_gradients(20, 0))], 1)
+    other.load_state_dict(strategy.state_dict())
+    assert strategy.grad_norm_sum.any()
+    assert torch.equal(other.grad_norm_sum, strategy.grad_norm_sum)
+    assert torch.equal(other.observations, strategy.observations)

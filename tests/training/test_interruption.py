@@ -17,9 +17,14 @@ def _python_sigint() -> None:
 def test_block_is_finished_first() -> None:
     """An interrupt inside the block is raised at its end."""
     done = []
-    with pytest.raises(KeyboardInterrupt), deferred_interrupts():
-        os.kill(os.getpid(), signal.SIGINT)
-        done.append(1)
+
+    def work() -> None:
+        with deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
     assert done == [1]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
@@ -27,11 +32,16 @@ def test_block_is_finished_first() -> None:
 def test_nested_blocks_finish_all() -> None:
     """An interrupt inside an inner block waits for the outer one as well."""
     done = []
-    with pytest.raises(KeyboardInterrupt), deferred_interrupts():
+
+    def work() -> None:
         with deferred_interrupts():
-            os.kill(os.getpid(), signal.SIGINT)
-            done.append("inner")
-        done.append("outer")
+            with deferred_interrupts():
+                os.kill(os.getpid(), signal.SIGINT)
+                done.append("inner")
+            done.append("outer")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
     assert done == ["inner", "outer"]
 
 
@@ -43,9 +53,14 @@ def test_last_block_swallows() -> None:
 
 def test_error_goes_before_interrupt() -> None:
     """An error in the block is what the caller sees, and Ctrl-C works again."""
-    with pytest.raises(ZeroDivisionError), deferred_interrupts():
-        os.kill(os.getpid(), signal.SIGINT)
-        raise ZeroDivisionError
+
+    def work() -> None:
+        with deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        work()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

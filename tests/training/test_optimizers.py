@@ -45,7 +45,7 @@ def test_every_parameter_has_its_rate() -> None:
 
 
 def test_blocked_step_leaves_everything() -> None:
-    """NaN gradients behind the flag touch neither parameters, moments nor the step count; without the flag they would."""
+    """NaN gradients behind the flag touch neither parameters, moments nor step count; without it they would."""
     gaussians = random_gaussians(3)
     optimizers = stepped_optimizers(gaussians)
     before = {name: parameter.detach().clone() for name, parameter in gaussians.named_parameters()}

@@ -5,12 +5,12 @@ import dataclasses
 import pytest
 import torch
 from toy_run import many_frames
-from toy_scene import toy_capture
 
 from thermosplat.config import ModelConfig
 from thermosplat.errors import UserError
 from thermosplat.training import train_frames
 from thermosplat.training.train_frames import TrainFrames
+from toy_scene import toy_capture
 
 CPU = torch.device("cpu")
 

@@ -12,15 +12,15 @@ from typing import Any
 import pytest
 import torch
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
-from toy_scene import toy_capture
 
-from thermosplat.config import LossConfig, TrainConfig
+from thermosplat.config import DensificationConfig, LossConfig, OptimizerConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training import trainer as trainer_module
 from thermosplat.training.interruption import TrainingInterrupted
 from thermosplat.training.trainer import Trainer
+from toy_scene import toy_capture
 
 SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
@@ -62,7 +62,8 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, task: tuple[TrainCon
     while whole.step < 12:
         whole._train_step()
         counts.append(whole.model.num_gaussians)
-    assert counts[0] != counts[6] != counts[12]
+    assert len(set(counts[:7])) > 1
+    assert len(set(counts[6:])) > 1
 
     first = toy_trainer(tmp_path / "halves", config, capture)
     while first.step < 6:
@@ -107,8 +108,10 @@ def test_results_of_a_run(tmp_path: Path, capture: Capture) -> None:
 
 def test_training_learns(tmp_path: Path, capture: Capture) -> None:
     """Both spectra of the frames trained on get closer to their images."""
-    config = dataclasses.replace(
-        toy_run_config(max_steps=60), densification=dataclasses.replace(toy_run_config().densification, enabled=False)
+    config = toy_run_config(
+        max_steps=60,
+        densification=DensificationConfig(enabled=False),
+        optimizer=OptimizerConfig(decoders_lr=1e-2, decoders_lr_final=1e-2),
     )
     capture = dataclasses.replace(capture, train=capture.train[:1], test=capture.train[:1])
     trainer = toy_trainer(tmp_path, config, capture)
@@ -128,7 +131,7 @@ def test_sh_degree_rises_with_the_steps(tmp_path: Path, capture: Capture) -> Non
 def test_interrupt_between_updates(
     tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
-    """Ctrl-C while a step is being computed, or during an evaluation, saves the last whole step; nothing differs after."""
+    """Ctrl-C while a step or an evaluation is being computed saves the last whole step, and nothing differs after."""
     config = toy_run_config(eval_steps=(4,))
     trainer = toy_trainer(tmp_path, config, capture)
     owner = trainer.model if place == "render" else trainer_module

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from toy_scene import toy_capture, toy_config
 
 from thermosplat.config import DensificationConfig, TrainConfig
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training.trainer import Trainer
+from toy_scene import toy_config
 
 
 def many_frames(capture: Capture, count: int = 5) -> Capture:
@@ -37,8 +37,8 @@ def toy_run_config(max_steps: int = 12, *, model: dict[str, Any] | None = None, 
         stop_step=50,
         every=3,
         reset_every=5,
-        grad_threshold=4e-4,
-        max_gaussians=250,
+        grad_threshold=1e-4,
+        max_gaussians=600,
         grow_scale3d=0.8,
         prune_scale3d=1.5,
     )
@@ -65,7 +65,7 @@ def state_tensors(trainer: Trainer) -> dict[str, torch.Tensor]:
     state = trainer.state.checkpoint(trainer.config, 0, None)
     flat: dict[str, torch.Tensor] = {}
 
-    def flatten(value: Any, name: str) -> None:  # noqa: ANN401
+    def flatten(value: Any, name: str) -> None:
         if isinstance(value, torch.Tensor):
             flat[name] = value.detach().clone()
         elif isinstance(value, dict):

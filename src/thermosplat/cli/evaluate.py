@@ -80,7 +80,7 @@ def _print_metrics(console: Any, loaded: "LoadedRun", metrics: dict[str, Any]) -
     from rich.table import Table
 
     title = f"step {loaded.step:,}, {metrics['num_gaussians']:,} Gaussians"
-    table = Table("held-out views", "PSNR [dB]", "SSIM", "LPIPS", "MAE [°C]", title=title, title_justify="left")
+    table = Table("held-out views", r"PSNR \[dB]", "SSIM", "LPIPS", "MAE [°C]", title=title, title_justify="left")
     for modality, label in (("rgb", "RGB"), ("thermal", "thermal")):
         numbers = metrics[modality]
         if numbers is not None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 
 from thermosplat.checkpoint import load_checkpoint
+from thermosplat.cli.warp_start import start_warp
 from thermosplat.config import TrainConfig
 from thermosplat.config_files import from_dict
 from thermosplat.datasets import load_capture
@@ -69,6 +70,7 @@ def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> L
     """
     chosen = choose_device(device)
     directory = RunDirectory.open(folder)
+    start_warp()
     state = load_checkpoint(_checkpoint(directory, step), chosen)
     scale = state["thermal_scale"]
     return LoadedRun(

@@ -73,7 +73,7 @@ def _render(arguments: RenderArguments) -> int:
     points = viewpoints(capture, arguments.path, shown, num_frames=arguments.frames, device=loaded.device)
     images = rendered_images(loaded.model, points, sh_degree=loaded.sh_degree, thermal_scale=loaded.thermal_scale)
     written = write_images(
-        track(images, description=f"Rendering {arguments.path}", total=len(points), transient=True),
+        track(images, f"Rendering {arguments.path}", len(points), transient=True, disable=not sys.stdout.isatty()),
         loaded.directory.videos / f"{arguments.path}_{shown}_{loaded.step:06d}",
         format=arguments.format,
         fps=arguments.fps,

@@ -35,8 +35,10 @@ def main(argv: list[str] | None = None) -> int:
 def _train(argv: list[str]) -> int:
     config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
 
+    from thermosplat.cli.warp_start import start_warp
     from thermosplat.training.interruption import TrainingInterrupted
 
+    start_warp()
     trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
     try:
         trainer.train()

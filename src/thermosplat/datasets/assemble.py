@@ -1,23 +1,21 @@
 """From a listing of files to a capture in memory: read, interpret, rectify, shrink, divide."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.cameras import Camera
 from thermosplat.config import ThermalConfig
 from thermosplat.datasets.capture import Capture, Frame, Modality, View
-from thermosplat.datasets.capture_palette import choose_palette
+from thermosplat.datasets.capture_notes import distortion_notes, pairing_notes
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
-from thermosplat.datasets.image_files import read_images, resize
+from thermosplat.datasets.image_files import resize
 from thermosplat.datasets.lens import rectification, shrunk
-from thermosplat.datasets.msx import msx_note
+from thermosplat.datasets.msx import msx_notes
 from thermosplat.datasets.splits import divide, hold_out_mask
-from thermosplat.datasets.temperature_units import RadiometricStatement, read_statement
-from thermosplat.datasets.thermal_images import ThermalFile, ThermalReading, interpret, is_radiometric
+from thermosplat.datasets.thermal_files import interpret_thermal, read_each, read_thermal, require_8bit
+from thermosplat.datasets.thermal_images import ThermalPixels
 from thermosplat.errors import UserError
 
 
@@ -43,81 +41,44 @@ def assemble(
     if not frames:
         raise UserError(f"No image of {root} has a camera in its model.", "Are images and model of the same capture?")
     mask = hold_out_mask(frames, test_every)
-    rgb_images = _read_each([frame.rgb for frame in frames])
-    thermal_files = _read_thermal(frames)
-    reading = _interpret(root, thermal_files, listing, thermal)
-    views: list[Frame] = []
+    rgb_images = read_each([frame.rgb for frame in frames])
+    thermal_files = read_thermal(frames)
+    reading = interpret_thermal(root, thermal_files, listing, thermal)
+    views = []
     for index, frame in enumerate(frames):
-        rgb_view = thermal_view = None
-        image = rgb_images[index]
-        if frame.rgb is not None and image is not None:
-            _check_size(frame.rgb, image, root)
-            rgb_view = _view("rgb", frame.rgb, _as_rgb(frame.rgb.path, image), None, data_factor)
         pixels = None if reading is None else reading.pixels[index]
-        if frame.thermal is not None and pixels is not None:
-            _check_thermal_camera(frame, pixels.image, image, listing, thermal, root)
-            thermal_view = _view("thermal", frame.thermal, pixels.image, pixels.celsius, data_factor)
-        views.append(Frame(frame.name, rgb_view, thermal_view))
+        views.append(_frame(frame, rgb_images[index], pixels, listing, root, data_factor, thermal.aligned))
     train, test = divide(views, mask)
-    notes = [*listing.notes, *_pairing_notes(views), *([] if reading is None else reading.notes)]
-    notes += _distortion_note(frames)
-    notes += msx_note(
+    notes = [*listing.notes, *pairing_notes(views), *distortion_notes(frames)]
+    notes += [] if reading is None else reading.notes
+    notes += msx_notes(
         [(image, file.display) for image, file in zip(rgb_images, thermal_files, strict=True) if file is not None]
     )
     scale = None if reading is None else reading.scale
     return Capture(name, root, listing.layout, train, test, listing.points, listing.point_colors, scale, tuple(notes))
 
 
-def _read_each(shots: Sequence[Shot | None]) -> list[NDArray[Any] | None]:
-    """Images of the shots there are."""
-    images = iter(read_images([shot.path for shot in shots if shot is not None]))
-    return [None if shot is None else next(images) for shot in shots]
-
-
-def _read_thermal(frames: Sequence[FrameFiles]) -> list[ThermalFile | None]:
-    """Thermal files of each frame: the displayable image, the radiometric values, or both."""
-    shown = _read_each([frame.thermal for frame in frames])
-    raw_paths = [
-        frame.thermal.raw if frame.thermal is not None and frame.thermal.raw != frame.thermal.path else None
-        for frame in frames
-    ]
-    raws = iter(read_images([path for path in raw_paths if path is not None]))
-    files: list[ThermalFile | None] = []
-    for frame, image, raw_path in zip(frames, shown, raw_paths, strict=True):
-        beside = None if raw_path is None else next(raws)
-        if frame.thermal is None or image is None:
-            files.append(None)
-            continue
-        if beside is not None and not is_radiometric(beside):
-            raise UserError(
-                f"{raw_path} is an 8-bit image; radiometric values are 16-bit or floating-point with one channel."
-            )
-        path = frame.thermal.path
-        if is_radiometric(image):
-            files.append(
-                ThermalFile(path, None, image, path) if beside is None else ThermalFile(path, None, beside, raw_path)
-            )
-        else:
-            files.append(ThermalFile(path, _as_8bit(path, image), beside, raw_path))
-    return files
-
-
-def _interpret(
-    root: Path, files: Sequence[ThermalFile | None], listing: Listing, config: ThermalConfig
-) -> ThermalReading | None:
-    """`interpret` for the frames that have a thermal file; None if none has."""
-    present = [file for file in files if file is not None]
-    if not present:
-        return None
-    statement = RadiometricStatement()
-    for folder in ("thermal_raw", "thermal"):
-        if (root / folder / "units.json").is_file():
-            statement = read_statement(root / folder / "units.json")
-            break
-    palette = choose_palette(root, config, [file.path for file in present])
-    reading = interpret(present, config, palette=palette, statement=statement, grey_range=listing.celsius_range)
-    pixels = iter(reading.pixels)
-    return ThermalReading(reading.scale, tuple(None if file is None else next(pixels) for file in files), reading.notes)
+def _frame(
+    files: FrameFiles,
+    rgb: NDArray[Any] | None,
+    thermal: ThermalPixels | None,
+    listing: Listing,
+    root: Path,
+    data_factor: int,
+    aligned: bool,
+) -> Frame:
+    """A frame from its files' pixels."""
+    rgb_view = thermal_view = None
+    if files.rgb is not None and rgb is not None:
+        _check_size(files.rgb, rgb, root)
+        rgb_view = _view("rgb", files.rgb, _as_rgb(files.rgb.path, rgb), None, data_factor)
+    if files.thermal is not None and thermal is not None:
+        if files.thermal_has_camera:
+            _check_size(files.thermal, thermal.image, root)
+        elif not aligned:
+            _check_borrowed_camera(files.thermal, thermal.image, rgb, listing.registered, root)
+        thermal_view = _view("thermal", files.thermal, thermal.image, thermal.celsius, data_factor)
+    return Frame(files.name, rgb_view, thermal_view)
 
 
 def _check_size(shot: Shot, image: NDArray[Any], root: Path) -> None:
@@ -130,24 +91,13 @@ def _check_size(shot: Shot, image: NDArray[Any], root: Path) -> None:
         )
 
 
-def _check_thermal_camera(
-    frame: FrameFiles,
-    image: NDArray[Any],
-    rgb: NDArray[Any] | None,
-    listing: Listing,
-    config: ThermalConfig,
-    root: Path,
+def _check_borrowed_camera(
+    shot: Shot, image: NDArray[Any], rgb: NDArray[Any] | None, registered: bool, root: Path
 ) -> None:
-    """A thermal image needs a camera of its own, or signs that it shows what the RGB image shows."""
-    shot = frame.thermal
-    if shot is None or config.aligned:
-        return
-    if frame.thermal_has_camera:
-        _check_size(shot, image, root)
-        return
+    """A thermal image without a camera of its own has to show signs that it shows what the RGB image shows."""
     height, width = image.shape[:2]
     same_size = rgb is not None and rgb.shape[:2] == image.shape[:2]
-    if same_size or (shot.lens.fits(width, height) and (listing.registered or rgb is None)):
+    if same_size or (shot.lens.fits(width, height) and (registered or rgb is None)):
         return
     raise UserError(
         f"{shot.path.relative_to(root)} is {width}x{height}"
@@ -163,7 +113,7 @@ def _view(
 ) -> View:
     height, width = image.shape[:2]
     ideal = rectification(shot.lens, width, height)
-    camera: Camera = shrunk(ideal.camera, data_factor)
+    camera = shrunk(ideal.camera, data_factor)
     channels = image.shape[2]
     image = resize(ideal.apply(image), camera.width, camera.height).reshape(camera.height, camera.width, channels)
     if celsius is not None:
@@ -171,44 +121,9 @@ def _view(
     return View(modality, shot.path.stem, shot.path, camera, shot.viewmat, image, celsius)
 
 
-def _as_8bit(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
-    if image.dtype != np.uint8:
-        raise UserError(
-            f"{path} has {image.dtype} colour; 8-bit colour or one-channel radiometric images are expected."
-        )
-    return image
-
-
 def _as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
     """8-bit RGB of an RGB file: 16 bits are reduced, grey is repeated."""
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
-    image = _as_8bit(path, image)
+    image = require_8bit(path, image)
     return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=-1)
-
-
-def _pairing_notes(frames: Sequence[Frame]) -> list[str]:
-    """Say how many frames lack a partner, where some have one."""
-    notes = []
-    if any(frame.rgb is not None for frame in frames) and any(frame.thermal is not None for frame in frames):
-        for lacking, present in (("thermal", "RGB"), ("RGB", "thermal")):
-            lone = [frame for frame in frames if (frame.thermal if lacking == "thermal" else frame.rgb) is None]
-            if lone:
-                total = sum((frame.rgb if present == "RGB" else frame.thermal) is not None for frame in frames)
-                notes.append(
-                    f"{len(lone)} of {total} {present} images have no {lacking} partner (first: {lone[0].name}); "
-                    f"they are trained as {present} alone. Pairs are matched by file stem."
-                )
-    return notes
-
-
-def _distortion_note(frames: Sequence[FrameFiles]) -> list[str]:
-    models = {
-        shot.lens.model
-        for frame in frames
-        for shot in (frame.rgb, frame.thermal)
-        if shot is not None and shot.lens.distorted
-    }
-    if not models:
-        return []
-    return [f"Images of {' and '.join(sorted(models))} cameras were undistorted to pinhole images in memory."]

@@ -1,8 +1,8 @@
 """The palette that FLIR cameras store in their JPEG files.
 
-APP1 segments marked "FLIR" hold the pieces of one FFF file; its record of type 0x22 is the palette: the number of entries
-in byte 0 and from byte 0x70 on their Y, Cr, Cb in limited-range BT.601 (as ExifTool documents and RGBT-Scenes confirms:
-decoded like this, the palette lies within 2 of 255 levels of the images' pixels).
+APP1 segments marked "FLIR" hold the pieces of one FFF file; its record of type 0x22 is the palette: the number of
+entries in byte 0 and from byte 0x70 on their Y, Cr, Cb in limited-range BT.601 (ExifTool documents the format; decoded
+like this, the palettes of RGBT-Scenes lie about 2 of 255 levels from the images' pixels).
 """
 
 import struct

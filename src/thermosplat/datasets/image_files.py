@@ -1,5 +1,6 @@
 """Image files into arrays: 8-bit colour, 8-bit grey, 16-bit and floating-point, each as it is stored."""
 
+import warnings
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -90,7 +91,7 @@ def _decode_with_pillow(path: Path) -> NDArray[Any] | None:
     except ImportError as error:
         raise UserError(f"OpenCV cannot read {path}.", "Pillow may: pip install pillow.") from error
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
             pixels = np.asarray(image)
     except (OSError, UnidentifiedImageError, ValueError):
         return None

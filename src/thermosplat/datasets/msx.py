@@ -27,7 +27,7 @@ def edge_correlation(rgb: NDArray[np.uint8], thermal: NDArray[np.uint8]) -> floa
     return float(np.corrcoef(details[0], details[1])[0, 1])
 
 
-def msx_note(pairs: Sequence[tuple[NDArray[Any] | None, NDArray[np.uint8] | None]]) -> list[str]:
+def msx_notes(pairs: Sequence[tuple[NDArray[Any] | None, NDArray[np.uint8] | None]]) -> list[str]:
     """A warning where the thermal images of a capture carry visible edges, as notes (none or one).
 
     Args:

@@ -77,13 +77,16 @@ def interpret(
     Args:
         files: At least one exposure.
         config: The user's choices; they win over everything the capture states.
-        palette: ChosenPalette of pseudo-coloured images.
+        palette: Palette of pseudo-coloured images; a scalar is shown with it.
         statement: What the capture says of its radiometric values.
         grey_range: Temperatures [°C] of black and white in grey images, if the capture states them.
 
     Raises:
         UserError: The images are not what the choices ask for, or the values are impossible.
     """
+    if config.range_celsius is not None and not config.range_celsius[0] < config.range_celsius[1]:
+        low, high = config.range_celsius
+        raise UserError(f"--thermal.range-celsius must be MIN MAX with MIN below MAX, got {low:g} {high:g}.")
     _check_sources(files, config, grey_range)
     notes: list[str] = []
     unit = _unit_of(files, config, statement, notes)
@@ -194,7 +197,7 @@ def _grey_reading(
             pixels.append(None)
             continue
         grey = file.display if file.display.ndim == 2 else file.display[..., 1]
-        image = grey.astype(np.float32)[..., None] / 255
+        image = np.asarray(grey[..., None] / np.float32(255), np.float32)
         celsius = _celsius_beside(file, unit)
         if celsius is None and span is not None:
             celsius = scale.celsius(image[..., 0])

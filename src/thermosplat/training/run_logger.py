@@ -199,13 +199,12 @@ class RunLogger:
             if f"psnr_{modality}" in self._values:
                 held_out = f" (held-out {self.held_out[modality]:.2f})" if modality in self.held_out else ""
                 parts.append(f"{modality} {self._values[f'psnr_{modality}']:.2f} dB{held_out}")
-        parts.append(f"{record.num_gaussians:,} Gaussians")
+        parts.append(f"{record.num_gaussians:,} Gaussians  {_memory_bytes(self.device) / 2**30:.1f} GiB")
         if self._values:
             terms = " ".join(
                 f"{name} {value:.4f}" for name, value in self._values.items() if not name.startswith("psnr_")
             )
-            parts.append(terms)
-        parts.append(f"{_memory_bytes(self.device) / 2**30:.1f} GiB")
+            parts.append(terms)  # last, because a narrow terminal cuts the line off
         return "  ".join(parts)
 
     def _show(self, line: str) -> None:

@@ -221,8 +221,8 @@ class Trainer:
             say(note)
         if self.device.type == "cpu":
             why = "Training on the CPU" if torch.cuda.is_available() else "No CUDA device: training on the CPU"
-            name = device_name(self.device)
-            say(f"{why} with Warp ({name}), many times slower than a GPU; --config demo is made for it.")
+            cores = f"{torch.get_num_threads()} torch threads"
+            say(f"{why} with Warp ({cores}), many times slower than a GPU; --config demo is made for it.")
         say(
             f"{self.capture.name}: {len(self.frames)} training and {len(self.capture.test)} held-out frames, "
             f"{self.model.num_gaussians:,} Gaussians{f', from step {step:,}' if step else ''}; "

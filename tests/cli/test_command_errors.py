@@ -1,0 +1,55 @@
+"""How a command ends: exit codes, the panel, and what --debug adds."""
+
+import pytest
+import torch
+
+from thermosplat.cli.errors import run_command
+from thermosplat.errors import UserError
+
+
+def failing(error: BaseException):
+    def body() -> int:
+        raise error
+
+    return body
+
+
+def test_success_passes_its_code_on() -> None:
+    """The body's exit code is the command's."""
+    assert run_command(lambda: 0, debug=False) == 0
+    assert run_command(lambda: 130, debug=False) == 130
+
+
+def test_user_error_is_a_panel_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    """Message and hint, literally even where they look like markup, on stderr; code 2; no traceback."""
+    assert run_command(failing(UserError("No [bold] here.", "Use --this.")), debug=False) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "No [bold] here." in captured.err
+    assert "Use --this." in captured.err
+    assert "Traceback" not in captured.err
+
+
+def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    """--debug adds the traceback and keeps the code."""
+    assert run_command(failing(UserError("No.")), debug=True) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_ctrl_c_is_130(capsys: pytest.CaptureFixture[str]) -> None:
+    """Ctrl-C outside the training ends quietly with the shell's code for it."""
+    assert run_command(failing(KeyboardInterrupt()), debug=False) == 130
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory"), MemoryError()])
+def test_out_of_memory_is_explained(error: BaseException, capsys: pytest.CaptureFixture[str]) -> None:
+    """Running out of memory is the user's to mend."""
+    assert run_command(failing(error), debug=False) == 2
+    assert "Out of memory" in capsys.readouterr().err
+
+
+def test_bugs_stay_visible() -> None:
+    """What is no mistake of the user's is not dressed up as one."""
+    with pytest.raises(RuntimeError, match="a bug"):
+        run_command(failing(RuntimeError("a bug")), debug=False)

@@ -1,0 +1,121 @@
+"""The bridge between torch and Warp: memory, streams, ownership."""
+
+import gc
+
+import pytest
+import torch
+import warp as wp
+
+from gaussian_scenes import gradients, leaves, random_scene, relative_error, upstream_gradients
+from thermosplat import rasterization
+from thermosplat.warp_bridge import SCALARS, on_torch_stream, to_torch, wrap
+
+
+@pytest.mark.parametrize("dtype", list(SCALARS))
+def test_wrap_shares_memory(device: torch.device, dtype: torch.dtype) -> None:
+    """A wrapped tensor is torch's memory seen as vectors."""
+    tensor = torch.arange(12, dtype=dtype, device=device).reshape(4, 3)
+    with on_torch_stream(device):
+        array = wrap(tensor, wp.types.vector(3, SCALARS[dtype]))
+    assert array.shape == (4,)
+    assert array.ptr == tensor.data_ptr()
+    tensor[2, 1] = -7.0
+    assert array.numpy()[2, 1] == -7.0
+
+
+def test_wrap_leaves_autograd_alone(device: torch.device) -> None:
+    """Wrapping a leaf that needs a gradient neither gives it one nor lets Warp allocate one."""
+    leaf = torch.zeros(4, 3, device=device, requires_grad=True)
+    with on_torch_stream(device):
+        array = wrap(leaf, wp.vec3)
+    assert leaf.grad is None
+    assert array.grad is None
+
+
+def test_to_torch_keeps_the_memory_alive(device: torch.device) -> None:
+    """The tensor stays valid after the array is gone."""
+    with on_torch_stream(device) as warp_device:
+        array = wp.full(1000, 3.5, dtype=wp.float32, device=warp_device)
+        tensor = to_torch(array)
+    del array
+    gc.collect()
+    other = [torch.zeros(1000, device=device) for _ in range(20)]
+    assert (tensor == 3.5).all()
+    assert len(other) == 20
+
+
+def test_on_torch_stream_gives_the_tensors_device(device: torch.device) -> None:
+    """The Warp device of torch's device, on torch's current stream."""
+    with on_torch_stream(device) as warp_device:
+        assert warp_device.is_cuda == (device.type == "cuda")
+        if warp_device.is_cuda:
+            assert warp_device.stream.cuda_stream == torch.cuda.current_stream(device).cuda_stream
+
+
+def test_in_place_changes_between_forward_and_backward_are_caught(device: torch.device) -> None:
+    """The adjoint reads the inputs again: torch refuses when they were changed, instead of a wrong gradient."""
+    scene = leaves(random_scene(n=10), device, torch.float32)
+    for name in ("means", "scales", "opacities", "colors", "viewmats"):
+        inputs = {k: v * 1 if isinstance(v, torch.Tensor) else v for k, v in scene.items()}  # no leaves
+        loss = rasterization(**inputs)[0].sum()
+        inputs[name].mul_(1.5)
+        with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+            loss.backward()
+
+
+def test_results_survive_later_renders(device: torch.device) -> None:
+    """Images, info and pending gradients of one render are not overwritten by the next: no shared workspace."""
+    first = leaves(random_scene(n=40), device, torch.float64)
+    second = leaves(random_scene(n=90, seed=1, width=60, height=50), device, torch.float64)
+    image, alphas, info = rasterization(**first)
+    kept = [image.detach().clone(), info["flatten_ids"].clone(), info["radii"].clone()]
+    rasterization(**second)[0].sum().backward()
+    assert all(torch.equal(a, b) for a, b in zip(kept, [image, info["flatten_ids"], info["radii"]], strict=True))
+    upstream = upstream_gradients([image, alphas], torch.ones(1, 18, 23))
+    found = gradients([image, alphas], upstream, first)
+    again = leaves(first, device, torch.float64)
+    truth = gradients(rasterization(**again)[:2], upstream, again)
+    assert all(relative_error(found[name], truth[name]) < 1e-12 for name in found)
+
+
+def test_gradients_flow_to_what_made_the_inputs(device: torch.device) -> None:
+    """Activations before and losses after the renderer are ordinary autograd."""
+    scene = leaves(random_scene(n=20), device, torch.float64)
+    logits = torch.logit(scene["opacities"]).detach().requires_grad_()
+    log_scales = scene["scales"].log().detach().requires_grad_()
+    image, _, _ = rasterization(**scene | {"opacities": logits.sigmoid(), "scales": log_scales.exp()})
+    (image - 0.5).square().mean().backward()
+    direct = leaves(scene, device, torch.float64)
+    (rasterization(**direct)[0] - 0.5).square().mean().backward()
+    sigmoid = scene["opacities"].detach()
+    assert relative_error(logits.grad, direct["opacities"].grad * sigmoid * (1 - sigmoid)) < 1e-12
+    assert relative_error(log_scales.grad, direct["scales"].grad * scene["scales"].detach()) < 1e-12
+
+
+def test_second_derivatives_are_refused(device: torch.device) -> None:
+    """There is no adjoint of the adjoint: asking for one is an error, not a wrong number."""
+    scene = leaves(random_scene(n=10), device, torch.float64)
+    image = rasterization(**scene)[0]
+    (first,) = torch.autograd.grad(image.square().sum(), scene["means"], create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        first.sum().backward()
+
+
+@pytest.mark.cuda
+def test_side_streams() -> None:
+    """Rendering on a stream of torch's own waits for its inputs and is waited for."""
+    if not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device; torch finds none")
+    scene = random_scene(n=200, width=120, height=90)
+    inputs = leaves(scene, "cuda", torch.float32)
+    image = rasterization(**inputs)[0].detach()
+    stream = torch.cuda.Stream()
+    stream.wait_stream(torch.cuda.current_stream())
+    for _ in range(20):
+        with torch.cuda.stream(stream):
+            torch.cuda._sleep(2_000_000)
+            delayed = inputs | {"colors": inputs["colors"] * 2 - inputs["colors"]}
+            same, _, _ = rasterization(**delayed)
+            difference = (same - image).abs().max()
+        stream.synchronize()
+        assert difference.item() < 1e-5

@@ -1,0 +1,73 @@
+"""Every kernel compiles for CUDA, on machines without a GPU too."""
+
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from warp_kernels.blend_layout import BlendLayout
+from warp_kernels.blending import blend_kernel
+from warp_kernels.blending_adjoint import blend_adjoint_kernel, distribute_kernel
+from warp_kernels.projection import projection_kernel
+from warp_kernels.projection_adjoint import camera_finish_kernel, projection_adjoint_kernel
+from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel
+from warp_kernels.strand_sums import strand_sum_kernel
+from warp_kernels.tile_binning import binning_kernels, tile_ranges_kernel
+
+
+def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
+    """Kernels with one thread a Gaussian, pair or image."""
+    kernels = [
+        projection_kernel(dtype, camera_model, from_covars)
+        for camera_model in ("pinhole", "ortho")
+        for from_covars in (False, True)
+    ]
+    kernels += [
+        projection_adjoint_kernel(dtype, camera_model, from_covars, True)
+        for camera_model in ("pinhole", "ortho")
+        for from_covars in (False, True)
+    ]
+    kernels += [*binning_kernels(dtype), tile_ranges_kernel, camera_finish_kernel(dtype), strand_sum_kernel(dtype, 3)]
+    kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), camera_position_adjoint_kernel(dtype)]
+    kernels += [distribute_kernel(11, 8, dtype, absgrad, False) for absgrad in (False, True)]
+    return kernels
+
+
+def compile_all(kernels: list[wp.Kernel], arch: int, folder: Path) -> None:
+    """Compiles each kernel's module to a cubin and checks that one was written."""
+    wp.init()
+    for number, kernel in enumerate(kernels):
+        target = folder / str(number)
+        wp.compile_aot_module(kernel.module, arch=arch, module_dir=str(target), use_ptx=False)
+        assert [path for path in target.iterdir() if path.suffix == ".cubin"], kernel.key
+
+
+def test_blending_compiles_for_cuda(tmp_path: Path) -> None:
+    """The forward kernel and the atomic adjoint of RGB, with warp intrinsics and the butterfly reduction."""
+    layout = BlendLayout(16, 8, 8, 32)
+    kernels = [blend_kernel(3, 0, wp.float32, layout)]
+    kernels.append(blend_adjoint_kernel(3, 0, wp.float32, layout, False, False))
+    compile_all(kernels, 90, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
+    """Projection, colours, binning, sums."""
+    compile_all(gaussian_kernels(dtype), arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize(("channels", "thermal_channels"), [(1, 0), (3, 0), (11, 0), (11, 8), (32, 0)])
+@pytest.mark.parametrize("tile_size", [8, 16, 32])
+def test_blending_variants_compile_for_cuda(
+    tile_size: int, channels: int, thermal_channels: int, arch: int, tmp_path: Path
+) -> None:
+    """Tile sizes, channel counts and both block shapes, with and without absgrad."""
+    for block_height in (4, 8):
+        layout = BlendLayout(tile_size, 8, block_height, 32)
+        kernels = [blend_kernel(channels, thermal_channels, wp.float32, layout)]
+        kernels.append(blend_adjoint_kernel(channels, thermal_channels, wp.float32, layout, block_height == 4, False))
+        compile_all(kernels, arch, tmp_path / str(block_height))
