@@ -92,7 +92,9 @@ def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int)
                 rows.append(row)
                 print(
                     "{gaussians:>9} {width}x{height} pairs {pairs:>9} tile {tile_size:>2} block {block:>5} "
-                    "C {channels:>2}+{thermal_channels} forward {forward_ms:.3f} backward {backward_ms:.3f}".format(**row),
+                    "C {channels:>2}+{thermal_channels} forward {forward_ms:.3f} backward {backward_ms:.3f}".format(
+                        **row
+                    ),
                     flush=True,
                 )
     return rows
@@ -111,7 +113,9 @@ def main() -> None:
     for grid in args.grids:
         for size in args.sizes:
             width, height = (int(x) for x in size.split("x"))
-            rows += bench(load_garden(args.asset, grid, width, height, torch.device("cuda")), width, height, args.repeats)
+            rows += bench(
+                load_garden(args.asset, grid, width, height, torch.device("cuda")), width, height, args.repeats
+            )
             if args.json:
                 args.json.write_text(json.dumps(rows, indent=1))
 

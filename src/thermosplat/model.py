@@ -145,7 +145,7 @@ class SceneModel(nn.Module):
             gaussians.quats,
             gaussians.scales,
             opacities,
-            gaussians.thermal_opacities if with_thermal else opacities.detach(),
+            gaussians.thermal_opacities if with_thermal else None,
             gaussians.sh_coeffs,
             gaussians.features,
             view.viewmat[None],

@@ -14,8 +14,10 @@ from thermosplat.errors import UserError
 HELP_FLAGS = ("-h", "--help")
 MAY_CHANGE_ON_RESUME = (
     *("data", "max_steps", "eval_steps", "save_steps", "log_every", "tensorboard", "lpips_weights", "device"),
+    *("data_factor", "densification.max_gaussians"),
 )
-"""Fields that say how a run is watched or how long it goes, not what is trained; ``data`` for a capture that moved."""
+"""Fields that say how a run is watched or how long it goes, not what is trained; ``data`` for a capture that moved, and
+the two that a run which ran out of memory is told to go on with."""
 
 
 @dataclasses.dataclass(frozen=True)

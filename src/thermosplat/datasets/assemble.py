@@ -1,5 +1,6 @@
 """From a listing of files to a capture in memory: read, interpret, rectify, shrink, divide."""
 
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,8 @@ def assemble(
     for index, frame in enumerate(frames):
         pixels = None if reading is None else reading.pixels[index]
         views.append(_frame(frame, rgb_images[index], pixels, listing, root, data_factor, thermal.aligned))
+    shown = [frame.rgb is not None or frame.thermal is not None for frame in views]  # a lone file may be of no use
+    views, mask = list(compress(views, shown)), list(compress(mask, shown))
     train, test = divide(views, mask)
     notes = [*listing.notes, *pairing_notes(views), *distortion_notes(frames)]
     notes += [] if reading is None else reading.notes

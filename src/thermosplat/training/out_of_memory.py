@@ -36,8 +36,8 @@ def out_of_memory_error(
         where = f"GPU memory ({used:.1f} of {total:.1f} GiB)"
     return UserError(
         f"Out of {where} at step {step:,} with {num_gaussians:,} Gaussians at {image_size}. {saved}",
-        f"Use --data-factor 2 (smaller images) or --densification.max-gaussians {_round_down(num_gaussians)} "
-        f"(fewer Gaussians). Go on with: {resume_command}",
+        f"Go on with: {resume_command} and --data-factor 2 (smaller images) or --densification.max-gaussians "
+        f"{_round_down(num_gaussians)} (no more Gaussians than that).",
     )
 
 

@@ -1,6 +1,6 @@
 """The training frames as tensors, kept on the device as far as memory allows."""
 
-import os
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -64,4 +64,7 @@ def _bytes(view: ViewTensors | None) -> int:
 def _free_bytes(device: torch.device) -> int:
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
-    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+        if line.startswith("MemAvailable:"):  # with what the file cache would give back
+            return int(line.split()[1]) * 1024
+    return 0

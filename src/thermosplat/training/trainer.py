@@ -297,8 +297,8 @@ class Trainer:
         raise UserError(
             f"The loss became NaN or infinite at step {bad_step:,} (term: {name}; frame: {frame.name}). "
             f"Last finite state saved to {self._save()}.",
-            "Check the images and the pose of that frame, or lower the learning rates (--optimizer.means-lr and the "
-            f"others), and go on with: {self.run.resume_command()}",
+            f"Check the images and the pose of that frame, then go on with: {self.run.resume_command()} "
+            "Or start again with smaller learning rates (--optimizer.means-lr and the others).",
         )
 
     def _out_of_memory(self) -> UserError:

@@ -1,6 +1,6 @@
 """Everything that changes while training, and that a checkpoint must hold to go on exactly."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -102,7 +102,7 @@ class TrainingState:
                     for owner, optimizers in self.optimizers.items()
                 },
                 "strategies": {name: strategy.state_dict() for name, strategy in self.strategies.items()},
-                "seconds": vars(self.seconds),
+                "seconds": asdict(self.seconds),
             },
         }
 

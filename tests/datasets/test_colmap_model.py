@@ -1,0 +1,89 @@
+"""COLMAP models: where they are found, what is read, and how damage is told."""
+
+import numpy as np
+import pytest
+from capture_folders import synthetic_model, write_colmap_folder, write_model
+
+from thermosplat.datasets import load_capture
+from thermosplat.datasets.colmap_model import MODEL_FOLDERS, find_model, read_model
+from thermosplat.errors import UserError
+
+
+@pytest.mark.parametrize("folder", MODEL_FOLDERS)
+def test_models_are_found_in_the_usual_places(tmp_path, folder):
+    """sparse/0, the folder of RGBT-Scenes as downloaded, and both without the number."""
+    write_model(synthetic_model(2), tmp_path / folder)
+    assert find_model(tmp_path) == tmp_path / folder
+
+
+def test_reading_gives_poses_cameras_and_points(tmp_path):
+    """What pycolmap made is what is read, in binary and in text form."""
+    model = synthetic_model(3)
+    write_model(model, tmp_path / "binary")
+    (tmp_path / "text").mkdir()
+    model.write_text(tmp_path / "text")
+    for kind in ("binary", "text"):
+        got = read_model(tmp_path / kind)
+        assert [image.name.name for image in got.images] == ["0000.png", "0001.png", "0002.png"]
+        for image in got.images:
+            expected = next(i for i in model.images.values() if i.name == image.name.name)
+            np.testing.assert_allclose(image.viewmat[:3], expected.cam_from_world().matrix(), atol=1e-9)
+            assert image.lens.model == "PINHOLE"
+            assert image.lens.params == (40.0, 42.0, 16.0, 12.0)
+        expected_points = np.array([point.xyz for point in model.points3D.values()])
+        assert got.points.dtype == np.float32
+        np.testing.assert_allclose(np.sort(got.points, 0), np.sort(expected_points, 0), atol=1e-5)
+        assert got.point_colors.shape == (30, 3)
+        assert got.point_colors.dtype == np.uint8
+
+
+@pytest.mark.parametrize("name", ["images.bin", "points3D.bin", "frames.bin", "cameras.bin"])
+def test_damaged_models_are_told(tmp_path, name):
+    """A file cut to nothing but a count, on which pycolmap may hang or abort, is a UserError."""
+    write_model(synthetic_model(3), tmp_path)
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:10])
+    with pytest.raises(UserError, match="damaged"):
+        read_model(tmp_path)
+
+
+def test_incomplete_models_are_told(tmp_path):
+    """A model without its points is a UserError with pycolmap's reason."""
+    write_model(synthetic_model(3), tmp_path)
+    (tmp_path / "points3D.bin").unlink()
+    with pytest.raises(UserError, match="incomplete or damaged"):
+        read_model(tmp_path)
+
+
+def test_no_model(tmp_path):
+    """The message says where a model was looked for and what was found, the hint how to make one."""
+    write_colmap_folder(tmp_path, 3)
+    for path in (tmp_path / "sparse" / "0").iterdir():
+        path.unlink()
+    with pytest.raises(UserError, match="No COLMAP model") as caught:
+        load_capture(tmp_path)
+    assert "sparse/0, colmap/sparse/0" in caught.value.message
+    assert "images/ (3 files)" in caught.value.message
+    assert caught.value.hint.startswith("Make one: colmap automatic_reconstructor")
+
+
+def test_empty_reconstruction_names_a_better_sibling(tmp_path):
+    """A model with 1 of 12 images is refused; sparse/1, which has more, is pointed at."""
+    write_colmap_folder(tmp_path, 12)
+    write_model(synthetic_model(1), tmp_path / "sparse" / "0")
+    with pytest.raises(UserError, match="1 registered of 12 images") as caught:
+        load_capture(tmp_path)
+    assert "overlap" in caught.value.hint
+    write_model(synthetic_model(9), tmp_path / "sparse" / "1")
+    with pytest.raises(UserError) as caught:
+        load_capture(tmp_path)
+    assert "sparse/1 has 9 images" in caught.value.hint
+
+
+def test_model_without_points(tmp_path):
+    """Images without sparse points cannot be started from."""
+    write_colmap_folder(tmp_path, 4)
+    model = synthetic_model(4)
+    model.delete_all_points2D_and_points3D()
+    write_model(model, tmp_path / "sparse" / "0")
+    with pytest.raises(UserError, match="0 points"):
+        load_capture(tmp_path)

@@ -1,0 +1,75 @@
+"""Calibrated cameras become pinhole cameras."""
+
+import numpy as np
+import pycolmap
+import pytest
+
+from thermosplat.datasets.lens import Lens, rectification, shrunk
+
+
+def test_pinhole_models_are_used_as_they_are():
+    """PINHOLE and SIMPLE_PINHOLE need no resampling, and their intrinsics are kept."""
+    for lens in (Lens("PINHOLE", (40.0, 41.0, 15.0, 12.0), 32, 24), Lens("SIMPLE_PINHOLE", (40.0, 15.0, 12.0), 32, 24)):
+        got = rectification(lens, 32, 24)
+        assert got.maps is None
+        assert (got.camera.fx, got.camera.cx, got.camera.cy) == (40.0, 15.0, 12.0)
+        image = np.zeros((24, 32, 3), np.uint8)
+        assert got.apply(image) is image
+
+
+def test_scaled_file_scales_the_intrinsics():
+    """A file of half the calibrated size has half the focal length."""
+    camera = rectification(Lens("PINHOLE", (40.0, 44.0, 16.0, 12.0), 32, 24), 16, 12).camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == (20, 22, 8, 6, 16, 12)
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "fits"),
+    [(640, 480, True), (320, 240, True), (633, 476, True), (954, 718, True), (480, 640, False), (640, 512, False)],
+)
+def test_fits(width: int, height: int, fits: bool):
+    """The sizes that occur in RGBT-Scenes fit a 640x480 camera; a turned or cropped image does not."""
+    assert Lens("PINHOLE", (500.0, 500.0, 320.0, 240.0), 640, 480).fits(width, height) is fits
+
+
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [
+        ("SIMPLE_RADIAL", (60.0, 32.0, 24.0, -0.1)),
+        ("OPENCV", (60.0, 62.0, 31.0, 25.0, 0.05, -0.01, 0.002, -0.003)),
+        ("OPENCV_FISHEYE", (60.0, 60.0, 32.0, 24.0, 0.01, 0.0, 0.0, 0.0)),
+    ],
+)
+@pytest.mark.parametrize("scale", [1, 2])
+def test_undistortion_shows_each_point_where_the_pinhole_camera_projects_it(model, params, scale):
+    """A smooth pattern painted on the distorted image by direction reads the same at the pinhole projection."""
+    lens = Lens(model, params, 64, 48)
+    source = pycolmap.Camera(model=model, params=list(params), width=64, height=48)
+    width, height = 64 * scale, 48 * scale
+
+    def pattern(rays: np.ndarray) -> np.ndarray:
+        return np.sin(3 * rays[..., 0] / rays[..., 2]) + np.cos(2 * rays[..., 1] / rays[..., 2])
+
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    pixels = np.stack([x, y], -1).reshape(-1, 2) / scale
+    flat = np.asarray(source.cam_from_img(pixels))
+    distorted = pattern(np.concatenate([flat[:, :2], np.ones((len(flat), 1))], 1)).reshape(height, width)
+    got = rectification(lens, width, height)
+    camera = got.camera
+    u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
+    seen = got.apply(distorted.astype(np.float32))
+    assert seen.shape == (camera.height, camera.width)
+    inside = (slice(1, -1), slice(1, -1))
+    np.testing.assert_allclose(seen[inside], pattern(rays)[inside], atol=0.01)
+
+
+def test_shrunk_rounds_sizes_and_keeps_the_true_ratio():
+    """Sides are rounded, and the intrinsics follow the rounded size."""
+    camera = rectification(Lens("PINHOLE", (40.0, 40.0, 16.5, 12.0), 33, 25), 33, 25).camera
+    small = shrunk(camera, 4)
+    assert (small.width, small.height) == (8, 6)
+    assert small.fx == pytest.approx(40 * 8 / 33)
+    assert small.fy == pytest.approx(40 * 6 / 25)
+    assert shrunk(camera, 1) == camera
+    assert shrunk(camera, 1000).width == 1

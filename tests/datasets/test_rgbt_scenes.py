@@ -1,0 +1,193 @@
+"""The RGBT-Scenes layout."""
+
+import shutil
+
+import numpy as np
+import pytest
+from capture_folders import (
+    HEIGHT,
+    WIDTH,
+    pseudo_color,
+    rgb_image,
+    synthetic_model,
+    temperatures,
+    write_image,
+    write_model,
+    write_rgbt_scenes,
+)
+
+from thermosplat.config import ThermalConfig
+from thermosplat.datasets import load_capture
+from thermosplat.errors import UserError
+
+
+def names(frames) -> list[str]:
+    return [frame.name for frame in frames]
+
+
+def test_published_form(tmp_path):
+    """The folders give the split; both views of a frame share camera and pose; images are read as they are."""
+    capture = load_capture(write_rgbt_scenes(tmp_path / "shed"))
+    assert capture.name == "shed"
+    assert capture.layout == "rgbt-scenes"
+    assert names(capture.test) == ["0000", "0004"]
+    assert names(capture.train) == ["0001", "0002", "0003", "0005", "0006", "0007"]
+    assert capture.points.shape == capture.point_colors.shape == (30, 3)
+    assert capture.notes == ()
+    frame = capture.train[1]
+    assert frame.aligned
+    assert frame.rgb.camera.width == WIDTH
+    assert frame.rgb.camera.fy == 42.0
+    np.testing.assert_array_equal(frame.rgb.image, rgb_image(2))
+    np.testing.assert_array_equal(frame.thermal.image, pseudo_color(temperatures(2)))
+    expected = next(image for image in synthetic_model(8).images.values() if image.name == "0002.png")
+    np.testing.assert_allclose(frame.rgb.viewmat[:3], expected.cam_from_world().matrix(), atol=1e-9)
+
+
+def test_downloaded_form(tmp_path):
+    """colmap/sparse/0, as the data set is downloaded, and names in the model with another folder and ending."""
+    root = write_rgbt_scenes(tmp_path)
+    shutil.move(root / "sparse", root / "colmap" / "sparse")
+    model = synthetic_model(8)
+    for image in model.images.values():
+        image.name = f"input/{image.name[:-4]}.JPG"
+    write_model(model, root / "colmap" / "sparse" / "0")
+    assert len(load_capture(root).train) == 6
+
+
+def test_without_split_folders_every_nth_is_held_out(tmp_path):
+    """Sorted index % test_every == 0."""
+    root = write_rgbt_scenes(tmp_path, folders=False)
+    assert names(load_capture(root).test) == ["0000"]
+    assert names(load_capture(root, test_every=3).test) == ["0000", "0003", "0006"]
+
+
+@pytest.mark.parametrize("folders", [True, False])
+def test_radiometric_files_beside(tmp_path, folders):
+    """thermal_raw/ with units.json gives degrees and the palette's span, flat or divided like the rest."""
+    root = write_rgbt_scenes(tmp_path, raw=True)
+    if folders:
+        for split in ("train", "test"):
+            for path in (root / "rgb" / split).iterdir():
+                (root / "thermal_raw" / split).mkdir(exist_ok=True)
+                shutil.move(root / "thermal_raw" / path.name, root / "thermal_raw" / split / path.name)
+    capture = load_capture(root)
+    assert capture.thermal_scale.range_celsius == (15.0, 35.0)
+    np.testing.assert_allclose(capture.test[1].thermal.celsius, temperatures(4), atol=0.006)
+    raw = load_capture(root, thermal=ThermalConfig(source="raw"))
+    assert raw.thermal_scale.kind == "scalar"
+    assert raw.test[1].thermal.image.shape == (HEIGHT, WIDTH, 1)
+
+
+def test_data_factor(tmp_path):
+    """Images, degrees and intrinsics shrink together; one pixel is the mean of its block."""
+    capture = load_capture(write_rgbt_scenes(tmp_path, raw=True), data_factor=4)
+    frame = capture.train[0]
+    assert frame.aligned
+    assert frame.rgb.image.shape == (6, 8, 3)
+    assert frame.thermal.celsius.shape == (6, 8)
+    assert (frame.rgb.camera.width, frame.rgb.camera.fx) == (8, 10.0)
+    np.testing.assert_allclose(frame.thermal.celsius[1, 2], temperatures(1)[4:8, 8:12].mean(), atol=0.01)
+    with pytest.raises(UserError, match="--data-factor"):
+        load_capture(tmp_path, data_factor=0)
+
+
+def test_files_of_another_size_scale_the_camera(tmp_path):
+    """A thermal image of half the size keeps its pixels and gets half the focal length; the pair is not aligned."""
+    root = write_rgbt_scenes(tmp_path)
+    write_image(root / "thermal" / "train" / "0001.png", pseudo_color(temperatures(1, WIDTH // 2, HEIGHT // 2)))
+    frame = load_capture(root).train[0]
+    assert frame.thermal.camera.fx == frame.rgb.camera.fx / 2
+    assert frame.thermal.image.shape == (HEIGHT // 2, WIDTH // 2, 3)
+    assert not frame.aligned
+
+
+def test_image_of_another_aspect(tmp_path):
+    """A cropped RGB image is an error that names both sizes."""
+    root = write_rgbt_scenes(tmp_path)
+    write_image(root / "rgb" / "train" / "0001.png", rgb_image(1, 32, 32))
+    with pytest.raises(UserError, match=r"0001\.png is 32x32 but its camera was calibrated at 32x24"):
+        load_capture(root)
+
+
+def test_rgb_without_thermal_is_counted(tmp_path):
+    """Frames without a partner are kept for RGB and counted in a note."""
+    root = write_rgbt_scenes(tmp_path)
+    for number in (2, 3):
+        (root / "thermal" / "train" / f"{number:04d}.png").unlink()
+    capture = load_capture(root)
+    assert capture.train[1].thermal is None
+    assert capture.train[1].rgb is not None
+    assert not capture.train[1].aligned
+    assert any(note.startswith("2 of 8 RGB images have no thermal partner (first: 0002)") for note in capture.notes)
+
+
+def test_files_and_model_that_do_not_meet_are_counted(tmp_path):
+    """Files without a pose and poses without a file are left out, with a note each."""
+    root = write_rgbt_scenes(tmp_path)
+    write_image(root / "rgb" / "train" / "extra.png", rgb_image(9))
+    for modality in ("rgb", "thermal"):
+        (root / modality / "train" / "0007.png").unlink()
+    capture = load_capture(root)
+    assert len(capture.train) == 5
+    assert any("1 images are not in the COLMAP model" in note and "extra.png" in note for note in capture.notes)
+    assert any("1 images of the COLMAP model have no file" in note for note in capture.notes)
+
+
+def test_empty_split_folder(tmp_path):
+    """train/ without test/ images would leave nothing to evaluate on."""
+    root = write_rgbt_scenes(tmp_path)
+    for modality in ("rgb", "thermal"):
+        shutil.rmtree(root / modality / "test")
+    with pytest.raises(UserError, match="test/ is empty") as caught:
+        load_capture(root)
+    assert "--test-every" in caught.value.hint
+
+
+def test_one_modality_alone(tmp_path):
+    """RGB-only and thermal-only captures load; what is missing is only an error where it is needed."""
+    root = write_rgbt_scenes(tmp_path / "rgb_only")
+    shutil.rmtree(root / "thermal")
+    capture = load_capture(root)
+    assert capture.thermal_scale is None
+    capture.require(rgb=True, thermal=False)
+    with pytest.raises(UserError, match="no thermal images"):
+        capture.require(rgb=True, thermal=True)
+    root = write_rgbt_scenes(tmp_path / "thermal_only")
+    shutil.rmtree(root / "rgb")
+    capture = load_capture(root)
+    assert all(frame.rgb is None and frame.thermal is not None for frame in capture.train)
+    with pytest.raises(UserError, match="no RGB images"):
+        capture.require(rgb=True, thermal=False)
+
+
+def test_distorted_cameras_are_undistorted_once_said(tmp_path):
+    """Both spectra are resampled by the same map and stay aligned; one note names the camera model."""
+    root = write_rgbt_scenes(tmp_path)
+    write_model(synthetic_model(8, camera_model="SIMPLE_RADIAL", params=(40.0, 16.0, 12.0, 0.1)), root / "sparse" / "0")
+    capture = load_capture(root)
+    assert all(frame.aligned for frame in capture.train)
+    assert capture.train[0].rgb.image.shape[:2] == (
+        capture.train[0].rgb.camera.height,
+        capture.train[0].rgb.camera.width,
+    )
+    assert sum("SIMPLE_RADIAL" in note for note in capture.notes) == 1
+
+
+def test_own_palette_of_the_capture(tmp_path):
+    """ironbow_lut.json in the folder is the palette; --thermal.palette wins over it."""
+    root = write_rgbt_scenes(tmp_path)
+    (root / "ironbow_lut.json").write_text('{"lut": [[0, 0, 0], [255, 255, 255]]}')
+    (root / "other.csv").write_text("0,0,0\n255,0,0\n255,255,255\n")
+    assert len(load_capture(root).thermal_scale.palette.colors) == 2
+    other = load_capture(root, thermal=ThermalConfig(palette=str(root / "other.csv")))
+    assert len(other.thermal_scale.palette.colors) == 3
+
+
+def test_truncated_image_in_a_capture(tmp_path):
+    """A damaged file stops the loading by name."""
+    root = write_rgbt_scenes(tmp_path)
+    path = root / "rgb" / "train" / "0002.png"
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(UserError, match=r"0002\.png is damaged"):
+        load_capture(root)
