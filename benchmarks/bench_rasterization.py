@@ -143,20 +143,19 @@ def run_case(
     exact = {k: v.detach().double().requires_grad_(v.requires_grad) for k, v in inputs.items()}
     truth = passes(peers[0].renderer(case, exact, width, height), exact)[1]()
     row["error_to_float64"] = {name: differences(result, truth, names) for name, result in results.items()}
-    row["difference"] = {
-        name: differences(result, results[ours], names) for name, result in results.items() if name != ours
-    }
+    others = {name: result for name, result in results.items() if name != ours}
+    row["difference"] = {name: differences(result, results[ours], names) for name, result in others.items()}
     for name, found in row["difference"].items():
         if (reason := disagreement(found)) is not None:
             row["error"] = f"not timed: {name} and {ours} disagree: {reason}"
             return row
-    del results, truth, exact
+    del results, others, truth, exact
 
     row["forward"] = time_interleaved({name: forward for name, (forward, _) in both.items()}, device, repeats)
     row["forward_backward"] = time_interleaved({name: step for name, (_, step) in both.items()}, device, repeats)
     row["peak_memory_mib"] = {name: peak_memory(step, device) for name, (_, step) in both.items()}
     if case != "rgb":
-        row["stages"] = stage_times(inputs, width, height, repeats)
+        row["stages"], row["pairs"] = stage_times(inputs, width, height, repeats)
     return row
 
 
@@ -177,6 +176,8 @@ def print_row(row: dict[str, Any]) -> None:
         )
     for stage, times in row.get("stages", {}).items():
         print(f"{'':35} . {stage:<20} {times['median_ms']:>9.2f}", flush=True)
+    if "pairs" in row:
+        print(f"{'':35} . {row['pairs']:,} (Gaussian, tile) pairs", flush=True)
 
 
 def environment(device: torch.device, peers: list[Peer]) -> dict[str, Any]:

@@ -4,12 +4,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
+from garden_scene import load_garden
 from torch import Tensor
-
-GARDEN_SIZE = (648, 420)
-"""Image size [px] the garden asset's intrinsics are for."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class BenchmarkScene:
 
 
 def garden_scene(path: Path, grid: int) -> BenchmarkScene:
-    """gsplat's profiling scene: points cropped to [-2, 2]³ and repeated grid x grid times, seen by the first camera.
+    """gsplat's profiling scene: its garden points repeated grid x grid times, seen by the first camera.
 
     Args:
         path: gsplat's ``assets/test_garden.npz``.
@@ -45,19 +42,17 @@ def garden_scene(path: Path, grid: int) -> BenchmarkScene:
     Returns:
         The scene, with scales U(0, 0.02), random rotations and opacities U(0, 1) as in gsplat's own profiling.
     """
-    with np.load(path) as data:
-        points, colors = data["means3d"], data["colors"] / 255.0
-        viewmat, K = data["viewmats"][0], data["Ks"][0]
-    kept = ((points >= -2) & (points <= 2)).all(-1)
-    points, colors = points[kept], colors[kept]
-    steps = 4.0 * (np.arange(grid) - grid // 2)
-    offsets = np.stack([*np.meshgrid(steps, steps, indexing="ij"), np.zeros((grid, grid))], -1).reshape(-1, 1, 3)
-    means = torch.from_numpy((points[None] + offsets).reshape(-1, 3)).float()
-    base = torch.from_numpy(np.tile(colors, (grid * grid, 1))).float()
-    scales = 0.02 * torch.rand(len(means), 3, generator=torch.Generator().manual_seed(1))
-    scale = np.diag([1 / GARDEN_SIZE[0], 1 / GARDEN_SIZE[1], 1.0])
-    return _with_attributes(
-        f"garden x{grid * grid}", means, scales, base, torch.from_numpy(viewmat).float(), torch.from_numpy(scale @ K)
+    garden = load_garden(path, grid, 1, 1, torch.device("cpu"))
+    return BenchmarkScene(
+        f"garden x{grid * grid}",
+        garden["means"],
+        garden["quats"],
+        garden["scales"],
+        garden["opacities"],
+        _shifted(garden["opacities"]),
+        garden["sh_coeffs"],
+        garden["viewmats"][0],
+        garden["Ks"][0],
     )
 
 
@@ -71,34 +66,29 @@ def synthetic_scene(count: int) -> BenchmarkScene:
         The scene, with log-normal scales.
     """
     generator = torch.Generator().manual_seed(0)
-    depth = 2.0 + 8.0 * torch.rand(count, generator=generator)
-    across = 2.1 * (torch.rand(count, 2, generator=generator) - 0.5)
-    focal = torch.tensor([0.9, 1.2])  # in image widths and heights
-    means = torch.cat([across / (2 * focal) * 2 * depth[:, None] / 2, depth[:, None]], -1)
-    size = 0.0065 * math.sqrt(20_000 / max(count, 1)) * depth[:, None]
-    scales = size * torch.exp(0.5 * torch.randn(count, 3, generator=generator))
-    K = torch.tensor([[focal[0], 0, 0.5], [0, focal[1], 0.5], [0, 0, 1]])
-    base = torch.rand(count, 3, generator=generator)
-    return _with_attributes(f"synthetic {count}", means, scales, base, torch.eye(4), K)
-
-
-def _with_attributes(
-    name: str, means: Tensor, scales: Tensor, base: Tensor, viewmat: Tensor, K: Tensor
-) -> BenchmarkScene:
-    generator = torch.Generator().manual_seed(42)
-    count = len(means)
-    sh = 0.1 * torch.randn(count, 16, 3, generator=generator)
-    sh[:, 0] = (base - 0.5) / 0.28209479177387814
+    K = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]])
+    depth = 2.0 + 8.0 * torch.rand(count, 1, generator=generator)
+    # a little beyond the image borders
+    position = 1.05 * (torch.rand(count, 2, generator=generator) - 0.5)
+    means = torch.cat([position / K.diagonal()[:2] * depth, depth], -1)
+    size = 0.0065 * math.sqrt(20_000 / count) * depth
     opacities = torch.rand(count, generator=generator)
-    shift = torch.randn(count, generator=generator)
+    sh = 0.1 * torch.randn(count, 16, 3, generator=generator)
+    sh[:, 0] = torch.randn(count, 3, generator=generator)
     return BenchmarkScene(
-        name,
+        f"synthetic {count}",
         means,
         torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1),
-        scales,
+        size * torch.exp(0.5 * torch.randn(count, 3, generator=generator)),
         opacities,
-        torch.sigmoid(torch.logit(opacities, eps=1e-6) + shift),
+        _shifted(opacities),
         sh,
-        viewmat,
-        K.float(),
+        torch.eye(4),
+        K,
     )
+
+
+def _shifted(opacities: Tensor) -> Tensor:
+    """Thermal opacities: the opacities with random offsets of their logits."""
+    offsets = torch.randn(len(opacities), generator=torch.Generator().manual_seed(1))
+    return torch.sigmoid(torch.logit(opacities, eps=1e-6) + offsets)

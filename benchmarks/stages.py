@@ -12,7 +12,9 @@ from warp_kernels.projection import GaussianArrays, ProjectionSettings
 from warp_kernels.rasterization import BlendedArrays, allocate_projected, bin_tiles, blend, project, scalar_view
 
 
-def stage_times(inputs: dict[str, Tensor], width: int, height: int, repeats: int) -> dict[str, dict[str, float]]:
+def stage_times(
+    inputs: dict[str, Tensor], width: int, height: int, repeats: int
+) -> tuple[dict[str, dict[str, float]], int]:
     """Times projection, binning and blending and their adjoints on one image of float32 features.
 
     Args:
@@ -22,15 +24,18 @@ def stage_times(inputs: dict[str, Tensor], width: int, height: int, repeats: int
         repeats: measurements of each stage.
 
     Returns:
-        For each stage the median and spread [ms]; "(Gaussian, tile) pairs" is not a time and not included.
+        For each stage the median and spread [ms], and the number of (Gaussian, tile) pairs.
     """
     device = inputs["means"].device
     with on_torch_stream(device) as warp_device:
-        calls = _stages({name: tensor.detach() for name, tensor in inputs.items()}, width, height, warp_device)
-        return {name: time_interleaved({name: call}, device, repeats)[name] for name, call in calls.items()}
+        detached = {name: tensor.detach() for name, tensor in inputs.items()}
+        calls, pairs = _stages(detached, width, height, warp_device)
+        return {name: time_interleaved({name: call}, device, repeats)[name] for name, call in calls.items()}, pairs
 
 
-def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) -> dict[str, Callable[[], object]]:
+def _stages(
+    t: dict[str, Tensor], width: int, height: int, device: wp.Device
+) -> tuple[dict[str, Callable[[], object]], int]:
     dtype, vector, matrix = wp.float32, wp.types.vector, wp.types.matrix
     dual = "thermal_opacities" in t
     # The RGB + thermal frame blends the 3 colours too; any numbers will do for a time.
@@ -77,10 +82,11 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
     for output in (blended.render, blended.transmittance, blended.thermal_render, blended.thermal_transmittance):
         if output is not None:
             output.grad.fill_(0.01)
-    return {
+    calls: dict[str, Callable[[], object]] = {
         "projection": lambda: project(gaussians, settings, projected),
         "binning": binning,
         "blending": lambda: blend(projected, opacities, thermal, features, bins, settings, blended),
         "blending adjoint": blend_tape.backward,
         "projection adjoint": project_tape.backward,
     }
+    return calls, bins.num_pairs

@@ -97,6 +97,13 @@ def test_spiral_stays_before_the_wall() -> None:
     assert np.ptp(centres(poses)[:, 0]) > 1
 
 
+def test_spiral_looks_at_the_focus() -> None:
+    """Where the cameras look at one point, every pose of the spiral does."""
+    seen = spiral_path(ring(), 20) @ np.array([0.5, 0.2, -0.3, 1.0])
+    np.testing.assert_allclose(seen[:, :2], 0, atol=1e-9)
+    assert (seen[:, 2] > 0).all()
+
+
 @pytest.mark.parametrize(("path", "count"), [(interpolated_path, 1), (spiral_path, 1), (ellipse_path, 2)])
 def test_too_few_views(path, count: int) -> None:
     """A path through too few views is refused with a path that works."""

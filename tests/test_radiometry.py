@@ -61,6 +61,12 @@ def test_inverse_keeps_the_shape_and_takes_any_color():
     assert got.max() <= 1
 
 
+def test_inverse_of_levels_is_that_of_their_colors():
+    """uint8 levels and the same colours in [0, 1] give the same intensities, pixel by pixel."""
+    image = np.random.default_rng(0).integers(0, 8, (9, 11, 3), np.uint8) * 36
+    np.testing.assert_array_equal(FLIR_IRON.to_intensity(image), FLIR_IRON.to_intensity(image / np.float32(255)))
+
+
 def test_residual_is_the_distance_to_the_curve_in_levels():
     """A grey curve is left by 10 levels across it, and not along it."""
     grey = Palette(np.array([[0, 0, 0], [1, 1, 1]], np.float32))

@@ -322,3 +322,12 @@ def test_same_bits_on_every_run_and_any_number_of_threads() -> None:
         torch.set_num_threads(threads)
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_a_frame_of_many_tiles(device: torch.device) -> None:
+    """1200 Gaussians over 6x5 tiles, 11 channels: lists longer than a batch, tiles that stop early, ragged borders."""
+    scene = random_scene(n=1200, width=93, height=71, channels=11, seed=11)
+    scene["scales"] = (scene["scales"] * 0.5).float().double()
+    _, (_, alphas, _) = assert_matches_reference(rasterization, scene, device)
+    assert (alphas > 0.999).float().mean() > 0.05
+    assert (alphas < 0.9).float().mean() > 0.05

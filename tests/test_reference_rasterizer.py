@@ -158,3 +158,30 @@ def test_non_finite_gaussians_are_invisible(name: str, value: float) -> None:
     for key, gradient in found[0].items():
         assert relative_error(gradient[keep] if key in per_gaussian else gradient, found[1][key]) < 1e-12, key
         assert key not in per_gaussian or (gradient[3] == 0).all(), key
+
+
+def test_uncertain_marks_pixels_on_a_threshold() -> None:
+    """A pixel on a documented threshold is marked, its neighbours are not."""
+    scene = random_scene(n=1, width=9, height=7, backgrounds=False)
+    scene["viewmats"] = torch.eye(4, dtype=torch.float64)[None]
+    scene["Ks"] = torch.tensor([[[9.0, 0, 4.5], [0, 9.0, 3.5], [0, 0, 1]]], dtype=torch.float64)
+    scene["means"][0] = torch.tensor([0.0, 0.0, 3.0])  # on the centre of pixel (4, 3)
+    scene["scales"][0] = 0.25
+    centre = torch.zeros(7, 9, dtype=torch.bool)
+    centre[3, 4] = True
+
+    def uncertain(**changes: Any) -> torch.Tensor:
+        return reference_rasterizer.rasterization(**scene | changes)[2]["uncertain"][0]
+
+    for opacity, marked in ((0.999, True), (0.9, False), (1.0 / 255.0 * (1 + 1e-5), True), (0.02, False)):
+        scene["opacities"][0] = opacity
+        expected = centre if marked else torch.zeros_like(centre)
+        assert torch.equal(uncertain(), expected), opacity
+    scene["opacities"][0] = 0.9
+    # Four layers of 0.9 leave a transmittance of 1e-4 in the centre, the threshold itself.
+    layers = {name: scene[name].repeat(4, *[1] * (scene[name].dim() - 1)) for name in ("means", "quats", "scales")}
+    stacked = scene | layers | {"opacities": scene["opacities"].repeat(4), "colors": scene["colors"].repeat(4, 1)}
+    assert torch.equal(reference_rasterizer.rasterization(**stacked)[2]["uncertain"][0], centre)
+    # Two depths that float32 can hardly tell apart: wherever both are drawn.
+    stacked["means"] = stacked["means"] + torch.tensor([0, 0, 1e-6]) * torch.arange(4)[:, None]
+    assert reference_rasterizer.rasterization(**stacked)[2]["uncertain"][0].sum() > 5

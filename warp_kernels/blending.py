@@ -176,7 +176,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         acc_t = matDP()
         for r in range(rows):
             for q in range(columns):
-                inside = PX[q] < dtype(width) and PY[q] + dtype(r) < dtype(height)
+                inside = int(PX[q]) < width and int(PY[q]) + r < height
                 T[r * columns + q] = wp.where(inside, one, minus_one)
                 Tt[r * columns + q] = wp.where(inside, one, minus_one)
                 last[r * columns + q] = -1

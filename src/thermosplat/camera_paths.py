@@ -81,8 +81,9 @@ def spiral_path(viewmats: Matrices, num_frames: int) -> Matrices:
     centre, forward, up = centres.mean(axis=0), _unit(poses[:, :3, 2].mean(axis=0)), -poses[:, :3, 1].mean(axis=0)
     mean_pose = np.linalg.inv(look_to(centre, forward, up))
     radii = np.percentile(np.abs((centres - centre) @ mean_pose[:3, :3]), 90, axis=0)  # right, down, forward
-    depth = (focus_point(poses) - centre) @ forward
-    target = centre + forward * max(depth, np.linalg.norm(radii))  # parallel cameras have no focus: look ahead of them
+    focus, reach = focus_point(poses), np.linalg.norm(radii)
+    focus_depth = np.median(np.einsum("vi,vi->v", focus - centres, poses[:, :3, 2]))
+    target = focus if focus_depth > 0.5 * reach else centre + reach * forward  # parallel cameras have no focus
     angles = np.linspace(0, 2 * np.pi * SPIRAL_TURNS, num_frames, endpoint=False)
     local = np.stack([np.cos(angles), -np.sin(angles), -np.sin(angles / SPIRAL_TURNS)], axis=1) * radii
     path = centre + local @ mean_pose[:3, :3].T

@@ -69,12 +69,18 @@ class Palette:
         """Intensity of the curve's point nearest to a colour.
 
         Args:
-            color: [..., 3] in [0, 1].
+            color: [..., 3] in [0, 1], or uint8 levels (faster: each colour that occurs is looked up once).
 
         Returns:
             [...] float32 in [0, 1].
         """
-        return self._project(color)[0]
+        color = np.asarray(color)
+        if color.dtype != np.uint8:
+            return self._project(color)[0]
+        code = color.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
+        codes, where = np.unique(code.ravel(), return_inverse=True)
+        levels = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], -1)
+        return self._project(levels / np.float32(255))[0][where].reshape(code.shape)
 
     def residual(self, color: ArrayLike) -> float:
         """Mean distance of colours to the curve [8-bit levels]: about 2 for JPEGs of the right palette.

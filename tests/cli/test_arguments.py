@@ -119,6 +119,14 @@ def test_resume_may_go_on_longer(run_folder: Path) -> None:
     assert (config.max_steps, config.device, config.log_every) == (5000, "cpu", 7)
 
 
+@pytest.mark.parametrize("flag", ["--data-factor", "--densification.max-gaussians", "--optimizer.means-lr"])
+def test_resume_takes_the_remedies_that_errors_name(run_folder: Path, flag: str) -> None:
+    """What the messages for full memory and NaN losses advise can be given together with --resume."""
+    assert parse_train_arguments(["--resume", str(run_folder), flag, "3"]) != parse_train_arguments(
+        ["--resume", str(run_folder)]
+    )
+
+
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [

@@ -13,12 +13,17 @@ WIDTH, HEIGHT = 32, 24
 
 
 def synthetic_model(
-    count: int, *, camera_model: str = "PINHOLE", params: tuple[float, ...] = (40.0, 42.0, 16.0, 12.0), cameras: int = 1
+    count: int,
+    *,
+    camera_model: str = "PINHOLE",
+    params: tuple[float, ...] = (40.0, 42.0, 16.0, 12.0),
+    cameras: int = 1,
+    rigs: int = 1,
 ) -> pycolmap.Reconstruction:
-    """A COLMAP model of one rig with `count` frames; images are called 0000.png ... or, with two cameras, rgb/0000.png
+    """A COLMAP model of `count` frames a rig; images are called 0000.png ... or, with two cameras a rig, rgb/0000.png
     and thermal/0000.png."""
     options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, cameras, count
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = rigs, cameras, count
     options.num_points3D, options.num_points2D_without_point3D = 30, 0
     options.camera_model_id = getattr(pycolmap.CameraModelId, camera_model)
     options.camera_params, options.camera_width, options.camera_height = list(params), WIDTH, HEIGHT

@@ -83,7 +83,8 @@ def test_model_without_points(tmp_path):
     """Images without sparse points cannot be started from."""
     write_colmap_folder(tmp_path, 4)
     model = synthetic_model(4)
-    model.delete_all_points2D_and_points3D()
+    for point in list(model.points3D):
+        model.delete_point3D(point)
     write_model(model, tmp_path / "sparse" / "0")
     with pytest.raises(UserError, match="0 points"):
         load_capture(tmp_path)

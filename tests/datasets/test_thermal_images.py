@@ -78,8 +78,8 @@ def test_source_raw_trains_on_the_values():
 
 def test_a_given_range_clips_the_image_and_not_the_truth():
     """Values beyond --thermal.range-celsius saturate in the image; the measured degrees stay."""
-    reading = read(RAW, ThermalConfig(unit="centikelvin", range_celsius=(20.0, 30.0)))
-    assert reading.scale.range_celsius == (20.0, 30.0)
+    reading = read(RAW, ThermalConfig(unit="centikelvin", range_celsius=(24.0, 28.0)))
+    assert reading.scale.range_celsius == (24.0, 28.0)
     assert reading.pixels[0].image.min() == 0
     assert reading.pixels[0].image.max() == 1
     np.testing.assert_allclose(reading.pixels[0].celsius, CELSIUS[0], atol=0.006)

@@ -12,12 +12,12 @@ from thermosplat.config_files import load_config
 from thermosplat.errors import UserError
 
 HELP_FLAGS = ("-h", "--help")
-MAY_CHANGE_ON_RESUME = (
-    *("data", "max_steps", "eval_steps", "save_steps", "log_every", "tensorboard", "lpips_weights", "device"),
-    *("data_factor", "densification.max_gaussians"),
+MAY_CHANGE_ON_RESUME = frozenset(
+    {"data", "max_steps", "eval_steps", "save_steps", "log_every", "tensorboard", "lpips_weights", "device"}
 )
-"""Fields that say how a run is watched or how long it goes, not what is trained; ``data`` for a capture that moved, and
-the two that a run which ran out of memory is told to go on with."""
+"""Fields that say how a run is watched or how long it goes, not what is trained; ``data`` for a capture that moved."""
+REMEDIES_ON_RESUME = ("data_factor", "optimizer.", "densification.")
+"""What may have to change for a run to go on after its memory was full or its loss became NaN."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +81,7 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
     if asked.result_dir and Path(asked.result_dir).resolve() == Path(folder).resolve():
         asked = dataclasses.replace(asked, result_dir=folder)
     for key, trained, wanted in _differences(start, asked):
-        if key not in MAY_CHANGE_ON_RESUME:
+        if key not in MAY_CHANGE_ON_RESUME and not key.startswith(REMEDIES_ON_RESUME):
             raise UserError(
                 f"{folder} was trained with {key}={trained}, the command asks for {wanted}.",
                 "Leave that flag out, or start another run with --result-dir.",

@@ -36,7 +36,7 @@ def run_command(body: Callable[[], int], *, debug: bool) -> int:
     except (RuntimeError, MemoryError) as error:
         if debug or not _is_out_of_memory(error):
             raise
-        print_error("Out of memory.", "Use --device cpu, or close what else uses the device.")
+        print_error("Out of memory.", "Close other programs that use this device, and try again.")
         return USER_ERROR
 
 

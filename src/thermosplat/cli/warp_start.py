@@ -15,6 +15,7 @@ def start_warp() -> None:
     The warning comes from C and is written to the file descriptor, where Python cannot filter it: standard error goes
     through a file meanwhile.
     """
+    wp.config.log_level = wp.LOG_WARNING  # no banner with versions and devices
     sys.stderr.flush()
     saved = os.dup(2)
     with tempfile.TemporaryFile() as printed:

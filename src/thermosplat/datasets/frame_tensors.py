@@ -67,7 +67,7 @@ def view_tensors(view: View, scale: ThermalScale | None, device: torch.device | 
     unit = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
     intensity = None
     if view.modality == "thermal" and scale is not None:
-        intensity = scale.palette.to_intensity(unit) if scale.kind == "color" else unit[..., 0]
+        intensity = scale.palette.to_intensity(image) if scale.kind == "color" else unit[..., 0]
     return ViewTensors(
         torch.tensor(view.viewmat, dtype=torch.float32, device=device),
         torch.tensor(view.camera.K, dtype=torch.float32, device=device),

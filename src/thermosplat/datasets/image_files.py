@@ -14,9 +14,9 @@ from thermosplat.errors import UserError
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
 
-cv2.utils.logging.setLogLevel(
-    cv2.utils.logging.LOG_LEVEL_FATAL
-)  # unreadable files are reported by read_image, not by OpenCV on the side
+# `read_image` reports unreadable files, not OpenCV on the side. (OpenCV 4 and 5 name the function differently.)
+_set_log_level = cv2.setLogLevel if hasattr(cv2, "setLogLevel") else cv2.utils.logging.setLogLevel
+_set_log_level(1)  # fatal errors only
 
 
 def list_images(folder: Path, *, recursive: bool = False) -> list[Path]:

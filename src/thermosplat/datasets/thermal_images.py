@@ -256,4 +256,4 @@ def _three_channels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _folder_name(path: Path) -> str:
     folder = path.parent
-    return f"{folder.parent.name}/{folder.name}/" if folder.name in ("train", "test") else f"{folder.name}/"
+    return f"{(folder.parent if folder.name in ('train', 'test') else folder).name}/"

@@ -1,0 +1,50 @@
+"""Frames and captures in memory."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thermosplat.cameras import Camera
+from thermosplat.datasets.capture import Capture, Frame, View
+
+CAMERA = Camera(10.0, 10.0, 2.0, 2.0, 4, 4)
+
+
+def view(modality, position=(0.0, 0.0, 0.0), camera=CAMERA) -> View:
+    viewmat = np.eye(4)
+    viewmat[:3, 3] = -np.array(position)
+    image = np.zeros((camera.height, camera.width, 3), np.uint8)
+    return View(modality, "a", Path("a.png"), camera, viewmat, image)
+
+
+def capture(*frames, points=((0.0, 0.0, 3.0),) * 4) -> Capture:
+    points = np.array(points, np.float32)
+    return Capture("c", Path("c"), "colmap", frames, (), points, np.zeros(points.shape, np.uint8), None)
+
+
+def test_aligned_means_same_camera_size_and_pose():
+    """Only a pair that shares everything is one traversal."""
+    assert Frame("a", view("rgb"), view("thermal")).aligned
+    assert not Frame("a", view("rgb"), view("thermal", (0, 0, 0.1))).aligned
+    assert not Frame("a", view("rgb"), view("thermal", camera=CAMERA.resized(2, 2))).aligned
+    assert not Frame("a", view("rgb"), None).aligned
+
+
+def test_scene_extent_is_3dgs_radius():
+    """1.1 times the largest distance of a train camera from the cameras' mean."""
+    frames = [Frame(str(x), view("rgb", (x, 0, 0)), None) for x in (0.0, 1.0, 5.0)]
+    assert capture(*frames).scene_extent == pytest.approx(1.1 * 3.0)
+
+
+def test_scene_extent_of_one_position_falls_back_to_the_points():
+    """A tripod has no camera spread; the points' distance stands in."""
+    frames = [Frame(str(n), view("rgb"), view("thermal")) for n in range(3)]
+    assert capture(*frames).scene_extent == pytest.approx(1.1 * 3.0)
+
+
+def test_require_accepts_what_is_there():
+    """Nothing is raised for modalities that exist."""
+    both = capture(Frame("a", view("rgb"), view("thermal")))
+    both.require(rgb=True, thermal=True)
+    assert both.train[0].rgb is not None

@@ -1,0 +1,101 @@
+"""Plain COLMAP projects with thermal images beside the RGB ones."""
+
+import numpy as np
+import pytest
+from capture_folders import (
+    HEIGHT,
+    WIDTH,
+    centikelvin,
+    pseudo_color,
+    rgb_image,
+    temperatures,
+    write_colmap_folder,
+    write_image,
+)
+
+from thermosplat.config import ThermalConfig
+from thermosplat.datasets import load_capture
+from thermosplat.errors import UserError
+
+
+def add_thermal(root, make, ending="png", count=8):
+    for number in range(count):
+        write_image(root / "thermal" / f"{number:04d}.{ending}", make(number))
+
+
+def test_pseudo_color(tmp_path):
+    """8-bit colour of the RGB images' size shares their cameras."""
+    root = write_colmap_folder(tmp_path)
+    add_thermal(root, lambda number: pseudo_color(temperatures(number)))
+    capture = load_capture(root, test_every=4)
+    assert capture.layout == "colmap"
+    assert [frame.name for frame in capture.test] == ["0000", "0004"]
+    assert capture.thermal_scale.kind == "color"
+    assert all(frame.aligned for frame in capture.train)
+
+
+@pytest.mark.parametrize(
+    ("ending", "make", "unit"),
+    [
+        ("png", lambda number: centikelvin(temperatures(number)), "centikelvin"),
+        ("tiff", lambda number: (temperatures(number) + 273.15).astype(np.float32), "kelvin"),
+        ("tif", lambda number: temperatures(number).astype(np.float32), "celsius"),
+    ],
+)
+def test_radiometric(tmp_path, ending, make, unit):
+    """16-bit PNG and float TIFF are judged by their values, or read as the flag says; both give the same °C."""
+    root = write_colmap_folder(tmp_path)
+    add_thermal(root, make, ending)
+    for config in (ThermalConfig(), ThermalConfig(unit=unit, range_celsius=(0.0, 50.0))):
+        capture = load_capture(root, thermal=config)
+        assert capture.thermal_scale.kind == "scalar"
+        view = capture.train[0].thermal
+        assert view.image.shape == (HEIGHT, WIDTH, 1)
+        np.testing.assert_allclose(view.celsius, temperatures(1), atol=0.006)
+        np.testing.assert_allclose(capture.thermal_scale.celsius(view.image[..., 0]), temperatures(1), atol=0.006)
+    assert capture.thermal_scale.range_celsius == (0.0, 50.0)
+
+
+def test_thermal_camera_unknown(tmp_path):
+    """Thermal images of another size need a camera, or the word of the user."""
+    root = write_colmap_folder(tmp_path)
+    add_thermal(root, lambda number: pseudo_color(temperatures(number, 20, 16)))
+    with pytest.raises(UserError, match=r"thermal/0000\.png is 20x16.* no thermal camera is in the model") as caught:
+        load_capture(root)
+    assert "--thermal.aligned" in caught.value.hint
+    frame = load_capture(root, thermal=ThermalConfig(aligned=True)).train[0]
+    assert (frame.thermal.camera.width, frame.thermal.camera.height) == (20, 16)
+    assert frame.thermal.camera.fx == pytest.approx(40 * 20 / WIDTH)
+    assert frame.thermal.camera.fy == pytest.approx(42 * 16 / HEIGHT)
+
+
+def test_thermal_cannot_be_read_as_rgb_16bit(tmp_path):
+    """16-bit colour thermal files are neither pseudo-colour nor radiometric."""
+    root = write_colmap_folder(tmp_path)
+    add_thermal(root, lambda number: rgb_image(number).astype(np.uint16) * 257)
+    with pytest.raises(UserError, match="uint16 colour"):
+        load_capture(root)
+
+
+def test_rgb_of_16_bits_is_reduced(tmp_path):
+    """A 16-bit RGB PNG becomes 8-bit, grey becomes three channels."""
+    root = write_colmap_folder(tmp_path)
+    write_image(root / "images" / "0001.png", rgb_image(1).astype(np.uint16) * 257)
+    write_image(root / "images" / "0002.png", rgb_image(2)[..., 0])
+    capture = load_capture(root)
+    np.testing.assert_array_equal(capture.train[0].rgb.image, rgb_image(1))
+    np.testing.assert_array_equal(capture.train[1].rgb.image[..., 2], rgb_image(2)[..., 0])
+
+
+def test_nested_folders_keep_apart_equal_stems(tmp_path):
+    """images/left/0000 and images/right/0000 are two frames with names that can be file names."""
+    root = write_colmap_folder(tmp_path, 2)
+    from capture_folders import synthetic_model, write_model
+
+    model = synthetic_model(2)
+    for image, folder in zip(sorted(model.images.values(), key=lambda image: image.name), ("left", "right")):
+        image.name = f"{folder}/0000.png"
+        write_image(root / "images" / folder / "0000.png", rgb_image(0))
+    write_model(model, root / "sparse" / "0")
+    capture = load_capture(root)
+    assert [frame.name for frame in (*capture.test, *capture.train)] == ["left_0000", "right_0000"]

@@ -1,0 +1,148 @@
+"""ThermoScenes and nerfstudio captures."""
+
+import json
+
+import numpy as np
+import pytest
+from capture_folders import HEIGHT, WIDTH, write_colmap_folder, write_transforms
+
+from thermosplat.datasets import load_capture
+from thermosplat.errors import UserError
+
+
+def test_thermoscenes(tmp_path):
+    """Names give the split, bounds the °C, grey the intensity; RGB and thermal share camera and pose."""
+    write_transforms(tmp_path)
+    capture = load_capture(tmp_path)
+    assert capture.layout == "transforms"
+    assert [frame.name for frame in capture.test] == ["frame_eval_00000", "frame_eval_00004"]
+    assert len(capture.train) == 6
+    assert capture.thermal_scale.range_celsius == (-10.0, 41.0)
+    frame = capture.train[0]
+    assert frame.aligned
+    camera = frame.rgb.camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width) == (40.0, 60.0, 15.0, 12.5, WIDTH)
+    np.testing.assert_allclose(frame.thermal.celsius, -10 + 10 / 255 * 51, atol=1e-4)
+
+
+def test_poses_turn_from_opengl_to_opencv(tmp_path):
+    """An OpenGL camera at (1, 0.5, 2) looks along -z with y up: in OpenCV axes y and z are turned."""
+    write_transforms(tmp_path)
+    viewmat = load_capture(tmp_path).train[0].rgb.viewmat
+    np.testing.assert_allclose(viewmat @ [1, 0.5, 2, 1], [0, 0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(viewmat @ [1, 0.5, 1, 1], [0, 0, 1, 1], atol=1e-12)  # in front is +z
+    np.testing.assert_allclose(viewmat @ [1, 1.5, 2, 1], [0, -1, 0, 1], atol=1e-12)  # above is -y
+
+
+def test_distorted_images_are_undistorted_together(tmp_path):
+    """OPENCV distortion: both spectra become pinhole images of one camera, and the user is told once."""
+    write_transforms(tmp_path, camera_model="OPENCV", k1=-0.2, k2=0.01, p1=0.001, p2=0.0)
+    capture = load_capture(tmp_path)
+    assert all(frame.aligned for frame in capture.train)
+    assert sum("OPENCV" in note for note in capture.notes) == 1
+    assert capture.train[0].thermal.image.shape[:2] != (HEIGHT, WIDTH)
+
+
+@pytest.mark.parametrize(
+    ("extra", "model"),
+    [({"camera_model": "OPENCV_FISHEYE", "k1": 0.01}, "OPENCV_FISHEYE"), ({"k1": 0.1, "k3": 0.01}, "FULL_OPENCV")],
+)
+def test_other_distortion_models(tmp_path, extra, model):
+    """Fisheye cameras, and a third radial coefficient."""
+    write_transforms(tmp_path, **extra)
+    assert any(model in note for note in load_capture(tmp_path).notes)
+
+
+def test_intrinsics_per_frame(tmp_path):
+    """A frame's own focal length wins over the file's."""
+    content = write_transforms(tmp_path)
+    content["frames"][1]["fl_x"] = 80.0
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    capture = load_capture(tmp_path)
+    assert capture.train[0].rgb.camera.fx == 80.0
+    assert capture.train[1].rgb.camera.fx == 40.0
+
+
+def test_plain_nerfstudio(tmp_path):
+    """transforms.json with names without ending, thermal found by stem, field of view, stated file lists."""
+    content = write_transforms(tmp_path)
+    (tmp_path / "transforms_thermal.json").unlink()
+    for key in ("fl_x", "fl_y", "cx", "cy"):
+        del content[key]
+    content["camera_angle_x"] = 2 * np.arctan(0.5 * WIDTH / 50)
+    for frame in content["frames"]:
+        frame["file_path"] = "./" + frame["file_path"][:-4]
+        del frame["thermal_file_path"]
+    content["train_filenames"] = [frame["file_path"] for frame in content["frames"][:5]]
+    content["test_filenames"] = [frame["file_path"] for frame in content["frames"][5:]]
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    capture = load_capture(tmp_path)
+    assert [len(capture.train), len(capture.test)] == [5, 3]
+    assert capture.train[0].thermal is not None
+    camera = capture.train[0].rgb.camera
+    np.testing.assert_allclose([camera.fx, camera.fy, camera.cx], [50, 50, WIDTH / 2])
+
+
+def test_names_without_a_split_fall_back_to_every_nth(tmp_path):
+    """Frames that are all called train leave the hold-out rule to decide."""
+    content = write_transforms(tmp_path)
+    content["frames"] = [frame for frame in content["frames"] if "train" in frame["file_path"]]
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    capture = load_capture(tmp_path, test_every=3)
+    assert [len(capture.train), len(capture.test)] == [4, 2]
+
+
+def test_missing_files_are_counted(tmp_path):
+    """Frames whose files are gone are left out with a note; if all are gone it is an error."""
+    content = write_transforms(tmp_path)
+    stem = "frame_train_00001"
+    (tmp_path / "images" / f"{stem}.png").unlink()
+    (tmp_path / "thermal" / f"{stem}.png").unlink()
+    assert any("1 frames" in note and "no file" in note for note in load_capture(tmp_path).notes)
+    for frame in content["frames"]:
+        frame["file_path"] = frame["thermal_file_path"] = "elsewhere/" + frame["file_path"].replace("frame", "x")
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    with pytest.raises(UserError, match="None of the 8 images"):
+        load_capture(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"frames": []}, "lists no frames"),
+        ({"fl_x": None, "fl_y": None}, "no focal length"),
+        ({"camera_model": "SPHERICAL"}, "SPHERICAL"),
+    ],
+)
+def test_broken_transforms_are_told(tmp_path, change, says):
+    """What a transforms file lacks is named."""
+    content = write_transforms(tmp_path) | change
+    content = {key: value for key, value in content.items() if value is not None}
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    with pytest.raises(UserError, match=says):
+        load_capture(tmp_path)
+
+
+@pytest.mark.parametrize("matrix", [None, [[1, 2], [3, 4]], (2 * np.eye(4)).tolist(), np.full((4, 4), np.nan).tolist()])
+def test_broken_poses_are_told(tmp_path, matrix):
+    """A missing, misshapen, scaled or undefined pose names its frame."""
+    content = write_transforms(tmp_path)
+    content["frames"][2]["transform_matrix"] = matrix
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    with pytest.raises(UserError, match=r"Frame 2 of .*transforms_thermal\.json"):
+        load_capture(tmp_path)
+
+
+def test_broken_json_is_told(tmp_path):
+    """A transforms file that is no JSON is a UserError."""
+    write_transforms(tmp_path)
+    (tmp_path / "transforms_thermal.json").write_text("{")
+    with pytest.raises(UserError, match="not readable JSON"):
+        load_capture(tmp_path)
+
+
+def test_transforms_win_over_a_model_beside_images(tmp_path):
+    """ThermoScenes ships a COLMAP model of unprocessed images; the transforms file is what counts."""
+    write_colmap_folder(tmp_path, 3)
+    write_transforms(tmp_path)
+    assert load_capture(tmp_path).layout == "transforms"
