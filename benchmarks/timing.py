@@ -76,7 +76,7 @@ def peak_memory(call: Callable[[], object], device: torch.device) -> float | Non
     torch.cuda.synchronize(device)
     torch.cuda.reset_peak_memory_stats(device)
     torch_before = torch.cuda.memory_allocated(device)
-    warp_device = wp.device_from_torch(device)
+    warp_device = wp.get_cuda_device(device.index or 0)
     pooled = wp.is_mempool_enabled(warp_device)
     warp_before = wp.get_mempool_used_mem_current(warp_device) if pooled else 0
     call()

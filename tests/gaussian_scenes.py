@@ -159,3 +159,17 @@ def assert_matches_reference(
     wrong = {name: f"{error:.2e}" for name, error in errors.items() if not error <= gradient_tolerance}
     assert not wrong, f"relative gradient errors above {gradient_tolerance:.0e}: {wrong}"
     return result, true_result
+
+
+def assert_finite(
+    render: Callable[..., Any], scene: Scene, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32
+) -> Tensor:
+    """Images and all gradients are finite; returns the colours."""
+    inputs = leaves(scene, device, dtype)
+    image, alphas, _ = render(**inputs)
+    assert torch.isfinite(image).all()
+    assert torch.isfinite(alphas).all()
+    upstream = upstream_gradients([image, alphas], torch.ones(alphas.shape[:-1]))
+    for name, gradient in gradients([image, alphas], upstream, inputs).items():
+        assert torch.isfinite(gradient).all(), name
+    return image.detach()

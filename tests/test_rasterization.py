@@ -246,7 +246,7 @@ def test_non_contiguous_inputs_and_upstream_gradients(device: torch.device) -> N
     image = rasterization(**scene)[0]
     image.backward(torch.ones_like(image).contiguous())
     for name in ("means", "quats", "scales", "colors", "opacities"):
-        assert relative_error(strided[name].grad, scene[name].grad) < 1e-6, name
+        assert relative_error(strided[name].grad, scene[name].grad) < 1e-5, name
 
 
 def test_backward_twice_and_two_renders_of_one_scene(device: torch.device) -> None:
