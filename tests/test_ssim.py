@@ -6,13 +6,13 @@ from thermosplat.ssim import ssim_map
 
 
 def image(channels: int, seed: int) -> torch.Tensor:
-    return torch.rand(14, 20, channels, generator=torch.Generator().manual_seed(seed))
+    return torch.rand(channels, 14, 20, generator=torch.Generator().manual_seed(seed))
 
 
 def test_channels_are_independent() -> None:
     """Stacked images have the maps they have alone; this is what lets the losses share one call."""
     first, second = (image(3, 0), image(3, 1)), (image(1, 2), image(1, 3))
-    stacked = ssim_map(torch.cat([first[0], second[0]], -1), torch.cat([first[1], second[1]], -1))
+    stacked = ssim_map(torch.cat([first[0], second[0]]), torch.cat([first[1], second[1]]))
     assert stacked.shape == (4, 14, 20)
     torch.testing.assert_close(stacked[:3], ssim_map(*first))
     torch.testing.assert_close(stacked[3:], ssim_map(*second))

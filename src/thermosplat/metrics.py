@@ -42,7 +42,7 @@ def ssim(render: Tensor, target: Tensor) -> float:
     Returns:
         SSIM, at most 1.
     """
-    return ssim_map(render.clamp(0, 1), target).mean().item()
+    return ssim_map(render.clamp(0, 1).permute(2, 0, 1), target.permute(2, 0, 1)).mean().item()
 
 
 def thermal_intensity(render: Tensor, scale: "ThermalScale") -> Tensor:

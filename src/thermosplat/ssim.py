@@ -17,11 +17,10 @@ def ssim_map(render: Tensor, target: Tensor) -> Tensor:
     this gives 0.9488 on one 64 px image, less on larger ones.
 
     Args:
-        render: Image, shape [H, W, C], H and W > 5; not clamped.
-        target: Image, shape [H, W, C].
+        render: Image, channels first, shape [C, H, W], H and W > 5; not clamped.
+        target: Image, shape [C, H, W].
 
     Returns:
         SSIM, at most 1, shape [C, H, W].
     """
-    batches = [image.permute(2, 0, 1)[None].contiguous() for image in (render, target)]
-    return kornia.metrics.ssim(batches[0], batches[1], SSIM_WINDOW, max_val=1.0)[0]
+    return kornia.metrics.ssim(render[None], target[None], SSIM_WINDOW, max_val=1.0)[0]
