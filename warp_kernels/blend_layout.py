@@ -70,9 +70,7 @@ CROWDED = 250
 """Mean pairs a tile above which the smallest block blends fastest on CUDA; measured in benchmarks/notes.md."""
 
 
-def default_layout(
-    device: wp.Device, tile_size: int, channels: int, dtype: type, pairs_per_tile: float
-) -> BlendLayout:
+def default_layout(device: wp.Device, tile_size: int, channels: int, dtype: type, pairs_per_tile: float) -> BlendLayout:
     """The layout measured best for a device and a frame; see benchmarks/notes.md.
 
     Args:

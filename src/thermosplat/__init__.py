@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
-    from thermosplat.rasterization import rasterization, rasterization_rgbt
+    from thermosplat.rasterizer import rasterization, rasterization_rgbt
 
 __version__ = "0.1.0"
 __all__ = ["UserError", "__version__", "rasterization", "rasterization_rgbt"]
@@ -18,10 +18,7 @@ __all__ = ["UserError", "__version__", "rasterization", "rasterization_rgbt"]
 
 def __getattr__(name: str) -> Any:
     if name in ("rasterization", "rasterization_rgbt"):
-        import importlib
+        from thermosplat import rasterizer
 
-        # The function has its module's name: put the function in the package's namespace, where users look for it.
-        module = importlib.import_module("thermosplat.rasterization")
-        globals().update(rasterization=module.rasterization, rasterization_rgbt=module.rasterization_rgbt)
-        return globals()[name]
+        return getattr(rasterizer, name)
     raise AttributeError(f"module 'thermosplat' has no attribute {name!r}")

@@ -66,7 +66,7 @@ class ModelConfig:
     init_opacity: float = 0.1
     """Opacity of the first Gaussians. 3DGS."""
     init_scale: float = 1.0
-    """First scales, as a multiple of the mean distance to the 3 nearest points. 3DGS."""
+    """First scales, as a multiple of the root mean square distance to the 3 nearest points. 3DGS."""
 
 
 @dataclass(frozen=True)
@@ -126,14 +126,16 @@ class DensificationConfig:
     enabled: bool = True
     """Off: the number of Gaussians stays what it is."""
     start_step: int = 500
-    """First step at which the count may change. 3DGS."""
+    """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
     stop_step: int = 15_000
     """No growth from this step on. 3DGS."""
     every: int = 100
     """Steps between refinements. 3DGS."""
-    grad_threshold: float = 2e-4
-    """Mean norm of the means2d gradient, in units of half the image, above which a Gaussian grows. 3DGS. In a shared
-    set the gradients of both passes are summed first (open choice: MMOne adds them as vectors)."""
+    grad_threshold: float = 4e-4
+    """Mean norm of the means2d gradient, in units of half the image, above which a Gaussian grows. 3DGS: 2e-4 for one
+    image loss. In a shared set the gradients of both passes are summed (open choice: MMOne adds them as vectors), and
+    the loss sums two terms on the RGB image (render and features) where 3DGS has one: twice the gradient, so twice the
+    threshold. Open choice; with 2e-4 the same views get several times 3DGS's Gaussians."""
     absgrad: bool = False
     """Use the sum of absolute per-pixel gradients (AbsGS); its usual threshold is 8e-4."""
     grow_scale3d: float = 0.01
@@ -141,7 +143,9 @@ class DensificationConfig:
     prune_opacity: float = 0.005
     """Gaussians fainter than this go; in a shared set both α and α_t must be. 3DGS (open choice: the maximum)."""
     prune_scale3d: float = 0.1
-    """Gaussians larger than this share of the scene's extent go, after the first opacity reset. 3DGS."""
+    """Gaussians larger than this share of the scene's extent go, from ``prune_large_from`` on. 3DGS."""
+    prune_large_from: int = 3000
+    """Gaussians that are too large are only removed after this step. 3DGS: after the first opacity reset."""
     reset_every: int = 3000
     """Steps between opacity resets. 3DGS."""
     reset_opacity: float = 0.01

@@ -19,7 +19,7 @@ from thermosplat.config_files import from_dict
 from thermosplat.decoders import Decoders
 from thermosplat.gaussians import Gaussians
 from thermosplat.initial_gaussians import initial_gaussians
-from thermosplat.rasterization import rasterization, rasterization_rgbt
+from thermosplat.rasterizer import rasterization, rasterization_rgbt
 from thermosplat.rendered_frame import RenderedFrame
 
 if TYPE_CHECKING:

@@ -73,7 +73,7 @@ def _encoder(path: Path, width: int, height: int, fps: int) -> AbstractContextMa
 
 @contextmanager
 def _h264(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], object]]:
-    import imageio_ffmpeg  # type: ignore[import-untyped]
+    import imageio_ffmpeg
 
     writer = imageio_ffmpeg.write_frames(
         str(path), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"

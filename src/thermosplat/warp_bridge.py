@@ -306,7 +306,7 @@ class Blend(torch.autograd.Function):
             ctx.tape.backward()
         if ctx.absolute is not None:
             holder = ctx.means2d_holder[0]
-            holder.absgrad = ctx.absolute.reshape(holder.shape)  # type: ignore[attr-defined]
+            holder.absgrad = ctx.absolute.reshape(holder.shape)
         return v_means2d, v_conics, v_opacities, v_thermal, v_features, None
 
 

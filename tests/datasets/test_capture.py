@@ -37,6 +37,14 @@ def test_scene_extent_is_3dgs_radius():
     assert capture(*frames).scene_extent == pytest.approx(1.1 * 3.0)
 
 
+def test_scene_extent_is_computed_once(monkeypatch):
+    """Every training step asks for it, and it goes through all cameras."""
+    whole = capture(*(Frame(str(x), view("rgb", (x, 0, 0)), None) for x in (0.0, 1.0)))
+    first = whole.scene_extent
+    monkeypatch.setattr("thermosplat.datasets.capture.scene_extent", lambda *_: pytest.fail("computed again"))
+    assert whole.scene_extent == first
+
+
 def test_scene_extent_of_one_position_falls_back_to_the_points():
     """A tripod has no camera spread; the points' distance stands in."""
     frames = [Frame(str(n), view("rgb"), view("thermal")) for n in range(3)]

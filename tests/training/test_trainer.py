@@ -208,7 +208,7 @@ def test_guard_is_looked_at_where_a_bad_state_would_spread(tmp_path: Path, captu
     config = toy_run_config(max_steps=40, eval_steps=(16,), save_steps=(17,))
     trainer = toy_trainer(tmp_path, config, capture)
     trainer.device = torch.device("cuda")  # nothing is computed here
-    refined, reset, logged = {*range(3, 41, 3)}, {*range(5, 41, 5)}, {*range(5, 41, 5)}
+    refined, reset, logged = {*range(3, 41, 3)}, {*range(6, 41, 5)}, {*range(5, 41, 5)}
     assert {step for step in range(1, 41) if trainer._looks_at_guard(step)} == refined | reset | logged | {16, 17, 40}
 
 
@@ -284,3 +284,16 @@ def test_cuda_run_goes_on_on_the_cpu(tmp_path: Path, capture: Capture) -> None:
     on_gpu = {name: tensor.cpu() for name, tensor in state_tensors(first).items()}
     assert_same_state(state_tensors(resumed), on_gpu)
     assert resumed.train()["steps"] == 12
+
+
+@pytest.mark.parametrize(("config", "recommended"), [("thermosplat", True), ("demo", False)])
+def test_the_demo_is_not_recommended_to_itself(
+    tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch, config: str, recommended: bool
+) -> None:
+    """On the CPU a run hears of the demo preset, unless it is one."""
+    trainer = toy_trainer(tmp_path, toy_run_config(1, config=config), capture)
+    said: list[str] = []
+    monkeypatch.setattr(trainer.logger, "say", said.append)
+    trainer.train()
+    assert any("training on the CPU" in line or "Training on the CPU" in line for line in said)
+    assert any("--config demo" in line for line in said) is recommended

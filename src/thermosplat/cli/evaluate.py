@@ -2,32 +2,23 @@
 
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from thermosplat.cli.errors import run_command
+from thermosplat.cli.run_arguments import RunOnCaptureArguments
 
 if TYPE_CHECKING:
     from thermosplat.cli.loaded_run import LoadedRun
 
 
 @dataclass(frozen=True)
-class EvalArguments:
+class EvalArguments(RunOnCaptureArguments):
     """Render the held-out views of a trained run and compare them with their images: numbers, per-view CSV, PNGs."""
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """Result folder of thermosplat-train."""
-    step: int | None = None
-    """Checkpoint to evaluate. None: the last one."""
-    data: str | None = None
-    """Folder of the capture, if it has moved since the training."""
-    device: str = "auto"
-    """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
     lpips_weights: str | None = None
     """Folder or file with LPIPS backbone weights (torchvision state_dict). None: as the run was told."""
-    debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Show the traceback of an error."""
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -3,27 +3,22 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import tyro
 
 from thermosplat.cli.errors import run_command
+from thermosplat.cli.run_arguments import RunArguments
 
 
 @dataclass(frozen=True)
-class ExportArguments:
+class ExportArguments(RunArguments):
     """Write a trained run's Gaussians as PLY, one file for each spectrum: splat_rgb.ply and splat_thermal.ply."""
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """Result folder of thermosplat-train."""
     modality: Literal["rgb", "thermal", "both"] | None = None
     """Which spectrum. None: all that were trained."""
     output: str | None = None
     """Folder for the files. None: ply/ in the result folder."""
-    step: int | None = None
-    """Checkpoint to export. None: the last one."""
-    debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Show the traceback of an error."""
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -2,20 +2,19 @@
 
 import sys
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import tyro
 
 from thermosplat.cli.errors import run_command
+from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.errors import UserError
 
 
 @dataclass(frozen=True)
-class RenderArguments:
+class RenderArguments(RunOnCaptureArguments):
     """Render a trained run along a camera path: a video or PNGs of one spectrum, or of both side by side."""
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """Result folder of thermosplat-train."""
     path: Literal["interp", "ellipse", "spiral", "train", "test"] = "interp"
     """Smoothly through the training views; an ellipse around the scene; a spiral in front of it; or the views of the
     training or the held-out split themselves."""
@@ -27,14 +26,6 @@ class RenderArguments:
     """Images along the path; the train and test paths have one for each view."""
     fps: int = 30
     """Images a second of the video."""
-    step: int | None = None
-    """Checkpoint to render. None: the last one."""
-    data: str | None = None
-    """Folder of the capture, if it has moved since the training."""
-    device: str = "auto"
-    """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
-    debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Show the traceback of an error."""
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -1,6 +1,7 @@
 """A capture in memory: frames of an RGB and a thermal view each, sparse points, and what thermal values mean."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -79,7 +80,7 @@ class Capture:
     thermal_scale: ThermalScale | None
     notes: tuple[str, ...] = field(default=())
 
-    @property
+    @cached_property  # asked for in every training step
     def scene_extent(self) -> float:
         """Radius of the scene [world units]: 1.1 times the largest distance of a train camera from their mean (3DGS).
 

@@ -68,8 +68,8 @@ class DefaultStrategy:
         return self.is_active(step) and step > self.config.start_step and step % self.config.every == 0
 
     def resets_at(self, step: int) -> bool:
-        """Whether opacities are reset at this step."""
-        return self.is_active(step) and step % self.config.reset_every == 0
+        """Whether opacities are reset at this step: one after each multiple, so that evaluations come before it."""
+        return self.is_active(step) and step > 1 and (step - 1) % self.config.reset_every == 0
 
     def step_pre_backward(self, infos: list[dict[str, Any]], step: int) -> None:
         """Keep the gradients that the refinement looks at.
@@ -162,7 +162,7 @@ class DefaultStrategy:
     def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:
         """Remove Gaussians that are too faint or too large; how many."""
         removed = torch.maximum(gaussians.opacities, gaussians.thermal_opacities) < self.config.prune_opacity
-        if step > self.config.reset_every:
+        if step > self.config.prune_large_from:
             removed |= gaussians.scales.amax(dim=-1) > self.config.prune_scale3d * self.scene_extent
         num_pruned = int(removed.sum())
         if num_pruned == len(gaussians):

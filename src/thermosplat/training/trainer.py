@@ -222,7 +222,8 @@ class Trainer:
         if self.device.type == "cpu":
             why = "Training on the CPU" if torch.cuda.is_available() else "No CUDA device: training on the CPU"
             cores = f"{torch.get_num_threads()} torch threads"
-            say(f"{why} with Warp ({cores}), many times slower than a GPU; --config demo is made for it.")
+            advice = "" if self.config.config == "demo" else "; --config demo is made for it"
+            say(f"{why} with Warp ({cores}), many times slower than a GPU{advice}.")
         say(
             f"{self.capture.name}: {len(self.frames)} training and {len(self.capture.test)} held-out frames, "
             f"{self.model.num_gaussians:,} Gaussians{f', from step {step:,}' if step else ''}; "

@@ -527,6 +527,4 @@ def rasterization_rgbt(
     render_colors, render_features = render[..., :channels], render[..., channels:]
     if backgrounds is not None:
         render_colors = render_colors + transmittance * backgrounds[..., None, None, :]
-    return RGBTRender(
-        render_colors, render_features, render_thermal, 1.0 - transmittance, thermal_alphas, scene.info()
-    )
+    return RGBTRender(render_colors, render_features, render_thermal, 1.0 - transmittance, thermal_alphas, scene.info())

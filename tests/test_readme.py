@@ -1,0 +1,101 @@
+"""What the documents say is so: examples run, links lead somewhere, flags and presets exist."""
+
+import dataclasses
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import list_presets
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+DOCUMENTS = sorted([*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").glob("*.md"), *REPOSITORY.glob("benchmarks/*.md")])
+
+
+def python_examples() -> list[tuple[str, str]]:
+    """Every Python block of the documents, with the document's name."""
+    return [
+        (path.name, code)
+        for path in DOCUMENTS
+        for code in re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
+    ]
+
+
+@pytest.mark.parametrize(("document", "code"), python_examples(), ids=[name for name, _ in python_examples()])
+def test_the_examples_run(document: str, code: str) -> None:
+    """An example runs as it stands, in a process of its own."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{document}: {done.stderr}"
+
+
+def test_the_readme_has_the_example_of_the_renderer() -> None:
+    """Ten lines that give an image and a gradient."""
+    (example,) = [code for name, code in python_examples() if name == "README.md"]
+    names: dict[str, object] = {}
+    exec(example, names)
+    assert names["image"].shape == (1, 240, 320, 3)  # type: ignore[attr-defined]
+    assert names["means"].grad.abs().sum() > 0  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=[path.name for path in DOCUMENTS])
+def test_links_within_the_repository_lead_somewhere(path: Path) -> None:
+    """Files exist, and headings that are linked to."""
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", path.read_text(encoding="utf-8")):
+        file, _, anchor = target.partition("#")
+        linked = path.parent / file if file else path
+        assert linked.exists(), f"{path.name} links to {target}"
+        if anchor:
+            assert anchor in set(_anchors(linked)), f"{path.name} links to {target}"
+
+
+def _anchors(path: Path) -> Iterator[str]:
+    """The anchors that GitHub gives a document's headings."""
+    for heading in re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), re.MULTILINE):
+        yield re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def _train_flags(group: type = TrainConfig, prefix: str = "--") -> Iterator[str]:
+    for field in dataclasses.fields(group):
+        name = prefix + field.name.replace("_", "-")
+        yield name
+        factory = field.default_factory
+        if isinstance(factory, type) and dataclasses.is_dataclass(factory):
+            yield from _train_flags(factory, f"{name}.")
+        elif field.type is bool:
+            yield f"{prefix}no-{field.name.replace('_', '-')}"
+
+
+def test_the_flags_of_the_migration_table_exist() -> None:
+    """The last column of "Coming from" names flags of thermosplat-train."""
+    table = README.split("## Coming from")[1].split("\n\n")[1]
+    named = {flag for row in table.splitlines()[2:] for flag in re.findall(r"--[\w.-]+", row.split("|")[4])}
+    assert len(named) > 10
+    assert named <= set(_train_flags())
+
+
+def test_the_flags_in_the_documents_exist() -> None:
+    """Dotted flags, which only thermosplat-train has, wherever a document names them."""
+    known = set(_train_flags())
+    for path in DOCUMENTS:
+        text = path.read_text(encoding="utf-8")
+        for flag in re.findall(r"--(?:model|loss|optimizer|decoder|densification|thermal)\.[\w-]+", text):
+            assert flag in known, f"{path.name} names {flag}"
+
+
+def test_the_readme_names_the_presets() -> None:
+    """The presets the README offers exist."""
+    offered = re.findall(r"`(\w+)` \(", README.split("`--config` names")[1].split("an ablation")[0])
+    assert len(offered) == 3
+    assert set(offered) <= set(list_presets())
+
+
+def test_continuous_integration_runs_the_readmes_test_command() -> None:
+    """.ci/run has the second line of the README's first block, to the letter."""
+    block = README.split("```")[1].strip().splitlines()
+    assert block[0].startswith("pip install . && thermosplat-train sample")
+    assert block[1] in (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8").splitlines()
