@@ -109,3 +109,19 @@ def test_hidden_layers() -> None:
     assert [type(m).__name__ for m in model.shared_encoder] == ["Linear", "SiLU"] * 3
     assert model.shared_encoder[0].in_features == 8
     assert model.shared_encoder[4].in_features == 16
+
+
+def test_both_branches_at_once() -> None:
+    """The joint pass gives the images and gradients of the two separate ones, with and without modulation."""
+    for modulation in (True, False):
+        model = decoders(modulation=modulation)
+        visible, thermal = features(), features().flip(0)
+        weights = [torch.rand(5, 6, 3, generator=torch.Generator().manual_seed(k)) for k in (2, 3)]
+        results = []
+        for images in (lambda: model.both(visible, thermal), lambda: (model.rgb(visible), model.thermal(thermal))):
+            pair = images()
+            loss = sum((image * weight).sum() for image, weight in zip(pair, weights))
+            gradients = torch.autograd.grad(loss, list(model.parameters()), allow_unused=True)
+            results.append((*pair, *[g for g in gradients if g is not None]))
+        for joint, separate in zip(*results, strict=True):
+            torch.testing.assert_close(joint, separate)

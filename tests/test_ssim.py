@@ -1,5 +1,6 @@
 """SSIM maps: shape, independence of channels, and what equal and opposite images score."""
 
+import kornia
 import torch
 
 from thermosplat.ssim import ssim_map
@@ -23,3 +24,16 @@ def test_equal_and_inverted_images() -> None:
     original = image(2, 4)
     torch.testing.assert_close(ssim_map(original, original), torch.ones(2, 14, 20), atol=1e-4, rtol=0)
     assert ssim_map(original, 1 - original).mean() < -0.3
+
+
+def test_equals_kornia() -> None:
+    """kornia's own SSIM is the definition: value and gradient, also out of range."""
+    render, target = 1.5 * image(4, 5) - 0.2, image(4, 6)
+    maps, gradients = [], []
+    for ssim in (lambda x: ssim_map(x, target), lambda x: kornia.metrics.ssim(x[None], target[None], 11)[0]):
+        leaf = render.clone().requires_grad_()
+        maps.append(ssim(leaf))
+        (gradient,) = torch.autograd.grad(maps[-1].square().sum(), leaf)
+        gradients.append(gradient)
+    torch.testing.assert_close(maps[0], maps[1], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(gradients[0], gradients[1], atol=1e-4, rtol=1e-4)

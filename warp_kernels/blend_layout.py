@@ -62,8 +62,9 @@ class BlendLayout:
     def module_options(self) -> dict:
         """Warp options: on the CPU the column loop must stay rolled, or clang does not vectorise it."""
         unroll = min(15, self.columns - 1) if self.lanes == 1 else 64
-        # fast_math concerns CUDA only: division and square roots by approximation, denormals flushed.
-        return {"max_unroll": unroll, "block_dim": self.threads, "fast_math": True}
+        # No fast_math: the adjoint divides its way back through the transmittance, and approximate division would let
+        # the error grow with every layer.
+        return {"max_unroll": unroll, "block_dim": self.threads, "fast_math": False}
 
 
 CROWDED = 250

@@ -54,10 +54,7 @@ class Decoders(nn.Module):
             Colours in (0, 1), shape [H, W, 3].
         """
         encoded = self.shared_encoder(visible_features)
-        if self.modulation is not None:
-            gamma, beta = self.modulation(self.thermal_prior(encoded)).chunk(2, dim=-1)
-            encoded = gamma * encoded + beta
-        return torch.sigmoid(self.rgb_head(encoded))
+        return self._rgb_from(encoded, self.thermal_prior(encoded) if self.modulation is not None else None)
 
     def thermal(self, thermal_features: Tensor) -> Tensor:
         """The thermal image, C_th.
@@ -71,9 +68,39 @@ class Decoders(nn.Module):
         Raises:
             ValueError: If the decoders were made without thermal channels.
         """
+        return self._thermal_from(self.thermal_prior(self.shared_encoder(thermal_features)))
+
+    def both(self, visible_features: Tensor, thermal_features: Tensor) -> tuple[Tensor, Tensor]:
+        """``rgb`` and ``thermal`` of one frame, with one pass through the layers they share.
+
+        Args:
+            visible_features: A_f, shape [H, W, d].
+            thermal_features: A_ft, shape [H, W, d].
+
+        Returns:
+            C_impl and C_th.
+
+        Raises:
+            ValueError: If the decoders were made without thermal channels.
+        """
+        encoded = self.shared_encoder(torch.stack([visible_features, thermal_features]))
+        if self.modulation is None:
+            return self._rgb_from(encoded[0], None), self._thermal_from(self.thermal_prior(encoded[1]))
+        prior = self.thermal_prior(encoded)
+        return self._rgb_from(encoded[0], prior[0]), self._thermal_from(prior[1])
+
+    def _rgb_from(self, encoded: Tensor, prior: Tensor | None) -> Tensor:
+        """The RGB branch after the shared layers: modulation by the prior, where there is one, and the head."""
+        if self.modulation is not None and prior is not None:
+            gamma, beta = self.modulation(prior).chunk(2, dim=-1)
+            encoded = gamma * encoded + beta
+        return torch.sigmoid(self.rgb_head(encoded))
+
+    def _thermal_from(self, prior: Tensor) -> Tensor:
+        """The thermal branch after the shared layers: the head."""
         if self.thermal_head is None:
             raise ValueError("These decoders were made with thermal_channels=0; they have no thermal image.")
-        return torch.sigmoid(self.thermal_head(self.thermal_prior(self.shared_encoder(thermal_features))))
+        return torch.sigmoid(self.thermal_head(prior))
 
 
 def _identity_modulation(hidden: int) -> nn.Linear:

@@ -106,29 +106,20 @@ def _channels(features: Tensor | None, start: int, stop: int) -> Tensor | None:
 
 
 def _image_losses(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
-    """Weighted image losses by name, with one SSIM call for all images of one size.
+    """Weighted image losses by name, with one call for the channels of all images of one size.
 
-    SSIM treats channels separately, so stacking the channels of several images changes no value; one convolution over
-    ten channels takes about a third of the time of four small ones.
+    L1 and SSIM treat channels separately, so stacking the channels of several images changes no value; one convolution
+    over ten channels takes about a third of the time of four small ones.
     """
-    losses = {}
-    for term in terms:
-        losses[term.name] = term.weight * (1 - ssim_lambda) * (term.render - term.target).abs().mean()
-    if ssim_lambda > 0:
-        for term, similarity in zip(terms, _ssim_means(terms)):
-            losses[term.name] = losses[term.name] + term.weight * ssim_lambda * (1 - similarity)
-    return losses
-
-
-def _ssim_means(terms: list[_ImageTerm]) -> list[Tensor]:
-    """Mean SSIM of every term, in their order."""
-    means: dict[int, Tensor] = {}
+    losses: dict[str, Tensor] = {}
     for size in dict.fromkeys(term.render.shape[:2] for term in terms):
-        members = [index for index, term in enumerate(terms) if term.render.shape[:2] == size]
+        members = [term for term in terms if term.render.shape[:2] == size]
         # Channels first before they are joined: on the CPU that is ten times faster than joining the last dimension.
-        renders = torch.cat([terms[index].render.permute(2, 0, 1) for index in members])
-        targets = torch.cat([terms[index].target.permute(2, 0, 1) for index in members])
-        similarities = ssim_map(renders, targets).mean(dim=(1, 2))
-        channel_means = similarities.split([terms[index].render.shape[-1] for index in members])
-        means.update((index, values.mean()) for index, values in zip(members, channel_means))
-    return [means[index] for index in range(len(terms))]
+        renders = torch.cat([term.render.permute(2, 0, 1) for term in members])
+        targets = torch.cat([term.target.permute(2, 0, 1) for term in members])
+        by_channel = (1 - ssim_lambda) * (renders - targets).abs().mean(dim=(1, 2))
+        if ssim_lambda > 0:
+            by_channel = by_channel + ssim_lambda * (1 - ssim_map(renders, targets).mean(dim=(1, 2)))
+        for term, values in zip(members, by_channel.split([term.render.shape[-1] for term in members])):
+            losses[term.name] = term.weight * values.mean()
+    return {term.name: losses[term.name] for term in terms}

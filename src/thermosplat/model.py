@@ -132,12 +132,7 @@ class SceneModel(nn.Module):
     def _render_traversal(
         self, decoders: Decoders, view: "ViewTensors", with_thermal: bool, sh_degree: int, absgrad: bool
     ) -> RenderedFrame:
-        """SH colours and features at α, and with them the features at α_t where asked, in one traversal.
-
-        Without thermal output the traversal blends the features at α a second time, for nobody. The two plain calls it
-        stands for (colours, features) would cost more: they project and sort twice, and densification would count the
-        view twice. As both opacities are equal, pixels still finish early.
-        """
+        """SH colours and features at α, and with them the features at α_t where asked, in one traversal."""
         gaussians = self.gaussians("shared")
         opacities = gaussians.opacities
         output = rasterization_rgbt(
@@ -158,17 +153,16 @@ class SceneModel(nn.Module):
             rasterize_mode=self.config.rasterize_mode,
         )
         visible_features = output.render_features[0]
-        decoded = decoders.rgb(visible_features)
         rendered = RenderedFrame(
-            rgb=output.render_colors[0] + decoded if self.decoder_config.hybrid_rgb else decoded,
-            visible_features=visible_features,
-            rgb_alpha=output.render_alphas[0],
-            infos={"shared": [output.info]},
+            visible_features=visible_features, rgb_alpha=output.render_alphas[0], infos={"shared": [output.info]}
         )
         if with_thermal:
             rendered.thermal_features = output.render_thermal_features[0]
-            rendered.thermal = decoders.thermal(rendered.thermal_features)
             rendered.thermal_alpha = output.render_thermal_alphas[0]
+            decoded, rendered.thermal = decoders.both(visible_features, rendered.thermal_features)
+        else:
+            decoded = decoders.rgb(visible_features)
+        rendered.rgb = output.render_colors[0] + decoded if self.decoder_config.hybrid_rgb else decoded
         return rendered
 
     def _render_sh(

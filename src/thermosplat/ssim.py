@@ -1,10 +1,26 @@
-"""Structural similarity as training and evaluation use it: one window, one border rule, one data range."""
+"""Structural similarity as training and evaluation use it: one window, one border rule, one data range.
+
+``kornia.metrics.ssim`` is the definition (tests hold this file to it). It filters five maps one by one and builds its
+window anew at every call; here kornia filters all of them in one call, which is several times faster at every size.
+"""
+
+import functools
 
 import kornia
+import torch
 from torch import Tensor
 
 SSIM_WINDOW = 11
-"""Taps of the Gaussian window along an axis [px]; kornia fixes its σ at 1.5. 3DGS, ThermalGaussian, MMOne."""
+"""Taps of the Gaussian window along an axis [px]. 3DGS, ThermalGaussian, MMOne."""
+
+SSIM_SIGMA = 1.5
+"""Standard deviation of the window [px]. Wang et al. 2004, 3DGS; kornia fixes it too."""
+
+C1, C2 = 0.01**2, 0.03**2
+"""Stabilising constants for a data range of 1. Wang et al. 2004."""
+
+EPSILON = 1e-12
+"""Added to the denominator, as kornia does."""
 
 
 def ssim_map(render: Tensor, target: Tensor) -> Tensor:
@@ -23,4 +39,18 @@ def ssim_map(render: Tensor, target: Tensor) -> Tensor:
     Returns:
         SSIM, at most 1, shape [C, H, W].
     """
-    return kornia.metrics.ssim(render[None], target[None], SSIM_WINDOW, max_val=1.0)[0]
+    window = _window(render.device, render.dtype)
+    moments = torch.cat([render, target, render * render, target * target, render * target])
+    blurred = kornia.filters.filter2d_separable(moments[None], window, window)[0]
+    mean_x, mean_y, square_x, square_y, product = blurred.chunk(5)
+    means = mean_x * mean_y
+    squares = mean_x * mean_x + mean_y * mean_y
+    numerator = (2 * means + C1) * (2 * (product - means) + C2)
+    denominator = (squares + C1) * (square_x + square_y - squares + C2)
+    return numerator / (denominator + EPSILON)
+
+
+@functools.lru_cache(maxsize=8)
+def _window(device: torch.device, dtype: torch.dtype) -> Tensor:
+    """The Gaussian window, shape [1, SSIM_WINDOW]."""
+    return kornia.filters.get_gaussian_kernel1d(SSIM_WINDOW, SSIM_SIGMA, device=device, dtype=dtype)

@@ -60,6 +60,8 @@ def on_torch_stream(device: torch.device) -> Iterator[wp.Device]:
         The Warp device.
     """
     wp.init()
+    if device.type == "cuda" and device.index is None:
+        device = torch.device("cuda", torch.cuda.current_device())
     warp_device = wp.device_from_torch(device)
     if not warp_device.is_cuda:
         yield warp_device

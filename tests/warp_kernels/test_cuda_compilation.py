@@ -9,7 +9,7 @@ from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel, distribute_kernel
 from warp_kernels.projection import projection_kernel
-from warp_kernels.projection_adjoint import camera_finish_kernel, projection_adjoint_kernel
+from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
 from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sum_kernel
 from warp_kernels.tile_binning import binning_kernels, tile_ranges_kernel
@@ -23,13 +23,19 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for from_covars in (False, True)
     ]
     kernels += [
-        projection_adjoint_kernel(dtype, camera_model, from_covars, True)
+        projection_adjoint_kernel(dtype, camera_model, from_covars, to_cameras)
         for camera_model in ("pinhole", "ortho")
         for from_covars in (False, True)
+        for to_cameras in (False, True)
     ]
-    kernels += [*binning_kernels(dtype), tile_ranges_kernel, camera_finish_kernel(dtype), strand_sum_kernel(dtype, 3)]
+    kernels += [*binning_kernels(dtype), tile_ranges_kernel, camera_finish_kernel(dtype)]
+    kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
     kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), camera_position_adjoint_kernel(dtype)]
-    kernels += [distribute_kernel(11, 8, dtype, absgrad, False) for absgrad in (False, True)]
+    kernels += [
+        distribute_kernel(channels, thermal_channels, dtype, absgrad, False)
+        for channels, thermal_channels in ((3, 0), (11, 8))
+        for absgrad in (False, True)
+    ]
     return kernels
 
 
@@ -56,6 +62,17 @@ def test_blending_compiles_for_cuda(tmp_path: Path) -> None:
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Projection, colours, binning, sums."""
     compile_all(gaussian_kernels(dtype), arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize(("channels", "thermal_channels"), [(3, 0), (11, 8)])
+def test_float64_blending_compiles_for_cuda(channels: int, thermal_channels: int, arch: int, tmp_path: Path) -> None:
+    """The accuracy reference, in the block shape it has on CUDA."""
+    layout = BlendLayout(16, 8, 4, 32)
+    kernels = [blend_kernel(channels, thermal_channels, wp.float64, layout)]
+    kernels.append(blend_adjoint_kernel(channels, thermal_channels, wp.float64, layout, True, False))
+    compile_all(kernels, arch, tmp_path)
 
 
 @pytest.mark.slow
