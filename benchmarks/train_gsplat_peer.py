@@ -1,0 +1,121 @@
+"""What does 3DGS reach when gsplat itself trains it? gsplat 1.5.3's rasterizer, DefaultStrategy and published constants.
+
+    python benchmarks/train_gsplat_peer.py DATA [--modality rgb thermal] [--max-steps 7000] [--scene-scale S] [--json F]
+
+Each modality alone, on this project's loader, split and metrics, so that only renderer and training differ from
+``thermosplat-train DATA --config 3dgs``. Needs CUDA and gsplat. The schedule is gsplat's examples/simple_trainer.py.
+"""
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+
+import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import torch
+from gsplat import rasterization
+from gsplat.strategy import DefaultStrategy
+
+from thermosplat.datasets import load_capture
+from thermosplat.datasets.frame_tensors import frame_tensors
+from thermosplat.metrics import psnr, ssim
+from thermosplat.neighbor_distances import neighbor_distances
+from thermosplat.ssim import ssim_map
+
+SH_C0 = 0.28209479177387814
+
+
+def initial_parameters(points, colors, device) -> torch.nn.ParameterDict:
+    """gsplat's: point colours, RMS distance to three neighbours, random rotations, opacity 0.1, SH degree 3."""
+    points = torch.as_tensor(points, dtype=torch.float32)
+    rgb = torch.as_tensor(colors, dtype=torch.float32) / 255
+    distance = torch.as_tensor(neighbor_distances(points.numpy()), dtype=torch.float32)
+    n = len(points)
+    parameters = {
+        "means": points,
+        "scales": distance.log().unsqueeze(-1).repeat(1, 3),
+        "quats": torch.rand(n, 4),
+        "opacities": torch.logit(torch.full((n,), 0.1)),
+        "sh0": ((rgb - 0.5) / SH_C0)[:, None],
+        "shN": torch.zeros(n, 15, 3),
+    }
+    return torch.nn.ParameterDict({k: torch.nn.Parameter(v.to(device)) for k, v in parameters.items()})
+
+
+def train(capture, modality: str, max_steps: int, scene_scale: float, device: torch.device) -> dict:
+    """Trains one modality; returns held-out PSNR, SSIM, count and seconds."""
+    torch.manual_seed(42)
+    views = [
+        [getattr(frame_tensors(frame, capture.thermal_scale, device), modality) for frame in frames]
+        for frames in (capture.train, capture.test)
+    ]
+    params = initial_parameters(capture.points, capture.point_colors, device)
+    rates = {
+        "means": 1.6e-4 * scene_scale, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3,
+        "shN": 2.5e-3 / 20,
+    }  # fmt: skip
+    optimizers = {k: torch.optim.Adam([params[k]], lr=lr, eps=1e-15, fused=True) for k, lr in rates.items()}
+    schedule = torch.optim.lr_scheduler.ExponentialLR(optimizers["means"], 0.01 ** (1 / max_steps))
+    strategy = DefaultStrategy()
+    strategy.check_sanity(params, optimizers)
+    state = strategy.initialize_state(scene_scale=scene_scale)
+
+    def render(view, degree):
+        return rasterization(
+            params["means"], params["quats"], params["scales"].exp(), params["opacities"].sigmoid(),
+            torch.cat([params["sh0"], params["shN"]], 1), view.viewmat[None], view.K[None], view.width, view.height,
+            sh_degree=degree, packed=False,
+        )  # fmt: skip
+
+    order, started = [], time.perf_counter()
+    for step in range(max_steps):
+        if not order:
+            order = torch.randperm(len(views[0])).tolist()
+        view = views[0][order.pop()]
+        image, _, info = render(view, min(step // 1000, 3))
+        strategy.step_pre_backward(params, optimizers, state, step, info)
+        similarity = ssim_map(image[0].permute(2, 0, 1), view.image.permute(2, 0, 1)).mean()
+        loss = 0.8 * (image[0] - view.image).abs().mean() + 0.2 * (1 - similarity)
+        loss.backward()
+        for optimizer in optimizers.values():
+            optimizer.step()
+            optimizer.zero_grad(set_to_none=True)
+        schedule.step()
+        strategy.step_post_backward(params, optimizers, state, step, info, packed=False)
+    torch.cuda.synchronize()
+    seconds = time.perf_counter() - started
+    with torch.no_grad():
+        pairs = [(render(view, 3)[0][0], view.image) for view in views[1]]
+    return {
+        "modality": modality,
+        "psnr": sum(psnr(*pair) for pair in pairs) / len(pairs),
+        "ssim": sum(ssim(*pair) for pair in pairs) / len(pairs),
+        "num_gaussians": len(params["means"]),
+        "seconds": seconds,
+        "scene_scale": scene_scale,
+        "steps": max_steps,
+    }
+
+
+def main() -> None:
+    """Parses arguments, trains, prints and saves."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data")
+    parser.add_argument("--modality", nargs="+", default=["rgb", "thermal"])
+    parser.add_argument("--max-steps", type=int, default=7000)
+    parser.add_argument("--scene-scale", type=float, default=math.nan, help="default: as gsplat, 1.1 x camera radius")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    capture = load_capture(args.data)
+    scale = capture.scene_extent if math.isnan(args.scene_scale) else args.scene_scale
+    rows = []
+    for modality in args.modality:
+        rows.append({"capture": capture.name} | train(capture, modality, args.max_steps, scale, torch.device("cuda")))
+        print(rows[-1], flush=True)
+        if args.json:
+            args.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
