@@ -14,9 +14,9 @@ import torch
 import warp as wp
 from garden_scene import load_garden
 
-from thermosplat.warp_bridge import Project, bin_tiles, on_torch_stream, wrap
-from warp_kernels import rasterization as steps
+from thermosplat.warp_bridge import Project, ProjectedTensors, bin_tiles, on_torch_stream, wrap
 from warp_kernels.blend_layout import BlendLayout
+from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.projection import ProjectionSettings
 
 LAYOUTS = [(16, 8, 4), (16, 8, 8), (16, 16, 8), (8, 8, 4), (8, 8, 8), (32, 8, 8), (32, 16, 8)]
@@ -49,13 +49,10 @@ def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int)
             scene["means"], scene["quats"], scene["scales"], None, opacities, thermal, scene["viewmats"], scene["Ks"],
             settings,
         )  # fmt: skip
-    means2d, depths, conics, compensations, radii, extents = projected
     rows = []
     for tile_size in sorted({layout[0] for layout in LAYOUTS}):
         flat = torch.rand(count, 32, device="cuda")
-        arrays, bins = bin_tiles(
-            means2d, conics, depths, compensations, radii, extents, opacities, thermal, flat, settings, tile_size
-        )
+        arrays, bins = bin_tiles(ProjectedTensors(*projected), opacities, thermal, flat, settings, tile_size)
         for channels, thermal_channels in CHANNELS:
             features = flat[:, :channels].contiguous()
             vec = wp.types.vector(channels, wp.float32)
@@ -68,7 +65,7 @@ def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int)
                         grad = kind is not wp.int32
                         return wp.zeros((height, width), dtype=kind, device=device, requires_grad=grad)
 
-                    blended = steps.BlendedArrays(image(vec), image(wp.float32), image(wp.int32))
+                    blended = BlendedArrays(image(vec), image(wp.float32), image(wp.int32))
                     if thermal_channels:
                         blended.thermal_render, blended.thermal_transmittance = image(vec_t), image(wp.float32)
                         blended.thermal_last_pairs = image(wp.int32)
@@ -79,9 +76,9 @@ def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int)
                     )  # fmt: skip
 
                     def forward(args=args, layout=layout):
-                        steps.blend(*args, None, layout=layout)
+                        blend(*args, None, layout=layout)
 
-                    steps.blend(*args, tape, layout=layout)
+                    blend(*args, tape, layout=layout)
                     blended.render.grad.fill_(vec(*[0.5] * channels))
                     row = {
                         "gaussians": count, "width": width, "height": height, "pairs": bins.num_pairs,

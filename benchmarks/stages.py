@@ -8,8 +8,11 @@ from timing import time_interleaved
 from torch import Tensor
 
 from thermosplat.warp_bridge import on_torch_stream, wrap
+from warp_kernels.binning_step import bin_tiles
+from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.projection import GaussianArrays, ProjectionSettings
-from warp_kernels.rasterization import BlendedArrays, allocate_projected, bin_tiles, blend, project, scalar_view
+from warp_kernels.projection_step import project
+from warp_kernels.rasterization import allocate_projected, scalar_view
 
 
 def stage_times(

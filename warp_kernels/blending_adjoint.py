@@ -4,9 +4,7 @@ Walking a pixel's list backwards, T is recovered by division, and the colour beh
 through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
 dL/dα = T (f · dL/dcolour) - S / (1 - α).
 
-Each warp sums a Gaussian's gradient over its pixels into one record: mean2d (2), conic (3), opacity, [thermal opacity],
-features (C), [|mean2d| gradients (2)]. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair
-and summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+Each warp sums a Gaussian's gradient over its pixels into one record; see gradient_records.
 """
 
 import functools
@@ -16,6 +14,7 @@ import warp as wp
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import BATCH, alpha_functions
 from warp_kernels.constants import ALPHA_MAX
+from warp_kernels.gradient_records import feature_offset, record_length
 from warp_kernels.lanes import (
     accumulate_snippet,
     broadcast_int,
@@ -25,20 +24,6 @@ from warp_kernels.lanes import (
     warp_ballot,
     warp_max,
 )
-
-
-def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
-    """Numbers in one gradient record.
-
-    Args:
-        channels: C, channels blended with the first opacity.
-        thermal_channels: channels blended a second time; 0 for one opacity.
-        absgrad: sums of absolute mean2d gradients are wanted.
-
-    Returns:
-        The length.
-    """
-    return 6 + (1 if thermal_channels else 0) + channels + (2 if absgrad else 0)
 
 
 @functools.cache
@@ -65,7 +50,7 @@ def blend_adjoint_kernel(
     pixels = rows * columns
     row_mask = rows - 1
     length = record_length(channels, thermal_channels, absgrad)
-    first_feature = 7 if dual else 6
+    first_feature = feature_offset(thermal_channels)
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
     vecQ = wp.types.vector(columns, dtype)
@@ -330,68 +315,3 @@ def blend_adjoint_kernel(
             i -= batch
 
     return blend_tiles_adjoint_kernel
-
-
-@functools.cache
-def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad: bool, by_slot: bool) -> wp.Kernel:
-    """Sums each Gaussian's records and adds them to the gradients, one thread a depth rank.
-
-    Args:
-        channels: C.
-        thermal_channels: D, or 0.
-        dtype: ``wp.float32`` or ``wp.float64``.
-        absgrad: records end with the absolute mean2d gradients.
-        by_slot: records are one a pair, contiguous per Gaussian, rather than one a Gaussian.
-
-    Returns:
-        The Warp kernel.
-    """
-    C, dual = channels, thermal_channels > 0
-    first_feature = 7 if dual else 6
-    length = record_length(channels, thermal_channels, absgrad)
-    record = wp.types.vector(length, dtype)
-    vec2, vec3, vecC = wp.types.vector(2, dtype), wp.types.vector(3, dtype), wp.types.vector(C, dtype)
-
-    @wp.kernel(
-        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}{'_slots' * by_slot}",
-        enable_backward=False,
-        module="unique",
-    )
-    def distribute_records_kernel(
-        order: wp.array(dtype=wp.int32),
-        pair_ends: wp.array(dtype=wp.int64),
-        tiles_per_gaussian: wp.array(dtype=wp.int32),
-        records: wp.array(dtype=record),
-        # outputs
-        v_means2d: wp.array(dtype=vec2),
-        v_conics: wp.array(dtype=vec3),
-        v_opacities: wp.array(dtype=dtype),
-        v_thermal_opacities: wp.array(dtype=dtype),
-        v_features: wp.array(dtype=vecC),
-        absolute: wp.array(dtype=vec2),
-    ):
-        rank = wp.tid()
-        g = order[rank]
-        count = tiles_per_gaussian[g]
-        if count == 0:
-            return
-        total = record()
-        if wp.static(by_slot):
-            end = int(pair_ends[rank])
-            for slot in range(end - count, end):
-                total = total + records[slot]
-        else:
-            total = records[g]
-        v_means2d[g] = v_means2d[g] + vec2(total[0], total[1])
-        v_conics[g] = v_conics[g] + vec3(total[2], total[3], total[4])
-        v_opacities[g] = v_opacities[g] + total[5]
-        if wp.static(dual):
-            v_thermal_opacities[g] = v_thermal_opacities[g] + total[6]
-        v = v_features[g]
-        for c in range(C):
-            v[c] = v[c] + total[first_feature + c]
-        v_features[g] = v
-        if wp.static(absgrad):
-            absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
-
-    return distribute_records_kernel

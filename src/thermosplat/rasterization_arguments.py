@@ -8,6 +8,7 @@ from torch import Tensor
 
 from thermosplat.errors import UserError
 from warp_kernels.constants import TILE_SIZES
+from warp_kernels.projection import ProjectionSettings
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
@@ -202,3 +203,70 @@ def check_colors(name: str, colors: Tensor, means: Tensor, cameras: int, sh_degr
             f"({letters}), got {list(colors.shape)}."
         )
     return per_camera
+
+
+def check_backgrounds(
+    backgrounds: Tensor | None, colors: Tensor, sh_degree: int | None, means: Tensor, cameras: int
+) -> None:
+    """Checks the colours behind everything.
+
+    Args:
+        backgrounds: [..., C, D] or None.
+        colors: checked colours or, with ``sh_degree``, coefficients; they fix D.
+        sh_degree: active degree or None.
+        means: [..., N, 3].
+        cameras: C.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    if backgrounds is not None:
+        channels = 3 if sh_degree is not None else colors.shape[-1]
+        check_shape("backgrounds", backgrounds, (*means.shape[:-2], cameras, channels), means)
+
+
+def checked_settings(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    covars: Tensor | None,
+    opacities: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    *,
+    width: int,
+    height: int,
+    near_plane: float,
+    far_plane: float,
+    radius_clip: float,
+    eps2d: float,
+    sh_degree: int | None,
+    tile_size: int,
+    render_mode: str,
+    rasterize_mode: str,
+    camera_model: CameraModel,
+) -> ProjectionSettings:
+    """Checks the arguments that both rasterizations take, in their meaning there, and gives the projection's settings.
+
+    Returns:
+        The settings, with the numbers of Gaussians, cameras and images.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    check_modes(render_mode, rasterize_mode, camera_model, tile_size, width, height, sh_degree)
+    check_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
+    cameras, count = check_scene(means, quats, scales, covars, opacities, viewmats, Ks)
+    return ProjectionSettings(
+        width=width,
+        height=height,
+        num_gaussians=count,
+        num_cameras=cameras,
+        num_images=math.prod(means.shape[:-2]) * cameras,
+        eps2d=eps2d,
+        near_plane=near_plane,
+        far_plane=far_plane,
+        radius_clip=radius_clip,
+        antialiased=rasterize_mode == "antialiased",
+        camera_model=camera_model,
+    )

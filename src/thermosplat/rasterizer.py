@@ -4,28 +4,23 @@ Conventions are gsplat 1.5.3's: quaternions (w, x, y, z) of any length, world-to
 pixel centres at half-integers. Leading dimensions ``...`` of the Gaussians are scenes; each scene has C cameras.
 """
 
-import math
-from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from thermosplat.projected_scene import ProjectedScene
 from thermosplat.rasterization_arguments import (
     CameraModel,
     RasterizeMode,
     RenderMode,
+    check_backgrounds,
     check_colors,
-    check_limits,
-    check_modes,
-    check_scene,
     check_shape,
+    checked_settings,
     refuse_unsupported,
 )
-from thermosplat.warp_bridge import Blend, BlendInputs, Project, ShColors, bin_tiles, to_torch
 from warp_kernels.constants import CHANNELS_MAX
-from warp_kernels.projection import ProjectionSettings
-from warp_kernels.tile_binning import TileBins
 
 __all__ = ["RGBTRender", "rasterization", "rasterization_rgbt"]
 
@@ -45,207 +40,6 @@ class RGBTRender(NamedTuple):
     """Accumulated thermal opacity, [..., C, H, W, 1]; None without thermal opacities."""
     info: dict[str, Any]
     """As ``rasterization``'s, with ``thermal_opacities`` beside ``opacities``."""
-
-
-class RasterizationInfo(dict[str, Any]):
-    """The third result of ``rasterization``: gsplat's keys. ``isect_ids`` is computed when first read."""
-
-    def __init__(self, values: dict[str, Any], isect_ids: Callable[[], Tensor]) -> None:
-        super().__init__(values, isect_ids=None)
-        self._isect_ids = isect_ids
-
-    def __getitem__(self, key: str) -> Any:
-        if key == "isect_ids" and super().__getitem__(key) is None:
-            self[key] = self._isect_ids()
-        return super().__getitem__(key)
-
-    def __iter__(self) -> Iterator[str]:
-        # Defined so that dict(info) and {**info} read through __getitem__.
-        return super().__iter__()
-
-    def get(self, key: str, default: Any = None) -> Any:
-        """As ``dict.get``."""
-        value = self[key] if key in self.keys() else default
-        return value
-
-    def items(self) -> Any:
-        """As ``dict.items``, with every value computed."""
-        self["isect_ids"]
-        return super().items()
-
-    def values(self) -> Any:
-        """As ``dict.values``, with every value computed."""
-        self["isect_ids"]
-        return super().values()
-
-
-class _Projected:
-    """One projection of a scene and what is shared by everything blended from it. Flat index: image · N + Gaussian."""
-
-    def __init__(
-        self,
-        means: Tensor,
-        quats: Tensor | None,
-        scales: Tensor | None,
-        covars: Tensor | None,
-        opacities: Tensor,
-        thermal_opacities: Tensor | None,
-        viewmats: Tensor,
-        Ks: Tensor,
-        settings: ProjectionSettings,
-        tile_size: int,
-    ) -> None:
-        self.tile_size = tile_size
-        self.batch = means.shape[:-2]
-        self.settings = settings
-        self.means = means.reshape(-1, 3)
-        self.viewmats = viewmats.reshape(-1, 4, 4)
-        if covars is not None:
-            upper = covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].reshape(-1, 6).contiguous()
-        else:
-            upper = None
-        if covars is not None or quats is None or scales is None:
-            quats, scales = means.new_empty(0, 4), means.new_empty(0, 3)
-        bound = opacities.detach().reshape(-1).contiguous()
-        thermal_bound = bound if thermal_opacities is None else thermal_opacities.detach().reshape(-1).contiguous()
-        means2d, self.depths, conics, compensations, self.radii, self.extents = Project.apply(
-            self.means.contiguous(),
-            quats.reshape(-1, 4).contiguous(),
-            scales.reshape(-1, 3).contiguous(),
-            upper,
-            bound,
-            thermal_bound,
-            self.viewmats.contiguous(),
-            Ks.reshape(-1, 3, 3).contiguous(),
-            settings,
-        )
-        # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
-        self.means2d = means2d.reshape(*self.images_shape, -1, 2)
-        self.conics = conics.reshape(*self.images_shape, -1, 3)
-        self.compensations = compensations
-        self.opacities = self._per_image_opacities(opacities)
-        self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
-        self._binned: tuple[Any, TileBins] | None = None
-
-    @property
-    def images_shape(self) -> tuple[int, ...]:
-        return (*self.batch, self.settings.num_cameras)
-
-    def _per_image_opacities(self, opacities: Tensor) -> Tensor:
-        per_image = self.per_image(opacities.unsqueeze(-1), per_camera=False).squeeze(-1)
-        if self.settings.antialiased:
-            per_image = per_image * self.compensations
-        return per_image.reshape(*self.images_shape, -1)
-
-    def per_image(self, values: Tensor, *, per_camera: bool) -> Tensor:
-        """Values [..., (C,) N, X] repeated for each camera where they are shared, flat [images · N, X]."""
-        if not per_camera and self.settings.num_cameras != 1:
-            values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
-        return values.reshape(-1, values.shape[-1]).contiguous()
-
-    def sh_colors(self, coefficients: Tensor, degree: int, *, per_camera: bool) -> Tensor:
-        """Colours [images · N, 3] in the view directions."""
-        # inv_ex does not synchronise with the device, as inverse() does.
-        camera_positions = torch.linalg.inv_ex(self.viewmats)[0][:, :3, 3].contiguous()
-        return ShColors.apply(
-            self.means.contiguous(),
-            camera_positions,
-            coefficients.reshape(-1, *coefficients.shape[-2:]).contiguous(),
-            self.radii,
-            degree,
-            per_camera,
-            self.settings.num_gaussians,
-            self.settings.num_cameras,
-        )
-
-    def blend(
-        self, features: Tensor, thermal_channels: int, absgrad: bool, *, thermal_opacity: bool = False
-    ) -> list[Tensor]:
-        """Blends flat features; with ``thermal_channels``, the last of them a second time at the thermal opacity.
-
-        Returns images [..., C, H, W, channels] and transmittances [..., C, H, W, 1], alternating, a pair an opacity.
-        """
-        opacities = self.opacities
-        if thermal_opacity and self.thermal_opacities is not None:
-            opacities = self.thermal_opacities
-        inputs = BlendInputs(*self._bin(features), self.settings, thermal_channels, absgrad, [self.means2d])
-        results = Blend.apply(
-            self.means2d.reshape(-1, 2),
-            self.conics.reshape(-1, 3),
-            opacities.reshape(-1).contiguous(),
-            self.thermal_opacities.reshape(-1).contiguous()
-            if thermal_channels and self.thermal_opacities is not None
-            else None,
-            features,
-            inputs,
-        )
-        shape = (*self.images_shape, self.settings.height, self.settings.width, -1)
-        images = []
-        for render, transmittance in zip(results[0::2], results[1::2], strict=True):
-            images += [render.reshape(shape), transmittance.reshape(shape)]
-        return images
-
-    def _bin(self, features: Tensor) -> tuple[Any, TileBins]:
-        """The bins, made once; ``features`` of the first call are checked for being finite."""
-        if self._binned is None:
-            opacities = self.opacities.detach().reshape(-1).contiguous()
-            thermal = self.thermal_opacities
-            self._binned = bin_tiles(
-                self.means2d.detach().reshape(-1, 2),
-                self.conics.detach().reshape(-1, 3),
-                self.depths.detach(),
-                self.compensations.detach(),
-                self.radii,
-                self.extents,
-                opacities,
-                opacities if thermal is None else thermal.detach().reshape(-1).contiguous(),
-                features.detach(),
-                self.settings,
-                self.tile_size,
-            )
-        return self._binned
-
-    def info(self) -> RasterizationInfo:
-        """gsplat's ``meta`` dictionary."""
-        settings = self.settings
-        _, bins = self._binned  # type: ignore[misc]
-        shape = self.images_shape
-        flatten_ids = to_torch(bins.gaussian_ids)
-        tile_offsets = to_torch(bins.tile_offsets)
-        values = {
-            "batch_ids": None,
-            "camera_ids": None,
-            "gaussian_ids": None,
-            "radii": self.radii.reshape(*shape, -1, 2),
-            "means2d": self.means2d,
-            "depths": self.depths.reshape(*shape, -1),
-            "conics": self.conics,
-            "opacities": self.opacities,
-            "tile_width": bins.tiles_x,
-            "tile_height": bins.tiles_y,
-            "tiles_per_gauss": to_torch(bins.tiles_per_gaussian).reshape(*shape, -1),
-            "flatten_ids": flatten_ids,
-            "isect_offsets": tile_offsets[:-1].reshape(*shape, bins.tiles_y, bins.tiles_x),
-            "width": settings.width,
-            "height": settings.height,
-            "tile_size": bins.tile_size,
-            "n_batches": math.prod(self.batch),
-            "n_cameras": settings.num_cameras,
-        }
-        if self.thermal_opacities is not None:
-            values["thermal_opacities"] = self.thermal_opacities
-        depths, tiles = self.depths.detach(), bins.tiles_x * bins.tiles_y
-        return RasterizationInfo(values, lambda: _isect_ids(flatten_ids, tile_offsets, depths, tiles))
-
-
-def _isect_ids(flatten_ids: Tensor, tile_offsets: Tensor, depths: Tensor, tiles: int) -> Tensor:
-    """gsplat's sort keys: image, tile and depth bits packed into an int64, one a (Gaussian, tile) pair."""
-    counts = tile_offsets.diff()
-    image_tile = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
-    tile_bits = tiles.bit_length()
-    key = ((image_tile // tiles) << tile_bits) | (image_tile % tiles)
-    bits = depths.float()[flatten_ids.long()].contiguous().view(torch.int32).long() & 0xFFFFFFFF
-    return (key << 32) | bits
 
 
 @torch.compiler.disable
@@ -360,44 +154,42 @@ def rasterization(
         rolling_shutter=rolling_shutter,
         viewmats_rs=viewmats_rs,
     )
-    check_modes(render_mode, rasterize_mode, camera_model, tile_size, width, height, sh_degree)
-    check_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
-    cameras, count = check_scene(means, quats, scales, covars, opacities, viewmats, Ks)
-    per_camera = check_colors("colors", colors, means, cameras, sh_degree)
-    batch = means.shape[:-2]
-    if backgrounds is not None:
-        channels = 3 if sh_degree is not None else colors.shape[-1]
-        check_shape("backgrounds", backgrounds, (*batch, cameras, channels), means)
-    settings = ProjectionSettings(
+    settings = checked_settings(
+        means,
+        quats,
+        scales,
+        covars,
+        opacities,
+        viewmats,
+        Ks,
         width=width,
         height=height,
-        num_gaussians=count,
-        num_cameras=cameras,
-        num_images=math.prod(batch) * cameras,
-        eps2d=eps2d,
         near_plane=near_plane,
         far_plane=far_plane,
         radius_clip=radius_clip,
-        antialiased=rasterize_mode == "antialiased",
+        eps2d=eps2d,
+        sh_degree=sh_degree,
+        tile_size=tile_size,
+        render_mode=render_mode,
+        rasterize_mode=rasterize_mode,
         camera_model=camera_model,
     )
-    scene = _Projected(means, quats, scales, covars, opacities, None, viewmats, Ks, settings, tile_size)
+    per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
+    check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
+    scene = ProjectedScene(means, quats, scales, covars, opacities, None, viewmats, Ks, settings, tile_size)
 
     columns = []
     if "RGB" in render_mode:
-        if sh_degree is None:
-            columns.append(scene.per_image(colors, per_camera=per_camera))
-        else:
-            columns.append(scene.sh_colors(colors, sh_degree, per_camera=per_camera))
+        columns.append(scene.colors(colors, sh_degree, per_camera=per_camera))
     if "D" in render_mode:
-        columns.append(scene.depths[:, None])
+        columns.append(scene.depths.reshape(-1, 1))
         if backgrounds is not None:
             # Depth has no background, as in gsplat.
             zero = backgrounds.new_zeros(*backgrounds.shape[:-1], 1)
             backgrounds = torch.cat([backgrounds, zero], -1) if "RGB" in render_mode else zero
     features = columns[0] if len(columns) == 1 else torch.cat(columns, -1)
 
-    render_colors, transmittance = _blend_in_chunks(scene, features, min(channel_chunk, CHANNELS_MAX), absgrad)
+    render_colors, transmittance = scene.blend_in_chunks(features, min(channel_chunk, CHANNELS_MAX), absgrad)
     render_alphas = 1.0 - transmittance
     if backgrounds is not None:
         render_colors = render_colors + transmittance * backgrounds[..., None, None, :]
@@ -405,21 +197,6 @@ def rasterization(
         expected = render_colors[..., -1:] / render_alphas.clamp(min=1e-10)
         render_colors = torch.cat([render_colors[..., :-1], expected], -1)
     return render_colors, render_alphas, scene.info()
-
-
-def _blend_in_chunks(
-    scene: _Projected, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
-) -> tuple[Tensor, Tensor]:
-    """Blends features of any width; the transmittance comes from the first traversal."""
-    if features.shape[-1] <= chunk:
-        render, transmittance = scene.blend(features, 0, absgrad, thermal_opacity=thermal_opacity)
-        return render, transmittance
-    scene._bin(features)
-    parts = [
-        scene.blend(part.contiguous(), 0, absgrad, thermal_opacity=thermal_opacity)
-        for part in features.split(chunk, dim=-1)
-    ]
-    return torch.cat([render for render, _ in parts], -1), parts[0][1]
 
 
 @torch.compiler.disable
@@ -481,47 +258,45 @@ def rasterization_rgbt(
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
     """
-    check_modes("RGB", rasterize_mode, camera_model, tile_size, width, height, sh_degree)
-    check_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
-    cameras, count = check_scene(means, quats, scales, None, opacities, viewmats, Ks)
-    batch = means.shape[:-2]
-    if thermal_opacities is not None:
-        check_shape("thermal_opacities", thermal_opacities, (*batch, count), means)
-    colors_per_camera = check_colors("colors", colors, means, cameras, sh_degree)
-    features_per_camera = check_colors("features", features, means, cameras, None)
-    channels = 3 if sh_degree is not None else colors.shape[-1]
-    if backgrounds is not None:
-        check_shape("backgrounds", backgrounds, (*batch, cameras, channels), means)
-    settings = ProjectionSettings(
+    settings = checked_settings(
+        means,
+        quats,
+        scales,
+        None,
+        opacities,
+        viewmats,
+        Ks,
         width=width,
         height=height,
-        num_gaussians=count,
-        num_cameras=cameras,
-        num_images=math.prod(batch) * cameras,
-        eps2d=eps2d,
         near_plane=near_plane,
         far_plane=far_plane,
         radius_clip=radius_clip,
-        antialiased=rasterize_mode == "antialiased",
+        eps2d=eps2d,
+        sh_degree=sh_degree,
+        tile_size=tile_size,
+        render_mode="RGB",
+        rasterize_mode=rasterize_mode,
         camera_model=camera_model,
     )
-    scene = _Projected(means, quats, scales, None, opacities, thermal_opacities, viewmats, Ks, settings, tile_size)
-    if sh_degree is None:
-        flat_colors = scene.per_image(colors, per_camera=colors_per_camera)
-    else:
-        flat_colors = scene.sh_colors(colors, sh_degree, per_camera=colors_per_camera)
+    if thermal_opacities is not None:
+        check_shape("thermal_opacities", thermal_opacities, tuple(opacities.shape), means)
+    colors_per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
+    features_per_camera = check_colors("features", features, means, settings.num_cameras, None)
+    check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
+    scene = ProjectedScene(means, quats, scales, None, opacities, thermal_opacities, viewmats, Ks, settings, tile_size)
+    flat_colors = scene.colors(colors, sh_degree, per_camera=colors_per_camera)
     flat_features = scene.per_image(features, per_camera=features_per_camera)
     both = torch.cat([flat_colors, flat_features], -1)
-    dim = features.shape[-1]
+    channels, dim = flat_colors.shape[-1], features.shape[-1]
     render_thermal, thermal_alphas = None, None
     if thermal_opacities is not None and channels + 2 * dim <= CHANNELS_MAX:
         render, transmittance, render_thermal, thermal_transmittance = scene.blend(both, dim, absgrad)
         thermal_alphas = 1.0 - thermal_transmittance
     else:
-        render, transmittance = _blend_in_chunks(scene, both, CHANNELS_MAX, absgrad)
+        render, transmittance = scene.blend_in_chunks(both, CHANNELS_MAX, absgrad)
         if thermal_opacities is not None:
-            render_thermal, thermal_transmittance = _blend_in_chunks(
-                scene, flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True
+            render_thermal, thermal_transmittance = scene.blend_in_chunks(
+                flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True
             )
             thermal_alphas = 1.0 - thermal_transmittance
     render_colors, render_features = render[..., :channels], render[..., channels:]

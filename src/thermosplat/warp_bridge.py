@@ -5,17 +5,17 @@ runs the step and records the adjoint on a ``wp.Tape``; its backward pass lends 
 the tape. Torch owns every tensor that outlives a call; work runs on torch's current stream.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from warp_kernels import rasterization as steps
+from warp_kernels import binning_step, blending_step, color_step, projection_step
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins
 
@@ -74,17 +74,43 @@ def on_torch_stream(device: torch.device) -> Iterator[wp.Device]:
         yield warp_device
 
 
-def _zeros(tensor: Tensor, wanted: bool) -> Tensor | None:
-    return torch.zeros_like(tensor) if wanted else None
+def _zeros(tensor: Tensor | None, wanted: bool = True) -> Tensor | None:
+    return torch.zeros_like(tensor) if wanted and tensor is not None else None
 
 
-def _lend(array: wp.array, gradient: Tensor | None) -> None:
-    """Gives an array the gradient autograd brought; None stands for zeros."""
-    array.grad = wp.zeros_like(array) if gradient is None else wrap(gradient.contiguous(), array.dtype)
+def _lend(outputs: Sequence[wp.array], gradients: Sequence[Tensor | None]) -> None:
+    """Gives outputs the gradients autograd brought; None stands for zeros."""
+    for array, gradient in zip(outputs, gradients, strict=True):
+        array.grad = wp.zeros_like(array) if gradient is None else wrap(gradient.contiguous(), array.dtype)
+
+
+def _collect(inputs: Sequence[wp.array | None], gradients: Sequence[Tensor | None]) -> None:
+    """Makes the adjoint add to torch's gradients of inputs; None: this one is not wanted."""
+    for array, gradient in zip(inputs, gradients, strict=True):
+        if array is not None:
+            array.grad = None if gradient is None else wrap(gradient, array.dtype)
+
+
+class ProjectedTensors(NamedTuple):
+    """What ``Project`` returns: the fields of ``ProjectedArrays``, a vector's numbers in a last dimension."""
+
+    means2d: Tensor
+    depths: Tensor
+    conics: Tensor
+    compensations: Tensor
+    radii: Tensor  # int32, not differentiable
+    extents: Tensor  # not differentiable
+
+    def arrays(self) -> ProjectedArrays:
+        """The same memory as Warp arrays."""
+        scalar = SCALARS[self.means2d.dtype]
+        vec2, vec3 = wp.types.vector(2, scalar), wp.types.vector(3, scalar)
+        kinds = (vec2, scalar, vec3, scalar, wp.vec2i, vec2)
+        return ProjectedArrays(*(wrap(tensor, kind) for tensor, kind in zip(self, kinds, strict=True)))
 
 
 class Project(torch.autograd.Function):
-    """Projection; see ``project``."""
+    """Projection; see ``projection_step``. Returns the fields of ``ProjectedTensors``."""
 
     @staticmethod
     def forward(
@@ -100,15 +126,17 @@ class Project(torch.autograd.Function):
         settings: ProjectionSettings,
     ) -> tuple[Tensor, ...]:
         scalar = SCALARS[means.dtype]
-        vec2, vec3, vec4, vec6 = (wp.types.vector(k, scalar) for k in (2, 3, 4, 6))
+        vec3, vec4, vec6 = (wp.types.vector(k, scalar) for k in (3, 4, 6))
         mat33, mat44 = wp.types.matrix((3, 3), scalar), wp.types.matrix((4, 4), scalar)
         entries = len(viewmats) * settings.num_gaussians
-        means2d = means.new_empty(entries, 2)
-        depths = means.new_empty(entries)
-        conics = means.new_empty(entries, 3)
-        compensations = means.new_empty(entries)
-        radii = torch.empty(entries, 2, dtype=torch.int32, device=means.device)
-        extents = means.new_empty(entries, 2)
+        projected = ProjectedTensors(
+            means2d=means.new_empty(entries, 2),
+            depths=means.new_empty(entries),
+            conics=means.new_empty(entries, 3),
+            compensations=means.new_empty(entries),
+            radii=torch.empty(entries, 2, dtype=torch.int32, device=means.device),
+            extents=means.new_empty(entries, 2),
+        )
         with on_torch_stream(means.device):
             ctx.gaussians = GaussianArrays(
                 wrap(means, vec3),
@@ -120,51 +148,34 @@ class Project(torch.autograd.Function):
                 wrap(viewmats, mat44),
                 wrap(Ks, mat33),
             )
-            ctx.projected = ProjectedArrays(
-                wrap(means2d, vec2),
-                wrap(depths, scalar),
-                wrap(conics, vec3),
-                wrap(compensations, scalar),
-                wrap(radii, wp.vec2i),
-                wrap(extents, vec2),
-            )
+            ctx.projected = projected.arrays()
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
-            steps.project(ctx.gaussians, settings, ctx.projected, ctx.tape)
-        ctx.mark_non_differentiable(radii, extents)
+            projection_step.project(ctx.gaussians, settings, ctx.projected, ctx.tape)
+        ctx.mark_non_differentiable(projected.radii, projected.extents)
         ctx.set_materialize_grads(False)
         # Saved so that torch reports in-place changes between forward and backward.
-        ctx.save_for_backward(means, quats, scales, covars, viewmats, Ks, conics, compensations, radii)
-        return means2d, depths, conics, compensations, radii, extents
+        outputs = (projected.conics, projected.compensations, projected.radii)
+        ctx.save_for_backward(means, quats, scales, covars, viewmats, Ks, *outputs)
+        return tuple(projected)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, viewmats, Ks = ctx.saved_tensors[:6]
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
-        v_means, v_quats, v_scales = (torch.zeros_like(t) for t in (means, quats, scales))
-        v_covars = _zeros(covars, True) if covars is not None else None
+        v_means, v_quats, v_scales, v_covars = (_zeros(tensor) for tensor in (means, quats, scales, covars))
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
         with on_torch_stream(means.device):
             g, p = ctx.gaussians, ctx.projected
-            for array, grad in (
-                (g.means, v_means),
-                (g.quats, v_quats),
-                (g.scales, v_scales),
-                (g.covars, v_covars),
-                (g.viewmats, v_viewmats),
-                (g.Ks, v_Ks),
-            ):
-                if array is not None:
-                    array.grad = None if grad is None else wrap(grad, array.dtype)
-            outputs = (p.means2d, p.depths, p.conics, p.compensations)
-            for array, gradient in zip(outputs, gradients[:4], strict=True):
-                _lend(array, gradient)
+            inputs = (g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks)
+            _collect(inputs, (v_means, v_quats, v_scales, v_covars, v_viewmats, v_Ks))
+            _lend((p.means2d, p.depths, p.conics, p.compensations), gradients[:4])
             ctx.tape.backward()
         return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None
 
 
 class ShColors(torch.autograd.Function):
-    """Colours from spherical harmonics; see ``sh_colors``."""
+    """Colours from spherical harmonics; see ``color_step``."""
 
     @staticmethod
     def forward(
@@ -183,7 +194,7 @@ class ShColors(torch.autograd.Function):
         with on_torch_stream(means.device):
             ctx.arrays = [wrap(t, vec3) for t in (means, camera_positions, coefficients, colors)]
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
-            steps.sh_colors(
+            color_step.sh_colors(
                 degree,
                 *ctx.arrays[:3],
                 wrap(radii, wp.vec2i),
@@ -200,13 +211,11 @@ class ShColors(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, v_colors: Tensor) -> tuple[Tensor | None, ...]:
         means, camera_positions, coefficients = ctx.saved_tensors[:3]
-        vec3 = wp.types.vector(3, SCALARS[means.dtype])
-        v_means, v_coefficients = torch.zeros_like(means), torch.zeros_like(coefficients)
+        v_means, v_coefficients = _zeros(means), _zeros(coefficients)
         v_positions = _zeros(camera_positions, ctx.needs_input_grad[1])
         with on_torch_stream(means.device):
-            for array, grad in zip(ctx.arrays[:3], (v_means, v_positions, v_coefficients), strict=True):
-                array.grad = None if grad is None else wrap(grad, vec3)
-            _lend(ctx.arrays[3], v_colors)
+            _collect(ctx.arrays[:3], (v_means, v_positions, v_coefficients))
+            _lend(ctx.arrays[3:], (v_colors,))
             ctx.tape.backward()
         return v_means, v_positions, v_coefficients, None, None, None, None, None
 
@@ -220,12 +229,12 @@ class BlendInputs:
     settings: ProjectionSettings
     thermal_channels: int
     absgrad: bool
-    means2d_holder: list[Tensor]
+    shown_means2d: Tensor
     """The tensor users see as info["means2d"]; its ``absgrad`` attribute is set by the backward pass."""
 
 
 class Blend(torch.autograd.Function):
-    """Blending with one opacity or two; see ``blend``."""
+    """Blending with one opacity or two; see ``blending_step``."""
 
     @staticmethod
     def forward(
@@ -238,102 +247,75 @@ class Blend(torch.autograd.Function):
         inputs: BlendInputs,
     ) -> tuple[Tensor, ...]:
         scalar = SCALARS[means2d.dtype]
-        channels, thermal_channels = features.shape[-1], inputs.thermal_channels
-        vecC = wp.types.vector(channels, scalar)
         settings = inputs.settings
-        rows, width = settings.num_images * settings.height, settings.width
-
-        def image_int() -> Tensor:
-            return torch.empty(rows, width, dtype=torch.int32, device=means2d.device)
-
-        render, transmittance, last_pairs = (
-            means2d.new_empty(rows, width, channels),
-            means2d.new_empty(rows, width),
-            image_int(),
-        )
-        outputs = [render, transmittance]
-        saved = [means2d, conics, opacities, thermal_opacities, features, transmittance, last_pairs]
+        shape = (settings.num_images * settings.height, settings.width)
+        images: list[tuple[Tensor, Any]] = []
+        for channels in (features.shape[-1], inputs.thermal_channels):
+            if channels > 0:
+                images += [
+                    (means2d.new_empty(*shape, channels), wp.types.vector(channels, scalar)),
+                    (means2d.new_empty(shape), scalar),
+                    (torch.empty(shape, dtype=torch.int32, device=means2d.device), wp.int32),
+                ]
         with on_torch_stream(means2d.device):
-            blended = steps.BlendedArrays(wrap(render, vecC), wrap(transmittance, scalar), wrap(last_pairs, wp.int32))
-            if thermal_channels:
-                thermal = means2d.new_empty(rows, width, thermal_channels)
-                thermal_transmittance, thermal_last_pairs = means2d.new_empty(rows, width), image_int()
-                blended.thermal_render = wrap(thermal, wp.types.vector(thermal_channels, scalar))
-                blended.thermal_transmittance = wrap(thermal_transmittance, scalar)
-                blended.thermal_last_pairs = wrap(thermal_last_pairs, wp.int32)
-                outputs += [thermal, thermal_transmittance]
-                saved += [thermal_transmittance, thermal_last_pairs]
             ctx.absolute = torch.zeros_like(means2d) if inputs.absgrad else None
-            vec2 = wp.types.vector(2, scalar)
             ctx.projected = inputs.projected
             ctx.opacities = wrap(opacities, scalar)
             ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else wrap(thermal_opacities, scalar)
-            ctx.features = wrap(features, vecC)
-            ctx.blended = blended
+            ctx.features = wrap(features, wp.types.vector(features.shape[-1], scalar))
+            ctx.blended = blending_step.BlendedArrays(*(wrap(image, kind) for image, kind in images))
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
-            steps.blend(
+            blending_step.blend(
                 ctx.projected,
                 ctx.opacities,
                 ctx.thermal_opacities,
                 ctx.features,
                 inputs.bins,
                 settings,
-                blended,
+                ctx.blended,
                 ctx.tape,
-                absolute=None if ctx.absolute is None else wrap(ctx.absolute, vec2),
+                absolute=None if ctx.absolute is None else wrap(ctx.absolute, wp.types.vector(2, scalar)),
             )
-        ctx.means2d_holder = inputs.means2d_holder
-        ctx.save_for_backward(*saved)
-        return tuple(outputs)
+        ctx.shown_means2d = inputs.shown_means2d
+        # Of the images only those that the adjoint reads, so that users may change the renders in place.
+        read = [image for image, _ in images if image.dim() == 2]
+        ctx.save_for_backward(means2d, conics, opacities, thermal_opacities, features, *read)
+        return tuple(image for image, kind in images if kind is not wp.int32)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         means2d, conics, opacities, thermal_opacities, features = ctx.saved_tensors[:5]
-        grads = [torch.zeros_like(t) for t in (means2d, conics, opacities, features)]
-        v_means2d, v_conics, v_opacities, v_features = grads
-        v_thermal = _zeros(thermal_opacities, True) if thermal_opacities is not None else None
+        v_means2d, v_conics, v_opacities, v_features = (_zeros(t) for t in (means2d, conics, opacities, features))
+        v_thermal = _zeros(thermal_opacities)
         with on_torch_stream(means2d.device):
-            targets = [ctx.projected.means2d, ctx.projected.conics, ctx.opacities, ctx.features]
-            for array, grad in zip(targets, grads, strict=True):
-                array.grad = wrap(grad, array.dtype)
+            arrays = [ctx.projected.means2d, ctx.projected.conics, ctx.opacities, ctx.features]
+            _collect(arrays, (v_means2d, v_conics, v_opacities, v_features))
             if v_thermal is not None:
-                ctx.thermal_opacities.grad = wrap(v_thermal, ctx.thermal_opacities.dtype)
+                _collect([ctx.thermal_opacities], [v_thermal])
             blended = ctx.blended
             images = [blended.render, blended.transmittance, blended.thermal_render, blended.thermal_transmittance]
-            for array, gradient in zip(images, gradients, strict=False):
-                _lend(array, gradient)
+            _lend(images[: len(gradients)], gradients)
             if ctx.absolute is not None:
                 ctx.absolute.zero_()
             ctx.tape.backward()
         if ctx.absolute is not None:
-            holder = ctx.means2d_holder[0]
-            holder.absgrad = ctx.absolute.reshape(holder.shape)
+            ctx.shown_means2d.absgrad = ctx.absolute.reshape(ctx.shown_means2d.shape)
         return v_means2d, v_conics, v_opacities, v_thermal, v_features, None
 
 
 def bin_tiles(
-    means2d: Tensor,
-    conics: Tensor,
-    depths: Tensor,
-    compensations: Tensor,
-    radii: Tensor,
-    extents: Tensor,
+    projected: ProjectedTensors,
     opacities: Tensor,
     thermal_opacities: Tensor,
     features: Tensor,
     settings: ProjectionSettings,
     tile_size: int,
 ) -> tuple[ProjectedArrays, TileBins]:
-    """Lists the Gaussians of each tile; ``radii`` of Gaussians with non-finite features become zero.
+    """Lists the Gaussians of each tile.
 
     Args:
-        means2d: [images · N, 2], px.
-        conics: [images · N, 3], 1/px².
-        depths: [images · N], world units.
-        compensations: [images · N].
-        radii: int32 [images · N, 2], px. Changed in place.
-        extents: [images · N, 2], px.
+        projected: from ``Project``; radii of Gaussians with non-finite features become zero, in place.
         opacities: [images · N], compensation included.
         thermal_opacities: [images · N]; the same tensor where there is one opacity.
         features: [images · N, D].
@@ -343,19 +325,11 @@ def bin_tiles(
     Returns:
         The projected arrays for ``Blend`` and the bins.
     """
-    scalar = SCALARS[means2d.dtype]
-    vec2, vec3 = wp.types.vector(2, scalar), wp.types.vector(3, scalar)
-    with on_torch_stream(means2d.device) as device:
-        projected = ProjectedArrays(
-            wrap(means2d, vec2),
-            wrap(depths, scalar),
-            wrap(conics, vec3),
-            wrap(compensations, scalar),
-            wrap(radii, wp.vec2i),
-            wrap(extents, vec2),
-        )
-        bins = steps.bin_tiles(
-            projected,
+    scalar = SCALARS[opacities.dtype]
+    with on_torch_stream(opacities.device) as device:
+        arrays = projected.arrays()
+        bins = binning_step.bin_tiles(
+            arrays,
             wrap(opacities, scalar),
             wrap(thermal_opacities, scalar),
             wrap(features, scalar),
@@ -363,7 +337,7 @@ def bin_tiles(
             tile_size,
             by_slot=not device.is_cuda,
         )
-    return projected, bins
+    return arrays, bins
 
 
 def to_torch(array: wp.array) -> Tensor:

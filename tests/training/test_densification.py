@@ -68,7 +68,7 @@ def test_same_gaussians_as_gsplat(step: int) -> None:
     refinement = None
     for number in (step - 3, step - 2, step - 1, step):
         gradient, visible = _gradients(400, number)
-        refinement = _run(strategy, gaussians, optimizers, [_info(gradient, visible)], number)
+        refinement = _run(strategy, gaussians, optimizers, [_info(gradient, visible)], number + 1)  # ours count from 1
         info = {**_info(gradient, visible), "gaussian_ids": None}
         reference.step_post_backward(params, their_optimizers, state, number, info)
 
@@ -81,10 +81,10 @@ def test_same_gaussians_as_gsplat(step: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("step", "refines"), [(500, False), (550, False), (600, True), (14_900, True), (15_000, False), (20_000, False)]
+    ("step", "refines"), [(501, False), (551, False), (600, False), (601, True), (14_901, True), (15_001, False), (20_001, False)]
 )
 def test_schedule(step: int, refines: bool) -> None:
-    """Refinements come every 100 steps between 500 and 15,000, both excluded. 3DGS."""
+    """Refinements follow every 100 steps between 500 and 15,000, both excluded, one step later. 3DGS."""
     gaussians = random_gaussians(50)
     result = _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*_gradients(50, 0))], step)
     assert (result is not None) == refines
@@ -121,7 +121,7 @@ def test_bright_in_one_spectrum_is_enough_to_stay() -> None:
         gaussians.logit_opacities.copy_(torch.tensor([-8.0, -8.0, 2.0, 2.0]))
         gaussians.thermal_opacity_offsets.copy_(torch.tensor([0.0, 10.0, 0.0, -10.0]))
     still = torch.zeros(1, 4, 2), torch.ones(1, 4, dtype=torch.bool)
-    refinement = _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*still)], 600)
+    refinement = _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*still)], 601)
     assert refinement == Refinement(cloned=0, split=0, pruned=1)
     assert gaussians.opacities.max() > 0.8
 
@@ -137,11 +137,11 @@ def test_cap_lets_the_largest_gradients_grow() -> None:
     gradient[0, :, 1] = torch.linspace(1e-3, 2e-3, 20)  # all above the threshold
     visible = torch.ones(1, 20, dtype=torch.bool)
     strategy = _strategy(gaussians, max_gaussians=23)
-    refinement = _run(strategy, gaussians, stepped_optimizers(gaussians), [_info(gradient, visible)], 600)
+    refinement = _run(strategy, gaussians, stepped_optimizers(gaussians), [_info(gradient, visible)], 601)
     assert refinement == Refinement(cloned=3, split=0, pruned=0)
     assert sorted(gaussians.means[20:, 0].round().tolist()) == [17.0, 18.0, 19.0]
     again = _info(*(torch.cat([part, part[:, :3]], dim=1) for part in (gradient, visible)))
-    assert _run(strategy, gaussians, stepped_optimizers(gaussians), [again], 700) == Refinement()
+    assert _run(strategy, gaussians, stepped_optimizers(gaussians), [again], 701) == Refinement()
 
 
 def test_gradient_is_measured_in_half_images() -> None:
@@ -193,8 +193,8 @@ def test_losing_every_gaussian_is_an_error() -> None:
         gaussians.logit_opacities.fill_(-9.0)
         gaussians.thermal_opacity_offsets.fill_(0.0)
     still = torch.zeros(1, 3, 2), torch.ones(1, 3, dtype=torch.bool)
-    with pytest.raises(UserError, match="No Gaussian is left after the refinement of step 600"):
-        _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*still)], 600)
+    with pytest.raises(UserError, match="No Gaussian is left after the refinement of step 601"):
+        _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*still)], 601)
     assert len(gaussians) == 3
 
 
@@ -209,7 +209,7 @@ def test_out_of_memory_between_two_operations(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(densification, "split", exhausted)
     with pytest.raises(torch.OutOfMemoryError):
-        _run(strategy, gaussians, stepped_optimizers(gaussians), [info], 600)
+        _run(strategy, gaussians, stepped_optimizers(gaussians), [info], 601)
     assert len(gaussians) > 20
     assert strategy.grad_norm_sum.tolist() == [0.0] * len(gaussians)
     assert strategy.observations.tolist() == [0.0] * len(gaussians)

@@ -6,9 +6,11 @@ import warp as wp
 from warp_scene import WarpScene, image_opacities, projected, warp_scene
 
 from warp_kernels import launching
+from warp_kernels.binning_step import bin_tiles
 from warp_kernels.blend_layout import BlendLayout
+from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.projection import ProjectedArrays
-from warp_kernels.rasterization import BlendedArrays, bin_tiles, blend, scalar_view
+from warp_kernels.rasterization import scalar_view
 
 
 def blended(

@@ -7,7 +7,8 @@ import warp as wp
 
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import blend_kernel
-from warp_kernels.blending_adjoint import blend_adjoint_kernel, distribute_kernel
+from warp_kernels.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
 from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel

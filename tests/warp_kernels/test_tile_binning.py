@@ -7,9 +7,10 @@ import pytest
 import warp as wp
 from warp_scene import image_opacities, projected, warp_scene
 
+from warp_kernels.binning_step import bin_tiles
 from warp_kernels.constants import ALPHA_MIN
 from warp_kernels.projection import ProjectedArrays
-from warp_kernels.rasterization import bin_tiles, scalar_view
+from warp_kernels.rasterization import scalar_view
 from warp_kernels.tile_binning import TileBins
 
 SCENES = {

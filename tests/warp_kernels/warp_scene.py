@@ -8,12 +8,13 @@ import warp as wp
 
 from gaussian_scenes import random_scene
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
-from warp_kernels.rasterization import allocate_projected, project
+from warp_kernels.projection_step import project
+from warp_kernels.rasterization import allocate_projected
 
 
 @dataclass
 class WarpScene:
-    """What the steps of warp_kernels.rasterization take."""
+    """What the steps of warp_kernels take."""
 
     gaussians: GaussianArrays
     features: wp.array  # vecC [images · N]

@@ -59,16 +59,20 @@ class DefaultStrategy:
         self.observations = torch.zeros(num_gaussians, device=device)
         """Frames in which each Gaussian was visible since then, shape [N]."""
 
+    # The schedule's numbers are gsplat's, whose steps count from 0: what it does "at step 600" follows its 601st step.
+    # So an evaluation after a round number of steps comes before the refinement or reset of that number, not right
+    # after Gaussians were removed or made transparent.
+
     def is_active(self, step: int) -> bool:
         """Whether gradients of this step count towards a refinement."""
-        return self.config.enabled and step < self.config.stop_step
+        return self.config.enabled and step - 1 < self.config.stop_step
 
     def refines_at(self, step: int) -> bool:
         """Whether Gaussians are added and removed at this step."""
-        return self.is_active(step) and step > self.config.start_step and step % self.config.every == 0
+        return self.is_active(step) and step - 1 > self.config.start_step and (step - 1) % self.config.every == 0
 
     def resets_at(self, step: int) -> bool:
-        """Whether opacities are reset at this step: one after each multiple, so that evaluations come before it."""
+        """Whether opacities are reset at this step."""
         return self.is_active(step) and step > 1 and (step - 1) % self.config.reset_every == 0
 
     def step_pre_backward(self, infos: list[dict[str, Any]], step: int) -> None:
@@ -162,7 +166,7 @@ class DefaultStrategy:
     def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:
         """Remove Gaussians that are too faint or too large; how many."""
         removed = torch.maximum(gaussians.opacities, gaussians.thermal_opacities) < self.config.prune_opacity
-        if step > self.config.prune_large_from:
+        if step - 1 > self.config.prune_large_from:
             removed |= gaussians.scales.amax(dim=-1) > self.config.prune_scale3d * self.scene_extent
         num_pruned = int(removed.sum())
         if num_pruned == len(gaussians):

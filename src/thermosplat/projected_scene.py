@@ -1,0 +1,189 @@
+"""A scene projected once, and the tensors everything blended from it shares. Flat index: image · N + Gaussian."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from thermosplat.rasterization_info import RasterizationInfo, isect_ids
+from thermosplat.warp_bridge import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles, to_torch
+from warp_kernels.projection import ProjectedArrays, ProjectionSettings
+from warp_kernels.tile_binning import TileBins
+
+
+class ProjectedScene:
+    """Gaussians projected to the cameras of their scenes; arguments are checked by the caller.
+
+    Args:
+        means: [..., N, 3].
+        quats: [..., N, 4], or None with ``covars``.
+        scales: [..., N, 3], or None with ``covars``.
+        covars: [..., N, 3, 3] in place of ``quats`` and ``scales``, or None.
+        opacities: [..., N].
+        thermal_opacities: [..., N], or None where there is one opacity.
+        viewmats: [..., C, 4, 4].
+        Ks: [..., C, 3, 3], px.
+        settings: image size, counts, planes and mode.
+        tile_size: edge of a tile [px].
+    """
+
+    def __init__(
+        self,
+        means: Tensor,
+        quats: Tensor | None,
+        scales: Tensor | None,
+        covars: Tensor | None,
+        opacities: Tensor,
+        thermal_opacities: Tensor | None,
+        viewmats: Tensor,
+        Ks: Tensor,
+        settings: ProjectionSettings,
+        tile_size: int,
+    ) -> None:
+        self.tile_size = tile_size
+        self.settings = settings
+        self.images_shape = (*means.shape[:-2], settings.num_cameras)
+        self.means = means.reshape(-1, 3).contiguous()
+        self.viewmats = viewmats.reshape(-1, 4, 4).contiguous()
+        if covars is not None:
+            upper = covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].reshape(-1, 6).contiguous()
+        else:
+            upper = None
+        if covars is not None or quats is None or scales is None:
+            quats, scales = means.new_empty(0, 4), means.new_empty(0, 3)
+        bound = _flat(opacities.detach())
+        self.projected = ProjectedTensors(
+            *Project.apply(
+                self.means,
+                quats.reshape(-1, 4).contiguous(),
+                scales.reshape(-1, 3).contiguous(),
+                upper,
+                bound,
+                bound if thermal_opacities is None else _flat(thermal_opacities.detach()),
+                self.viewmats,
+                Ks.reshape(-1, 3, 3).contiguous(),
+                settings,
+            )
+        )
+        # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
+        self.means2d = self.projected.means2d.reshape(*self.images_shape, -1, 2)
+        self.conics = self.projected.conics.reshape(*self.images_shape, -1, 3)
+        self.depths = self.projected.depths.reshape(*self.images_shape, -1)
+        self.opacities = self._per_image_opacities(opacities)
+        self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
+        self._binned: tuple[ProjectedArrays, TileBins] | None = None
+
+    def _per_image_opacities(self, opacities: Tensor) -> Tensor:
+        per_image = self.per_image(opacities.unsqueeze(-1), per_camera=False).squeeze(-1)
+        if self.settings.antialiased:
+            per_image = per_image * self.projected.compensations
+        return per_image.reshape(*self.images_shape, -1)
+
+    def per_image(self, values: Tensor, *, per_camera: bool) -> Tensor:
+        """Values [..., (C,) N, X] repeated for each camera where they are shared, flat [images · N, X]."""
+        if not per_camera and self.settings.num_cameras != 1:
+            values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
+        return values.reshape(-1, values.shape[-1]).contiguous()
+
+    def colors(self, colors: Tensor, sh_degree: int | None, *, per_camera: bool) -> Tensor:
+        """Colours, or with ``sh_degree`` their coefficients in the view directions, flat [images · N, D]."""
+        if sh_degree is None:
+            return self.per_image(colors, per_camera=per_camera)
+        # inv_ex does not synchronise with the device, as inverse() does.
+        camera_positions = torch.linalg.inv_ex(self.viewmats)[0][:, :3, 3].contiguous()
+        return ShColors.apply(
+            self.means,
+            camera_positions,
+            colors.reshape(-1, *colors.shape[-2:]).contiguous(),
+            self.projected.radii,
+            sh_degree,
+            per_camera,
+            self.settings.num_gaussians,
+            self.settings.num_cameras,
+        )
+
+    def blend(
+        self, features: Tensor, thermal_channels: int, absgrad: bool, *, thermal_opacity: bool = False
+    ) -> list[Tensor]:
+        """Blends flat features; with ``thermal_channels``, the last of them a second time at the thermal opacity.
+
+        Returns images [..., C, H, W, channels] and transmittances [..., C, H, W, 1], alternating, a pair an opacity.
+        """
+        opacities = self.opacities
+        if thermal_opacity and self.thermal_opacities is not None:
+            opacities = self.thermal_opacities
+        second = self.thermal_opacities if thermal_channels > 0 else None
+        results = Blend.apply(
+            self.means2d.reshape(-1, 2),
+            self.conics.reshape(-1, 3),
+            _flat(opacities),
+            None if second is None else _flat(second),
+            features,
+            BlendInputs(*self._bin(features), self.settings, thermal_channels, absgrad, self.means2d),
+        )
+        shape = (*self.images_shape, self.settings.height, self.settings.width, -1)
+        return [image.reshape(shape) for image in results]
+
+    def blend_in_chunks(
+        self, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
+    ) -> tuple[Tensor, Tensor]:
+        """Blends flat features of any width, ``chunk`` channels a traversal, at one opacity.
+
+        Returns the image [..., C, H, W, channels] and the first traversal's transmittance [..., C, H, W, 1].
+        """
+        if features.shape[-1] <= chunk:
+            render, transmittance = self.blend(features, 0, absgrad, thermal_opacity=thermal_opacity)
+            return render, transmittance
+        self._bin(features)  # all of them are checked for being finite, not only the first chunk
+        parts = [
+            self.blend(part.contiguous(), 0, absgrad, thermal_opacity=thermal_opacity)
+            for part in features.split(chunk, dim=-1)
+        ]
+        return torch.cat([render for render, _ in parts], -1), parts[0][1]
+
+    def _bin(self, features: Tensor) -> tuple[ProjectedArrays, TileBins]:
+        """The bins, made once; ``features`` of the first call are checked for being finite."""
+        if self._binned is None:
+            opacities = _flat(self.opacities)
+            thermal_opacities = opacities if self.thermal_opacities is None else _flat(self.thermal_opacities)
+            self._binned = bin_tiles(
+                self.projected, opacities, thermal_opacities, features, self.settings, self.tile_size
+            )
+        return self._binned
+
+    def info(self) -> RasterizationInfo:
+        """gsplat's ``meta`` dictionary, once something has been blended."""
+        settings = self.settings
+        _, bins = self._binned  # type: ignore[misc]
+        shape = self.images_shape
+        flatten_ids = to_torch(bins.gaussian_ids)
+        tile_offsets = to_torch(bins.tile_offsets)
+        values = {
+            "batch_ids": None,
+            "camera_ids": None,
+            "gaussian_ids": None,
+            "radii": self.projected.radii.reshape(*shape, -1, 2),
+            "means2d": self.means2d,
+            "depths": self.depths,
+            "conics": self.conics,
+            "opacities": self.opacities,
+            "tile_width": bins.tiles_x,
+            "tile_height": bins.tiles_y,
+            "tiles_per_gauss": to_torch(bins.tiles_per_gaussian).reshape(*shape, -1),
+            "flatten_ids": flatten_ids,
+            "isect_offsets": tile_offsets[:-1].reshape(*shape, bins.tiles_y, bins.tiles_x),
+            "width": settings.width,
+            "height": settings.height,
+            "tile_size": bins.tile_size,
+            "n_batches": math.prod(shape[:-1]),
+            "n_cameras": settings.num_cameras,
+        }
+        if self.thermal_opacities is not None:
+            values["thermal_opacities"] = self.thermal_opacities
+        depths, tiles = self.projected.depths.detach(), bins.tiles_x * bins.tiles_y
+        return RasterizationInfo(values, lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles))
+
+
+def _flat(opacities: Tensor) -> Tensor:
+    """Opacities of all images (or scenes) side by side."""
+    return opacities.reshape(-1).contiguous()

@@ -1,0 +1,47 @@
+"""What the renders of one projection share: the tensors in info lie on the gradient's path."""
+
+import pytest
+import torch
+
+import reference_rasterizer
+from gaussian_scenes import leaves, random_rgbt_scene, random_scene, relative_error
+from thermosplat import rasterization, rasterization_rgbt
+
+
+@pytest.mark.parametrize("render_mode", ["D", "RGB+D"])
+def test_depths_retain_their_gradient(device: torch.device, render_mode: str) -> None:
+    """info["depths"].grad is the gradient of the same depths rendered as colours."""
+    scene = random_scene(cameras=2, render_mode=render_mode, backgrounds=False)
+    image, _, info = rasterization(**leaves(scene, device, torch.float64))
+    info["depths"].retain_grad()
+    upstream = torch.randn(*image.shape[:-1], 1, generator=torch.Generator().manual_seed(3)).double()
+    (image[..., -1:] * upstream.to(image)).sum().backward()
+
+    colors = info["depths"].detach().cpu().unsqueeze(-1).requires_grad_()
+    drawn, _, _ = reference_rasterizer.rasterization(**scene | {"colors": colors, "render_mode": "RGB"})
+    (drawn * upstream).sum().backward()
+    assert colors.grad.norm() > 0
+    assert info["depths"].grad.shape == (2, 60)
+    assert relative_error(info["depths"].grad.cpu(), colors.grad[..., 0]) < 1e-11
+
+
+def test_opacities_retain_their_gradients(device: torch.device) -> None:
+    """Those in info are per image: over the cameras their gradients sum to the inputs'."""
+    inputs = leaves(random_rgbt_scene(cameras=2), device, torch.float64)
+    result = rasterization_rgbt(**inputs)
+    names = ("opacities", "thermal_opacities")
+    for name in names:
+        result.info[name].retain_grad()
+    sum(image.square().sum() for image in result[:5]).backward()
+    for name in names:
+        assert result.info[name].grad.shape == (2, 60)
+        assert inputs[name].grad.norm() > 0
+        assert relative_error(result.info[name].grad.sum(0), inputs[name].grad) < 1e-12
+
+
+def test_renders_may_be_changed_in_place(device: torch.device) -> None:
+    """The adjoint reads no rendered colour, so that torch lets users change them."""
+    plain, changed = (leaves(random_scene(backgrounds=False), device, torch.float64) for _ in range(2))
+    rasterization(**plain)[0].clamp(max=0.3).sum().backward()
+    rasterization(**changed)[0].clamp_(max=0.3).sum().backward()
+    assert relative_error(changed["means"].grad, plain["means"].grad) < 1e-12

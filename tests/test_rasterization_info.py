@@ -1,0 +1,56 @@
+"""The info dictionary: what is computed when it is read, and gsplat's sort keys."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from thermosplat.rasterization_info import RasterizationInfo, isect_ids
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda info: info["isect_ids"],
+        lambda info: info.get("isect_ids"),
+        lambda info: dict(info)["isect_ids"],
+        lambda info: {**info}["isect_ids"],
+        lambda info: dict(info.items())["isect_ids"],
+        lambda info: list(info.values())[list(info).index("isect_ids")],
+    ],
+    ids=["item", "get", "dict", "unpacking", "items", "values"],
+)
+def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[RasterizationInfo], Any]) -> None:
+    """However they are read; other keys do not cause the computation."""
+    calls = []
+
+    def compute() -> torch.Tensor:
+        calls.append(1)
+        return torch.tensor([5, 7])
+
+    info = RasterizationInfo({"width": 23}, compute)
+    assert (info["width"], info.get("width"), info.get("height", 18)) == (23, 23, 18)
+    assert set(info) == {"width", "isect_ids"}
+    assert not calls
+    assert read(info).tolist() == [5, 7]
+    assert read(info) is info["isect_ids"]
+    assert len(calls) == 1
+
+
+def test_missing_keys() -> None:
+    """As in any dict."""
+    info = RasterizationInfo({}, lambda: torch.empty(0))
+    with pytest.raises(KeyError, match="means3d"):
+        info["means3d"]
+    assert info.get("means3d") is None
+
+
+def test_isect_ids_pack_image_tile_and_depth() -> None:
+    """Two images of three tiles: image above two tile bits above the 32 bits of the float32 depth."""
+    depths = torch.tensor([1.0, 2.0, 3.0, 4.0])
+    tile_offsets = torch.tensor([0, 1, 1, 3, 3, 4, 4], dtype=torch.int32)
+    flatten_ids = torch.tensor([0, 0, 1, 3], dtype=torch.int32)
+    bits = depths.view(torch.int32).tolist()
+    expected = [bits[0], 2 << 32 | bits[0], 2 << 32 | bits[1], (1 << 2 | 1) << 32 | bits[3]]
+    assert isect_ids(flatten_ids, tile_offsets, depths, 3).tolist() == expected

@@ -1,0 +1,53 @@
+"""Records of gradients: their layout, and their sums per Gaussian."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warp_kernels.gradient_records import distribute_kernel, feature_offset, record_length
+
+
+@pytest.mark.parametrize("absgrad", [False, True])
+@pytest.mark.parametrize("thermal_channels", [0, 2])
+@pytest.mark.parametrize("by_slot", [False, True])
+def test_records_are_added_to_the_gradients(by_slot: bool, thermal_channels: int, absgrad: bool) -> None:
+    """Each Gaussian's records, by slot or already summed, are added to what its gradients hold; without tiles none."""
+    rng = np.random.default_rng(0)
+    order = np.array([2, 0, 3, 1])  # depth ranks to Gaussians
+    tiles = np.array([3, 0, 1, 2])  # of each Gaussian
+    ends = np.cumsum(tiles[order])
+    length = record_length(3, thermal_channels, absgrad)
+    records = rng.normal(size=(ends[-1] if by_slot else 4, length))
+    sums = np.zeros((4, length))
+    for g, end in zip(order, ends, strict=True):
+        if tiles[g]:
+            sums[g] = records[end - tiles[g] : end].sum(0) if by_slot else records[g]
+
+    parts = {"means2d": 2, "conics": 3, "opacities": 1, "thermal_opacities": 1, "features": 3, "absolute": 2}
+    before = {name: rng.normal(size=(4, width)) for name, width in parts.items()}
+    kinds = {width: wp.types.vector(width, wp.float64) for width in (2, 3)} | {1: wp.float64}
+    after = {name: wp.array(before[name].squeeze(), dtype=kinds[width], device="cpu") for name, width in parts.items()}
+    wp.launch(
+        distribute_kernel(3, thermal_channels, wp.float64, absgrad, by_slot),
+        dim=4,
+        inputs=[
+            wp.array(order, dtype=wp.int32, device="cpu"),
+            wp.array(ends, dtype=wp.int64, device="cpu"),
+            wp.array(tiles, dtype=wp.int32, device="cpu"),
+            wp.array(records, dtype=wp.types.vector(length, wp.float64), device="cpu"),
+            *after.values(),
+        ],
+        device="cpu",
+    )
+    first = feature_offset(thermal_channels)
+    columns = {"means2d": (0, 2), "conics": (2, 5), "opacities": (5, 6), "features": (first, first + 3)}
+    if thermal_channels:
+        columns["thermal_opacities"] = (6, 7)
+    if absgrad:
+        columns["absolute"] = (length - 2, length)
+    covered = sorted(k for begin, end in columns.values() for k in range(begin, end))
+    assert covered == list(range(length))
+    for name, values in after.items():
+        begin, end = columns.get(name, (0, 0))
+        added = sums[:, begin:end] if end else 0.0
+        assert np.allclose(values.numpy().reshape(4, -1), before[name] + added, rtol=0, atol=1e-14), name

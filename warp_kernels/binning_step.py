@@ -1,0 +1,141 @@
+"""The step that lists the Gaussians of each tile in depth order: its launches, sorts and scan. No gradient."""
+
+import warp as wp
+
+from warp_kernels.launching import launch
+from warp_kernels.projection import ProjectedArrays, ProjectionSettings
+from warp_kernels.tile_binning import TileBins, binning_kernels, tile_ranges_kernel
+
+
+class TooManyPairsError(ValueError):
+    """More (Gaussian, tile) pairs than 32-bit indices can number."""
+
+
+def bin_tiles(
+    projected: ProjectedArrays,
+    opacities: wp.array,
+    thermal_opacities: wp.array,
+    features: wp.array,
+    settings: ProjectionSettings,
+    tile_size: int,
+    *,
+    by_slot: bool,
+) -> TileBins:
+    """Lists the Gaussians of each tile in depth order. Reads the number of pairs back to the host once.
+
+    Args:
+        projected: from ``project``. Radii of Gaussians with non-finite features are set to zero.
+        opacities: [images · N], compensation included.
+        thermal_opacities: [images · N]; the same array where there is one opacity.
+        features: scalar array [images · N, D], only checked for being finite.
+        settings: image size.
+        tile_size: edge of a tile [px].
+        by_slot: number the pairs, for an adjoint that writes one record a pair.
+
+    Returns:
+        The bins.
+
+    Raises:
+        TooManyPairsError: if the pairs exceed what 32-bit indices can number.
+    """
+    device, dtype = opacities.device, opacities.dtype
+    count_kernel, gather_kernel, emit_kernel = binning_kernels(dtype)
+    entries = len(projected.means2d)
+    tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)
+    num_tiles = settings.num_images * tiles_x * tiles_y
+
+    tiles_per_gaussian = wp.empty(entries, dtype=wp.int32, device=device)
+    # radix_sort_pairs sorts in place and needs room for a second copy
+    depth_keys = wp.empty(2 * entries, dtype=dtype, device=device)
+    order = wp.empty(2 * entries, dtype=wp.int32, device=device)
+    launch(
+        count_kernel,
+        entries,
+        [
+            settings.width,
+            settings.height,
+            tile_size,
+            projected.means2d,
+            projected.conics,
+            projected.extents,
+            projected.depths,
+            opacities,
+            thermal_opacities,
+            features,
+            projected.radii,
+            tiles_per_gaussian,
+            depth_keys,
+            order,
+        ],
+        device,
+    )
+    pair_ends = wp.empty(entries, dtype=wp.int64, device=device)
+    num_pairs = 0
+    if entries > 0:
+        wp.utils.radix_sort_pairs(depth_keys, order, entries)
+        wp.launch(
+            gather_kernel,
+            dim=entries,
+            inputs=[order, tiles_per_gaussian, pair_ends],
+            device=device,
+            record_tape=False,
+        )
+        wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
+        num_pairs = int(pair_ends[entries - 1 :].numpy()[0])
+    if num_pairs >= 2**31 or num_tiles >= 2**31:
+        raise TooManyPairsError(
+            f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with tiles of {tile_size} px exceed the "
+            f"{2**31 - 1:,} that one call can hold; render fewer cameras per call, a smaller image, or smaller scales."
+        )
+
+    keys = wp.empty(2 * num_pairs, dtype=wp.int32, device=device)
+    values = wp.empty(2 * num_pairs, dtype=wp.int32, device=device)
+    owners = wp.empty(num_pairs if by_slot else 0, dtype=wp.int32, device=device)
+    gaussian_ids = wp.empty(num_pairs, dtype=wp.int32, device=device)
+    tile_offsets = wp.empty(num_tiles + 1, dtype=wp.int32, device=device)
+    if num_pairs > 0:
+        launch(
+            emit_kernel,
+            entries,
+            [
+                settings.num_gaussians,
+                settings.width,
+                settings.height,
+                tile_size,
+                tiles_x,
+                tiles_y,
+                by_slot,
+                projected.means2d,
+                projected.conics,
+                projected.extents,
+                opacities,
+                thermal_opacities,
+                order,
+                tiles_per_gaussian,
+                pair_ends,
+                keys,
+                values,
+                owners,
+            ],
+            device,
+        )
+        wp.utils.radix_sort_pairs(keys, values, num_pairs, 0, max(1, (num_tiles - 1).bit_length()))
+    wp.launch(
+        tile_ranges_kernel,
+        dim=num_pairs + 1,
+        inputs=[num_pairs, num_tiles, by_slot, keys, values, owners, tile_offsets, gaussian_ids],
+        device=device,
+        record_tape=False,
+    )
+    return TileBins(
+        gaussian_ids=gaussian_ids,
+        tile_offsets=tile_offsets,
+        order=order[:entries] if entries else order,
+        pair_ends=pair_ends,
+        tiles_per_gaussian=tiles_per_gaussian,
+        slots=values if by_slot else None,
+        num_pairs=num_pairs,
+        tile_size=tile_size,
+        tiles_x=tiles_x,
+        tiles_y=tiles_y,
+    )

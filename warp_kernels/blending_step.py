@@ -1,0 +1,161 @@
+"""The step that blends each tile's Gaussians front to back: its launches, and its adjoint on a tape."""
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from warp_kernels.blend_layout import BlendLayout, default_layout
+from warp_kernels.blending import blend_kernel
+from warp_kernels.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.constants import CHANNELS_MAX
+from warp_kernels.gradient_records import distribute_kernel, record_length
+from warp_kernels.launching import launch_tiles
+from warp_kernels.projection import ProjectedArrays, ProjectionSettings
+from warp_kernels.tape_recording import gradient_of, record_adjoint
+from warp_kernels.tile_binning import TileBins
+
+
+@dataclass
+class BlendedArrays:
+    """Images the blending writes; rows are image · height + y.
+
+    Attributes:
+        render: vecC [images · height, width].
+        transmittance: [images · height, width]; 1 - alpha.
+        last_pairs: int32 [images · height, width]; last sorted pair drawn, -1 where none.
+        thermal_render: vecD [images · height, width]; None with one opacity.
+        thermal_transmittance: as ``transmittance``, of the second opacity.
+        thermal_last_pairs: as ``last_pairs``, of the second opacity.
+    """
+
+    render: wp.array
+    transmittance: wp.array
+    last_pairs: wp.array
+    thermal_render: wp.array | None = None
+    thermal_transmittance: wp.array | None = None
+    thermal_last_pairs: wp.array | None = None
+
+
+def blend(
+    projected: ProjectedArrays,
+    opacities: wp.array,
+    thermal_opacities: wp.array,
+    features: wp.array,
+    bins: TileBins,
+    settings: ProjectionSettings,
+    blended: BlendedArrays,
+    tape: wp.Tape | None = None,
+    *,
+    absolute: wp.array | None = None,
+    layout: BlendLayout | None = None,
+) -> None:
+    """Blends features front to back, with one opacity or two in one traversal.
+
+    Args:
+        projected: means2d and conics receive gradients.
+        opacities: [images · N], compensation included. Receives a gradient.
+        thermal_opacities: [images · N]; read only when ``blended.thermal_render`` is given. Receives a gradient.
+        features: vecC [images · N], C at most ``CHANNELS_MAX``. Receives a gradient.
+        bins: from ``bin_tiles``; made with ``by_slot``, the adjoint is deterministic.
+        settings: image size.
+        blended: outputs.
+        tape: records the adjoint; gradients come from the renders and transmittances.
+        absolute: vec2 [images · N]; the adjoint adds the sums of absolute mean2d gradients (AbsGS) here.
+        layout: deal of pixels to lanes; None for the device's default.
+
+    Raises:
+        ValueError: if there are more channels than one traversal can blend.
+    """
+    device, dtype = opacities.device, opacities.dtype
+    channels = features.dtype._length_
+    dual = blended.thermal_render is not None
+    thermal_channels = blended.thermal_render.dtype._length_ if blended.thermal_render is not None else 0
+    if channels > CHANNELS_MAX:
+        raise ValueError(f"features must have at most {CHANNELS_MAX} channels a traversal, got {channels}.")
+    by_slot = bins.slots is not None
+    num_tiles = len(bins.tile_offsets) - 1
+    if layout is None:
+        pairs_per_tile = bins.num_pairs / num_tiles
+        layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype, pairs_per_tile)
+
+    nothing = wp.empty((0, 0), dtype=wp.types.vector(max(thermal_channels, 1), dtype), device=device)
+    thermal_render = blended.thermal_render if dual else nothing
+    thermal_transmittance = blended.thermal_transmittance if dual else blended.transmittance
+    thermal_last_pairs = blended.thermal_last_pairs if dual else blended.last_pairs
+    geometry = [
+        bins.tiles_x,
+        bins.tiles_y,
+        settings.width,
+        settings.height,
+        projected.means2d,
+        projected.conics,
+        projected.extents,
+        opacities,
+        thermal_opacities,
+        features,
+        bins.gaussian_ids,
+    ]
+    launch_tiles(
+        blend_kernel(channels, thermal_channels, dtype, layout),
+        num_tiles,
+        layout.threads,
+        [
+            *geometry,
+            bins.tile_offsets,
+            blended.render,
+            blended.transmittance,
+            blended.last_pairs,
+            thermal_render,
+            thermal_transmittance,
+            thermal_last_pairs,
+        ],
+        device,
+    )
+    if tape is None:
+        return
+
+    def adjoint() -> None:
+        record = wp.types.vector(record_length(channels, thermal_channels, absolute is not None), dtype)
+        records = wp.zeros(bins.num_pairs if by_slot else len(features), dtype=record, device=device)
+        launch_tiles(
+            blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absolute is not None, by_slot),
+            num_tiles,
+            layout.threads,
+            [
+                *geometry,
+                bins.slots if by_slot else bins.gaussian_ids,
+                bins.tile_offsets,
+                blended.transmittance,
+                blended.last_pairs,
+                thermal_transmittance,
+                thermal_last_pairs,
+                gradient_of(blended.render),
+                gradient_of(blended.transmittance),
+                gradient_of(thermal_render),
+                gradient_of(thermal_transmittance),
+                records,
+            ],
+            device,
+        )
+        wp.launch(
+            distribute_kernel(channels, thermal_channels, dtype, absolute is not None, by_slot),
+            dim=len(features),
+            inputs=[
+                bins.order,
+                bins.pair_ends,
+                bins.tiles_per_gaussian,
+                records,
+                gradient_of(projected.means2d),
+                gradient_of(projected.conics),
+                gradient_of(opacities),
+                gradient_of(thermal_opacities),
+                gradient_of(features),
+                absolute if absolute is not None else projected.means2d,
+            ],
+            device=device,
+            record_tape=False,
+        )
+
+    inputs = [projected.means2d, projected.conics, opacities, thermal_opacities, features]
+    images = [blended.render, blended.transmittance, thermal_render, thermal_transmittance]
+    record_adjoint(tape, adjoint, *inputs, *images)

@@ -1,0 +1,62 @@
+"""The step that evaluates spherical harmonics towards each camera: its launches, and its adjoint on a tape."""
+
+import warp as wp
+
+from warp_kernels.launching import launch
+from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel
+from warp_kernels.strand_sums import strand_sums
+from warp_kernels.tape_recording import gradient_of, record_adjoint
+
+
+def sh_colors(
+    degree: int,
+    means: wp.array,
+    camera_positions: wp.array,
+    coefficients: wp.array,
+    radii: wp.array,
+    colors: wp.array,
+    num_gaussians: int,
+    num_cameras: int,
+    per_image: bool = False,
+    tape: wp.Tape | None = None,
+) -> None:
+    """Evaluates spherical harmonics in each Gaussian's view direction; zero where it is culled.
+
+    Args:
+        degree: 0 to 3.
+        means: vec3 [scenes · N]. Receives a gradient.
+        camera_positions: vec3 [images], world units. Receives a gradient.
+        coefficients: vec3 [scenes · N, K], or [images · N, K] for coefficients of their own per image; K at least
+            (degree + 1)². Receives a gradient.
+        radii: vec2i [images · N] from the projection.
+        colors: vec3 [images · N], output.
+        num_gaussians: N.
+        num_cameras: cameras per scene.
+        per_image: coefficients are per (image, Gaussian).
+        tape: records the adjoint.
+    """
+    device = means.device
+    dtype = means.dtype._wp_scalar_type_
+    arguments = [num_gaussians, num_cameras, per_image, degree, means, camera_positions, coefficients, radii, colors]
+    launch(color_kernel(dtype), len(colors), arguments, device)
+    if tape is None:
+        return
+
+    def adjoint() -> None:
+        v_offsets = wp.empty_like(colors)
+        launch(
+            color_adjoint_kernel(dtype),
+            len(means),
+            [*arguments, gradient_of(colors), gradient_of(coefficients), gradient_of(means), v_offsets],
+            device,
+        )
+        if camera_positions.grad is not None:
+            wp.launch(
+                camera_position_adjoint_kernel(dtype),
+                dim=len(camera_positions),
+                inputs=[strand_sums(v_offsets, len(camera_positions)), camera_positions.grad],
+                device=device,
+                record_tape=False,
+            )
+
+    record_adjoint(tape, adjoint, means, camera_positions, coefficients, colors)

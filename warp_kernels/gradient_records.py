@@ -1,0 +1,101 @@
+"""Records of gradients that the blending's adjoint writes, and their sum per Gaussian.
+
+A record is the gradient of one Gaussian over the pixels of a warp: mean2d (2), conic (3), opacity, [thermal opacity],
+features (C), [|mean2d| gradients (2)]. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair
+and summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+"""
+
+import functools
+
+import warp as wp
+
+
+def feature_offset(thermal_channels: int) -> int:
+    """Where the features begin in a record.
+
+    Args:
+        thermal_channels: channels blended a second time; 0 for one opacity.
+
+    Returns:
+        The index.
+    """
+    return 7 if thermal_channels else 6
+
+
+def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
+    """Numbers in one gradient record.
+
+    Args:
+        channels: C, channels blended with the first opacity.
+        thermal_channels: channels blended a second time; 0 for one opacity.
+        absgrad: sums of absolute mean2d gradients are wanted.
+
+    Returns:
+        The length.
+    """
+    return feature_offset(thermal_channels) + channels + (2 if absgrad else 0)
+
+
+@functools.cache
+def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad: bool, by_slot: bool) -> wp.Kernel:
+    """Sums each Gaussian's records and adds them to the gradients, one thread a depth rank.
+
+    Args:
+        channels: C.
+        thermal_channels: D, or 0.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        absgrad: records end with the absolute mean2d gradients.
+        by_slot: records are one a pair, contiguous per Gaussian, rather than one a Gaussian.
+
+    Returns:
+        The Warp kernel.
+    """
+    C, dual = channels, thermal_channels > 0
+    first_feature = feature_offset(thermal_channels)
+    length = record_length(channels, thermal_channels, absgrad)
+    record = wp.types.vector(length, dtype)
+    vec2, vec3, vecC = wp.types.vector(2, dtype), wp.types.vector(3, dtype), wp.types.vector(C, dtype)
+
+    @wp.kernel(
+        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}{'_slots' * by_slot}",
+        enable_backward=False,
+        module="unique",
+    )
+    def distribute_records_kernel(
+        order: wp.array(dtype=wp.int32),
+        pair_ends: wp.array(dtype=wp.int64),
+        tiles_per_gaussian: wp.array(dtype=wp.int32),
+        records: wp.array(dtype=record),
+        # outputs
+        v_means2d: wp.array(dtype=vec2),
+        v_conics: wp.array(dtype=vec3),
+        v_opacities: wp.array(dtype=dtype),
+        v_thermal_opacities: wp.array(dtype=dtype),
+        v_features: wp.array(dtype=vecC),
+        absolute: wp.array(dtype=vec2),
+    ):
+        rank = wp.tid()
+        g = order[rank]
+        count = tiles_per_gaussian[g]
+        if count == 0:
+            return
+        total = record()
+        if wp.static(by_slot):
+            end = int(pair_ends[rank])
+            for slot in range(end - count, end):
+                total = total + records[slot]
+        else:
+            total = records[g]
+        v_means2d[g] = v_means2d[g] + vec2(total[0], total[1])
+        v_conics[g] = v_conics[g] + vec3(total[2], total[3], total[4])
+        v_opacities[g] = v_opacities[g] + total[5]
+        if wp.static(dual):
+            v_thermal_opacities[g] = v_thermal_opacities[g] + total[6]
+        v = v_features[g]
+        for c in range(C):
+            v[c] = v[c] + total[first_feature + c]
+        v_features[g] = v
+        if wp.static(absgrad):
+            absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
+
+    return distribute_records_kernel
