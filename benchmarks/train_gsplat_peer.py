@@ -1,4 +1,4 @@
-"""What does 3DGS reach when gsplat itself trains it? gsplat 1.5.3's rasterizer, DefaultStrategy and published constants.
+"""What does 3DGS reach when gsplat itself trains it? Its rasterizer, DefaultStrategy and published constants.
 
     python benchmarks/train_gsplat_peer.py DATA [--modality rgb thermal] [--max-steps 7000] [--scene-scale S] [--json F]
 

@@ -118,8 +118,7 @@ def test_both_branches_at_once() -> None:
         visible, thermal = features(), features().flip(0)
         weights = [torch.rand(5, 6, 3, generator=torch.Generator().manual_seed(k)) for k in (2, 3)]
         results = []
-        for images in (lambda: model.both(visible, thermal), lambda: (model.rgb(visible), model.thermal(thermal))):
-            pair = images()
+        for pair in (model.both(visible, thermal), (model.rgb(visible), model.thermal(thermal))):
             loss = sum((image * weight).sum() for image, weight in zip(pair, weights))
             gradients = torch.autograd.grad(loss, list(model.parameters()), allow_unused=True)
             results.append((*pair, *[g for g in gradients if g is not None]))

@@ -81,7 +81,8 @@ def test_same_gaussians_as_gsplat(step: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("step", "refines"), [(501, False), (551, False), (600, False), (601, True), (14_901, True), (15_001, False), (20_001, False)]
+    ("step", "refines"),
+    [(501, False), (551, False), (600, False), (601, True), (14_901, True), (15_001, False), (20_001, False)],
 )
 def test_schedule(step: int, refines: bool) -> None:
     """Refinements follow every 100 steps between 500 and 15,000, both excluded, one step later. 3DGS."""
