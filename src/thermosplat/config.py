@@ -177,6 +177,8 @@ class TrainConfig:
     """Steps after which one more SH degree is used. 3DGS."""
     device: str = "auto"
     """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    graph: bool = True
+    """On CUDA, record the work of a step once and replay it as a CUDA graph (--no-graph: launch it line by line)."""
     seed: int = 42
     """Seed of everything random. gsplat."""
     eval_steps: tuple[int, ...] = (7_000, 30_000)

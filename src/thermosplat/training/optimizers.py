@@ -5,6 +5,8 @@ A learning rate is a function of the step, so there is no scheduler with a state
 the configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else it stays constant.
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -42,14 +44,39 @@ def decoder_optimizer(decoders: nn.Module, config: OptimizerConfig) -> torch.opt
 def _adam(parameters: list[nn.Parameter], config: OptimizerConfig) -> torch.optim.Adam:
     # fused: one kernel for the whole update on both devices (ten times faster than torch's loop on the CPU), and the
     # one variant that can be told on the device, without waiting for it, to leave the parameters alone (found_inf)
-    return torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
+    optimizer = torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
+    _put_rate_on_device(optimizer)
+    return optimizer
+
+
+def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
+    """Go on from a checkpoint's state of an optimizer, which may have run on another device.
+
+    Args:
+        optimizer: Of the same parameters.
+        state: Its ``state_dict()``.
+    """
+    optimizer.load_state_dict(state)
+    _put_rate_on_device(optimizer)
+
+
+def _put_rate_on_device(optimizer: torch.optim.Adam) -> None:
+    """On CUDA the rate is a tensor that stays, so that a captured step sees it change; on the CPU a number."""
+    for group in optimizer.param_groups:
+        device = group["params"][0].device
+        group["capturable"] = device.type == "cuda"
+        group["lr"] = torch.zeros((), device=device) if group["capturable"] else 0.0
 
 
 def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress: float, scene_extent: float) -> None:
     """Set the rates of optimizers, given by parameter name, for the step to come."""
     for name, optimizer in optimizers.items():
+        rate = learning_rate(name, config, progress, scene_extent)
         for group in optimizer.param_groups:
-            group["lr"] = learning_rate(name, config, progress, scene_extent)
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(rate)
+            else:
+                group["lr"] = rate
 
 
 def step_unless(blocked: Tensor, optimizers: Optimizers) -> None:
