@@ -64,7 +64,7 @@ def captured_in(graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
 
     Args:
         graph: Empty; holds the work afterwards.
-        pool: Memory pool of the graph (``torch.cuda.graph_pool_handle()``).
+        pool: Memory pool of the graph (the id of a ``torch.cuda.MemPool``).
     """
     # thread_local: other threads (a progress line, a loader) may use the device meanwhile
     with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):

@@ -47,7 +47,7 @@ class CapturedSteps:
         self._seen: set[tuple[_Shape, StepKind]] = set()
         self._frames: dict[_Shape, FrameTensors] = {}
         self._graphs: dict[tuple[_Shape, StepKind], _Captured] = {}
-        self._pool = torch.cuda.graph_pool_handle()
+        self._pool = torch.cuda.MemPool()  # outlives the graphs, which take their memory from it one after the other
 
     def run(self, frame: FrameTensors, kind: StepKind) -> StepValues:
         """Do one step.
@@ -87,7 +87,7 @@ class CapturedSteps:
         static, graph = self._frames[shape], torch.cuda.CUDAGraph()
         if not self._graphs:
             self.step.capacity.measure()
-        with captured_in(graph, self._pool):
+        with captured_in(graph, self._pool.id):
             values = self.step.update(static, kind, self.step.gradients(static, kind, fixed_capacity=True))
         return _Captured(graph, static, values)
 
