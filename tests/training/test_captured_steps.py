@@ -58,7 +58,7 @@ def test_captured_steps_match_plain_ones(tmp_path: Path, kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str) -> None:
     """Gaussians are added, removed and reset, graphs follow, and the loss falls."""
-    trainer = _run(tmp_path, kind, 40)
+    trainer = _run(tmp_path, kind, 42)
     assert trainer.captured is not None
     assert trainer.captured._graphs
     assert trainer.guard.first_bad() is None

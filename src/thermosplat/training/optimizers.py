@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from thermosplat.config import OptimizerConfig
 from thermosplat.training.gaussian_ops import Optimizers
+from thermosplat.warp_adam import WarpAdam
 
 
 def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_extent: float) -> float:
@@ -42,11 +43,12 @@ def decoder_optimizer(decoders: nn.Module, config: OptimizerConfig) -> torch.opt
 
 
 def _adam(parameters: list[nn.Parameter], config: OptimizerConfig) -> torch.optim.Adam:
-    # fused: one kernel for the whole update on both devices (ten times faster than torch's loop on the CPU), and the
-    # one variant that can be told on the device, without waiting for it, to leave the parameters alone (found_inf)
-    optimizer = torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
-    _put_rate_on_device(optimizer)
-    return optimizer
+    # Both variants can be told on the device, without waiting for it, to leave the parameters alone (found_inf).
+    device = parameters[0].device
+    if device.type == "cuda":
+        return WarpAdam(parameters, torch.zeros((), device=device), config.eps)
+    # fused: one kernel for the whole update, ten times faster than torch's loop on the CPU
+    return torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
 
 
 def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
@@ -56,16 +58,10 @@ def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
         optimizer: Of the same parameters.
         state: Its ``state_dict()``.
     """
+    rates = [group["lr"] for group in optimizer.param_groups]
     optimizer.load_state_dict(state)
-    _put_rate_on_device(optimizer)
-
-
-def _put_rate_on_device(optimizer: torch.optim.Adam) -> None:
-    """On CUDA the rate is a tensor that stays, so that a captured step sees it change; on the CPU a number."""
-    for group in optimizer.param_groups:
-        device = group["params"][0].device
-        group["capturable"] = device.type == "cuda"
-        group["lr"] = torch.zeros((), device=device) if group["capturable"] else 0.0
+    for group, rate in zip(optimizer.param_groups, rates):
+        group["lr"], group["capturable"] = rate, isinstance(rate, Tensor)
 
 
 def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress: float, scene_extent: float) -> None:
@@ -73,7 +69,7 @@ def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress
     for name, optimizer in optimizers.items():
         rate = learning_rate(name, config, progress, scene_extent)
         for group in optimizer.param_groups:
-            if isinstance(group["lr"], Tensor):
+            if isinstance(group["lr"], Tensor):  # of a captured step: it must stay the same tensor
                 group["lr"].fill_(rate)
             else:
                 group["lr"] = rate

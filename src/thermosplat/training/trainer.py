@@ -28,6 +28,7 @@ from thermosplat.model import SceneModel
 from thermosplat.pair_capacity import PairCapacity
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training.captured_steps import CapturedSteps
+from thermosplat.training.fast_decoders import FastDecoders, can_compile
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts
 from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
@@ -81,8 +82,12 @@ class Trainer:
         self.guard = FiniteGuard(self.device)
         self.device_step = TrainingStep(config, self.state, self.guard, PairCapacity(self.device))
         self.captured: CapturedSteps | None = None
-        if config.graph and self.device.type == "cuda":
-            self.captured = CapturedSteps(self.device_step, len(self.frames))
+        if self.device.type == "cuda":
+            if self.model.decoders is not None:
+                fast = FastDecoders(self.model.decoders, compiled=config.compile and can_compile(), tf32=config.tf32)
+                self.device_step.decoding = fast.active
+            if config.graph:
+                self.captured = CapturedSteps(self.device_step, len(self.frames))
         self.lpips: Lpips | None = None
         self._warm = False
 

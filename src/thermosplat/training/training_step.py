@@ -4,6 +4,8 @@ Nothing in here reads a value back, so the same lines run one by one or, capture
 (captured_steps.py).
 """
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -48,13 +50,22 @@ class TrainingStep:
         state: Model, optimizers and density control.
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.
+        decoding: Opened around rendering and backward pass; what makes decoders fast.
     """
 
-    def __init__(self, config: TrainConfig, state: TrainingState, guard: FiniteGuard, capacity: PairCapacity) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        state: TrainingState,
+        guard: FiniteGuard,
+        capacity: PairCapacity,
+        decoding: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
         self.config = config
         self.state = state
         self.guard = guard
         self.capacity = capacity
+        self.decoding = decoding
 
     def gradients(self, frame: FrameTensors, kind: StepKind, *, fixed_capacity: bool) -> "_Differentiated":
         """Render the frame, compare it with its images, and leave the gradients on the parameters.
@@ -68,21 +79,22 @@ class TrainingStep:
             UserError: If no loss has a weight.
         """
         config, state = self.config, self.state
-        with self.capacity.step(fixed=fixed_capacity):
-            rendered = state.model.render(
-                frame.rgb,
-                frame.thermal,
-                sh_degree=kind.sh_degree,
-                absgrad=config.densification.absgrad,
-                aligned=frame.aligned,
-            )
-        losses = frame_losses(rendered, frame, config.loss)
-        if not losses:
-            raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
-        if kind.densifying:
-            for name, strategy in state.strategies.items():
-                strategy.step_pre_backward(rendered.infos.get(name, []))
-        torch.stack(list(losses.values())).sum().backward()
+        with self.decoding():
+            with self.capacity.step(fixed=fixed_capacity):
+                rendered = state.model.render(
+                    frame.rgb,
+                    frame.thermal,
+                    sh_degree=kind.sh_degree,
+                    absgrad=config.densification.absgrad,
+                    aligned=frame.aligned,
+                )
+            losses = frame_losses(rendered, frame, config.loss)
+            if not losses:
+                raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
+            if kind.densifying:
+                for name, strategy in state.strategies.items():
+                    strategy.step_pre_backward(rendered.infos.get(name, []))
+            torch.stack(list(losses.values())).sum().backward()
         self.guard.observe(state.step_on_device, losses, state.gradients())
         return _Differentiated(rendered, losses)
 
