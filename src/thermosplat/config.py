@@ -182,8 +182,8 @@ class TrainConfig:
     compile: bool = True
     """On CUDA, let torch.compile fuse the decoders (half a minute at the first step, kept for later runs; skipped where
     Triton or a C compiler is missing). --no-compile: plain PyTorch."""
-    tf32: bool = True
-    """On CUDA, train with the decoders' matrix products in TensorFloat-32. Evaluation always uses float32."""
+    decoder_precision: Literal["float32", "tf32", "bfloat16"] = "bfloat16"
+    """Precision of the decoders in training steps on CUDA; parameters, evaluation and the CPU are always float32."""
     seed: int = 42
     """Seed of everything random. gsplat."""
     eval_steps: tuple[int, ...] = (7_000, 30_000)

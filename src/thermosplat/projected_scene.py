@@ -86,16 +86,25 @@ class ProjectedScene:
             values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
         return values.reshape(-1, values.shape[-1]).contiguous()
 
-    def colors(self, colors: Tensor, sh_degree: int | None, *, per_camera: bool) -> Tensor:
-        """Colours, or with ``sh_degree`` their coefficients in the view directions, flat [images · N, D]."""
+    def colors(
+        self, colors: Tensor, sh_degree: int | None, *, per_camera: bool, higher_degrees: Tensor | None = None
+    ) -> Tensor:
+        """Colours, or with ``sh_degree`` their coefficients in the view directions, flat [images · N, D].
+
+        ``higher_degrees``: coefficients above degree 0, where ``colors`` holds those of degree 0 alone.
+        """
         if sh_degree is None:
             return self.per_image(colors, per_camera=per_camera)
+        if higher_degrees is not None:
+            rest = higher_degrees.shape[-2:]
+            higher_degrees = higher_degrees.reshape(-1, *rest).contiguous() if rest[0] > 0 else None
         # inv_ex does not synchronise with the device, as inverse() does.
         camera_positions = torch.linalg.inv_ex(self.viewmats)[0][:, :3, 3].contiguous()
         return ShColors.apply(
             self.means,
             camera_positions,
             colors.reshape(-1, *colors.shape[-2:]).contiguous(),
+            higher_degrees,
             self.projected.radii,
             sh_degree,
             per_camera,
