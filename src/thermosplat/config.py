@@ -56,9 +56,13 @@ class ModelConfig:
     thermal: bool = True
     """Model the thermal images."""
     feature_dim: int = 8
-    """Latent channels d per Gaussian, decoded per pixel. 0: none, each spectrum is rendered from its SH colour."""
+    """Latent channels d per Gaussian, decoded per pixel. 0: none, each spectrum is rendered from its SH colours; a
+    shared set then holds those of either spectrum (ThermalGaussian OMMG, MMOne)."""
     geometric_decoupling: bool = True
-    """Thermal opacity of its own, sigmoid(logit α + Δ). Off: α_t = α (ablation "w/o geometric decoupling")."""
+    """Two opacities a Gaussian in a shared set. Off: α_t = α (ablation "w/o geometric decoupling")."""
+    thermal_opacity: Literal["offset", "own"] = "offset"
+    """How the second opacity is stored: as an offset, α_t = sigmoid(logit α + Δ) (ThermoSplat), so that both move
+    together until thermal images say otherwise, or as a logit of its own (MMOne)."""
     rasterize_mode: Literal["classic", "antialiased"] = "classic"
     """As gsplat's rasterization. ThermoSplat and 3DGS use classic."""
     feature_noise: float = 0.2
@@ -107,10 +111,16 @@ class OptimizerConfig:
     """SH degree 0. 3DGS."""
     shN_lr: float = 2.5e-3 / 20
     """SH degrees 1 to 3. 3DGS."""
+    thermal_sh0_lr: float = 2.5e-3
+    """Thermal SH degree 0 in a shared set without features. ThermalGaussian, MMOne: as the visible one."""
+    thermal_shN_lr: float = 2.5e-3 / 20
+    """Thermal SH degrees 1 to 3 in a shared set without features. ThermalGaussian, MMOne: as the visible ones."""
     features_lr: float = 2.5e-3
     """Latent features. Open choice: as sh0, since f[:3] is supervised as a colour; MS-Splatting takes 5e-3."""
     thermal_opacity_offsets_lr: float = 5e-2
     """Thermal opacity offsets. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
+    thermal_opacities_lr: float = 5e-2
+    """Logit of a thermal opacity of its own. MMOne: the opacity's rate."""
     decoders_lr: float = 1e-3
     """Decoder networks. Open choice: MS-Splatting 5e-3, FeatSplat-like decoders 1e-3."""
     decoders_lr_final: float = 1e-4

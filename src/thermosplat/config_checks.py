@@ -96,11 +96,6 @@ def _check_model(config: TrainConfig, name: Any) -> None:
             f"Separate Gaussians have no shared features, but {name('model.feature_dim')} is {model.feature_dim}.",
             "Set it to 0, as --config 3dgs does.",
         )
-    if model.gaussian_sets == "shared" and not model.feature_dim and model.thermal:
-        raise UserError(
-            f"Shared Gaussians render thermal images from their features, but {name('model.feature_dim')} is 0.",
-            "Set it to 8, or train each spectrum alone with --config 3dgs.",
-        )
 
 
 def _flattened(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -36,8 +36,11 @@ class Gaussians(nn.Module):
         sh0: Spherical harmonics coefficients of degree 0, shape [N, 1, 3].
         shN: Coefficients of the higher degrees, shape [N, K-1, 3]; [N, 0, 3] for degree 0.
         features: Latent features f, rendered as they are, shape [N, d]; only where the model decodes features.
+        thermal_sh0: As sh0, for the thermal image; only in a set that two spectra share without features.
+        thermal_shN: As shN, for the thermal image; with thermal_sh0.
         thermal_opacity_offsets: Δ_t α, the thermal opacity is sigmoid(logit α + Δ_t α), shape [N]; only in a set that
             two spectra share, with geometric decoupling.
+        logit_thermal_opacities: Logits of α_t in place of offsets, where ``ModelConfig.thermal_opacity`` is "own".
 
     Args:
         parameters: Initial value of each parameter by its name; the optional ones may be missing.
@@ -50,7 +53,10 @@ class Gaussians(nn.Module):
     sh0: nn.Parameter
     shN: nn.Parameter
     features: nn.Parameter
+    thermal_sh0: nn.Parameter
+    thermal_shN: nn.Parameter
     thermal_opacity_offsets: nn.Parameter
+    logit_thermal_opacities: nn.Parameter
 
     def __init__(self, parameters: dict[str, Tensor]) -> None:
         super().__init__()
@@ -72,15 +78,27 @@ class Gaussians(nn.Module):
 
     @property
     def thermal_opacities(self) -> Tensor:
-        """Thermal opacities α_t in (0, 1), shape [N]; α itself in a set without thermal offsets."""
-        if "thermal_opacity_offsets" not in self._parameters:
-            return self.opacities
-        return torch.sigmoid(self.logit_opacities + self.thermal_opacity_offsets)
+        """Thermal opacities α_t in (0, 1), shape [N]; α itself in a set with one opacity."""
+        return torch.sigmoid(self.thermal_logits)
+
+    @property
+    def thermal_logits(self) -> Tensor:
+        """Logits of α_t, shape [N]; those of α in a set with one opacity."""
+        if "logit_thermal_opacities" in self._parameters:
+            return self.logit_thermal_opacities
+        if "thermal_opacity_offsets" in self._parameters:
+            return self.logit_opacities + self.thermal_opacity_offsets
+        return self.logit_opacities
 
     @property
     def sh_coeffs(self) -> tuple[Tensor, Tensor]:
         """Spherical harmonics coefficients as the renderer takes them: [N, 1, 3] of degree 0 and [N, K-1, 3]."""
         return self.sh0, self.shN
+
+    @property
+    def thermal_sh_coeffs(self) -> tuple[Tensor, Tensor]:
+        """As ``sh_coeffs``, of the thermal image: coefficients of its own where two spectra share the set."""
+        return (self.thermal_sh0, self.thermal_shN) if "thermal_sh0" in self._parameters else self.sh_coeffs
 
     @property
     def has_features(self) -> bool:
@@ -109,8 +127,9 @@ class Gaussians(nn.Module):
             config: Says which parameters there are and how they start.
             sh_degree: Highest degree of the spherical harmonics, 0 to 3.
             generator: Source of the random features, on the CPU.
-            modality: The one spectrum that a set of its own renders; such a set has neither features nor thermal
-                offsets, and a thermal one starts grey, from the points' luma. None: a set for all modelled spectra.
+            modality: The one spectrum that a set of its own renders; such a set has neither features nor anything
+                thermal beside its colours. None: a set for all modelled spectra. Thermal colours start grey, from the
+                points' luma.
 
         Returns:
             M Gaussians on the CPU.
@@ -142,12 +161,20 @@ class Gaussians(nn.Module):
             "sh0": ((base_colors - 0.5) / SH_C0)[:, None, :],
             "shN": torch.zeros(num_points, (sh_degree + 1) ** 2 - 1, 3),
         }
-        if modality is None and config.feature_dim > 0:
+        if modality is not None:
+            return cls(parameters)
+        if config.feature_dim > 0:
             # The first four channels are supervised as colour and thermal intensity, so they start as such.
             known = torch.cat([point_colors, luma[:, None]], dim=1)[:, : config.feature_dim]
             noise = torch.randn(num_points, config.feature_dim - known.shape[1], generator=generator)
             parameters["features"] = torch.cat([known, config.feature_noise * noise], dim=1)
-            if config.geometric_decoupling and config.rgb and config.thermal:
+        else:
+            parameters["thermal_sh0"] = ((luma[:, None].expand(-1, 3) - 0.5) / SH_C0)[:, None, :]
+            parameters["thermal_shN"] = torch.zeros_like(parameters["shN"])
+        if config.geometric_decoupling and config.rgb and config.thermal:
+            if config.thermal_opacity == "own":
+                parameters["logit_thermal_opacities"] = parameters["logit_opacities"].clone()
+            else:
                 parameters["thermal_opacity_offsets"] = torch.zeros(num_points)
         return cls(parameters)
 

@@ -40,9 +40,9 @@ def initial_gaussians(config: TrainConfig, capture: "Capture") -> dict[str, Gaus
 
 
 def _sets(config: ModelConfig) -> "dict[str, Literal['rgb', 'thermal'] | None]":
-    """Names of the sets, each with the spectrum that it renders from its SH colour alone (None: by features)."""
+    """Names of the sets, each with the spectrum that is all it renders (None: whatever is modelled)."""
     if config.gaussian_sets == "shared":
-        return {"shared": None if config.feature_dim > 0 else "rgb"}
+        return {"shared": None if config.feature_dim > 0 or config.thermal else "rgb"}
     sets: dict[str, Literal["rgb", "thermal"] | None] = {}
     if config.rgb:
         sets["rgb"] = "rgb"

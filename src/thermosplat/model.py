@@ -1,10 +1,11 @@
 """The scene model: sets of Gaussians, decoders, and how a frame is rendered from them.
 
-Two kinds of model, by ``ModelConfig.gaussian_sets``:
+Three kinds of model, by ``ModelConfig.gaussian_sets`` and ``ModelConfig.feature_dim``:
 
 - "shared": one set for both spectra. The visible opacity α blends SH colours and features, the thermal opacity α_t
-  blends the same features; decoders turn the features of each pixel into images (ThermoSplat). With ``feature_dim`` 0
-  it models RGB alone, from its spherical harmonics, as plain 3DGS.
+  blends the same features; decoders turn the features of each pixel into images (ThermoSplat).
+- "shared" with ``feature_dim`` 0: one set with spherical harmonics for either spectrum, the visible ones blended by α,
+  the thermal ones by α_t (ThermalGaussian's OMMG, MMOne); of RGB alone it is plain 3DGS.
 - "separate": one set a spectrum, each rendered from its spherical harmonics, without features (two independent 3DGS).
 """
 
@@ -19,7 +20,7 @@ from thermosplat.config_files import from_dict
 from thermosplat.decoders import Decoders
 from thermosplat.gaussians import Gaussians
 from thermosplat.initial_gaussians import initial_gaussians
-from thermosplat.rasterizer import rasterization, rasterization_rgbt
+from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.rendered_frame import RenderedFrame
 
 if TYPE_CHECKING:
@@ -102,16 +103,21 @@ class SceneModel(nn.Module):
             thermal: Camera of the thermal image; None: do not render it.
             sh_degree: Highest degree of the spherical harmonics to use now.
             absgrad: Also accumulate absolute means2d gradients (``info["means2d"].absgrad``).
-            aligned: Whether both views have one camera, pose and size. None: compare them.
+            aligned: Whether both views have one camera, pose and size. None: compare them. False is always right, and
+                keeps the spectra's gradients of means2d apart.
 
         Returns:
             The images; a spectrum that the configuration switches off is not rendered even if its view is given.
         """
         rgb = rgb if self.config.rgb else None
         thermal = thermal if self.config.thermal else None
+        both = rgb is not None and thermal is not None
+        together = both and "shared" in self.gaussian_sets and (_same_camera(rgb, thermal) if aligned is None else aligned)
         if self.decoders is None:
+            if together:
+                return self._render_sh_traversal(rgb, sh_degree, absgrad)
             return self._render_sh(rgb, thermal, sh_degree, absgrad)
-        if rgb is not None and thermal is not None and (_same_camera(rgb, thermal) if aligned is None else aligned):
+        if together:
             return self._render_traversal(self.decoders, rgb, True, sh_degree, absgrad)
         rendered = RenderedFrame(infos={"shared": []})
         if rgb is not None:
@@ -134,24 +140,8 @@ class SceneModel(nn.Module):
     ) -> RenderedFrame:
         """SH colours and features at α, and with them the features at α_t where asked, in one traversal."""
         gaussians = self.gaussians("shared")
-        opacities = gaussians.opacities
-        output = rasterization_rgbt(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            opacities,
-            gaussians.thermal_opacities if with_thermal else None,
-            gaussians.sh_coeffs,
-            gaussians.features,
-            view.viewmat[None],
-            view.K[None],
-            view.width,
-            view.height,
-            sh_degree=sh_degree,
-            backgrounds=self._backgrounds(),
-            absgrad=absgrad,
-            rasterize_mode=self.config.rasterize_mode,
-        )
+        thermal_opacities = gaussians.thermal_opacities if with_thermal else None
+        output = self._traverse(gaussians, thermal_opacities, gaussians.features, view, sh_degree, absgrad)
         visible_features = output.render_features[0]
         rendered = RenderedFrame(
             visible_features=visible_features, rgb_alpha=output.render_alphas[0], infos={"shared": [output.info]}
@@ -165,10 +155,27 @@ class SceneModel(nn.Module):
         rendered.rgb = output.render_colors[0] + decoded if self.decoder_config.hybrid_rgb else decoded
         return rendered
 
+    def _render_sh_traversal(self, view: "ViewTensors", sh_degree: int, absgrad: bool) -> RenderedFrame:
+        """Both spectra from the spherical harmonics of one set, in one traversal."""
+        gaussians = self.gaussians("shared")
+        decoupled = gaussians.thermal_opacities if self.config.geometric_decoupling else None
+        output = self._traverse(
+            gaussians, decoupled, gaussians.thermal_sh_coeffs, view, sh_degree, absgrad, features_sh_degree=sh_degree
+        )
+        thermal = output.render_features if decoupled is None else output.render_thermal_features
+        alphas = output.render_alphas if decoupled is None else output.render_thermal_alphas
+        return RenderedFrame(
+            rgb=output.render_colors[0],
+            thermal=self._thermal_image(thermal[0]),
+            rgb_alpha=output.render_alphas[0],
+            thermal_alpha=alphas[0],
+            infos={"shared": [output.info]},
+        )
+
     def _render_sh(
         self, rgb: "ViewTensors | None", thermal: "ViewTensors | None", sh_degree: int, absgrad: bool
     ) -> RenderedFrame:
-        """Each spectrum from the spherical harmonics of its own set, as 3DGS."""
+        """Each spectrum by a call of its own from its spherical harmonics, as 3DGS."""
         rendered = RenderedFrame()
         if rgb is not None:
             name = "rgb" if "rgb" in self.gaussian_sets else "shared"
@@ -184,15 +191,53 @@ class SceneModel(nn.Module):
             )
             rendered.infos[name] = [info]
         if thermal is not None:
-            gaussians = self.gaussians("thermal")
+            name = "thermal" if "thermal" in self.gaussian_sets else "shared"
+            gaussians = self.gaussians(name)
             colors, rendered.thermal_alpha, info = self._rasterize(
-                gaussians, gaussians.sh_coeffs, gaussians.opacities, thermal, sh_degree, absgrad
+                gaussians, gaussians.thermal_sh_coeffs, gaussians.thermal_opacities, thermal, sh_degree, absgrad
             )
-            # A one-channel image is the mean of three channels that start equal and get equal gradients: they stay
-            # grey, and so does the exported PLY.
-            rendered.thermal = colors if self.thermal_channels == 3 else colors.mean(dim=-1, keepdim=True)
-            rendered.infos["thermal"] = [info]
+            rendered.thermal = self._thermal_image(colors)
+            rendered.infos.setdefault(name, []).append(info)
         return rendered
+
+    def _thermal_image(self, colors: Tensor) -> Tensor:
+        """The thermal image [H, W, thermal channels] of blended thermal SH colours [H, W, 3].
+
+        A one-channel image is the mean of three channels that start equal and get equal gradients: they stay grey, and
+        so does the exported PLY.
+        """
+        return colors if self.thermal_channels == 3 else colors.mean(dim=-1, keepdim=True)
+
+    def _traverse(
+        self,
+        gaussians: Gaussians,
+        thermal_opacities: Tensor | None,
+        features: Tensor | tuple[Tensor, Tensor],
+        view: "ViewTensors",
+        sh_degree: int,
+        absgrad: bool,
+        *,
+        features_sh_degree: int | None = None,
+    ) -> RGBTRender:
+        """SH colours and features at α, and the features at α_t where there are thermal opacities."""
+        return rasterization_rgbt(
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            gaussians.opacities,
+            thermal_opacities,
+            gaussians.sh_coeffs,
+            features,
+            view.viewmat[None],
+            view.K[None],
+            view.width,
+            view.height,
+            sh_degree=sh_degree,
+            features_sh_degree=features_sh_degree,
+            backgrounds=self._backgrounds(),
+            absgrad=absgrad,
+            rasterize_mode=self.config.rasterize_mode,
+        )
 
     def _rasterize(
         self,

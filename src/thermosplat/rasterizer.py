@@ -209,7 +209,7 @@ def rasterization_rgbt(
     opacities: Tensor,  # [..., N]
     thermal_opacities: Tensor | None,  # [..., N]
     colors: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, 3] or [..., (C,) N, K, 3]
-    features: Tensor,  # [..., (C,) N, d]
+    features: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, d] or [..., (C,) N, K, 3]
     viewmats: Tensor,  # [..., C, 4, 4]
     Ks: Tensor,  # [..., C, 3, 3]
     width: int,
@@ -220,6 +220,7 @@ def rasterization_rgbt(
     radius_clip: float = 0.0,
     eps2d: float = 0.3,
     sh_degree: int | None = None,
+    features_sh_degree: int | None = None,
     tile_size: int = 16,
     backgrounds: Tensor | None = None,  # [..., C, 3]
     absgrad: bool = False,
@@ -238,7 +239,8 @@ def rasterization_rgbt(
         opacities: Visible opacities α in [0, 1], [..., N].
         thermal_opacities: Thermal opacities α_t in [0, 1], [..., N]. None: only the visible pass is rendered.
         colors: As in ``rasterization``; with ``sh_degree``, SH coefficients.
-        features: Latent features, [..., N, d] or [..., C, N, d].
+        features: Latent features, [..., N, d] or [..., C, N, d]; with ``features_sh_degree``, SH coefficients as
+            ``colors``: a second spectrum's colours, d = 3.
         viewmats: World-to-camera, OpenCV axes, [..., C, 4, 4].
         Ks: Intrinsics, [..., C, 3, 3], px.
         width: Image width [px].
@@ -248,6 +250,7 @@ def rasterization_rgbt(
         radius_clip: As in ``rasterization``.
         eps2d: As in ``rasterization``.
         sh_degree: As in ``rasterization``.
+        features_sh_degree: As ``sh_degree``, for ``features``.
         tile_size: As in ``rasterization``.
         backgrounds: Colours behind ``colors`` only, [..., C, D].
         absgrad: As in ``rasterization``; both passes' per-pixel gradients are summed before the absolute value.
@@ -284,13 +287,16 @@ def rasterization_rgbt(
         check_shape("thermal_opacities", thermal_opacities, tuple(opacities.shape), means)
     colors_per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
     colors, higher_degrees = colors if isinstance(colors, tuple) else (colors, None)
-    features_per_camera = check_colors("features", features, means, settings.num_cameras, None)
+    features_per_camera = check_colors("features", features, means, settings.num_cameras, features_sh_degree)
+    features, features_rest = features if isinstance(features, tuple) else (features, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
     scene = ProjectedScene(means, quats, scales, None, opacities, thermal_opacities, viewmats, Ks, settings, tile_size)
     flat_colors = scene.colors(colors, sh_degree, per_camera=colors_per_camera, higher_degrees=higher_degrees)
-    flat_features = scene.per_image(features, per_camera=features_per_camera)
+    flat_features = scene.colors(
+        features, features_sh_degree, per_camera=features_per_camera, higher_degrees=features_rest
+    )
     both = torch.cat([flat_colors, flat_features], -1)
-    channels, dim = flat_colors.shape[-1], features.shape[-1]
+    channels, dim = flat_colors.shape[-1], flat_features.shape[-1]
     render_thermal, thermal_alphas = None, None
     if thermal_opacities is not None and channels + 2 * dim <= CHANNELS_MAX:
         render, transmittance, render_thermal, thermal_transmittance = scene.blend(both, dim, absgrad)

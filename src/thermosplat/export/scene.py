@@ -3,7 +3,7 @@
 The model decodes features per pixel, after blending; a PLY holds a colour per Gaussian, before blending. What the file
 carries is therefore an approximation wherever there are decoders: each Gaussian's own features are decoded as if they
 alone filled a pixel (A_f = f). RGB adds that decoded colour to the SH colour; thermal has the decoded colour only, seen
-at the thermal opacity. Scenes without decoders (3DGS) are exported exactly.
+at the thermal opacity. Scenes without decoders are exported exactly.
 """
 
 from collections.abc import Iterable
@@ -74,9 +74,9 @@ def modality_splats(model: SceneModel, modality: Modality, thermal_scale: Therma
     if modality not in modelled(model):
         raise UserError(f"This scene was trained without {modality} images, so it has no {modality} splats to export.")
     gaussians = model.gaussians("shared" if "shared" in model.gaussian_sets else modality)
-    logit_opacities: Tensor = gaussians.logit_opacities
-    sh0: Tensor = gaussians.sh0
-    shN: Tensor = gaussians.shN
+    of_thermal = modality == "thermal"
+    logit_opacities: Tensor = gaussians.thermal_logits if of_thermal else gaussians.logit_opacities
+    sh0, shN = gaussians.thermal_sh_coeffs if of_thermal else gaussians.sh_coeffs
     if model.decoders is not None and modality == "rgb":
         decoded = model.decoders.rgb(gaussians.features)
         if model.decoder_config.hybrid_rgb:
@@ -84,8 +84,6 @@ def modality_splats(model: SceneModel, modality: Modality, thermal_scale: Therma
         else:
             sh0, shN = _constant_color(decoded, shN)
     elif model.decoders is not None:
-        offsets = dict(gaussians.named_parameters()).get("thermal_opacity_offsets")
-        logit_opacities = logit_opacities if offsets is None else logit_opacities + offsets
         sh0, shN = _constant_color(_decoded_thermal(model.decoders, gaussians, thermal_scale), shN)
     return Splats(gaussians.means, gaussians.quats, gaussians.log_scales, logit_opacities, sh0, shN)
 

@@ -75,7 +75,7 @@ def prune(gaussians: nn.Module, optimizers: Optimizers, removed: Tensor) -> None
 def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: float) -> None:
     """Lower every opacity to at most ``max_opacity``, so that only Gaussians the images need come back. 3DGS.
 
-    The thermal opacity sigmoid(logit α + Δ) is lowered likewise, by itself: a Gaussian that was fainter than the limit
+    The thermal opacity is lowered likewise, by itself: a Gaussian that was fainter than the limit
     in one spectrum stays as faint in it. Moments of both parameters start again from zero.
 
     Args:
@@ -90,8 +90,10 @@ def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: f
     if offsets is not None:
         offsets.copy_((logits + offsets).clamp(max=limit) - new_logits)
     logits.copy_(new_logits)
+    if "logit_thermal_opacities" in parameters:
+        parameters["logit_thermal_opacities"].clamp_(max=limit)
 
-    for name in ("logit_opacities", "thermal_opacity_offsets"):
+    for name in ("logit_opacities", "thermal_opacity_offsets", "logit_thermal_opacities"):
         if name in parameters:
             for key, value in optimizers[name].state.get(parameters[name], {}).items():
                 if key != "step":
