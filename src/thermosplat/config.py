@@ -65,12 +65,25 @@ class ModelConfig:
     together until thermal images say otherwise, or as a logit of its own (MMOne)."""
     rasterize_mode: Literal["classic", "antialiased"] = "classic"
     """As gsplat's rasterization. ThermoSplat and 3DGS use classic."""
+    thermal_start: Literal["points", "rgb"] = "points"
+    """What a thermal set of its own starts from: the sparse points, or the RGB set as it is when thermal training
+    begins (ThermalGaussian MFTG, with ``schedule.thermal_from``)."""
     feature_noise: float = 0.2
     """Standard deviation of the initial features that have no colour to start from. Open choice: MS-Splatting 0.2."""
     init_opacity: float = 0.1
     """Opacity of the first Gaussians. 3DGS."""
     init_scale: float = 1.0
     """First scales, as a multiple of the root mean square distance to the 3 nearest points. 3DGS."""
+
+
+@dataclass(frozen=True)
+class ScheduleConfig:
+    """Which spectra are trained when, as shares of the run, so that a shorter run keeps the proportions."""
+
+    thermal_from: float = 0.0
+    """Up to this share of the steps only RGB images are trained on. ThermalGaussian MFTG 0.5, MS-Splatting 0.4."""
+    rgb_until: float = 1.0
+    """From this share of the steps on only thermal images are trained on. ThermalGaussian MFTG: 0.5."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +104,8 @@ class LossConfig:
     """η: factor of the second feature term, A_f(t)[3] against the thermal intensity. ThermoSplat."""
     thermal_smoothness: float = 0.3
     """λ_sm: weight of the mean absolute image gradient of the thermal image. ThermoSplat."""
+    balance: bool = False
+    """Multiply the losses of a separate set by the other set's share of all Gaussians. ThermalGaussian MSMG."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +167,14 @@ class DensificationConfig:
     """Gaussians smaller than this share of the scene's extent are cloned, larger ones split. 3DGS (percent_dense)."""
     prune_opacity: float = 0.005
     """Gaussians fainter than this go; in a shared set both α and α_t must be. 3DGS (open choice: the maximum)."""
+    decompose_threshold: float | None = None
+    """Difference of the spectra's mean means2d gradients, in units of half the image, above which a Gaussian becomes a
+    visible and a thermal one. MMOne: 2e-4. None: never."""
+    keep_opacity: float = 0.5
+    """With decomposition, a Gaussian fainter than ``prune_opacity`` in one spectrum goes unless its opacity in the
+    other is above this. MMOne."""
+    off_opacity: float = 0.003
+    """Opacity of a Gaussian of one spectrum in the other: below the 1/255 that is drawn. MMOne."""
     prune_scale3d: float = 0.1
     """Gaussians larger than this share of the scene's extent go, from ``prune_large_from`` on. 3DGS."""
     prune_large_from: int = 3000
@@ -216,6 +239,7 @@ class TrainConfig:
     thermal: ThermalConfig = field(default_factory=ThermalConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
     decoder: DecoderConfig = field(default_factory=DecoderConfig)
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     densification: DensificationConfig = field(default_factory=DensificationConfig)

@@ -21,6 +21,7 @@ _AT_LEAST: dict[str, float] = {
     "densification.every": 1,
     "densification.reset_every": 1,
     "densification.max_gaussians": 1,
+    "densification.decompose_threshold": 0,
     "densification.start_step": 0,
     "densification.stop_step": 0,
 }
@@ -28,7 +29,14 @@ _AT_MOST: dict[str, float] = {
     "sh_degree": 3,  # what the renderer's kernels evaluate
     "model.feature_dim": 61,  # the renderer blends at most 64 channels, three of them colour
 }
-_SHARES = ("loss.ssim_lambda", "densification.prune_opacity", "densification.reset_opacity")
+_SHARES = (
+    "loss.ssim_lambda",
+    "densification.prune_opacity",
+    "densification.reset_opacity",
+    "densification.keep_opacity",
+    "schedule.thermal_from",
+    "schedule.rgb_until",
+)
 _POSITIVE = (
     "model.init_scale",
     "optimizer.eps",
@@ -75,6 +83,8 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         raise UserError(f"{name('background')} must be three values between 0 and 1, found {config.background}.")
     _check_temperatures(config.thermal.range_celsius, name("thermal.range_celsius"))
     _check_model(config, name)
+    _check_schedule(config, name)
+    _check_decomposition(config, name)
 
 
 def _check_temperatures(span: tuple[float, float] | None, name: str) -> None:
@@ -95,6 +105,50 @@ def _check_model(config: TrainConfig, name: Any) -> None:
         raise UserError(
             f"Separate Gaussians have no shared features, but {name('model.feature_dim')} is {model.feature_dim}.",
             "Set it to 0, as --config 3dgs does.",
+        )
+
+
+def _check_schedule(config: TrainConfig, name: Any) -> None:
+    schedule, model = config.schedule, config.model
+    if schedule.thermal_from > schedule.rgb_until:
+        raise UserError(
+            f"Between {name('schedule.rgb_until')} {schedule.rgb_until} and {name('schedule.thermal_from')} "
+            f"{schedule.thermal_from} of the steps there is nothing to train on.",
+            "Let thermal training begin no later than RGB training ends.",
+        )
+    if (schedule.thermal_from > 0 and not model.rgb) or (schedule.rgb_until < 1 and not model.thermal):
+        raise UserError(
+            f"{name('schedule.thermal_from')} and {name('schedule.rgb_until')} divide a run between two spectra, but "
+            "only one is modelled.",
+            "Leave them at 0 and 1.",
+        )
+    separate = model.gaussian_sets == "separate" and model.rgb and model.thermal
+    for key, on in (("loss.balance", config.loss.balance), ("model.thermal_start", model.thermal_start == "rgb")):
+        if on and not separate:
+            raise UserError(f"{name(key)} is about two separate sets of Gaussians, of RGB and of thermal images.")
+
+
+def _check_decomposition(config: TrainConfig, name: Any) -> None:
+    model, densification = config.model, config.densification
+    if not 0 < densification.off_opacity < 1 / 255:
+        raise UserError(
+            f"{name('densification.off_opacity')} must lie between 0 and 1/255, so that it is not drawn, found "
+            f"{densification.off_opacity}."
+        )
+    if densification.decompose_threshold is None:
+        return
+    two_opacities = model.gaussian_sets == "shared" and model.geometric_decoupling and model.thermal_opacity == "own"
+    if not (two_opacities and model.rgb and model.thermal):
+        raise UserError(
+            f"{name('densification.decompose_threshold')} divides Gaussians between two spectra, which needs a shared "
+            "set with a thermal opacity of its own.",
+            "Start from --config mmone, or leave it out.",
+        )
+    if densification.absgrad:
+        raise UserError(
+            f"{name('densification.decompose_threshold')} compares directions, which {name('densification.absgrad')} "
+            "does not keep.",
+            "Leave one of them out.",
         )
 
 

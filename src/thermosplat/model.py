@@ -111,20 +111,20 @@ class SceneModel(nn.Module):
         """
         rgb = rgb if self.config.rgb else None
         thermal = thermal if self.config.thermal else None
-        both = rgb is not None and thermal is not None
-        together = both and "shared" in self.gaussian_sets and (_same_camera(rgb, thermal) if aligned is None else aligned)
+        common = self._common_view(rgb, thermal, aligned)
         if self.decoders is None:
-            if together:
-                return self._render_sh_traversal(rgb, sh_degree, absgrad)
+            if common is not None:
+                return self._render_sh_traversal(common, sh_degree, absgrad)
             return self._render_sh(rgb, thermal, sh_degree, absgrad)
-        if together:
-            return self._render_traversal(self.decoders, rgb, True, sh_degree, absgrad)
+        if common is not None:
+            return self._render_traversal(self.decoders, common, True, sh_degree, absgrad)
         rendered = RenderedFrame(infos={"shared": []})
         if rgb is not None:
             visible = self._render_traversal(self.decoders, rgb, False, sh_degree, absgrad)
             rendered.rgb, rendered.rgb_alpha = visible.rgb, visible.rgb_alpha
             rendered.visible_features = visible.visible_features
             rendered.infos["shared"] += visible.infos["shared"]
+            rendered.infos["shared"][0]["modality"] = "rgb"
         if thermal is not None:
             gaussians = self.gaussians("shared")
             features, alpha, info = self._rasterize(
@@ -132,8 +132,17 @@ class SceneModel(nn.Module):
             )
             rendered.thermal, rendered.thermal_alpha = self.decoders.thermal(features), alpha
             rendered.thermal_features = features
+            info["modality"] = "thermal"
             rendered.infos["shared"].append(info)
         return rendered
+
+    def _common_view(
+        self, rgb: "ViewTensors | None", thermal: "ViewTensors | None", aligned: bool | None
+    ) -> "ViewTensors | None":
+        """The camera from which one traversal renders both spectra; None where they need a call each."""
+        if rgb is None or thermal is None or "shared" not in self.gaussian_sets:
+            return None
+        return rgb if (_same_camera(rgb, thermal) if aligned is None else aligned) else None
 
     def _render_traversal(
         self, decoders: Decoders, view: "ViewTensors", with_thermal: bool, sh_degree: int, absgrad: bool
@@ -146,7 +155,7 @@ class SceneModel(nn.Module):
         rendered = RenderedFrame(
             visible_features=visible_features, rgb_alpha=output.render_alphas[0], infos={"shared": [output.info]}
         )
-        if with_thermal:
+        if output.render_thermal_features is not None and output.render_thermal_alphas is not None:
             rendered.thermal_features = output.render_thermal_features[0]
             rendered.thermal_alpha = output.render_thermal_alphas[0]
             decoded, rendered.thermal = decoders.both(visible_features, rendered.thermal_features)
@@ -162,8 +171,9 @@ class SceneModel(nn.Module):
         output = self._traverse(
             gaussians, decoupled, gaussians.thermal_sh_coeffs, view, sh_degree, absgrad, features_sh_degree=sh_degree
         )
-        thermal = output.render_features if decoupled is None else output.render_thermal_features
-        alphas = output.render_alphas if decoupled is None else output.render_thermal_alphas
+        thermal, alphas = output.render_thermal_features, output.render_thermal_alphas
+        if thermal is None or alphas is None:
+            thermal, alphas = output.render_features, output.render_alphas
         return RenderedFrame(
             rgb=output.render_colors[0],
             thermal=self._thermal_image(thermal[0]),
@@ -189,6 +199,7 @@ class SceneModel(nn.Module):
                 absgrad,
                 self._backgrounds(),
             )
+            info["modality"] = "rgb"
             rendered.infos[name] = [info]
         if thermal is not None:
             name = "thermal" if "thermal" in self.gaussian_sets else "shared"
@@ -197,6 +208,7 @@ class SceneModel(nn.Module):
                 gaussians, gaussians.thermal_sh_coeffs, gaussians.thermal_opacities, thermal, sh_degree, absgrad
             )
             rendered.thermal = self._thermal_image(colors)
+            info["modality"] = "thermal"
             rendered.infos.setdefault(name, []).append(info)
         return rendered
 

@@ -25,4 +25,4 @@ class RenderedFrame:
     """Accumulated thermal opacity in [0, 1], shape [H, W, 1]."""
     infos: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     """What the rasterization says about every call (means2d, radii, ...), by the name of the Gaussian set; a set that
-    was rendered by two calls has two. Densification reads it."""
+    was rendered by two calls has two, and under "modality" the spectrum that each is of. Densification reads it."""

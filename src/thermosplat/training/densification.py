@@ -22,6 +22,7 @@ from thermosplat.config import DensificationConfig
 from thermosplat.errors import UserError
 from thermosplat.gaussians import Gaussians
 from thermosplat.training.gaussian_ops import Optimizers, clone, prune, reset_opacities, split
+from thermosplat.training.modality_schedule import Span
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,22 @@ class DefaultStrategy:
         scene_extent: Radius of the cameras [world units]; what "large" is measured against.
         num_gaussians: Gaussians in the set.
         device: Where they are.
+        span: The steps that train the set; the schedule counts from its start. None: all steps.
     """
 
+    separates_modalities = False
+    """Needs the gradients of the two spectra apart: each is rendered by a call of its own."""
+
     def __init__(
-        self, config: DensificationConfig, scene_extent: float, num_gaussians: int, device: torch.device | str
+        self,
+        config: DensificationConfig,
+        scene_extent: float,
+        num_gaussians: int,
+        device: torch.device | str,
+        span: Span | None = None,
     ) -> None:
         self.config = config
+        self.span = span
         self.scene_extent = scene_extent
         self.grad_norm_sum = torch.zeros(num_gaussians, device=device)
         """Norms of the means2d gradients since the last refinement, in units of half the image, shape [N]."""
@@ -65,15 +76,23 @@ class DefaultStrategy:
 
     def is_active(self, step: int) -> bool:
         """Whether gradients of this step count towards a refinement."""
-        return self.config.enabled and step - 1 < self.config.stop_step
+        if self.span is not None and step not in self.span:
+            return False
+        return self.config.enabled and self._schedule_step(step) < self.config.stop_step
 
     def refines_at(self, step: int) -> bool:
         """Whether Gaussians are added and removed at this step."""
-        return self.is_active(step) and step - 1 > self.config.start_step and (step - 1) % self.config.every == 0
+        done = self._schedule_step(step)
+        return self.is_active(step) and done > self.config.start_step and done % self.config.every == 0
 
     def resets_at(self, step: int) -> bool:
         """Whether opacities are reset at this step."""
-        return self.is_active(step) and step > 1 and (step - 1) % self.config.reset_every == 0
+        done = self._schedule_step(step)
+        return self.is_active(step) and done > 0 and done % self.config.reset_every == 0
+
+    def _schedule_step(self, step: int) -> int:
+        """Steps of the set's training before this one."""
+        return step - 1 - (0 if self.span is None else self.span.start)
 
     def step_pre_backward(self, infos: list[dict[str, Any]]) -> None:
         """Keep the gradients that :meth:`observe` looks at.
@@ -108,8 +127,7 @@ class DefaultStrategy:
                 pruned = self._prune(gaussians, optimizers, step)
                 refinement = Refinement(cloned, halved, pruned)
             finally:  # also where memory ran out between two operations: the sums must fit the Gaussians there are
-                self.grad_norm_sum = self.grad_norm_sum.new_zeros(len(gaussians))
-                self.observations = self.observations.new_zeros(len(gaussians))
+                self.forget(len(gaussians))
         if self.resets_at(step):
             reset_opacities(gaussians, optimizers, self.config.reset_opacity)
         return refinement
@@ -141,12 +159,7 @@ class DefaultStrategy:
     @torch.no_grad()
     def _grow(self, gaussians: Gaussians, optimizers: Optimizers, generator: torch.Generator) -> tuple[int, int]:
         """Clone small and split large Gaussians with a large mean gradient; how many of each."""
-        gradient = self.grad_norm_sum / self.observations.clamp(min=1.0)
-        grows = gradient > self.config.grad_threshold
-        if self.config.max_gaussians is not None:
-            grows &= _largest(gradient, self.config.max_gaussians - len(gaussians))
-        is_small = gaussians.scales.amax(dim=-1) <= self.config.grow_scale3d * self.scene_extent
-        cloned, halved = grows & is_small, grows & ~is_small
+        cloned, halved = self._growing(gaussians)
         num_cloned, num_split = int(cloned.sum()), int(halved.sum())
         if num_cloned:
             clone(gaussians, optimizers, cloned)
@@ -154,12 +167,19 @@ class DefaultStrategy:
             split(gaussians, optimizers, torch.cat([halved, halved.new_zeros(num_cloned)]), generator)
         return num_cloned, num_split
 
+    def _growing(self, gaussians: Gaussians) -> tuple[Tensor, Tensor]:
+        """Masks of the Gaussians to clone and to split, each [N]."""
+        gradient = self.grad_norm_sum / self.observations.clamp(min=1.0)
+        grows = gradient > self.config.grad_threshold
+        if self.config.max_gaussians is not None:
+            grows &= _largest(gradient, self.config.max_gaussians - len(gaussians))
+        is_small = gaussians.scales.amax(dim=-1) <= self.config.grow_scale3d * self.scene_extent
+        return grows & is_small, grows & ~is_small
+
     @torch.no_grad()
     def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:
         """Remove Gaussians that are too faint or too large; how many."""
-        removed = torch.maximum(gaussians.opacities, gaussians.thermal_opacities) < self.config.prune_opacity
-        if step - 1 > self.config.prune_large_from:
-            removed |= gaussians.scales.amax(dim=-1) > self.config.prune_scale3d * self.scene_extent
+        removed = self._removed(gaussians, step)
         num_pruned = int(removed.sum())
         if num_pruned == len(gaussians):
             raise UserError(
@@ -170,6 +190,21 @@ class DefaultStrategy:
         if num_pruned:
             prune(gaussians, optimizers, removed)
         return num_pruned
+
+    def _removed(self, gaussians: Gaussians, step: int) -> Tensor:
+        """Mask of the Gaussians to remove, [N]."""
+        fainter = torch.maximum(gaussians.opacities, gaussians.thermal_opacities) < self.config.prune_opacity
+        return fainter | self._too_large(gaussians, step)
+
+    def _too_large(self, gaussians: Gaussians, step: int) -> Tensor:
+        if self._schedule_step(step) <= self.config.prune_large_from:
+            return torch.zeros(len(gaussians), dtype=torch.bool, device=gaussians.means.device)
+        return gaussians.scales.amax(dim=-1) > self.config.prune_scale3d * self.scene_extent
+
+    def forget(self, num_gaussians: int) -> None:
+        """Start the sums again, for this many Gaussians."""
+        self.grad_norm_sum = self.grad_norm_sum.new_zeros(num_gaussians)
+        self.observations = self.observations.new_zeros(num_gaussians)
 
     def state_dict(self) -> dict[str, Tensor]:
         """What a checkpoint holds of this strategy."""

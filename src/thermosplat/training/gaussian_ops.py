@@ -72,6 +72,20 @@ def prune(gaussians: nn.Module, optimizers: Optimizers, removed: Tensor) -> None
 
 
 @torch.no_grad()
+def become_copy(gaussians: nn.Module, optimizers: Optimizers, source: nn.Module) -> None:
+    """Replace all Gaussians by copies of another set's; their moments start from zero.
+
+    Args:
+        gaussians: The Gaussians to replace.
+        optimizers: Their optimizers.
+        source: Gaussians with parameters of the same names.
+    """
+    nobody = torch.zeros(0, dtype=torch.int64, device=next(gaussians.parameters()).device)
+    added = dict(source.named_parameters())
+    _rebuild(gaussians, optimizers, nobody, {name: added[name] for name, _ in gaussians.named_parameters()})
+
+
+@torch.no_grad()
 def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: float) -> None:
     """Lower every opacity to at most ``max_opacity``, so that only Gaussians the images need come back. 3DGS.
 

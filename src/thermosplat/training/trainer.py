@@ -30,9 +30,11 @@ from thermosplat.run_directory import RunDirectory
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.fast_decoders import FastDecoders, can_compile
 from thermosplat.training.finite_guard import FiniteGuard
+from thermosplat.training.gaussian_ops import become_copy
 from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts
+from thermosplat.training.modality_schedule import ModalitySchedule, Span
 from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
-from thermosplat.training.random_streams import FrameOrder, random_stream
+from thermosplat.training.random_streams import random_stream
 from thermosplat.training.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.run_logger import RunLogger, StepRecord
 from thermosplat.training.train_frames import TrainFrames
@@ -71,7 +73,7 @@ class Trainer:
             tensorboard=config.tensorboard,
         )
         self.frames = TrainFrames(capture, config.model, self.device)
-        self.frame_order = FrameOrder(len(self.frames), config.seed)
+        self.schedule = ModalitySchedule(config, self.frames)
         if checkpoint is None:
             self.model = SceneModel.from_capture(config, capture, self.device)
         else:
@@ -162,10 +164,10 @@ class Trainer:
         """One step: render a frame, compare it with its images, improve Gaussians and decoders."""
         config, state = self.config, self.state
         step, started = state.step + 1, time.perf_counter()
-        frame = self.frames[self.frame_order[state.step]]
+        frame = self.schedule.tensors(state.step)
         densifying = any(strategy.is_active(step) for strategy in state.strategies.values())
         kind = StepKind(self._sh_degree(step), densifying)
-        state.begin_step(step, config.optimizer, state.step / config.max_steps, self.capture.scene_extent)
+        state.begin_step(step, config.optimizer, self.capture.scene_extent)
 
         if self.captured is None:
             with self._first_step():
@@ -187,6 +189,8 @@ class Trainer:
                         self.captured.forget()
                     random = random_stream(config.seed, "split", step)
                     strategy.refine(state.gaussian_sets[name], state.optimizers[name], step, random)
+            if config.model.thermal_start == "rgb" and step == state.spans["thermal"].start:
+                self._start_thermal_from_rgb()
             state.seconds.train += time.perf_counter() - started
 
         self.logger.step(
@@ -199,6 +203,14 @@ class Trainer:
                 state.seconds.train,
             )
         )
+
+    def _start_thermal_from_rgb(self) -> None:
+        """Make the thermal set a copy of the trained RGB set, to be trained anew from it."""
+        state = self.state
+        if self.captured is not None:
+            self.captured.forget()
+        become_copy(state.gaussian_sets["thermal"], state.optimizers["thermal"], state.gaussian_sets["rgb"])
+        state.strategies["thermal"].forget(len(state.gaussian_sets["thermal"]))
 
     def _sh_degree(self, step: int) -> int:
         """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
@@ -285,6 +297,7 @@ class Trainer:
             self.device.type == "cpu"  # nothing to wait for
             or step % config.log_every == 0
             or step in (*config.eval_steps, *config.save_steps, config.max_steps)
+            or step == self.state.spans.get("thermal", Span(0, 0)).start
             or any(strategy.refines_at(step) or strategy.resets_at(step) for strategy in self.state.strategies.values())
         )
 
@@ -295,7 +308,7 @@ class Trainer:
             return
         bad_step, name = found
         self.state.step = bad_step - 1  # the guard has kept every update since from being made
-        frame = self.frames.frames[self.frame_order[self.state.step]]
+        frame = self.schedule.frame(self.state.step)
         raise UserError(
             f"The loss became NaN or infinite at step {bad_step:,} (term: {name}; frame: {frame.name}). "
             f"Last finite state saved to {self._save()}.",
@@ -312,7 +325,7 @@ class Trainer:
         if self.device.type == "cuda":
             torch.cuda.empty_cache()
         self._stop_if_not_finite()
-        frame = self.frames.frames[self.frame_order[self.state.step]]
+        frame = self.schedule.frame(self.state.step)
         view = frame.rgb or frame.thermal
         return out_of_memory_error(
             failed,

@@ -11,8 +11,10 @@ from thermosplat.config_files import to_dict
 from thermosplat.gaussians import Gaussians
 from thermosplat.model import SceneModel
 from thermosplat.radiometry import ThermalScale
+from thermosplat.training.decomposition import DecomposingStrategy
 from thermosplat.training.densification import DefaultStrategy
 from thermosplat.training.gaussian_ops import Optimizers
+from thermosplat.training.modality_schedule import set_span
 from thermosplat.training.optimizers import decoder_optimizer, gaussian_optimizers, load_optimizer, set_learning_rates
 
 
@@ -38,6 +40,7 @@ class TrainingState:
         model: The scene.
         gaussian_sets: The model's sets of Gaussians by name.
         optimizers: By name of the set, and "decoders", the optimizers by parameter name.
+        spans: The steps that train each owner of optimizers.
         strategies: Density control by name of the set.
         step: Steps done.
         step_on_device: int64 scalar, the number of the step that is being done.
@@ -58,27 +61,28 @@ class TrainingState:
         }
         if model.decoders is not None:
             self.optimizers["decoders"] = {"decoders": decoder_optimizer(model.decoders, config.optimizer)}
-        self.strategies = {
-            name: DefaultStrategy(config.densification, scene_extent, len(gaussians), device)
+        self.spans = {owner: set_span(owner, config) for owner in self.optimizers}
+        strategy = DefaultStrategy if config.densification.decompose_threshold is None else DecomposingStrategy
+        self.strategies: dict[str, DefaultStrategy] = {
+            name: strategy(config.densification, scene_extent, len(gaussians), device, self.spans[name])
             for name, gaussians in self.gaussian_sets.items()
         }
         self.step = 0
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.seconds = Seconds()
 
-    def begin_step(self, step: int, config: OptimizerConfig, progress: float, scene_extent: float) -> None:
+    def begin_step(self, step: int, config: OptimizerConfig, scene_extent: float) -> None:
         """Tell the device the step's number and learning rates, and forget what an interrupted step left.
 
         Args:
             step: The step to come, from 1.
             config: The rates.
-            progress: Share of the run that is done, 0 to 1.
             scene_extent: Radius of the cameras [world units].
         """
         self.clear_gradients()
         self.step_on_device.fill_(step)
-        for optimizers in self.optimizers.values():
-            set_learning_rates(optimizers, config, progress, scene_extent)
+        for owner, optimizers in self.optimizers.items():
+            set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scene_extent)
 
     def clear_gradients(self) -> None:
         """Forget all gradients, and free their memory."""

@@ -18,6 +18,7 @@ from thermosplat.losses import frame_losses
 from thermosplat.model import RenderedFrame
 from thermosplat.pair_capacity import PairCapacity
 from thermosplat.training.finite_guard import FiniteGuard
+from thermosplat.training.modality_balance import balanced_losses
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.training_state import TrainingState
 
@@ -86,9 +87,11 @@ class TrainingStep:
                     frame.thermal,
                     sh_degree=kind.sh_degree,
                     absgrad=config.densification.absgrad,
-                    aligned=frame.aligned,
+                    aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
                 )
             losses = frame_losses(rendered, frame, config.loss)
+            if config.loss.balance:
+                losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
             if not losses:
                 raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
             if kind.densifying:

@@ -1,0 +1,100 @@
+"""Which spectra a step trains, and which steps train a set of Gaussians.
+
+Notation: steps count from 1; a span (start, end) holds the steps start + 1 to end.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from thermosplat.config import TrainConfig
+from thermosplat.datasets.capture import Frame
+from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.errors import UserError
+from thermosplat.training.random_streams import FrameOrder
+from thermosplat.training.train_frames import TrainFrames
+
+
+class Span(NamedTuple):
+    """The steps in which something is trained."""
+
+    start: int
+    """Steps before it."""
+    end: int
+    """Its last step."""
+
+    def __contains__(self, step: object) -> bool:
+        return isinstance(step, int) and self.start < step <= self.end
+
+    def progress(self, steps_done: int) -> float:
+        """Share of the span that is done, 0 to 1."""
+        return min(max((steps_done - self.start) / max(self.end - self.start, 1), 0.0), 1.0)
+
+
+def modality_spans(config: TrainConfig) -> dict[str, Span]:
+    """The steps that train on RGB and on thermal images, by modality."""
+    steps, schedule = config.max_steps, config.schedule
+    return {
+        "rgb": Span(0, round(schedule.rgb_until * steps)),
+        "thermal": Span(round(schedule.thermal_from * steps), steps),
+    }
+
+
+def set_span(name: str, config: TrainConfig) -> Span:
+    """The steps that train a set of Gaussians, or the decoders.
+
+    Args:
+        name: "rgb" or "thermal" for a spectrum's own set; anything else is trained by every step.
+        config: The whole configuration.
+    """
+    return modality_spans(config).get(name, Span(0, config.max_steps))
+
+
+class ModalitySchedule:
+    """The frame of every step, with the views that the step trains on.
+
+    Args:
+        config: The whole configuration.
+        frames: The training frames.
+
+    Raises:
+        UserError: If some step would have no frame to learn from.
+    """
+
+    def __init__(self, config: TrainConfig, frames: TrainFrames) -> None:
+        self._spans = modality_spans(config)
+        self._frames = frames
+        self._trained: dict[tuple[bool, bool], tuple[list[int], FrameOrder]] = {}
+        boundaries = {0, *(boundary for span in self._spans.values() for boundary in span)} - {config.max_steps}
+        for start in boundaries:
+            shown = self._shown(start)
+            having = [i for i, frame in enumerate(frames.frames) if _has(frame, shown)]
+            if not having:
+                raise UserError(
+                    f"No training frame has what step {start + 1:,} is to learn from.",
+                    "Look at schedule.thermal_from and schedule.rgb_until, and at the capture's images.",
+                )
+            self._trained[shown] = having, FrameOrder(len(having), config.seed)
+
+    def frame(self, steps_done: int) -> Frame:
+        """The frame of the step that follows ``steps_done`` steps."""
+        return self._frames.frames[self._index(steps_done)]
+
+    def tensors(self, steps_done: int) -> FrameTensors:
+        """The same frame on the device, without the view that the step does not train on."""
+        tensors, (rgb, thermal) = self._frames[self._index(steps_done)], self._shown(steps_done)
+        if rgb and thermal:
+            return tensors
+        return replace(
+            tensors, rgb=tensors.rgb if rgb else None, thermal=tensors.thermal if thermal else None, aligned=False
+        )
+
+    def _index(self, steps_done: int) -> int:
+        having, order = self._trained[self._shown(steps_done)]
+        return having[order[steps_done]]
+
+    def _shown(self, steps_done: int) -> tuple[bool, bool]:
+        return steps_done + 1 in self._spans["rgb"], steps_done + 1 in self._spans["thermal"]
+
+
+def _has(frame: Frame, shown: tuple[bool, bool]) -> bool:
+    return (shown[0] and frame.rgb is not None) or (shown[1] and frame.thermal is not None)
