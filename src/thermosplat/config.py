@@ -38,6 +38,11 @@ class DecoderConfig:
     """Layers of the shared encoder, each followed by SiLU. Open choice ("multiple pixel-wise linear layers")."""
     modulation: bool = True
     """Feature-wise modulation of the RGB branch by the thermal prior. Off: plain heads (ablation "MLP-based")."""
+    branches: Literal["joined", "separate"] = "joined"
+    """One network whose layers both spectra share (ThermoSplat), or a plain one for each spectrum, which have nothing
+    in common but their input (MS-Splatting); those have no modulation."""
+    view_direction: bool = False
+    """The decoders also see the direction in which a pixel looks. MS-Splatting."""
     hybrid_rgb: bool = True
     """RGB is the SH render plus the decoded part. Off: the decoded part alone (ablation "w/o hybrid RGB")."""
     rgb_head_bias: float = -4.0
@@ -104,6 +109,8 @@ class LossConfig:
     """η: factor of the second feature term, A_f(t)[3] against the thermal intensity. ThermoSplat."""
     thermal_smoothness: float = 0.3
     """λ_sm: weight of the mean absolute image gradient of the thermal image. ThermoSplat."""
+    feature_norm: float = 0.0
+    """Weight of the mean of (|f| - 1)² over the Gaussians. MS-Splatting: 0.1."""
     balance: bool = False
     """Multiply the losses of a separate set by the other set's share of all Gaussians. ThermalGaussian MSMG."""
 

@@ -84,6 +84,11 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     _check_temperatures(config.thermal.range_celsius, name("thermal.range_celsius"))
     _check_model(config, name)
     _check_schedule(config, name)
+    if config.decoder.branches == "separate" and config.decoder.modulation:
+        raise UserError(
+            f"{name('decoder.branches')} separate leaves nothing to modulate one spectrum by the other with.",
+            f"Switch {name('decoder.modulation')} off too.",
+        )
     _check_decomposition(config, name)
 
 

@@ -22,6 +22,8 @@ from thermosplat.gaussians import Gaussians
 from thermosplat.initial_gaussians import initial_gaussians
 from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.rendered_frame import RenderedFrame
+from thermosplat.spectrum_decoders import SpectrumDecoders, make_decoders
+from thermosplat.view_directions import view_directions
 
 if TYPE_CHECKING:
     from thermosplat.datasets.capture import Capture
@@ -61,9 +63,9 @@ class SceneModel(nn.Module):
         self.decoder_config = decoder
         self.thermal_channels = thermal_channels if config.thermal else 0
         self.gaussian_sets = nn.ModuleDict(gaussian_sets)
-        self.decoders: Decoders | None = None
+        self.decoders: Decoders | SpectrumDecoders | None = None
         if config.gaussian_sets == "shared" and config.feature_dim > 0:
-            self.decoders = Decoders(decoder, config.feature_dim, self.thermal_channels)
+            self.decoders = make_decoders(decoder, config.feature_dim, self.thermal_channels)
         self.register_buffer("background", torch.tensor(background, dtype=torch.float32), persistent=False)
         self._has_background = any(channel != 0.0 for channel in background)
 
@@ -130,7 +132,8 @@ class SceneModel(nn.Module):
             features, alpha, info = self._rasterize(
                 gaussians, gaussians.features, gaussians.thermal_opacities, thermal, None, absgrad
             )
-            rendered.thermal, rendered.thermal_alpha = self.decoders.thermal(features), alpha
+            rendered.thermal = self.decoders.thermal(*self._decoder_inputs(thermal, features))
+            rendered.thermal_alpha = alpha
             rendered.thermal_features = features
             info["modality"] = "thermal"
             rendered.infos["shared"].append(info)
@@ -145,7 +148,12 @@ class SceneModel(nn.Module):
         return rgb if (_same_camera(rgb, thermal) if aligned is None else aligned) else None
 
     def _render_traversal(
-        self, decoders: Decoders, view: "ViewTensors", with_thermal: bool, sh_degree: int, absgrad: bool
+        self,
+        decoders: Decoders | SpectrumDecoders,
+        view: "ViewTensors",
+        with_thermal: bool,
+        sh_degree: int,
+        absgrad: bool,
     ) -> RenderedFrame:
         """SH colours and features at α, and with them the features at α_t where asked, in one traversal."""
         gaussians = self.gaussians("shared")
@@ -158,11 +166,19 @@ class SceneModel(nn.Module):
         if output.render_thermal_features is not None and output.render_thermal_alphas is not None:
             rendered.thermal_features = output.render_thermal_features[0]
             rendered.thermal_alpha = output.render_thermal_alphas[0]
-            decoded, rendered.thermal = decoders.both(visible_features, rendered.thermal_features)
+            inputs = self._decoder_inputs(view, visible_features, rendered.thermal_features)
+            decoded, rendered.thermal = decoders.both(*inputs)
         else:
-            decoded = decoders.rgb(visible_features)
+            decoded = decoders.rgb(*self._decoder_inputs(view, visible_features))
         rendered.rgb = output.render_colors[0] + decoded if self.decoder_config.hybrid_rgb else decoded
         return rendered
+
+    def _decoder_inputs(self, view: "ViewTensors", *features: Tensor) -> tuple[Tensor, ...]:
+        """Rendered features [H, W, d] as the decoders take them: with the viewing directions, where they see those."""
+        if not self.decoder_config.view_direction:
+            return features
+        directions = view_directions(view)
+        return tuple(torch.cat([image, directions], dim=-1) for image in features)
 
     def _render_sh_traversal(self, view: "ViewTensors", sh_degree: int, absgrad: bool) -> RenderedFrame:
         """Both spectra from the spherical harmonics of one set, in one traversal."""

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from thermosplat.decoders import Decoders
 from thermosplat.errors import UserError
 from thermosplat.export.ply import Splats, WrittenPly, write_splats
 from thermosplat.gaussians import SH_C0, Gaussians
@@ -78,18 +77,26 @@ def modality_splats(model: SceneModel, modality: Modality, thermal_scale: Therma
     logit_opacities: Tensor = gaussians.thermal_logits if of_thermal else gaussians.logit_opacities
     sh0, shN = gaussians.thermal_sh_coeffs if of_thermal else gaussians.sh_coeffs
     if model.decoders is not None and modality == "rgb":
-        decoded = model.decoders.rgb(gaussians.features)
+        decoded = model.decoders.rgb(_decoder_input(model, gaussians))
         if model.decoder_config.hybrid_rgb:
             sh0 = sh0 + decoded[:, None] / SH_C0
         else:
             sh0, shN = _constant_color(decoded, shN)
     elif model.decoders is not None:
-        sh0, shN = _constant_color(_decoded_thermal(model.decoders, gaussians, thermal_scale), shN)
+        sh0, shN = _constant_color(_decoded_thermal(model, gaussians, thermal_scale), shN)
     return Splats(gaussians.means, gaussians.quats, gaussians.log_scales, logit_opacities, sh0, shN)
 
 
-def _decoded_thermal(decoders: Decoders, gaussians: Gaussians, thermal_scale: ThermalScale | None) -> Tensor:
-    decoded = decoders.thermal(gaussians.features)
+def _decoder_input(model: SceneModel, gaussians: Gaussians) -> Tensor:
+    """Features as the decoders take them; where they also want a viewing direction, none: zero."""
+    features = gaussians.features
+    return torch.nn.functional.pad(features, (0, 3)) if model.decoder_config.view_direction else features
+
+
+def _decoded_thermal(model: SceneModel, gaussians: Gaussians, thermal_scale: ThermalScale | None) -> Tensor:
+    if model.decoders is None:
+        raise ValueError("A model without decoders has no decoded thermal colours.")
+    decoded = model.decoders.thermal(_decoder_input(model, gaussians))
     if decoded.shape[-1] == 3:
         return decoded
     if thermal_scale is None:

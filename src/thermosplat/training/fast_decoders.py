@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.decoders import Decoders
+from thermosplat.spectrum_decoders import SpectrumDecoders
 
 Precision = Literal["float32", "tf32", "bfloat16"]
 
@@ -32,7 +33,7 @@ class FastDecoders:
             traffic. Parameters, their updates and the images are float32 in any case.
     """
 
-    def __init__(self, decoders: Decoders, *, compiled: bool, precision: Precision) -> None:
+    def __init__(self, decoders: Decoders | SpectrumDecoders, *, compiled: bool, precision: Precision) -> None:
         self.decoders = decoders
         self._matmul = "highest" if precision == "float32" else "high"
         self._branches: dict[str, Callable[..., Any]] = {}

@@ -14,6 +14,7 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
+from thermosplat.feature_norm import feature_norm_loss
 from thermosplat.losses import frame_losses
 from thermosplat.model import RenderedFrame
 from thermosplat.pair_capacity import PairCapacity
@@ -90,6 +91,9 @@ class TrainingStep:
                     aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
                 )
             losses = frame_losses(rendered, frame, config.loss)
+            if config.loss.feature_norm > 0 and state.model.decoders is not None:
+                features = state.gaussian_sets["shared"].features
+                losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
             if config.loss.balance:
                 losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
             if not losses:

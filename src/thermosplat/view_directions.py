@@ -1,0 +1,28 @@
+"""The direction in which each pixel of a view looks."""
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from thermosplat.datasets.frame_tensors import ViewTensors
+
+
+def view_directions(view: "ViewTensors") -> Tensor:
+    """Unit vectors from the camera through the pixel centres, in world coordinates.
+
+    Args:
+        view: Camera and pose.
+
+    Returns:
+        Directions, shape [H, W, 3].
+    """
+    device = view.K.device
+    x = (torch.arange(view.width, device=device) + 0.5 - view.K[0, 2]) / view.K[0, 0]
+    y = (torch.arange(view.height, device=device) + 0.5 - view.K[1, 2]) / view.K[1, 1]
+    in_camera = torch.stack(
+        [x.expand(view.height, -1), y[:, None].expand(-1, view.width), torch.ones_like(x).expand(view.height, -1)],
+        dim=-1,
+    )
+    return torch.nn.functional.normalize(in_camera @ view.viewmat[:3, :3], dim=-1)  # R^T d, as row vectors
