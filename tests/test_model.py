@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat import model as model_module
+from thermosplat import gaussian_views
 from thermosplat.config_files import to_dict
 from thermosplat.errors import UserError
 from thermosplat.model import RenderedFrame, SceneModel
@@ -29,13 +29,13 @@ def count_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the rasterization functions in the order in which the model calls them."""
     calls: list[str] = []
     for name in ("rasterization", "rasterization_rgbt"):
-        original = getattr(model_module, name)
+        original = getattr(gaussian_views, name)
 
         def recorded(*args: Any, _original: Any = original, _name: str = name, **kwargs: Any) -> Any:
             calls.append(_name)
             return _original(*args, **kwargs)
 
-        monkeypatch.setattr(model_module, name, recorded)
+        monkeypatch.setattr(gaussian_views, name, recorded)
     return calls
 
 

@@ -18,9 +18,9 @@ from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.config_checks import check_config
 from thermosplat.config_files import from_dict
 from thermosplat.decoders import Decoders
+from thermosplat.gaussian_views import Rendering, see, see_both
 from thermosplat.gaussians import Gaussians
 from thermosplat.initial_gaussians import initial_gaussians
-from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.rendered_frame import RenderedFrame
 from thermosplat.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.view_directions import view_directions
@@ -113,25 +113,23 @@ class SceneModel(nn.Module):
         """
         rgb = rgb if self.config.rgb else None
         thermal = thermal if self.config.thermal else None
+        backgrounds = self.background[None] if self._has_background else None
+        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds)
         common = self._common_view(rgb, thermal, aligned)
         if self.decoders is None:
-            if common is not None:
-                return self._render_sh_traversal(common, sh_degree, absgrad)
-            return self._render_sh(rgb, thermal, sh_degree, absgrad)
+            return self._render_sh(rgb, thermal, how) if common is None else self._render_sh_traversal(common, how)
         if common is not None:
-            return self._render_traversal(self.decoders, common, True, sh_degree, absgrad)
+            return self._render_traversal(self.decoders, common, True, how)
         rendered = RenderedFrame(infos={"shared": []})
         if rgb is not None:
-            visible = self._render_traversal(self.decoders, rgb, False, sh_degree, absgrad)
+            visible = self._render_traversal(self.decoders, rgb, False, how)
             rendered.rgb, rendered.rgb_alpha = visible.rgb, visible.rgb_alpha
             rendered.visible_features = visible.visible_features
             rendered.infos["shared"] += visible.infos["shared"]
             rendered.infos["shared"][0]["modality"] = "rgb"
         if thermal is not None:
             gaussians = self.gaussians("shared")
-            features, alpha, info = self._rasterize(
-                gaussians, gaussians.features, gaussians.thermal_opacities, thermal, None, absgrad
-            )
+            features, alpha, info = see(gaussians, gaussians.features, gaussians.thermal_opacities, thermal, how)
             rendered.thermal = self.decoders.thermal(*self._decoder_inputs(thermal, features))
             rendered.thermal_alpha = alpha
             rendered.thermal_features = features
@@ -148,17 +146,12 @@ class SceneModel(nn.Module):
         return rgb if (_same_camera(rgb, thermal) if aligned is None else aligned) else None
 
     def _render_traversal(
-        self,
-        decoders: Decoders | SpectrumDecoders,
-        view: "ViewTensors",
-        with_thermal: bool,
-        sh_degree: int,
-        absgrad: bool,
+        self, decoders: Decoders | SpectrumDecoders, view: "ViewTensors", with_thermal: bool, how: Rendering
     ) -> RenderedFrame:
         """SH colours and features at α, and with them the features at α_t where asked, in one traversal."""
         gaussians = self.gaussians("shared")
         thermal_opacities = gaussians.thermal_opacities if with_thermal else None
-        output = self._traverse(gaussians, thermal_opacities, gaussians.features, view, sh_degree, absgrad)
+        output = see_both(gaussians, thermal_opacities, gaussians.features, view, how)
         visible_features = output.render_features[0]
         rendered = RenderedFrame(
             visible_features=visible_features, rgb_alpha=output.render_alphas[0], infos={"shared": [output.info]}
@@ -180,13 +173,11 @@ class SceneModel(nn.Module):
         directions = view_directions(view)
         return tuple(torch.cat([image, directions], dim=-1) for image in features)
 
-    def _render_sh_traversal(self, view: "ViewTensors", sh_degree: int, absgrad: bool) -> RenderedFrame:
+    def _render_sh_traversal(self, view: "ViewTensors", how: Rendering) -> RenderedFrame:
         """Both spectra from the spherical harmonics of one set, in one traversal."""
         gaussians = self.gaussians("shared")
         decoupled = gaussians.thermal_opacities if self.config.geometric_decoupling else None
-        output = self._traverse(
-            gaussians, decoupled, gaussians.thermal_sh_coeffs, view, sh_degree, absgrad, features_sh_degree=sh_degree
-        )
+        output = see_both(gaussians, decoupled, gaussians.thermal_sh_coeffs, view, how)
         thermal, alphas = output.render_thermal_features, output.render_thermal_alphas
         if thermal is None or alphas is None:
             thermal, alphas = output.render_features, output.render_alphas
@@ -198,30 +189,22 @@ class SceneModel(nn.Module):
             infos={"shared": [output.info]},
         )
 
-    def _render_sh(
-        self, rgb: "ViewTensors | None", thermal: "ViewTensors | None", sh_degree: int, absgrad: bool
-    ) -> RenderedFrame:
+    def _render_sh(self, rgb: "ViewTensors | None", thermal: "ViewTensors | None", how: Rendering) -> RenderedFrame:
         """Each spectrum by a call of its own from its spherical harmonics, as 3DGS."""
         rendered = RenderedFrame()
         if rgb is not None:
             name = "rgb" if "rgb" in self.gaussian_sets else "shared"
             gaussians = self.gaussians(name)
-            rendered.rgb, rendered.rgb_alpha, info = self._rasterize(
-                gaussians,
-                gaussians.sh_coeffs,
-                gaussians.opacities,
-                rgb,
-                sh_degree,
-                absgrad,
-                self._backgrounds(),
+            rendered.rgb, rendered.rgb_alpha, info = see(
+                gaussians, gaussians.sh_coeffs, gaussians.opacities, rgb, how, backgrounds=how.backgrounds
             )
             info["modality"] = "rgb"
             rendered.infos[name] = [info]
         if thermal is not None:
             name = "thermal" if "thermal" in self.gaussian_sets else "shared"
             gaussians = self.gaussians(name)
-            colors, rendered.thermal_alpha, info = self._rasterize(
-                gaussians, gaussians.thermal_sh_coeffs, gaussians.thermal_opacities, thermal, sh_degree, absgrad
+            colors, rendered.thermal_alpha, info = see(
+                gaussians, gaussians.thermal_sh_coeffs, gaussians.thermal_opacities, thermal, how
             )
             rendered.thermal = self._thermal_image(colors)
             info["modality"] = "thermal"
@@ -235,69 +218,6 @@ class SceneModel(nn.Module):
         so does the exported PLY.
         """
         return colors if self.thermal_channels == 3 else colors.mean(dim=-1, keepdim=True)
-
-    def _traverse(
-        self,
-        gaussians: Gaussians,
-        thermal_opacities: Tensor | None,
-        features: Tensor | tuple[Tensor, Tensor],
-        view: "ViewTensors",
-        sh_degree: int,
-        absgrad: bool,
-        *,
-        features_sh_degree: int | None = None,
-    ) -> RGBTRender:
-        """SH colours and features at α, and the features at α_t where there are thermal opacities."""
-        return rasterization_rgbt(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            gaussians.opacities,
-            thermal_opacities,
-            gaussians.sh_coeffs,
-            features,
-            view.viewmat[None],
-            view.K[None],
-            view.width,
-            view.height,
-            sh_degree=sh_degree,
-            features_sh_degree=features_sh_degree,
-            backgrounds=self._backgrounds(),
-            absgrad=absgrad,
-            rasterize_mode=self.config.rasterize_mode,
-        )
-
-    def _rasterize(
-        self,
-        gaussians: Gaussians,
-        colors: Tensor | tuple[Tensor, Tensor],
-        opacities: Tensor,
-        view: "ViewTensors",
-        sh_degree: int | None,
-        absgrad: bool,
-        backgrounds: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-        """One view by one plain rasterization: image [H, W, X], accumulated opacity [H, W, 1], and its info."""
-        image, alpha, info = rasterization(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            opacities,
-            colors,
-            view.viewmat[None],
-            view.K[None],
-            view.width,
-            view.height,
-            sh_degree=sh_degree,
-            packed=False,
-            backgrounds=backgrounds,
-            absgrad=absgrad,
-            rasterize_mode=self.config.rasterize_mode,
-        )
-        return image[0], alpha[0], info
-
-    def _backgrounds(self) -> Tensor | None:
-        return self.background[None] if self._has_background else None
 
     # ---- making and restoring ----------------------------------------------------------------------------------------
 
