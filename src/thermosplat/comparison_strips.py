@@ -52,16 +52,26 @@ def comparison_strip(comparisons: list[Comparison]) -> Image8:
 def _row(comparison: Comparison, width: int) -> Image8:
     error = error_bytes(comparison.error, comparison.largest_error)
     panels = [
-        _titled(f"{comparison.label} ground truth", comparison.truth, width),
-        _titled(f"render {comparison.score}", comparison.render, width),
-        _titled("error 0", error, width, palette_end=f"{comparison.largest_error:.2g} {comparison.unit}".rstrip()),
+        titled(f"{comparison.label} ground truth", comparison.truth, width),
+        titled(f"render {comparison.score}", comparison.render, width),
+        titled("error 0", error, width, palette_end=f"{comparison.largest_error:.2g} {comparison.unit}".rstrip()),
     ]
     gap = np.zeros((panels[0].shape[0], GAP, 3), np.uint8)
     return np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1)
 
 
-def _titled(title: str, image: Image8, width: int, palette_end: str | None = None) -> Image8:
-    """An image at a width [px] under its title; for an error map, with the palette from 0 to ``palette_end``."""
+def titled(title: str, image: Image8, width: int, palette_end: str | None = None) -> Image8:
+    """An image under its title.
+
+    Args:
+        title: One line, ASCII.
+        image: 8-bit RGB, shape [H, W, 3].
+        width: Width of the result [px].
+        palette_end: For an error map: what stands at the bright end of its palette, which is drawn beside the title.
+
+    Returns:
+        8-bit RGB, shape [HEADER_HEIGHT + H', width, 3].
+    """
     height = max(1, round(image.shape[0] * width / image.shape[1]))
     header = np.zeros((HEADER_HEIGHT, width, 3), np.uint8)
     pen = _write(header, title, x=4)

@@ -58,14 +58,12 @@ def evaluate(
     scale = capture.thermal_scale
     rows: list[dict[str, Any]] = []
     for frame in capture.test:
-        comparisons = []
-        for result in _results(model, frame, scale, sh_degree, device):
-            numbers = _numbers(result, lpips)
-            rows.append({"frame": frame.name, "modality": result.modality, **numbers})
-            if strips_dir is not None:
-                comparisons.append(_comparison(result, numbers["psnr"]))
-        if strips_dir is not None and comparisons:
-            write_png(strips_dir / f"{_file_stem(frame.name)}.png", comparison_strip(comparisons))
+        results = list(_results(model, frame, scale, sh_degree, device))
+        numbers = [_numbers(result, lpips) for result in results]
+        rows += [{"frame": frame.name, "modality": r.modality, **values} for r, values in zip(results, numbers)]
+        if strips_dir is not None and results:
+            comparisons = [_comparison(result, values["psnr"]) for result, values in zip(results, numbers)]
+            write_png(strips_dir / f"{file_stem(frame.name)}.png", comparison_strip(comparisons))
     if csv_path is not None:
         _write_csv(csv_path, rows)
     return {
@@ -73,6 +71,30 @@ def evaluate(
         "thermal": _means(rows, "thermal"),
         "num_gaussians": model.num_gaussians,
     }
+
+
+@torch.no_grad()
+def frame_comparisons(
+    model: SceneModel, frame: Frame, scale: ThermalScale | None, *, sh_degree: int, device: torch.device | str
+) -> dict[Modality, Comparison]:
+    """Ground truth, render and error of one frame, by modality.
+
+    Args:
+        model: The scene.
+        frame: The frame.
+        scale: The capture's thermal scale; None where there is no thermal view.
+        sh_degree: Highest SH degree in use.
+        device: Where the model is.
+    """
+    return {
+        result.modality: _comparison(result, _finite(psnr(result.image, result.target)))
+        for result in _results(model, frame, scale, sh_degree, device)
+    }
+
+
+def file_stem(frame_name: str) -> str:
+    """A frame's name as part of a file name."""
+    return frame_name.replace("/", "_")
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +178,3 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
             writer.writerows(rows)  # None becomes an empty cell
 
     write_atomically(path, write)
-
-
-def _file_stem(frame_name: str) -> str:
-    return frame_name.replace("/", "_")

@@ -82,3 +82,9 @@ def resized(image: Image8, width: int, height: int) -> Image8:
     """An 8-bit image at another size [px]; enlarged without smoothing, so that its pixels stay visible."""
     enlarged = width >= image.shape[1]
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST if enlarged else cv2.INTER_AREA)
+
+
+def read_png(path: Path) -> Image8 | None:
+    """An 8-bit RGB image [H, W, 3] from a file that `write_png` wrote; None where there is none that can be read."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    return None if image is None else np.ascontiguousarray(image[..., ::-1]).astype(np.uint8)

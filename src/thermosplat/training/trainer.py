@@ -118,6 +118,11 @@ class Trainer:
         """Steps done."""
         return self.state.step
 
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics in use after the steps done."""
+        return self._sh_degree(self.state.step)
+
     # ---- the run -----------------------------------------------------------------------------------------------------
 
     def train(self) -> dict[str, Any]:

@@ -1,0 +1,127 @@
+"""thermosplat-benchmark: methods times scenes, trained, measured and put into tables.
+
+thermosplat-benchmark data/Dimsum data/Truck --methods baselines thermosplat ablations --out results/matrix
+"""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from thermosplat.cli.errors import run_command
+from thermosplat.errors import UserError
+from thermosplat.method_matrix.cells import parse_methods, parse_scenes
+from thermosplat.method_matrix.matrix import Matrix
+
+
+@dataclass(frozen=True)
+class BenchmarkArguments:
+    """Train and evaluate methods on scenes: results.json, tables as in ThermoSplat's paper, comparison sheets.
+
+    A finished cell (scene, method, seed) is not made again, an interrupted one is gone on with: after any interruption
+    the same command continues. Held-out views are looked at once, at the end of a training.
+
+    Examples:
+      thermosplat-benchmark data/Dimsum data/Truck --out results/matrix
+      thermosplat-benchmark sample --methods 3dgs thermosplat --max-steps 500 --out results/quick
+      thermosplat-benchmark --out results/matrix --merge from_another_machine
+    """
+
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENES")] = ()
+    """Folders of captures, or "sample"; NAME=FOLDER for another name in the tables. None: tables of what is there."""
+    methods: tuple[str, ...] = ("baselines", "thermosplat")
+    """Presets or YAML files; "baselines" and "ablations" stand for all presets of that folder."""
+    out: str = "results/benchmark"
+    """Folder for everything: a run folder a cell (scene/method/seed_42), tables and sheets."""
+    max_steps: int | None = None
+    """Shorten the trainings: steps of a method that has 30,000, others in proportion. None: as each method has it."""
+    seeds: tuple[int, ...] = (42,)
+    """Seeds; with several, tables show mean ± standard deviation."""
+    devices: tuple[str, ...] = ()
+    """"cpu", "cuda:0", "cuda:1", ...: a process on each. None given: all CUDA devices, or the CPU without any."""
+    data_factor: int = 1
+    """Divide the images' width and height by this."""
+    max_gaussians: int | None = None
+    """Growth of every set of Gaussians stops at this count. None: as each method has it."""
+    save_every: int = 5000
+    """Steps between checkpoints, from which a cell goes on after a crash; 0: only when interrupted, and at the end."""
+    keep_checkpoints: bool = True
+    """Keep the last checkpoint of a finished cell (--no-keep-checkpoints: numbers, pictures and PLYs are enough)."""
+    lpips_weights: str | None = None
+    """Folder or file with LPIPS backbone weights, as for thermosplat-train."""
+    merge: tuple[str, ...] = ()
+    """Cells made elsewhere to add to the tables: --out folders, run folders, or results.json files."""
+    debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Show the traceback of an error."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        argv: Arguments without the program's name. None: the process's.
+
+    Returns:
+        The exit code: 0, 2 for a mistake of the user's or a cell that failed, 130 after Ctrl-C.
+    """
+    words = sys.argv[1:] if argv is None else argv
+    arguments = tyro.cli(BenchmarkArguments, prog="thermosplat-benchmark", args=words)
+    return run_command(lambda: _benchmark(arguments), debug=arguments.debug)
+
+
+def _benchmark(arguments: BenchmarkArguments) -> int:
+    from thermosplat.method_matrix.processes import Job, choose_devices, run_jobs
+    from thermosplat.method_matrix.report import write_report
+
+    matrix, merged = _matrix(arguments), [Path(folder) for folder in arguments.merge]
+    if not matrix.scenes and not merged and not matrix.out.is_dir():
+        raise UserError("No scene given.", "Name captures: thermosplat-benchmark data/Dimsum data/Truck --out FOLDER.")
+    cells, missing = matrix.cells(), matrix.missing()
+    jobs = [matrix.job(cell) for cell in missing]
+    failed: list[str] = []
+
+    def started(job: Job, device: str) -> None:
+        print(f"{job.title}: starts on {device}, log in {job.log}", flush=True)
+
+    def done(job: Job, device: str, code: int) -> None:
+        if code:
+            failed.append(f"{job.title} (exit code {code}, log in {job.log})")
+            print(f"{job.title}: failed", flush=True)
+        else:
+            print(f"{job.title}: finished", flush=True)
+            write_report(matrix.out, merged)  # at once: the machine may go before the matrix is complete
+
+    if jobs:
+        print(f"{len(cells)} cells, {len(cells) - len(jobs)} of them finished.", flush=True)
+        run_jobs(jobs, choose_devices(arguments.devices), started=started, done=done)
+    if len(failed) < len(jobs) or not jobs:
+        for table in write_report(matrix.out, merged):
+            print(f"\n{table.title}\n\n{table.markdown()}", end="")
+        print(f"\nResults in {matrix.out}: results.json, per_view.csv, tables.md, .csv, .tex and sheets/")
+    if failed:
+        message = f"{len(failed)} of {len(cells)} cells failed: {'; '.join(failed)}."
+        raise UserError(message, "The same command tries them again.")
+    return 0
+
+
+def _matrix(arguments: BenchmarkArguments) -> Matrix:
+    for name, least in (("max_steps", 1), ("data_factor", 1), ("save_every", 0), ("max_gaussians", 1)):
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            raise UserError(f"--{name.replace('_', '-')} must be at least {least}, found {value}.")
+    if not arguments.seeds or min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds):
+        raise UserError(f"--seeds must be different whole numbers from 0 on, found {list(arguments.seeds)}.")
+    return Matrix(
+        out=Path(arguments.out),
+        scenes=parse_scenes(arguments.scenes),
+        methods=parse_methods(arguments.methods),
+        seeds=arguments.seeds,
+        max_steps=arguments.max_steps,
+        save_every=arguments.save_every,
+        data_factor=arguments.data_factor,
+        max_gaussians=arguments.max_gaussians,
+        lpips_weights=arguments.lpips_weights,
+        keep_checkpoints=arguments.keep_checkpoints,
+    )

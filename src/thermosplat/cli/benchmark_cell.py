@@ -1,0 +1,60 @@
+"""The process in which thermosplat-benchmark makes one cell: python -m thermosplat.cli.benchmark_cell."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from thermosplat.cli.errors import INTERRUPTED, run_command
+from thermosplat.config_files import load_config
+from thermosplat.method_matrix.cells import Cell
+
+
+@dataclass(frozen=True)
+class CellArguments:
+    """Train and measure one cell of thermosplat-benchmark."""
+
+    folder: Path
+    """The cell's run folder, with its configuration in cell.yaml."""
+    scene: str
+    """The scene's name."""
+    method: str
+    """The method's name."""
+    seed: int
+    """Seed of the training."""
+    keep_checkpoint: bool = True
+    """Keep the last checkpoint."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        argv: Arguments without the program's name. None: the process's.
+
+    Returns:
+        The exit code.
+    """
+    arguments = tyro.cli(CellArguments, prog="benchmark_cell", args=sys.argv[1:] if argv is None else argv)
+    return run_command(lambda: _make(arguments), debug=False)
+
+
+def _make(arguments: CellArguments) -> int:
+    from thermosplat.cli.warp_start import start_warp
+    from thermosplat.method_matrix.cell_run import make_cell
+    from thermosplat.training.interruption import TrainingInterrupted
+
+    start_warp()
+    config = load_config(arguments.folder / "cell.yaml")
+    cell = Cell(arguments.scene, arguments.method, arguments.seed)
+    try:
+        make_cell(cell, config, arguments.folder, keep_checkpoint=arguments.keep_checkpoint)
+    except TrainingInterrupted as stop:
+        print(f"Interrupted; saved {stop.checkpoint}.")
+        return INTERRUPTED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

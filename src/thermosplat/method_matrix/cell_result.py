@@ -1,0 +1,115 @@
+"""What a finished cell says of itself: cell.json in its run folder."""
+
+import json
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from thermosplat.checkpoint import write_atomically
+from thermosplat.errors import UserError
+from thermosplat.method_matrix.cells import Cell
+
+FILE_NAME = "cell.json"
+FORMAT = 1
+
+Metrics = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """Quality and cost of one cell."""
+
+    scene: str
+    """The scene's name."""
+    method: str
+    """The method's name."""
+    seed: int
+    """Seed of the training."""
+    steps: int
+    """Training steps."""
+    rgb: Metrics | None
+    """"psnr" [dB], "ssim" and "lpips", means over the held-out views; None where RGB was not modelled."""
+    thermal: Metrics | None
+    """The same of the thermal images, and "mae_celsius" [°C]."""
+    num_gaussians: int
+    """Gaussians in all sets."""
+    model_bytes: int
+    """All parameters, Gaussians' and decoders', as they are trained (float32)."""
+    train_minutes: float
+    """Time in training steps [min]."""
+    peak_memory_bytes: int | None
+    """Most GPU memory that the last sitting of the training had allocated; None on the CPU."""
+    frames_per_second: float
+    """Held-out frames rendered a second, all modelled spectra of a frame together."""
+    device: str
+    """What it was trained and timed on."""
+    lpips_net: str | None
+    """Backbone and input scaling of LPIPS; None where it was not measured."""
+    settings: dict[str, Any]
+    """What was computed (``cells.settings``)."""
+    per_view: list[dict[str, Any]]
+    """Metrics of every held-out view: "frame", "modality" and the metrics."""
+
+    @property
+    def cell(self) -> Cell:
+        """Which cell this is."""
+        return Cell(self.scene, self.method, self.seed)
+
+
+def write_cell(folder: Path, result: CellResult) -> None:
+    """Write a cell's cell.json, atomically."""
+    write_json(folder / FILE_NAME, {"format": FORMAT, **asdict(result)})
+
+
+def read_cell(path: Path) -> CellResult:
+    """Read a cell.json.
+
+    Raises:
+        UserError: It is damaged or of another version.
+    """
+    return result_from(read_json(path), path)
+
+
+def result_from(values: Any, path: Path) -> CellResult:
+    """A cell's result from its JSON object.
+
+    Args:
+        values: The object.
+        path: The file it comes from, for the error message.
+
+    Raises:
+        UserError: Something is missing, or it is of another version.
+    """
+    names = {field.name for field in fields(CellResult)}
+    if not isinstance(values, dict) or values.get("format") != FORMAT or not names <= values.keys():
+        raise UserError(
+            f"{path} does not hold a cell's result as this version writes it.",
+            "Delete it; thermosplat-benchmark then makes that cell again.",
+        )
+    return CellResult(**{name: values[name] for name in names})
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        UserError: It cannot be read as JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path} cannot be read as JSON: {error}.", "Delete it, or restore it.") from error
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a JSON file, atomically."""
+    write_text(path, json.dumps(value, indent=2) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, atomically."""
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    write_atomically(path, write)

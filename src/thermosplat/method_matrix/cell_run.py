@@ -1,0 +1,92 @@
+"""Making one cell: train it, or go on with it, measure it, and say so in its cell.json."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import load_config
+from thermosplat.datasets import load_capture
+from thermosplat.method_matrix.cell_result import CellResult, write_cell
+from thermosplat.method_matrix.cells import Cell, difference, settings
+from thermosplat.method_matrix.panels import write_panels
+from thermosplat.method_matrix.render_speed import frames_per_second
+from thermosplat.run_directory import RunDirectory, checkpoint_step
+from thermosplat.training.trainer import Trainer
+
+
+def make_cell(cell: Cell, config: TrainConfig, folder: Path, *, keep_checkpoint: bool) -> CellResult:
+    """Train and measure a cell.
+
+    Args:
+        cell: Which cell.
+        config: Its configuration.
+        folder: Its run folder; an interrupted run in it with the same settings is gone on with.
+        keep_checkpoint: Keep the last checkpoint; the earlier ones go in any case.
+
+    Returns:
+        What was also written to cell.json.
+
+    Raises:
+        TrainingInterrupted: After Ctrl-C; a checkpoint was saved.
+        UserError: The capture or the configuration cannot be used.
+    """
+    trainer = _trainer(config, folder)
+    if trainer.device.type == "cuda":
+        torch.cuda.reset_peak_memory_stats(trainer.device)
+    metrics = trainer.train()
+    on_cuda = trainer.device.type == "cuda"
+    peak = torch.cuda.max_memory_allocated(trainer.device) if on_cuda else None
+    model, sh_degree = trainer.model.eval(), trainer.sh_degree
+    write_panels(folder, model, trainer.capture, sh_degree=sh_degree, device=trainer.device)
+    result = CellResult(
+        scene=cell.scene,
+        method=cell.method,
+        seed=cell.seed,
+        steps=metrics["steps"],
+        rgb=metrics["rgb"],
+        thermal=metrics["thermal"],
+        num_gaussians=metrics["num_gaussians"],
+        model_bytes=sum(parameter.numel() * parameter.element_size() for parameter in model.parameters()),
+        train_minutes=metrics["train_seconds"] / 60.0,
+        peak_memory_bytes=peak,
+        frames_per_second=frames_per_second(model, trainer.capture, sh_degree=sh_degree, device=trainer.device),
+        device=metrics["device"],
+        lpips_net=metrics["lpips_net"],
+        settings=settings(config),
+        per_view=_per_view(trainer.run.stats / "per_view.csv"),
+    )
+    write_cell(folder, result)  # from here on the cell is finished
+    _drop_checkpoints(trainer.run, keep_last=keep_checkpoint)
+    return result
+
+
+def _trainer(config: TrainConfig, folder: Path) -> Trainer:
+    capture = load_capture(
+        config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
+    )
+    config, run = replace(config, result_dir=str(folder), overwrite=False), RunDirectory(folder)
+    if run.latest_checkpoint() is not None and run.config_yaml.is_file():
+        before = load_config(run.config_yaml)
+        if not difference(settings(before), settings(config)):
+            return Trainer.resume(config, capture, run)
+    trainer = Trainer(config, capture, run)
+    RunDirectory.create(folder, overwrite=True)
+    return trainer
+
+
+def _per_view(path: Path) -> list[dict[str, Any]]:
+    """The rows of per_view.csv with numbers as numbers, empty cells as None."""
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    texts = ("frame", "modality")
+    return [{key: text if key in texts else float(text) if text else None for key, text in row.items()} for row in rows]
+
+
+def _drop_checkpoints(run: RunDirectory, *, keep_last: bool) -> None:
+    files = sorted(run.ckpts.glob("step_*.pt"), key=checkpoint_step)
+    for file in files[:-1] if keep_last else files:
+        file.unlink()

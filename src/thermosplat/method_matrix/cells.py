@@ -1,0 +1,141 @@
+"""Which cells a matrix has, and with which configuration each is trained. Imports nothing heavy."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import load_config, preset_paths, to_dict
+from thermosplat.errors import UserError
+
+REFERENCE_STEPS = 30_000
+"""The steps of ThermoSplat and of most methods, in proportion to which a shorter matrix shortens all of them."""
+
+_NOT_SETTINGS = (
+    *("data", "result_dir", "resume", "overwrite", "config", "device", "graph", "compile"),
+    *("eval_steps", "save_steps", "log_every", "tensorboard", "lpips_weights"),
+)
+"""Fields that say where and how a cell is computed, not what it computes."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A capture of the matrix."""
+
+    name: str
+    """What tables call it."""
+    data: str
+    """Its folder, or "sample"."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method on one scene with one seed."""
+
+    scene: str
+    """The scene's name."""
+    method: str
+    """The method's name: its preset, or its YAML file's stem."""
+    seed: int
+    """Seed of the training."""
+
+    def folder(self, out: Path) -> Path:
+        """The cell's run folder in a matrix's folder."""
+        return out / self.scene / self.method / f"seed_{self.seed}"
+
+    def __str__(self) -> str:
+        return f"{self.scene} / {self.method} / seed {self.seed}"
+
+
+def parse_scenes(words: Iterable[str]) -> list[Scene]:
+    """Scenes of a command line.
+
+    Args:
+        words: Folders, "sample", or NAME=FOLDER where the tables shall show another name than the folder's.
+
+    Raises:
+        UserError: A folder that is not there, or two scenes of one name.
+    """
+    scenes: list[Scene] = []
+    for word in words:
+        name, _, data = word.rpartition("=")
+        if data != "sample" and not Path(data).expanduser().is_dir():
+            raise UserError(f"There is no capture folder {data}.", "Give folders, or NAME=FOLDER.")
+        data = data if data == "sample" else str(Path(data).expanduser().resolve())
+        scenes.append(Scene(name or Path(data).name, data))
+    names = [scene.name for scene in scenes]
+    for name in names:
+        if names.count(name) > 1:
+            raise UserError(f"Two scenes are called {name}.", "Tell them apart: NAME=FOLDER.")
+    return scenes
+
+
+def parse_methods(words: Iterable[str]) -> dict[str, str]:
+    """Methods of a command line.
+
+    Args:
+        words: Presets, YAML files, or the folders of presets "baselines" and "ablations".
+
+    Returns:
+        Preset or file by the method's name, in the order asked for, each once.
+
+    Raises:
+        UserError: Neither.
+    """
+    presets = preset_paths()
+    methods: dict[str, str] = {}
+    for word in words:
+        group = {name: name for name, path in presets.items() if path.parent.name == word}
+        if not group:
+            load_config(word)  # or say what is wrong with it
+        methods |= group or {Path(word).stem if word not in presets else word: word}
+    return methods
+
+
+def cell_config(
+    preset: str, scene: Scene, seed: int, *, max_steps: int | None = None, save_every: int = 0, **changes: Any
+) -> TrainConfig:
+    """The configuration of a cell.
+
+    Args:
+        preset: The method's preset or YAML file.
+        scene: The scene.
+        seed: The seed.
+        max_steps: Steps of a method that has 30,000; others in proportion. None: as the method has it.
+        save_every: Steps between checkpoints; 0: only the last step's.
+        **changes: Other fields of the configuration, and ``max_gaussians``, the limit of its densification.
+    """
+    config = load_config(preset)
+    steps = config.max_steps if max_steps is None else max(1, round(config.max_steps * max_steps / REFERENCE_STEPS))
+    max_gaussians = changes.pop("max_gaussians", None)
+    if max_gaussians is not None:
+        changes["densification"] = replace(config.densification, max_gaussians=max_gaussians)
+    return replace(
+        config,
+        data=scene.data,
+        seed=seed,
+        max_steps=steps,
+        eval_steps=(),  # held-out views are looked at once, when nothing can follow from it any more
+        save_steps=tuple(range(save_every, steps, save_every)) if save_every > 0 else (),
+        tensorboard=False,
+        **changes,
+    )
+
+
+def settings(config: TrainConfig) -> dict[str, Any]:
+    """What a cell computes, as plain values: two cells with equal settings may stand for each other."""
+    return {name: value for name, value in to_dict(config).items() if name not in _NOT_SETTINGS}
+
+
+def difference(made: dict[str, Any], asked: dict[str, Any]) -> str:
+    """The first setting in which two differ, as text; empty where there is none."""
+    for name, value in asked.items():
+        then = made.get(name)
+        if isinstance(value, dict) and isinstance(then, dict):
+            inner = difference(then, value)
+            if inner:
+                return f"{name}.{inner}"
+        elif then != value:
+            return f"{name}={then}, now {value}"
+    return ""

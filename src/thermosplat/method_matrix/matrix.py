@@ -1,0 +1,85 @@
+"""A matrix on disk: which of its cells are finished, and the processes that make the others."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import to_yaml
+from thermosplat.errors import UserError
+from thermosplat.method_matrix.cell_result import FILE_NAME, read_cell, write_text
+from thermosplat.method_matrix.cells import Cell, Scene, cell_config, difference, settings
+from thermosplat.method_matrix.processes import Job, python_command
+
+CONFIG_FILE = "cell.yaml"
+LOG_FILE = "cell.log"
+CELL_MODULE = "thermosplat.cli.benchmark_cell"
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Methods times scenes times seeds, in a folder."""
+
+    out: Path
+    """The folder."""
+    scenes: Sequence[Scene]
+    """Captures."""
+    methods: Mapping[str, str]
+    """Preset or YAML file by the method's name."""
+    seeds: Sequence[int] = (42,)
+    """Seeds."""
+    max_steps: int | None = None
+    """Steps of a method that has 30,000, others in proportion."""
+    save_every: int = 0
+    """Steps between checkpoints; 0: only the last step's."""
+    data_factor: int = 1
+    """Divide the images' width and height by this."""
+    max_gaussians: int | None = None
+    """Growth of every set stops at this count."""
+    lpips_weights: str | None = None
+    """Backbone weights of LPIPS."""
+    keep_checkpoints: bool = True
+    """Keep the last checkpoint of a finished cell."""
+
+    def cells(self) -> list[Cell]:
+        """All cells, scene by scene, so that the tables are complete for some scenes early."""
+        return [
+            Cell(scene.name, method, seed) for seed in self.seeds for scene in self.scenes for method in self.methods
+        ]
+
+    def config(self, cell: Cell) -> TrainConfig:
+        """The configuration of a cell."""
+        return cell_config(
+            self.methods[cell.method],
+            next(scene for scene in self.scenes if scene.name == cell.scene),
+            cell.seed,
+            max_steps=self.max_steps,
+            save_every=self.save_every,
+            max_gaussians=self.max_gaussians,
+            data_factor=self.data_factor,
+            lpips_weights=self.lpips_weights,
+        )
+
+    def missing(self) -> list[Cell]:
+        """The cells that are not finished.
+
+        Raises:
+            UserError: If one is finished with other settings.
+        """
+        missing = []
+        for cell in self.cells():
+            path = cell.folder(self.out) / FILE_NAME
+            if not path.is_file():
+                missing.append(cell)
+            elif differing := difference(read_cell(path).settings, settings(self.config(cell))):
+                message = f"{cell} is finished in {path.parent} with {differing}."
+                raise UserError(message, "Give another --out, or delete that folder.")
+        return missing
+
+    def job(self, cell: Cell) -> Job:
+        """The process that makes a cell; writes the configuration that it reads."""
+        folder = cell.folder(self.out)
+        write_text(folder / CONFIG_FILE, to_yaml(self.config(cell)))
+        words = ["--folder", str(folder), "--scene", cell.scene, "--method", cell.method, "--seed", str(cell.seed)]
+        keep = "--keep-checkpoint" if self.keep_checkpoints else "--no-keep-checkpoint"
+        return Job(str(cell), python_command(CELL_MODULE, *words, keep), folder / LOG_FILE)

@@ -1,0 +1,140 @@
+"""The tables of ThermoSplat's paper from finished cells, with the paper's own numbers where the scenes are its own.
+
+A number is the mean over the seeds, with ± their standard deviation where there are several. A mean over scenes exists
+for a method that has them all.
+"""
+
+import statistics
+from collections.abc import Callable, Iterable, Sequence
+
+from thermosplat.config_files import preset_paths
+from thermosplat.datasets.capture import Modality
+from thermosplat.method_matrix.cell_result import CellResult
+from thermosplat.method_matrix.paper_numbers import paper_mean, paper_scene, paper_value
+from thermosplat.method_matrix.results import Results
+from thermosplat.method_matrix.tables import Table
+
+MODALITIES: tuple[Modality, ...] = ("rgb", "thermal")
+METRICS = {"psnr": ("PSNR", "{:.2f}"), "ssim": ("SSIM", "{:.3f}"), "lpips": ("LPIPS", "{:.3f}")}
+CELSIUS = {"mae_celsius": ("MAE [°C]", "{:.3f}")}
+FULL_METHOD = "thermosplat"
+
+
+def all_tables(results: Results) -> list[Table]:
+    """Table 1 (methods on scenes), table 2 (ablations) where there are any, and what the cells cost.
+
+    Args:
+        results: The finished cells, at least one.
+    """
+    ablations = [method for method in results.methods() if is_ablation(method)]
+    tables = [quality_table(results)]
+    if ablations:
+        methods = [method for method in (*ablations, FULL_METHOD) if method in results.methods()]
+        tables.append(ablation_table(results, methods))
+    return [*tables, cost_table(results)]
+
+
+def is_ablation(method: str) -> bool:
+    """Whether a method is one of the presets in configs/ablations."""
+    path = preset_paths().get(method)
+    return path is not None and path.parent.name == "ablations"
+
+
+def quality_table(results: Results) -> Table:
+    """Methods on scenes: PSNR, SSIM, LPIPS of both modalities, thermal error in °C: the paper's table 1."""
+    scenes = results.scenes()
+    methods = [method for method in results.methods() if not is_ablation(method)] or results.methods()
+    rows: list[tuple[str, ...]] = []
+    for modality in MODALITIES:
+        for metric, (label, form) in (METRICS | (CELSIUS if modality == "thermal" else {})).items():
+            for method in methods:
+                ours = [_values(results, scene, method, modality, metric) for scene in scenes]
+                if any(ours):
+                    entries = [_entry(values, form) for values in ours]
+                    rows.append((modality, label, method, *entries, _entry(_means(ours), form)))
+                paper = [paper_value(method, modality, metric, scene) for scene in scenes]
+                paper.append(paper_mean(method, modality, metric, scenes))
+                if any(value is not None for value in paper):
+                    rows.append((modality, label, f"{method} (paper)", *(_entry(_listed(v), form) for v in paper)))
+    title = f"Table 1. Held-out views, PSNR in dB.{_lpips_note(results)}{_paper_note(scenes)}"
+    return Table("table1", title, ("modality", "metric", "method", *scenes, "mean"), tuple(rows), labels=3)
+
+
+def ablation_table(results: Results, methods: Sequence[str]) -> Table:
+    """Means over the scenes of the full method and its ablations; the shape of the paper's table 2."""
+    scenes = results.scenes()
+    columns = [(modality, metric) for modality in MODALITIES for metric in METRICS]
+    rows: list[tuple[str, ...]] = []
+    for method in methods:
+        ours = [_means([_values(results, s, method, modality, metric) for s in scenes]) for modality, metric in columns]
+        rows.append((method, *(_entry(values, METRICS[metric][1]) for values, (_, metric) in zip(ours, columns))))
+        paper = [paper_mean(method, modality, metric, scenes) for modality, metric in columns]
+        if any(value is not None for value in paper):
+            texts = [_entry(_listed(value), METRICS[metric][1]) for value, (_, metric) in zip(paper, columns)]
+            rows.append((f"{method} (paper)", *texts))
+    headings = [f"{modality} {METRICS[metric][0]}" for modality, metric in columns]
+    title = f"Table 2. Ablations, means over {len(scenes)} scene{'s' if len(scenes) > 1 else ''}.{_lpips_note(results)}"
+    return Table("table2", title, ("method", *headings), tuple(rows))
+
+
+def cost_table(results: Results) -> Table:
+    """What every method took on every scene: Gaussians, bytes, minutes, memory, frames a second."""
+    columns: dict[str, tuple[Callable[[CellResult], float | None], str]] = {
+        "steps": (lambda cell: cell.steps, "{:,.0f}"),
+        "Gaussians": (lambda cell: cell.num_gaussians, "{:,.0f}"),
+        "model [MB]": (lambda cell: cell.model_bytes / 1e6, "{:.1f}"),
+        "training [min]": (lambda cell: cell.train_minutes, "{:.1f}"),
+        "peak memory [GiB]": (lambda cell: _gibibytes(cell.peak_memory_bytes), "{:.2f}"),
+        "frames / s": (lambda cell: cell.frames_per_second, "{:.1f}"),
+    }
+    rows: list[tuple[str, ...]] = []
+    for scene in results.scenes():
+        for method in results.methods():
+            cells = results.of(scene, method)
+            if cells:
+                texts = [_entry(_known(map(read, cells)), form) for read, form in columns.values()]
+                rows.append((scene, method, *texts, ", ".join(dict.fromkeys(cell.device for cell in cells))))
+    title = "Cost of training, and of rendering held-out frames in all their spectra."
+    return Table("cost", title, ("scene", "method", *columns, "device"), tuple(rows), labels=2)
+
+
+def _values(results: Results, scene: str, method: str, modality: Modality, metric: str) -> list[float]:
+    """A metric of every seed that has it."""
+    cells = results.of(scene, method)
+    return _known((getattr(cell, modality) or {}).get(metric) for cell in cells)
+
+
+def _means(by_scene: list[list[float]]) -> list[float]:
+    """Mean over the scenes for each seed; none where a scene lacks seeds that another has."""
+    counts = {len(values) for values in by_scene}
+    if len(counts) != 1 or not by_scene[0]:
+        return []
+    return [statistics.fmean(of_seed) for of_seed in zip(*by_scene)]
+
+
+def _entry(values: list[float], form: str) -> str:
+    if not values:
+        return "-"
+    text = form.format(statistics.fmean(values))
+    return text if len(values) < 2 else f"{text} ± {form.format(statistics.stdev(values))}"
+
+
+def _listed(value: float | None) -> list[float]:
+    return [] if value is None else [value]
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def _gibibytes(size: int | None) -> float | None:
+    return None if size is None else size / 2**30
+
+
+def _lpips_note(results: Results) -> str:
+    nets = list(dict.fromkeys(cell.lpips_net for cell in results.cells.values() if cell.lpips_net))
+    return f" {'; '.join(nets)}." if nets else ""
+
+
+def _paper_note(scenes: Sequence[str]) -> str:
+    return " (paper): as ThermoSplat's paper reports it." if any(paper_scene(scene) for scene in scenes) else ""

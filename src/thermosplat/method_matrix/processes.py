@@ -1,0 +1,147 @@
+"""Cells in processes of their own, one at a time on each device.
+
+A process a cell keeps them apart: what one leaves on the GPU, or breaks, is gone with it, and the peak of its memory is
+its own. Ctrl-C, or SIGTERM, is handed on to the processes; each saves a checkpoint, so that the same command goes on.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from thermosplat.errors import UserError
+
+POLL_SECONDS = 0.2
+
+
+@dataclass(frozen=True)
+class Job:
+    """One process to run."""
+
+    title: str
+    """What to call it."""
+    command: Sequence[str]
+    """Program and arguments."""
+    log: Path
+    """Where its output goes, at the end of what is there."""
+
+
+@dataclass(frozen=True)
+class _Running:
+    job: Job
+    process: "subprocess.Popen[bytes]"
+
+
+def choose_devices(asked: Sequence[str]) -> list[str]:
+    """The devices of a command line.
+
+    Args:
+        asked: "cpu", "cuda" or "cuda:<index>"; none: every CUDA device, or the CPU where there is none.
+
+    Raises:
+        UserError: A device that is not there, or is named twice.
+    """
+    if not asked:
+        import torch
+
+        return [f"cuda:{index}" for index in range(torch.cuda.device_count())] or ["cpu"]
+    from thermosplat.devices import choose_device
+
+    devices = [str(choose_device(name)) for name in asked]
+    if len(set(devices)) < len(devices):
+        raise UserError(f"--devices names a device twice: {' '.join(asked)}.", "Each takes one cell at a time.")
+    return devices
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    devices: Sequence[str],
+    *,
+    started: Callable[[Job, str], None],
+    done: Callable[[Job, str, int], None],
+) -> None:
+    """Run all jobs.
+
+    Args:
+        jobs: The jobs, in order.
+        devices: "cpu" or "cuda:<index>", each of which takes one job at a time.
+        started: Called with a job and its device when it starts.
+        done: Called with a finished job, its device and its exit code.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C or SIGTERM, when all processes have ended.
+    """
+    waiting, running = list(jobs), dict[str, _Running]()
+    with _terminated_like_interrupted():
+        try:
+            while waiting or running:
+                for device in devices:
+                    if device not in running and waiting:
+                        job = waiting.pop(0)
+                        running[device] = _start(job, device)
+                        started(job, device)
+                time.sleep(POLL_SECONDS)
+                for device, current in list(running.items()):
+                    code = current.process.poll()
+                    if code is not None:
+                        del running[device]
+                        done(current.job, device, code)
+        except BaseException:  # also an error in a callback: no process outlives this one
+            for current in running.values():
+                current.process.send_signal(signal.SIGINT)
+            for current in running.values():
+                current.process.wait()
+            raise
+
+
+def device_environment(device: str) -> dict[str, str]:
+    """Environment in which the given device is the only one.
+
+    Args:
+        device: "cpu" or "cuda:<index>"; the index counts among the devices that this process sees.
+    """
+    environment = dict(os.environ)
+    if device == "cpu":
+        environment["CUDA_VISIBLE_DEVICES"] = ""
+    else:
+        index = int(device.removeprefix("cuda:"))
+        seen = environment.get("CUDA_VISIBLE_DEVICES")
+        environment["CUDA_VISIBLE_DEVICES"] = seen.split(",")[index] if seen else str(index)
+    return environment
+
+
+def python_command(module: str, *arguments: str) -> list[str]:
+    """The command that runs a module of this installation."""
+    return [sys.executable, "-m", module, *arguments]
+
+
+def _start(job: Job, device: str) -> _Running:
+    job.log.parent.mkdir(parents=True, exist_ok=True)
+    with job.log.open("ab") as log:
+        process = subprocess.Popen(
+            job.command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=device_environment(device),
+            start_new_session=True,  # Ctrl-C reaches it once, from here
+        )
+    return _Running(job, process)
+
+
+@contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)

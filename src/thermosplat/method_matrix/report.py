@@ -1,0 +1,37 @@
+"""Everything that a matrix shows: results.json, tables, per-view numbers and comparison sheets."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from thermosplat.errors import UserError
+from thermosplat.method_matrix.paper_tables import all_tables
+from thermosplat.method_matrix.results import Results
+from thermosplat.method_matrix.sheets import write_sheets
+from thermosplat.method_matrix.tables import Table, write_tables
+
+
+def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:
+    """Write the report of all finished cells.
+
+    Args:
+        out: The matrix's folder; gets the files.
+        merged: Folders with cells that were made elsewhere.
+
+    Returns:
+        The tables.
+
+    Raises:
+        UserError: There is no finished cell, or what is there does not fit together.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    results = Results.collect(out, merged)
+    if not results.cells:
+        message = f"{out} has no finished cell yet."
+        raise UserError(message, "Name scenes to train: thermosplat-benchmark SCENES --out FOLDER.")
+    results.write(out)
+    tables = all_tables(results)
+    write_tables(out, tables)
+    for scene in results.scenes():
+        first_seed = {cell.method: folder for cell, folder in reversed(results.folders.items()) if cell.scene == scene}
+        write_sheets(out, scene, {method: first_seed[method] for method in results.methods() if method in first_seed})
+    return tables
