@@ -7,6 +7,7 @@ import pytest
 
 from thermosplat.config import TrainConfig
 from thermosplat.config_checks import check_config
+from thermosplat.config_files import load_config
 from thermosplat.errors import UserError
 
 
@@ -31,11 +32,17 @@ def changed(key: str, value: Any) -> TrainConfig:
         ("optimizer.decoders_lr_final", 0.0, "--optimizer.decoders-lr-final must be positive"),
         ("model.init_opacity", 1.0, "--model.init-opacity must lie between 0 and 1"),
         ("model.feature_dim", 2, "--model.feature-dim must be 0 or at least 4"),
-        ("model.feature_dim", 0, "render thermal images from their features"),
         ("model.gaussian_sets", "separate", "Separate Gaussians have no shared features"),
         ("background", (0.0, 2.0, 0.0), "--background must be three values between 0 and 1"),
         ("thermal.range_celsius", (30.0, 20.0), "--thermal.range-celsius must rise"),
         ("densification.max_gaussians", 0, "--densification.max-gaussians must be at least 1"),
+        ("densification.decompose_threshold", 2e-4, "needs a shared set with a thermal opacity of its own"),
+        ("densification.off_opacity", 0.01, "--densification.off-opacity must lie between 0 and 1/255"),
+        ("densification.keep_opacity", 2.0, "--densification.keep-opacity must lie between 0 and 1"),
+        ("schedule.thermal_from", 1.5, "--schedule.thermal-from must lie between 0 and 1"),
+        ("loss.balance", True, "--loss.balance is about two separate sets of Gaussians"),
+        ("model.thermal_start", "rgb", "--model.thermal-start is about two separate sets of Gaussians"),
+        ("decoder.branches", "separate", "leaves nothing to modulate one spectrum by the other with"),
     ],
 )
 def test_impossible_value_is_named(key: str, value: Any, expected: str) -> None:
@@ -50,6 +57,23 @@ def test_nothing_to_train() -> None:
     config = changed("model.rgb", False)
     with pytest.raises(UserError, match="both off"):
         check_config(replace(config, model=replace(config.model, thermal=False)))
+
+
+def test_schedule_must_leave_something_to_train() -> None:
+    """A gap between the spectra, or a schedule of two spectra where one is modelled, is refused."""
+    gap = changed("schedule.rgb_until", 0.3)
+    with pytest.raises(UserError, match="there is nothing to train on"):
+        check_config(replace(gap, schedule=replace(gap.schedule, thermal_from=0.6)))
+    thermal_alone = changed("model.rgb", False)
+    with pytest.raises(UserError, match="only one is modelled"):
+        check_config(replace(thermal_alone, schedule=replace(thermal_alone.schedule, thermal_from=0.5)))
+
+
+def test_decomposition_needs_directions() -> None:
+    """Absolute gradients have no direction in which the spectra could differ."""
+    config = load_config("mmone")
+    with pytest.raises(UserError, match="compares directions"):
+        check_config(replace(config, densification=replace(config.densification, absgrad=True)))
 
 
 def test_file_is_named_in_place_of_flags() -> None:

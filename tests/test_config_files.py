@@ -10,6 +10,9 @@ from thermosplat.config import TrainConfig
 from thermosplat.config_files import from_dict, list_presets, load_config, to_dict, to_yaml
 from thermosplat.errors import UserError
 
+BASELINES = {
+    *("3dgs", "thermalgaussian_mftg", "thermalgaussian_msmg", "thermalgaussian_ommg", "ms_splatting", "mmone"),
+}
 ABLATIONS = {
     "mlp_based": ("decoder", "modulation", False),
     "no_geometric_decoupling": ("model", "geometric_decoupling", False),
@@ -27,7 +30,7 @@ def write(folder: Path, text: str, name: str = "mine.yaml") -> Path:
 
 def test_presets_are_the_documented_ones() -> None:
     """Every preset of the documentation exists, and no other."""
-    assert set(list_presets()) == {"thermosplat", "demo", "3dgs", *ABLATIONS}
+    assert set(list_presets()) == {"thermosplat", "demo", *BASELINES, *ABLATIONS}
 
 
 @pytest.mark.parametrize("name", list_presets())

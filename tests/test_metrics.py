@@ -71,3 +71,18 @@ def test_mae_celsius_without_degrees() -> None:
     assert mae_celsius(intensity, intensity, ThermalScale("scalar", FLIR_IRON, None)) is None
     nothing = torch.full((2, 2), np.nan)
     assert mae_celsius(intensity, nothing, ThermalScale("scalar", FLIR_IRON, (0.0, 1.0))) is None
+
+
+def test_ssim_and_psnr_against_torchmetrics() -> None:
+    """The numbers of torchmetrics, which gsplat's trainer and MS-Splatting report, to 1e-5."""
+    functional = pytest.importorskip("torchmetrics.functional.image", reason="torchmetrics is not installed")
+    generator = torch.Generator().manual_seed(3)
+    for height, width, channels in ((40, 55, 3), (33, 21, 1)):
+        target = torch.rand(height, width, channels, generator=generator)
+        render = (target + 0.2 * torch.randn(target.shape, generator=generator)).clamp(0, 1)
+        pair = render.permute(2, 0, 1)[None], target.permute(2, 0, 1)[None]
+        theirs = functional.structural_similarity_index_measure(*pair, data_range=1.0).item()
+        assert ssim(render, target) == pytest.approx(theirs, abs=1e-5)
+        assert psnr(render, target) == pytest.approx(
+            functional.peak_signal_noise_ratio(*pair, data_range=1.0).item(), abs=1e-4
+        )

@@ -246,7 +246,15 @@ def test_densification_reads_gradients_of_means2d() -> None:
 
 
 @pytest.mark.parametrize(
-    "model_config", [{}, {"gaussian_sets": "separate", "feature_dim": 0}, {"thermal": False}, {"rgb": False}]
+    "model_config",
+    [
+        {},
+        {"gaussian_sets": "separate", "feature_dim": 0},
+        {"thermal": False},
+        {"rgb": False},
+        {"feature_dim": 0},
+        {"feature_dim": 0, "thermal_opacity": "own"},
+    ],
 )
 def test_checkpoint_restores_the_same_images(model_config: dict[str, Any]) -> None:
     """from_checkpoint of checkpoint_state renders the same, bit by bit, for every kind of model."""
@@ -277,7 +285,73 @@ def test_missing_spectrum_is_a_users_error() -> None:
         SceneModel.from_capture(toy_config(), toy_capture(thermal=False), "cpu")
 
 
-def test_shared_set_without_features_is_a_users_error() -> None:
-    """Two spectra from one set need features to tell them apart."""
-    with pytest.raises(UserError, match="feature-dim"):
-        SceneModel.from_capture(toy_config(feature_dim=0), toy_capture(), "cpu")
+SH_PER_SPECTRUM = [
+    {"geometric_decoupling": False},
+    {"geometric_decoupling": True},
+    {"thermal_opacity": "own"},
+]
+
+
+@pytest.mark.parametrize("opacity", SH_PER_SPECTRUM)
+def test_spherical_harmonics_of_either_spectrum_in_one_traversal(
+    opacity: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without features one set renders both spectra from SH of their own; one traversal or two calls are the same."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(feature_dim=0, **opacity), capture)
+    calls = count_calls(monkeypatch)
+    images, gradient_sets = [], []
+    for aligned in (True, False):
+        rendered = render(model, frame, aligned=aligned)
+        weights = torch.linspace(0, 1, rendered.rgb.numel()).view_as(rendered.rgb)
+        model.zero_grad()
+        ((rendered.rgb * weights).sum() + (rendered.thermal.square() * weights).sum()).backward()
+        images.append(rendered)
+        gradient_sets.append({name: p.grad.clone() for name, p in model.named_parameters()})
+    assert calls == ["rasterization_rgbt", "rasterization", "rasterization"]
+    assert [info["modality"] for info in images[1].infos["shared"]] == ["rgb", "thermal"]
+    for name in ("rgb", "thermal", "rgb_alpha", "thermal_alpha"):
+        torch.testing.assert_close(getattr(images[0], name), getattr(images[1], name), atol=2e-6, rtol=1e-5)
+    for name, gradient in gradient_sets[0].items():
+        torch.testing.assert_close(gradient, gradient_sets[1][name], atol=1e-4, rtol=1e-4)
+        assert gradient.any(), name
+    assert not torch.allclose(images[0].rgb, images[0].thermal)
+
+
+def test_own_thermal_opacity_is_left_alone_by_rgb() -> None:
+    """A stored offset moves with the visible opacity, a logit of its own does not."""
+    capture = toy_capture()
+    for kind, moves in (("offset", True), ("own", False)):
+        model = toy_model(toy_config(feature_dim=0, thermal_opacity=kind), capture)
+        gaussians = model.gaussians("shared")
+        before = gaussians.thermal_opacities.detach().clone()
+        with torch.no_grad():
+            gaussians.logit_opacities += 1.0
+        assert torch.equal(gaussians.thermal_opacities, before) is not moves
+
+
+def test_scalar_thermal_of_a_shared_set_stays_grey() -> None:
+    """One thermal channel from three SH channels that get the same gradient."""
+    capture = toy_capture(thermal_kind="scalar")
+    model = SceneModel.from_capture(toy_config(feature_dim=0), capture, "cpu")
+    rendered = render(model, toy_frame(capture))
+    assert rendered.thermal.shape == (18, 24, 1)
+    rendered.thermal.square().sum().backward()
+    gradient = model.gaussians("shared").thermal_sh0.grad
+    assert gradient.abs().max() > 0
+    torch.testing.assert_close(gradient, gradient[..., :1].expand(-1, -1, 3))
+
+
+@pytest.mark.parametrize("aligned", [True, False])
+def test_decoders_that_see_the_viewing_direction(aligned: bool) -> None:
+    """Separate decoders with directions render both spectra; directions change the image."""
+    capture = toy_capture(aligned=aligned)
+    frame = toy_frame(capture)
+    switches = {"branches": "separate", "modulation": False, "hybrid_rgb": False, "view_direction": True}
+    model = toy_model(toy_config(decoder=switches), capture)
+    rendered = render(model, frame)
+    assert rendered.rgb.shape == (18, 24, 3)
+    assert rendered.thermal.shape == (frame.thermal.height, frame.thermal.width, 3)
+    with torch.no_grad():
+        model.decoders.rgb_network[0].weight[:, 8:] = 0.0
+    assert not torch.allclose(render(model, frame).rgb, rendered.rgb, atol=1e-4)

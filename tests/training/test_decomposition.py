@@ -1,0 +1,134 @@
+"""Gaussians that the spectra pull apart are divided between them."""
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from thermosplat.config import DensificationConfig, OptimizerConfig
+from thermosplat.gaussians import Gaussians
+from thermosplat.training.decomposition import DecomposingStrategy
+from thermosplat.training.gaussian_ops import Optimizers
+from thermosplat.training.optimizers import gaussian_optimizers
+
+OFF = 0.003
+FINE = torch.zeros(())
+
+
+def two_opacity_gaussians(opacities: list[float], thermal_opacities: list[float]) -> Gaussians:
+    """Small Gaussians with these opacities."""
+    count = len(opacities)
+    generator = torch.Generator().manual_seed(0)
+    return Gaussians(
+        {
+            "means": torch.randn(count, 3, generator=generator),
+            "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+            "log_scales": torch.full((count, 3), -6.0),
+            "logit_opacities": torch.logit(torch.tensor(opacities)),
+            "logit_thermal_opacities": torch.logit(torch.tensor(thermal_opacities)),
+            "sh0": torch.rand(count, 1, 3, generator=generator),
+        }
+    )
+
+
+def strategy_of(gaussians: Gaussians, **config: Any) -> tuple[DecomposingStrategy, Optimizers]:
+    settings = {"grad_threshold": 2e-4, "decompose_threshold": 2e-4} | config
+    strategy = DecomposingStrategy(DensificationConfig(**settings), 3.0, len(gaussians), "cpu")
+    return strategy, gaussian_optimizers(gaussians, OptimizerConfig())
+
+
+def info(modality: str, gradients: list[list[float]], width: int = 40, height: int = 30) -> dict[str, Any]:
+    """What a call says, with a backward pass behind it; gradients in units of half the image."""
+    means2d = torch.zeros(1, len(gradients), 2, requires_grad=True)
+    means2d.grad = torch.tensor(gradients)[None] / torch.tensor([width / 2.0, height / 2.0])
+    radii = torch.ones(1, len(gradients), 2, dtype=torch.int32)
+    return {"means2d": means2d, "radii": radii, "width": width, "height": height, "modality": modality}
+
+
+def refine(strategy: DecomposingStrategy, gaussians: Gaussians, optimizers: Optimizers) -> None:
+    strategy.refine(gaussians, optimizers, 601, torch.Generator().manual_seed(0))
+
+
+def opacities(gaussians: Gaussians) -> Tensor:
+    return torch.stack([gaussians.opacities, gaussians.thermal_opacities], dim=-1).detach()
+
+
+def test_conflicting_gaussian_becomes_one_of_each() -> None:
+    """Pulled apart by more than the threshold: a visible one in place, a thermal one at the end, at the same mean."""
+    gaussians = two_opacity_gaussians([0.6, 0.7], [0.8, 0.9])
+    strategy, optimizers = strategy_of(gaussians)
+    mean = gaussians.means[0].detach().clone()
+    calm = [0.0, 1e-5]
+    strategy.observe([info("rgb", [[5e-4, 0.0], calm]), info("thermal", [[0.0, 4e-4], calm])], FINE)
+    refine(strategy, gaussians, optimizers)
+    torch.testing.assert_close(opacities(gaussians), torch.tensor([[0.6, OFF], [0.7, 0.9], [OFF, 0.8]]))
+    assert torch.equal(gaussians.means[2], mean)
+    assert strategy.gradient_sums.shape == (2, 3, 2)
+    assert not strategy.gradient_sums.any()
+
+
+@pytest.mark.parametrize(
+    ("rgb", "thermal", "divided"),
+    [
+        ([5e-4, 0.0], [0.0, 5e-4], True),
+        ([3e-4, 0.0], [3e-4, 0.0], False),  # both pull the same way: growth's business
+        ([3e-4, 0.0], [-3e-4, 0.0], False),  # as a sum they do not pull at all
+        ([1e-4, 0.0], [0.0, 1e-4], False),
+    ],
+)
+def test_what_counts_as_a_conflict(rgb: list[float], thermal: list[float], divided: bool) -> None:
+    """The difference and the sum of both mean gradients have to exceed the threshold."""
+    gaussians = two_opacity_gaussians([0.6], [0.8])
+    strategy, _ = strategy_of(gaussians)
+    for _ in range(2):  # means over views, not sums
+        strategy.observe([info("rgb", [rgb]), info("thermal", [thermal])], FINE)
+    assert strategy._conflicting(gaussians).tolist() == [divided]
+
+
+def test_gaussian_of_one_spectrum_is_not_divided_again() -> None:
+    """Only what both spectra see can be divided."""
+    gaussians = two_opacity_gaussians([0.6], [OFF])
+    strategy, _ = strategy_of(gaussians)
+    strategy.observe([info("rgb", [[9e-4, 0.0]]), info("thermal", [[0.0, 9e-4]])], FINE)
+    assert strategy._conflicting(gaussians).tolist() == [False]
+
+
+def test_blocked_steps_are_not_noted() -> None:
+    """A step whose gradients are not finite leaves the sums alone."""
+    gaussians = two_opacity_gaussians([0.6], [0.6])
+    strategy, _ = strategy_of(gaussians)
+    strategy.observe([info("rgb", [[float("nan"), 0.0]])], torch.ones(()))
+    assert not strategy.gradient_sums.any()
+    assert strategy.observations.tolist() == [0.0]
+
+
+def test_faint_in_one_spectrum_goes_unless_clear_in_the_other() -> None:
+    """MMOne's pruning: kept ones are switched off where they are faint."""
+    gaussians = two_opacity_gaussians([0.004, 0.004, 0.3, 0.9], [0.9, 0.3, 0.3, 0.002])
+    strategy, optimizers = strategy_of(gaussians)
+    refine(strategy, gaussians, optimizers)
+    torch.testing.assert_close(opacities(gaussians), torch.tensor([[OFF, 0.9], [0.3, 0.3], [0.9, OFF]]))
+
+
+def test_divided_gaussians_are_spared_once() -> None:
+    """Just divided they may be faint in either spectrum; at the next refinement they must have become clear in one."""
+    gaussians = two_opacity_gaussians([0.3, 0.3], [0.3, 0.3])
+    strategy, optimizers = strategy_of(gaussians)
+    growing = [9e-4, 0.0]  # the second grows meanwhile, which moves nobody's sparing to another
+    strategy.observe([info("rgb", [[5e-4, 0.0], growing]), info("thermal", [[0.0, 5e-4], growing])], FINE)
+    refine(strategy, gaussians, optimizers)
+    assert sorted(opacities(gaussians).amin(dim=-1).tolist()) == pytest.approx([OFF, OFF, 0.3, 0.3])
+    refine(strategy, gaussians, optimizers)
+    torch.testing.assert_close(opacities(gaussians), torch.full((2, 2), 0.3))
+
+
+def test_state_survives_a_checkpoint() -> None:
+    """The sums go into a checkpoint and come back."""
+    gaussians = two_opacity_gaussians([0.6], [0.8])
+    strategy, _ = strategy_of(gaussians)
+    strategy.observe([info("rgb", [[5e-4, 0.0]]), info("thermal", [[0.0, 4e-4]])], FINE)
+    other, _ = strategy_of(gaussians)
+    other.load_state_dict(strategy.state_dict())
+    assert torch.equal(other.gradient_sums, strategy.gradient_sums)
+    assert other._conflicting(gaussians).tolist() == [True]
