@@ -95,7 +95,11 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
 
     if jobs:
         print(f"{len(cells)} cells, {len(cells) - len(jobs)} of them finished.", flush=True)
-        run_jobs(jobs, choose_devices(arguments.devices), started=started, done=done)
+        try:
+            run_jobs(jobs, choose_devices(arguments.devices), started=started, done=done)
+        except KeyboardInterrupt:
+            print("Stopped; what was begun is saved. The same command goes on.", flush=True)
+            raise
     if len(failed) < len(jobs) or not jobs:
         for table in write_report(matrix.out, merged):
             print(f"\n{table.title}\n\n{table.markdown()}", end="")

@@ -1,5 +1,6 @@
 """Which cells a matrix has, and with which configuration each is trained. Imports nothing heavy."""
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -124,8 +125,9 @@ def cell_config(
 
 
 def settings(config: TrainConfig) -> dict[str, Any]:
-    """What a cell computes, as plain values: two cells with equal settings may stand for each other."""
-    return {name: value for name, value in to_dict(config).items() if name not in _NOT_SETTINGS}
+    """What a cell computes, as JSON has it: two cells with equal settings may stand for each other."""
+    values = {name: value for name, value in to_dict(config).items() if name not in _NOT_SETTINGS}
+    return json.loads(json.dumps(values))  # tuples become lists, as in a file
 
 
 def difference(made: dict[str, Any], asked: dict[str, Any]) -> str:

@@ -1,0 +1,62 @@
+"""One cell, from its configuration to its cell.json."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from thermosplat.config import TrainConfig
+from thermosplat.method_matrix.cell_result import FILE_NAME, read_cell
+from thermosplat.method_matrix.cell_run import make_cell
+from thermosplat.method_matrix.cells import Cell, Scene, cell_config
+from thermosplat.method_matrix.panels import read_panels
+from thermosplat.training.interruption import TrainingInterrupted
+from thermosplat.training.trainer import Trainer
+
+CELL = Cell("sample", "mmone", 42)
+
+
+def quick_config(steps: int = 4) -> TrainConfig:
+    return cell_config("mmone", Scene("sample", "sample"), 42, max_steps=steps, data_factor=4, device="cpu")
+
+
+def test_finished_cell_says_everything(tmp_path: Path) -> None:
+    """Quality, cost, per-view numbers and pictures; the file is what was returned; checkpoints as asked for."""
+    result = make_cell(CELL, quick_config(), tmp_path, keep_checkpoint=False)
+    assert read_cell(tmp_path / FILE_NAME) == result
+    assert result.cell == CELL
+    assert result.rgb is not None
+    assert result.thermal is not None
+    assert result.rgb["psnr"] > 5
+    assert result.thermal["mae_celsius"] > 0
+    assert result.model_bytes == result.num_gaussians * 4 * (3 + 4 + 3 + 1 + 1 + 2 * 3 * 16)
+    assert result.frames_per_second > 0
+    assert result.peak_memory_bytes is None
+    rgb = [row["psnr"] for row in result.per_view if row["modality"] == "rgb"]
+    assert sum(rgb) / len(rgb) == pytest.approx(result.rgb["psnr"])
+    assert len(read_panels(tmp_path)) == 6
+    assert not list((tmp_path / "ckpts").iterdir())
+
+
+def test_interrupted_cell_is_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After Ctrl-C the same call does the rest only; another configuration starts again."""
+    whole_step = Trainer._train_step
+    done: list[int] = []
+
+    def step(trainer: Trainer) -> None:
+        if trainer.step == 2 and done == [0, 1]:
+            done.clear()
+            raise KeyboardInterrupt
+        done.append(trainer.step)
+        whole_step(trainer)
+
+    monkeypatch.setattr(Trainer, "_train_step", step)
+    with pytest.raises(TrainingInterrupted):
+        make_cell(CELL, quick_config(), tmp_path, keep_checkpoint=True)
+    assert not (tmp_path / FILE_NAME).exists()
+    assert make_cell(CELL, quick_config(), tmp_path, keep_checkpoint=True).steps == 4
+    assert done == [2, 3]
+    assert [path.name for path in (tmp_path / "ckpts").iterdir()] == ["step_000004.pt"]
+    done.clear()
+    make_cell(CELL, dataclasses.replace(quick_config(2), seed=1), tmp_path, keep_checkpoint=True)
+    assert done == [0, 1]

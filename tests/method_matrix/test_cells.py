@@ -1,0 +1,71 @@
+"""Which cells there are, and what each is configured to do."""
+
+from pathlib import Path
+
+import pytest
+
+from thermosplat.config_files import load_config, preset_paths
+from thermosplat.errors import UserError
+from thermosplat.method_matrix.cells import Cell, Scene, cell_config, difference, parse_methods, parse_scenes, settings
+
+SAMPLE = Scene("sample", "sample")
+
+
+def test_scenes_of_a_command_line(tmp_path: Path) -> None:
+    """Folders go by their names or by those they are given."""
+    (tmp_path / "shed").mkdir()
+    scenes = parse_scenes(["sample", str(tmp_path / "shed"), f"barn={tmp_path / 'shed'}"])
+    assert [scene.name for scene in scenes] == ["sample", "shed", "barn"]
+    assert scenes[1].data == scenes[2].data == str((tmp_path / "shed").resolve())
+
+
+def test_wrong_scenes_are_users_errors(tmp_path: Path) -> None:
+    """A folder that is not there, and two scenes of one name."""
+    with pytest.raises(UserError, match="no capture folder nowhere"):
+        parse_scenes(["nowhere"])
+    with pytest.raises(UserError, match="Two scenes are called a"):
+        parse_scenes([f"a={tmp_path}", "a=sample"])
+
+
+def test_methods_of_a_command_line(tmp_path: Path) -> None:
+    """Groups are their folders' presets, files go by their stems, and everything comes once."""
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("base: mmone\n")
+    methods = parse_methods(["baselines", "thermosplat", "3dgs", str(mine)])
+    group = {name for name, path in preset_paths().items() if path.parent.name == "baselines"}
+    assert set(methods) == group | {"thermosplat", "mine"}
+    assert methods["mine"] == str(mine)
+    with pytest.raises(UserError, match='did you mean "mmone"'):
+        parse_methods(["mmon"])
+
+
+def test_shorter_matrix_keeps_proportions() -> None:
+    """A method of 60,000 steps gets twice the steps of one of 30,000, and its phases move along."""
+    short = {name: cell_config(name, SAMPLE, 1, max_steps=300) for name in ("3dgs", "thermalgaussian_mftg")}
+    assert [config.max_steps for config in short.values()] == [300, 600]
+    assert short["thermalgaussian_mftg"].schedule.thermal_from == 0.5
+    assert cell_config("thermalgaussian_mftg", SAMPLE, 1).max_steps == 60_000
+
+
+def test_held_out_views_are_left_to_the_end() -> None:
+    """No evaluation on the way; checkpoints as asked for; the other settings are the preset's."""
+    config = cell_config("mmone", SAMPLE, 7, max_steps=100, save_every=40, max_gaussians=500, data_factor=2)
+    assert (config.eval_steps, config.save_steps) == ((), (40, 80))
+    assert (config.seed, config.data, config.data_factor) == (7, "sample", 2)
+    assert config.densification.max_gaussians == 500
+    assert config.loss == load_config("mmone").loss
+
+
+def test_settings_are_what_is_computed() -> None:
+    """Where and how a cell is computed does not make it another one; what is computed does, and is named."""
+    config = cell_config("mmone", SAMPLE, 7, max_steps=100)
+    elsewhere = cell_config("mmone", Scene("sample", "/elsewhere"), 7, max_steps=100, save_every=5, device="cpu")
+    assert difference(settings(config), settings(elsewhere)) == ""
+    longer = cell_config("mmone", SAMPLE, 7, max_steps=200)
+    assert difference(settings(config), settings(longer)) == "max_steps=100, now 200"
+    assert difference(settings(config), settings(cell_config("3dgs", SAMPLE, 7, max_steps=100))).startswith("model.")
+
+
+def test_folder_of_a_cell() -> None:
+    """Scene, method and seed find the run."""
+    assert Cell("lab", "mmone", 3).folder(Path("out")) == Path("out/lab/mmone/seed_3")

@@ -1,0 +1,82 @@
+"""Jobs run one at a time on each device, and none outlives its parent."""
+
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from thermosplat.errors import UserError
+from thermosplat.method_matrix.processes import Job, choose_devices, device_environment, run_jobs
+
+SAYS_DEVICE = "import os, sys; print('device', os.environ['CUDA_VISIBLE_DEVICES']); sys.exit({code})"
+SLEEPS = """
+import sys, time
+try:
+    print('sleeping', flush=True)
+    time.sleep(60)
+except KeyboardInterrupt:
+    print('saved')
+    sys.exit(130)
+"""
+
+
+def job(tmp_path: Path, name: str, code: str) -> Job:
+    return Job(name, [sys.executable, "-c", code], tmp_path / f"{name}.log")
+
+
+def test_jobs_are_dealt_to_the_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every job runs once, sees its own device alone, and its output and exit code arrive."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "6,7")
+    jobs = [job(tmp_path, f"job{index}", SAYS_DEVICE.format(code=index % 2)) for index in range(4)]
+    begun, ended = [], {}
+    run_jobs(
+        jobs,
+        ["cuda:0", "cuda:1"],
+        started=lambda job, device: begun.append((job.title, device)),
+        done=lambda job, device, code: ended.update({job.title: (device, code)}),
+    )
+    assert [title for title, _ in begun] == ["job0", "job1", "job2", "job3"]
+    assert {device for _, device in begun} == {"cuda:0", "cuda:1"}
+    assert {title: code for title, (_, code) in ended.items()} == {"job0": 0, "job1": 1, "job2": 0, "job3": 1}
+    for title, (device, _) in ended.items():
+        expected = {"cuda:0": "6", "cuda:1": "7"}[device]
+        assert (tmp_path / f"{title}.log").read_text() == f"device {expected}\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_reaches_the_jobs_and_waits_for_them(tmp_path: Path, number: signal.Signals) -> None:
+    """Ctrl-C and SIGTERM let every process save before this one ends; nothing new is started."""
+    jobs = [job(tmp_path, "first", SLEEPS), job(tmp_path, "second", SLEEPS)]
+
+    def interrupt_when_both_sleep() -> None:
+        while not all(j.log.is_file() and "sleeping" in j.log.read_text() for j in jobs):
+            time.sleep(0.05)
+        os.kill(os.getpid(), number)
+
+    watcher = threading.Thread(target=interrupt_when_both_sleep, daemon=True)
+    watcher.start()
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(jobs, ["cpu", "cuda:0"], started=lambda *_: None, done=lambda *_: None)
+    watcher.join()
+    assert all("saved" in job.log.read_text() for job in jobs)
+
+
+def test_environment_of_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A GPU's index counts among the visible ones; on the CPU none is visible."""
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    assert device_environment("cuda:3")["CUDA_VISIBLE_DEVICES"] == "3"
+    assert device_environment("cpu")["CUDA_VISIBLE_DEVICES"] == ""
+
+
+def test_devices_of_a_command_line() -> None:
+    """The CPU by name; twice the same, or one that is not there, is a user's error."""
+    assert choose_devices(["cpu"]) == ["cpu"]
+    assert choose_devices([])
+    with pytest.raises(UserError, match="twice"):
+        choose_devices(["cpu", "cpu"])
+    with pytest.raises(UserError, match="cuda:99"):
+        choose_devices(["cuda:99"])

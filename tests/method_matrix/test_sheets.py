@@ -1,0 +1,62 @@
+"""Comparison sheets from the pictures that cells keep."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from thermosplat.image_display import Image8, read_png
+from thermosplat.method_matrix.panels import read_panels, shown_frames, write_panels
+from thermosplat.method_matrix.sheets import PANEL_WIDTH, write_sheets
+from thermosplat.model import SceneModel
+from toy_scene import toy_capture, toy_config, toy_model
+
+
+def toy_panels(folder: Path, **config: bool) -> SceneModel:
+    capture = toy_capture()
+    model = toy_model(toy_config(**config), capture)
+    held_out = type(capture)(**{**capture.__dict__, "test": capture.train})
+    write_panels(folder, model, held_out, sh_degree=1, device="cpu")
+    return model
+
+
+def columns_that_show_something(image: Image8) -> np.ndarray:
+    return image.reshape(image.shape[0], -1, 3).any(axis=(0, 2))
+
+
+def test_panels_come_back(tmp_path: Path) -> None:
+    """Truth, render, error and score of each modality of the kept frame."""
+    toy_panels(tmp_path)
+    panels = read_panels(tmp_path)
+    assert set(panels) == {("a", "rgb"), ("a", "thermal")}
+    truth = toy_capture().train[0].rgb
+    assert truth is not None
+    assert np.array_equal(panels["a", "rgb"].truth, truth.image)
+    assert panels["a", "rgb"].render.shape == panels["a", "rgb"].error.shape == (18, 24, 3)
+    assert panels["a", "thermal"].score.endswith(" dB")
+    assert read_panels(tmp_path / "nowhere") == {}
+
+
+def test_sheet_has_a_row_a_method(tmp_path: Path) -> None:
+    """Ground truth, then each method, both modalities beside each other; an absent modality stays black."""
+    torch.manual_seed(0)
+    toy_panels(tmp_path / "full")
+    toy_panels(tmp_path / "rgb_only", thermal=False)
+    written = write_sheets(tmp_path, "lab", {"full": tmp_path / "full", "rgb_only": tmp_path / "rgb_only"})
+    assert [path.name for path in written] == ["lab_a.png"]
+    sheet = read_png(written[0])
+    assert sheet is not None
+    panel_height = 20 + round(18 * PANEL_WIDTH / 24)
+    assert sheet.shape == (3 * panel_height + 2 * 4, 4 * PANEL_WIDTH + 3 * 4, 3)
+    last_row = sheet[-panel_height:]
+    shows = columns_that_show_something(last_row)
+    assert shows[:PANEL_WIDTH].any()
+    assert not shows[2 * PANEL_WIDTH + 8 :].any()
+
+
+def test_first_middle_and_last_frame_are_shown() -> None:
+    """The choice depends on the number of frames alone."""
+    (frame,) = toy_capture().train
+    frames = [type(frame)(str(index), frame.rgb, frame.thermal) for index in range(10)]
+    assert [shown.name for shown in shown_frames(frames)] == ["0", "4", "9"]
+    assert shown_frames(frames[:2]) == frames[:2]
