@@ -201,7 +201,7 @@ class TrainConfig:
     data: str = ""
     """Folder of the capture, or "sample" for the small one that comes with the package."""
     config: str = "thermosplat"
-    """Preset (thermosplat, demo, 3dgs, or an ablation's name) or YAML file that the other values start from."""
+    """Preset (thermosplat, demo, a baseline's or an ablation's name) or YAML file that the other values start from."""
     result_dir: str | None = None
     """Where everything the run makes goes. None: results/<capture's name>/<config's name>."""
     max_steps: int = 30_000

@@ -18,6 +18,7 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "shared": ({}, {}),
     "shared, two cameras": ({}, {"aligned": False}),
     "separate, scalar thermal": (SEPARATE, {"thermal_kind": "scalar"}),
+    "shared, spherical harmonics of either spectrum": ({"feature_dim": 0, "thermal_opacity": "own"}, {}),
 }
 
 

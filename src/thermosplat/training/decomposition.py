@@ -51,9 +51,10 @@ class DecomposingStrategy(DefaultStrategy):
             gradient = info["means2d"].grad
             if gradient is None:  # nothing of this call reached the loss
                 continue
-            half_size = gradient.new_tensor([info["width"] / 2.0, info["height"] / 2.0])
+            # one axis after the other: a captured step cannot make a tensor of two numbers from the host
+            axes = [gradient[..., axis] * (info[side] / 2.0) for axis, side in enumerate(("width", "height"))]
             seen = (info["radii"] > 0).all(dim=-1).reshape(-1)
-            vectors = torch.where(seen[:, None], gradient.reshape(-1, 2) * half_size, 0.0)
+            vectors = torch.where(seen[:, None], torch.stack(axes, dim=-1).reshape(-1, 2), 0.0)
             self.gradient_sums[_MODALITIES.index(info["modality"])] += torch.where(finite, vectors, 0.0)
             total += vectors
             visible = torch.maximum(visible, seen.to(visible.dtype))
