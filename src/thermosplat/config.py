@@ -40,6 +40,10 @@ class DecoderConfig:
     """Feature-wise modulation of the RGB branch by the thermal prior. Off: plain heads (ablation "MLP-based")."""
     hybrid_rgb: bool = True
     """RGB is the SH render plus the decoded part. Off: the decoded part alone (ablation "w/o hybrid RGB")."""
+    covered_only: bool = True
+    """Multiply decoded images by the accumulated opacity, so that the background shows where no Gaussian is, as in
+    3DGS. Off: there the networks' answer to zero features shows, which nothing has taught them where the training
+    views did not look. Open choice."""
     rgb_head_bias: float = -4.0
     """Initial bias of the RGB head, so that the hybrid sum starts at the SH colour: sigmoid(-4) = 0.018. Open choice.
     Ignored (0) without the hybrid sum."""

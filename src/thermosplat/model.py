@@ -124,7 +124,7 @@ class SceneModel(nn.Module):
             features, alpha, info = self._rasterize(
                 gaussians, gaussians.features, gaussians.thermal_opacities, thermal, None, absgrad
             )
-            rendered.thermal, rendered.thermal_alpha = self.decoders.thermal(features), alpha
+            rendered.thermal, rendered.thermal_alpha = self._covered(self.decoders.thermal(features), alpha), alpha
             rendered.thermal_features = features
             rendered.infos["shared"].append(info)
         return rendered
@@ -159,11 +159,22 @@ class SceneModel(nn.Module):
         if with_thermal:
             rendered.thermal_features = output.render_thermal_features[0]
             rendered.thermal_alpha = output.render_thermal_alphas[0]
-            decoded, rendered.thermal = decoders.both(visible_features, rendered.thermal_features)
+            decoded, thermal = decoders.both(visible_features, rendered.thermal_features)
+            rendered.thermal = self._covered(thermal, rendered.thermal_alpha)
         else:
             decoded = decoders.rgb(visible_features)
-        rendered.rgb = output.render_colors[0] + decoded if self.decoder_config.hybrid_rgb else decoded
+        if self.decoder_config.hybrid_rgb:
+            rendered.rgb = output.render_colors[0] + self._covered(decoded, output.render_alphas[0])
+        else:
+            rendered.rgb = self._covered(decoded, output.render_alphas[0], self.background)
         return rendered
+
+    def _covered(self, decoded: Tensor, alpha: Tensor, behind: Tensor | None = None) -> Tensor:
+        """A decoded image as far as Gaussians cover it; elsewhere ``behind``, or black: also the coldest temperature."""
+        if not self.decoder_config.covered_only:
+            return decoded
+        covered = alpha * decoded
+        return covered if behind is None else covered + (1.0 - alpha) * behind
 
     def _render_sh(
         self, rgb: "ViewTensors | None", thermal: "ViewTensors | None", sh_degree: int, absgrad: bool
