@@ -29,7 +29,7 @@ def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[Rasteriz
         calls.append(1)
         return torch.tensor([5, 7])
 
-    info = RasterizationInfo({"width": 23}, compute)
+    info = RasterizationInfo({"width": 23}, {"isect_ids": compute})
     assert (info["width"], info.get("width"), info.get("height", 18)) == (23, 23, 18)
     assert set(info) == {"width", "isect_ids"}
     assert not calls
@@ -40,7 +40,7 @@ def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[Rasteriz
 
 def test_missing_keys() -> None:
     """As in any dict."""
-    info = RasterizationInfo({}, lambda: torch.empty(0))
+    info = RasterizationInfo({}, {"isect_ids": lambda: torch.empty(0)})
     with pytest.raises(KeyError, match="means3d"):
         info["means3d"]
     assert info.get("means3d") is None

@@ -25,7 +25,7 @@ def sh_colors(
     Args:
         degree: 0 to 3.
         means: vec3 [scenes · N]. Receives a gradient.
-        camera_positions: vec3 [images], world units. Receives a gradient.
+        camera_positions: vec3d [images], world units, float64 whatever the means are. Receives a gradient.
         coefficients: vec3 [scenes · N, K], or [images · N, K] for coefficients of their own per image; K at least
             (degree + 1)². Receives a gradient.
         radii: vec2i [images · N] from the projection.
@@ -52,7 +52,7 @@ def sh_colors(
         )
         if camera_positions.grad is not None:
             wp.launch(
-                camera_position_adjoint_kernel(dtype),
+                camera_position_adjoint_kernel,
                 dim=len(camera_positions),
                 inputs=[strand_sums(v_offsets, len(camera_positions)), camera_positions.grad],
                 device=device,

@@ -14,7 +14,7 @@ from typing import Literal
 
 import warp as wp
 
-from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, FOV_MARGIN
+from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN, FOV_MARGIN
 from warp_kernels.rotation import rotation_functions
 
 CameraModel = Literal["pinhole", "ortho"]
@@ -29,12 +29,32 @@ def projection_functions(dtype: type, camera_model: CameraModel):
         camera_model: "pinhole" or "ortho".
 
     Returns:
-        ``(jacobian, project_mean)``, Warp functions.
+        ``(camera_position, jacobian, project_mean, fov_limits)``, Warp functions.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     mat23, mat33 = wp.types.matrix((2, 3), dtype), wp.types.matrix((3, 3), dtype)
+    mat44 = wp.types.matrix((4, 4), dtype)
     zero, half, margin = dtype(0.0), dtype(0.5), dtype(FOV_MARGIN)
     pinhole = camera_model == "pinhole"
+
+    @wp.func
+    def camera_position(view: mat44, mean: vec3):
+        """p = R m + t in float64: far from the origin the terms are large and cancel."""
+        x, y, z = wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2])
+        return wp.vec3d(
+            wp.float64(view[0, 0]) * x
+            + wp.float64(view[0, 1]) * y
+            + wp.float64(view[0, 2]) * z
+            + wp.float64(view[0, 3]),
+            wp.float64(view[1, 0]) * x
+            + wp.float64(view[1, 1]) * y
+            + wp.float64(view[1, 2]) * z
+            + wp.float64(view[1, 3]),
+            wp.float64(view[2, 0]) * x
+            + wp.float64(view[2, 1]) * y
+            + wp.float64(view[2, 2]) * z
+            + wp.float64(view[2, 3]),
+        )
 
     @wp.func
     def fov_limits(focal: dtype, center: dtype, size: dtype):
@@ -61,13 +81,16 @@ def projection_functions(dtype: type, camera_model: CameraModel):
         return mat23(K[0, 0], zero, zero, zero, K[1, 1], zero)
 
     @wp.func
-    def project_mean(p: vec3, K: mat33):
-        """Image position [px] of a camera-space point."""
+    def project_mean(p: wp.vec3d, K: mat33):
+        """Image position [px] of a camera-space point, rounded once: errors here move the whole Gaussian."""
+        rz = wp.float64(1.0)
         if wp.static(pinhole):
-            return vec2(K[0, 0] * p[0] / p[2] + K[0, 2], K[1, 1] * p[1] / p[2] + K[1, 2])
-        return vec2(K[0, 0] * p[0] + K[0, 2], K[1, 1] * p[1] + K[1, 2])
+            rz = rz / p[2]
+        u = wp.float64(K[0, 0]) * p[0] * rz + wp.float64(K[0, 2])
+        v = wp.float64(K[1, 1]) * p[1] * rz + wp.float64(K[1, 2])
+        return vec2(dtype(u), dtype(v))
 
-    return jacobian, project_mean, fov_limits
+    return camera_position, jacobian, project_mean, fov_limits
 
 
 @functools.cache
@@ -120,11 +143,12 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     vec6 = wp.types.vector(6, dtype)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     normalize, _, to_matrix, _ = rotation_functions(dtype)
-    jacobian, project_mean, _ = projection_functions(dtype, camera_model)
+    camera_position, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, two = dtype(0.0), dtype(2.0)
-    alpha_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MAX)
+    alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
     largest_radius = dtype(1.0e9)  # fits an int32
+    sharpest = dtype(1.0e30 if dtype is wp.float32 else 1.0e300)  # times pixels squared stays finite
 
     @wp.kernel(
         name=f"project_{camera_model}_{'covars' if from_covars else 'quats'}_{dtype.__name__}",
@@ -177,7 +201,8 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
             view[1, 0], view[1, 1], view[1, 2],
             view[2, 0], view[2, 1], view[2, 2],
         )  # fmt: skip
-        p = R * means[gaussian] + vec3(view[0, 3], view[1, 3], view[2, 3])
+        exact = camera_position(view, means[gaussian])
+        p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
         # Written so that NaN is culled too. Positions are tested before anything divides by the depth.
         if not (p[2] >= near_plane and p[2] <= far_plane):
             return
@@ -200,8 +225,11 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
         xx = xx + eps2d
         yy = yy + eps2d
-        mean2d = project_mean(p, K)
-        if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d[0]) and wp.isfinite(mean2d[1])):
+        mean2d = project_mean(exact, K)
+        if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d)):
+            return
+        conic = vec3(yy / det_blurred, -xy / det_blurred, xx / det_blurred)
+        if not conic[0] + conic[2] <= sharpest:
             return
         compensation = dtype(1.0)
         if antialiased:
@@ -211,7 +239,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         opacity = wp.max(opacities[gaussian], thermal_opacities[gaussian]) * compensation
         if not (wp.isfinite(opacities[gaussian] + thermal_opacities[gaussian]) and opacity >= alpha_min):
             return
-        extent = wp.min(extent_max, wp.sqrt(two * wp.log(opacity / alpha_min)))
+        extent = wp.clamp(wp.sqrt(two * wp.log(opacity / alpha_min)), extent_min, extent_max)
         ex = extent * wp.sqrt(xx)
         ey = extent * wp.sqrt(yy)
         rx = wp.min(wp.ceil(ex), largest_radius)
@@ -225,7 +253,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
 
         means2d[index] = mean2d
         depths[index] = p[2]
-        conics[index] = vec3(yy / det_blurred, -xy / det_blurred, xx / det_blurred)
+        conics[index] = conic
         compensations[index] = compensation
         radii[index] = wp.vec2i(int(rx), int(ry))
         extents[index] = vec2(ex, ey)

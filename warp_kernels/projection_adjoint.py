@@ -36,7 +36,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
     vec6, record = wp.types.vector(6, dtype), wp.types.vector(CAMERA_RECORD, dtype)
     mat23, mat33, mat44 = (wp.types.matrix(shape, dtype) for shape in ((2, 3), (3, 3), (4, 4)))
     normalize, inverse_norm, to_matrix, matrix_adjoint = rotation_functions(dtype)
-    jacobian, _, fov_limits = projection_functions(dtype, camera_model)
+    camera_position, jacobian, _, fov_limits = projection_functions(dtype, camera_model)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
     pinhole = camera_model == "pinhole"
@@ -101,6 +101,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         back = wp.transpose(rotation)
 
         seen = bool(False)
+        given = bool(True)
         g_mean = vec3()
         g_scale = vec3()
         g_rotation = mat33()
@@ -117,7 +118,8 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                     view[1, 0], view[1, 1], view[1, 2],
                     view[2, 0], view[2, 1], view[2, 2],
                 )  # fmt: skip
-                p = R * mean + vec3(view[0, 3], view[1, 3], view[2, 3])
+                exact = camera_position(view, mean)
+                p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
                 J = jacobian(p, K, width, height)
                 M = J * R
                 m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
@@ -126,6 +128,9 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 # conic -> covariance: V_cov = -Q V_Q Q, with the off-diagonal gradient shared by both entries
                 Q = conics[index]
                 v_Q = v_conics[index]
+                finite = wp.isfinite(v_Q) and wp.isfinite(v_means2d[index]) and wp.isfinite(v_depths[index])
+                finite = finite and wp.isfinite(v_compensations[index])
+                given = given and finite
                 off = half * v_Q[1]
                 r00 = v_Q[0] * Q[0] + off * Q[1]
                 r01 = v_Q[0] * Q[1] + off * Q[2]
@@ -230,13 +235,16 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 g_mean = g_mean + wp.transpose(R) * v_p
                 if wp.static(to_cameras):
                     v_R = v_R + wp.outer(v_p, mean)
-                    v_cameras[index] = record(
+                    G = record(
                         v_R[0, 0], v_R[0, 1], v_R[0, 2],
                         v_R[1, 0], v_R[1, 1], v_R[1, 2],
                         v_R[2, 0], v_R[2, 1], v_R[2, 2],
                         v_p[0], v_p[1], v_p[2],
                         v_fx, v_fy, v_cx, v_cy,
                     )  # fmt: skip
+                    if finite and not wp.isfinite(G):
+                        G = record()
+                    v_cameras[index] = G
             else:
                 if wp.static(to_cameras):
                     v_cameras[index] = record()
@@ -244,12 +252,19 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         if not seen:
             # Nothing to add, and what is not finite must not reach the gradient even times zero.
             return
+        g_quat = vec4()
+        if wp.static(not from_covars):
+            g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
+        held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
+        if given and not held:
+            # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
+            return
         v_means[gaussian] = v_means[gaussian] + g_mean
         if wp.static(from_covars):
             v_covars[gaussian] = v_covars[gaussian] + g_covar
         else:
             v_scales[gaussian] = v_scales[gaussian] + g_scale
-            v_quats[gaussian] = v_quats[gaussian] + matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
+            v_quats[gaussian] = v_quats[gaussian] + g_quat
 
     return project_adjoint_kernel
 

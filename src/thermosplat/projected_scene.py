@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from thermosplat.rasterization_info import RasterizationInfo, isect_ids
+from thermosplat.rasterization_info import RasterizationInfo, isect_ids, num_nonfinite
 from thermosplat.warp_bridge import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles, to_torch
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins
@@ -52,6 +52,8 @@ class ProjectedScene:
         if covars is not None or quats is None or scales is None:
             quats, scales = means.new_empty(0, 4), means.new_empty(0, 3)
         bound = _flat(opacities.detach())
+        shape = [(quats.detach(), 4), (scales.detach(), 3)] if upper is None else [(upper.detach(), 6)]
+        self._inputs = [(self.means.detach(), 3), *shape]  # and what per_image and colors are given
         self.projected = ProjectedTensors(
             *Project.apply(
                 self.means,
@@ -81,6 +83,7 @@ class ProjectedScene:
 
     def per_image(self, values: Tensor, *, per_camera: bool) -> Tensor:
         """Values [..., (C,) N, X] repeated for each camera where they are shared, flat [images · N, X]."""
+        self._inputs.append((values.detach(), values.shape[-1]))
         if not per_camera and self.settings.num_cameras != 1:
             values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
         return values.reshape(-1, values.shape[-1]).contiguous()
@@ -89,8 +92,13 @@ class ProjectedScene:
         """Colours, or with ``sh_degree`` their coefficients in the view directions, flat [images · N, D]."""
         if sh_degree is None:
             return self.per_image(colors, per_camera=per_camera)
-        # inv_ex does not synchronise with the device, as inverse() does.
-        camera_positions = torch.linalg.inv_ex(self.viewmats)[0][:, :3, 3].contiguous()
+        active = colors.detach()[..., : (sh_degree + 1) ** 2, :]
+        self._inputs.append((active, active.shape[-2] * active.shape[-1]))
+        # inv_ex does not synchronise with the device, as inverse() does. In float64, because directions are differences.
+        viewmats = self.viewmats.to(torch.float64, copy=True)
+        if viewmats.requires_grad:
+            viewmats.register_hook(_held_by_float32)
+        camera_positions = torch.linalg.inv_ex(viewmats)[0][:, :3, 3].contiguous()
         return ShColors.apply(
             self.means,
             camera_positions,
@@ -181,7 +189,19 @@ class ProjectedScene:
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
         depths, tiles = self.projected.depths.detach(), bins.tiles_x * bins.tiles_y
-        return RasterizationInfo(values, lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles))
+        inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
+        return RasterizationInfo(
+            values,
+            {
+                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles),
+                "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
+            },
+        )
+
+
+def _held_by_float32(gradient: Tensor) -> Tensor:
+    """Without what overflows where a view matrix has next to no inverse."""
+    return torch.where(gradient.abs() < 1e37, gradient, 0.0)
 
 
 def _flat(opacities: Tensor) -> Tensor:

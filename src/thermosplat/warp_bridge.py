@@ -192,7 +192,9 @@ class ShColors(torch.autograd.Function):
         vec3 = wp.types.vector(3, SCALARS[means.dtype])
         colors = means.new_empty(len(radii), 3)
         with on_torch_stream(means.device):
-            ctx.arrays = [wrap(t, vec3) for t in (means, camera_positions, coefficients, colors)]
+            kinds = (vec3, wp.vec3d, vec3, vec3)
+            tensors = (means, camera_positions, coefficients, colors)
+            ctx.arrays = [wrap(tensor, kind) for tensor, kind in zip(tensors, kinds, strict=True)]
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
             color_step.sh_colors(
                 degree,
