@@ -22,7 +22,7 @@ LARGE = ("8K image",)
 """Scenes with too many pixels for the dense reference."""
 
 ON_THRESHOLDS = ("means on and behind the near plane", "alpha at 1/255 and 0.999")
-"""Scenes that lie exactly on thresholds, with numbers that float32 computes exactly: no pixel of theirs is uncertain."""
+"""Scenes that lie on thresholds with numbers that float32 computes exactly: none of their pixels is uncertain."""
 
 
 def hard_scene(name: str) -> Scene:

@@ -73,8 +73,8 @@ def test_any_number_of_channels(device: torch.device, channels: int) -> None:
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (17, 5), (16, 16), (309, 233), (1, 40)])
 def test_ragged_image_sizes(device: torch.device, width: int, height: int) -> None:
     """Sizes that are no multiple of a tile, down to one pixel."""
-    # Not seed 0: there the Gaussians' terms of the principal point's gradient cancel to a hundredth of themselves, and what
-    # is left shows that a means2d of 300 px is rounded to 3e-5 px.
+    # Not seed 0: there the Gaussians' parts of the principal point's gradient cancel to a hundredth of themselves, and
+    # what is left shows that a means2d of 300 px is rounded to 3e-5 px.
     assert_matches_reference(rasterization, random_scene(n=25, width=width, height=height, seed=1), device)
 
 

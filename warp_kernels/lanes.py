@@ -80,9 +80,9 @@ BROADCAST = """
 """
 
 # Branch-free on the CPU, so that a loop over pixels vectorises (a call into libm does not). Valid for x <= 0, which is
-# all the blend needs. x = n ln 2 + f, where ln 2 comes in two parts (the first with so few bits that n times it is exact),
-# then a polynomial of f, fitted for the least relative error on |f| <= ln(2) / 2: relative error 1e-7 for the x at which
-# anything is drawn. On CUDA expf is good to 1 ulp; __expf would lose three bits at x = -5.
+# all the blend needs. x = n ln 2 + f, where ln 2 comes in two parts (the first with so few bits that n times it is
+# exact), then a polynomial of f, fitted for the least relative error on |f| <= ln(2) / 2: relative error 1e-7 for the x
+# at which anything is drawn. On CUDA expf is good to 1 ulp; __expf would lose three bits at x = -5.
 EXP_NEGATIVE_F32 = """
 #if defined(__CUDA_ARCH__)
     return ::expf(x);

@@ -94,7 +94,7 @@ class ProjectedScene:
             return self.per_image(colors, per_camera=per_camera)
         active = colors.detach()[..., : (sh_degree + 1) ** 2, :]
         self._inputs.append((active, active.shape[-2] * active.shape[-1]))
-        # inv_ex does not synchronise with the device, as inverse() does. In float64, because directions are differences.
+        # inv_ex does not synchronise with the device, as inverse() does. float64, because directions are differences.
         viewmats = self.viewmats.to(torch.float64, copy=True)
         if viewmats.requires_grad:
             viewmats.register_hook(_held_by_float32)

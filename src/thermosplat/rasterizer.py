@@ -125,8 +125,8 @@ def rasterization(
 
     Returns:
         ``(render_colors, render_alphas, info)``: images [..., C, H, W, X] with X = D, 1 or D + 1; accumulated
-        opacities [..., C, H, W, 1]; gsplat's dictionary of intermediate results, and in it ``num_nonfinite``, the number
-        of Gaussians with a NaN or an infinity in an input, which is counted when it is read.
+        opacities [..., C, H, W, 1]; gsplat's dictionary of intermediate results, and in it ``num_nonfinite``, the
+        number of Gaussians with a NaN or an infinity in an input, which is counted when it is read.
 
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
