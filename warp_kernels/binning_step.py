@@ -1,5 +1,7 @@
 """The step that lists the Gaussians of each tile in depth order: its launches, sorts and scan. No gradient."""
 
+import functools
+
 import warp as wp
 
 from warp_kernels.launching import launch
@@ -20,8 +22,13 @@ def bin_tiles(
     tile_size: int,
     *,
     by_slot: bool,
+    capacity: int | None = None,
 ) -> TileBins:
-    """Lists the Gaussians of each tile in depth order. Reads the number of pairs back to the host once.
+    """Lists the Gaussians of each tile in depth order.
+
+    Without ``capacity`` the number of pairs is read back to the host once, and every pair is listed. With it nothing is
+    read back, so that the step can be captured in a CUDA graph; pairs beyond it, those of the farthest Gaussians, are
+    left out, and ``bins.pair_ends`` says how many were needed.
 
     Args:
         projected: from ``project``. Radii of Gaussians with non-finite features are set to zero.
@@ -31,6 +38,7 @@ def bin_tiles(
         settings: image size.
         tile_size: edge of a tile [px].
         by_slot: number the pairs, for an adjoint that writes one record a pair.
+        capacity: pairs there is room for; None for as many as there are.
 
     Returns:
         The bins.
@@ -81,14 +89,16 @@ def bin_tiles(
             record_tape=False,
         )
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
-        num_pairs = int(pair_ends[entries - 1 :].numpy()[0])
+        num_pairs = int(pair_ends[entries - 1 :].numpy()[0]) if capacity is None else capacity
     if num_pairs >= 2**31 or num_tiles >= 2**31:
         raise TooManyPairsError(
             f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with tiles of {tile_size} px exceed the "
             f"{2**31 - 1:,} that one call can hold; render fewer cameras per call, a smaller image, or smaller scales."
         )
 
-    keys = wp.empty(2 * num_pairs, dtype=wp.int32, device=device)
+    # With a capacity, places that stay empty carry a tile after the last and sort to the end.
+    room = wp.empty if capacity is None else functools.partial(wp.full, value=num_tiles)
+    keys = room(2 * num_pairs, dtype=wp.int32, device=device)
     values = wp.empty(2 * num_pairs, dtype=wp.int32, device=device)
     owners = wp.empty(num_pairs if by_slot else 0, dtype=wp.int32, device=device)
     gaussian_ids = wp.empty(num_pairs, dtype=wp.int32, device=device)
@@ -105,6 +115,7 @@ def bin_tiles(
                 tiles_x,
                 tiles_y,
                 by_slot,
+                num_pairs,
                 projected.means2d,
                 projected.conics,
                 projected.extents,
@@ -119,11 +130,11 @@ def bin_tiles(
             ],
             device,
         )
-        wp.utils.radix_sort_pairs(keys, values, num_pairs, 0, max(1, (num_tiles - 1).bit_length()))
+        wp.utils.radix_sort_pairs(keys, values, num_pairs, 0, max(1, num_tiles.bit_length()))
     wp.launch(
         tile_ranges_kernel,
         dim=num_pairs + 1,
-        inputs=[num_pairs, num_tiles, by_slot, keys, values, owners, tile_offsets, gaussian_ids],
+        inputs=[num_pairs, num_tiles, by_slot, pair_ends, keys, values, owners, tile_offsets, gaussian_ids],
         device=device,
         record_tape=False,
     )

@@ -81,8 +81,10 @@ def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad
             return
         total = record()
         if wp.static(by_slot):
-            end = int(pair_ends[rank])
-            for slot in range(end - count, end):
+            # a capacity may have cut the last ranges off
+            end = int(wp.min(pair_ends[rank], wp.int64(records.shape[0])))
+            first = int(wp.min(pair_ends[rank] - wp.int64(count), wp.int64(records.shape[0])))
+            for slot in range(first, end):
                 total = total + records[slot]
         else:
             total = records[g]

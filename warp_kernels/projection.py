@@ -40,21 +40,12 @@ def projection_functions(dtype: type, camera_model: CameraModel):
     @wp.func
     def camera_position(view: mat44, mean: vec3):
         """p = R m + t in float64: far from the origin the terms are large and cancel."""
-        x, y, z = wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2])
-        return wp.vec3d(
-            wp.float64(view[0, 0]) * x
-            + wp.float64(view[0, 1]) * y
-            + wp.float64(view[0, 2]) * z
-            + wp.float64(view[0, 3]),
-            wp.float64(view[1, 0]) * x
-            + wp.float64(view[1, 1]) * y
-            + wp.float64(view[1, 2]) * z
-            + wp.float64(view[1, 3]),
-            wp.float64(view[2, 0]) * x
-            + wp.float64(view[2, 1]) * y
-            + wp.float64(view[2, 2]) * z
-            + wp.float64(view[2, 3]),
-        )
+        x = wp.vec4d(wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2]), wp.float64(1.0))
+        p = wp.vec3d()
+        for i in range(3):
+            for j in range(4):
+                p[i] += wp.float64(view[i, j]) * x[j]
+        return p
 
     @wp.func
     def fov_limits(focal: dtype, center: dtype, size: dtype):

@@ -164,6 +164,7 @@ def binning_kernels(dtype: type):
         tiles_x: int,
         tiles_y: int,
         by_slot: bool,
+        capacity: int,
         means2d: wp.array(dtype=vec2),
         conics: wp.array(dtype=vec3),
         extents: wp.array(dtype=vec2),
@@ -182,7 +183,10 @@ def binning_kernels(dtype: type):
         count = tiles_per_gaussian[index]
         if count == 0:
             return
-        slot = int(pair_ends[rank]) - count
+        first_slot = pair_ends[rank] - wp.int64(count)
+        if first_slot >= wp.int64(capacity):
+            return
+        slot = int(first_slot)
         image_first = (index // num_gaussians) * tiles_x * tiles_y
         mean2d = means2d[index]
         extent = extents[index]
@@ -190,7 +194,7 @@ def binning_kernels(dtype: type):
         row, row_end = tile_rows(mean2d, extent, height, tile_size)
         while row < row_end:
             start, end = tile_span(mean2d, conics[index], extent, exponent, row, width, height, tile_size)
-            while start < end:
+            while start < end and slot < capacity:
                 keys[slot] = image_first + row * tiles_x + start
                 if by_slot:
                     values[slot] = slot
@@ -206,9 +210,10 @@ def binning_kernels(dtype: type):
 
 @wp.kernel(enable_backward=False, module="unique")
 def tile_ranges_kernel(
-    num_pairs: int,
+    capacity: int,
     num_tiles: int,
     by_slot: bool,
+    pair_ends: wp.array(dtype=wp.int64),
     keys: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.int32),
     owners: wp.array(dtype=wp.int32),
@@ -216,8 +221,13 @@ def tile_ranges_kernel(
     tile_offsets: wp.array(dtype=wp.int32),
     gaussian_ids: wp.array(dtype=wp.int32),
 ):
-    """Offsets of each tile's pairs in the sorted list, and the Gaussian of each sorted pair; threads: pairs + 1."""
+    """Offsets of each tile's pairs in the sorted list, and the Gaussian of each sorted pair; threads: capacity + 1."""
     k = wp.tid()
+    num_pairs = int(0)
+    if pair_ends.shape[0] > 0:
+        num_pairs = int(wp.min(pair_ends[pair_ends.shape[0] - 1], wp.int64(capacity)))
+    if k > num_pairs:
+        return
     tile = num_tiles
     if k < num_pairs:
         tile = keys[k]
@@ -238,13 +248,13 @@ class TileBins:
     """Pairs sorted by image, tile and depth.
 
     Attributes:
-        gaussian_ids: [pairs] flat (image, Gaussian) index of each sorted pair.
+        gaussian_ids: [num_pairs] flat (image, Gaussian) index of each sorted pair.
         tile_offsets: [images · tiles + 1] first sorted pair of each tile; the last entry is the number of pairs.
         order: [images · N] flat indices in depth order, Gaussians without tiles last.
         pair_ends: int64 [images · N] end of each depth rank's range of unsorted pairs.
         tiles_per_gaussian: [images · N] number of tiles.
         slots: [pairs] unsorted position of each sorted pair; None unless the adjoint writes one record a pair.
-        num_pairs: number of pairs.
+        num_pairs: number of pairs, or the capacity where one was given; ``tile_offsets`` ends with the pairs there are.
         tile_size: edge of a tile [px].
         tiles_x: tiles across the image.
         tiles_y: tiles down the image.

@@ -177,6 +177,13 @@ class TrainConfig:
     """Steps after which one more SH degree is used. 3DGS."""
     device: str = "auto"
     """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    graph: bool = True
+    """On CUDA, record the work of a step once and replay it as a CUDA graph (--no-graph: launch it line by line)."""
+    compile: bool = True
+    """On CUDA, let torch.compile fuse the decoders (half a minute at the first step, kept for later runs; skipped where
+    Triton or a C compiler is missing). --no-compile: plain PyTorch."""
+    tf32: bool = True
+    """On CUDA, train with the decoders' matrix products in TensorFloat-32. Evaluation always uses float32."""
     seed: int = 42
     """Seed of everything random. gsplat."""
     eval_steps: tuple[int, ...] = (7_000, 30_000)

@@ -15,6 +15,7 @@ from torch import Tensor
 from thermosplat.config import LossConfig
 from thermosplat.rendered_frame import RenderedFrame
 from thermosplat.ssim import ssim_map
+from thermosplat.warp_image_loss import warp_image_loss
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import FrameTensors
@@ -106,7 +107,18 @@ def _channels(features: Tensor | None, start: int, stop: int) -> Tensor | None:
 
 
 def _image_losses(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
-    """Weighted image losses by name, with one call for the channels of all images of one size.
+    """Weighted image losses by name: on CUDA by Warp's fused kernels, on the CPU by kornia's filters."""
+    on_cuda = all(term.render.is_cuda for term in terms)
+    losses = _fused(terms, ssim_lambda) if on_cuda else _filtered(terms, ssim_lambda)
+    return {term.name: term.weight * losses[term.name] for term in terms}
+
+
+def _fused(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
+    return {term.name: warp_image_loss(term.render, term.target, ssim_lambda) for term in terms}
+
+
+def _filtered(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
+    """Image losses by name, with one call for the channels of all images of one size.
 
     L1 and SSIM treat channels separately, so stacking the channels of several images changes no value; one convolution
     over ten channels takes about a third of the time of four small ones.
@@ -121,5 +133,5 @@ def _image_losses(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tens
         if ssim_lambda > 0:
             by_channel = by_channel + ssim_lambda * (1 - ssim_map(renders, targets).mean(dim=(1, 2)))
         for term, values in zip(members, by_channel.split([term.render.shape[-1] for term in members])):
-            losses[term.name] = term.weight * values.mean()
-    return {term.name: losses[term.name] for term in terms}
+            losses[term.name] = values.mean()
+    return losses

@@ -5,6 +5,7 @@ import math
 import torch
 from torch import Tensor
 
+from thermosplat.pair_capacity import active_pair_capacity
 from thermosplat.rasterization_info import RasterizationInfo, isect_ids, num_nonfinite
 from thermosplat.warp_bridge import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles, to_torch
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
@@ -154,9 +155,13 @@ class ProjectedScene:
         if self._binned is None:
             opacities = _flat(self.opacities)
             thermal_opacities = opacities if self.thermal_opacities is None else _flat(self.thermal_opacities)
+            room = active_pair_capacity()
+            limit = room.limit() if room is not None else None
             self._binned = bin_tiles(
-                self.projected, opacities, thermal_opacities, features, self.settings, self.tile_size
+                self.projected, opacities, thermal_opacities, features, self.settings, self.tile_size, limit
             )
+            if room is not None:
+                room.note(to_torch(self._binned[1].pair_ends)[-1:])
         return self._binned
 
     def info(self) -> RasterizationInfo:

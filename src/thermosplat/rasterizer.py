@@ -304,7 +304,7 @@ def rasterization_rgbt(
                 flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True
             )
             thermal_alphas = 1.0 - thermal_transmittance
-    render_colors, render_features = render[..., :channels], render[..., channels:]
+    render_colors, render_features = render.split([channels, dim], dim=-1)  # one copy in the backward pass, not two
     if backgrounds is not None:
         render_colors = render_colors + transmittance * backgrounds[..., None, None, :]
     return RGBTRender(render_colors, render_features, render_thermal, 1.0 - transmittance, thermal_alphas, scene.info())

@@ -1,12 +1,11 @@
-"""Torch autograd over Warp tapes: the only file that imports both torch and warp_kernels.
+"""Torch autograd over Warp tapes: the only file where torch meets warp_kernels (warp_streams.py shares the device).
 
 Each step of the rasterizer is one ``torch.autograd.Function``. Its forward pass wraps torch's memory as Warp arrays,
 runs the step and records the adjoint on a ``wp.Tape``; its backward pass lends the gradients to the arrays and replays
 the tape. Torch owns every tensor that outlives a call; work runs on torch's current stream.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,19 +14,13 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from thermosplat.warp_streams import on_torch_stream
 from warp_kernels import binning_step, blending_step, color_step, projection_step
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins
 
-wp.config.log_level = wp.LOG_WARNING
-
 SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
 """Torch dtypes the kernels run in, and Warp's names for them."""
-
-MEMPOOL_THRESHOLD = 1 << 62
-"""Bytes Warp keeps for reuse on a CUDA device instead of returning them to the driver at every synchronisation."""
-
-_prepared_devices: set[str] = set()
 
 
 def wrap(tensor: Tensor, dtype: Any) -> wp.array:
@@ -47,31 +40,6 @@ def wrap(tensor: Tensor, dtype: Any) -> wp.array:
     elif tensor.shape[0] == 1:
         tensor = tensor.view(-1).view(tensor.shape)
     return wp.from_torch(tensor, dtype=dtype, requires_grad=False)
-
-
-@contextmanager
-def on_torch_stream(device: torch.device) -> Iterator[wp.Device]:
-    """Runs Warp on torch's current stream of a device.
-
-    Args:
-        device: a CPU or CUDA device.
-
-    Yields:
-        The Warp device.
-    """
-    wp.init()
-    if device.type == "cuda" and device.index is None:
-        device = torch.device("cuda", torch.cuda.current_device())
-    warp_device = wp.device_from_torch(device)
-    if not warp_device.is_cuda:
-        yield warp_device
-        return
-    if warp_device.alias not in _prepared_devices:
-        if wp.is_mempool_enabled(warp_device):
-            wp.set_mempool_release_threshold(warp_device, MEMPOOL_THRESHOLD)
-        _prepared_devices.add(warp_device.alias)
-    with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(device)), sync_enter=False):
-        yield warp_device
 
 
 def _zeros(tensor: Tensor | None, wanted: bool = True) -> Tensor | None:
@@ -313,6 +281,7 @@ def bin_tiles(
     features: Tensor,
     settings: ProjectionSettings,
     tile_size: int,
+    capacity: int | None = None,
 ) -> tuple[ProjectedArrays, TileBins]:
     """Lists the Gaussians of each tile.
 
@@ -323,6 +292,7 @@ def bin_tiles(
         features: [images · N, D].
         settings: image size.
         tile_size: edge of a tile [px].
+        capacity: pairs there is room for; None: their number is read back from the device.
 
     Returns:
         The projected arrays for ``Blend`` and the bins.
@@ -338,6 +308,7 @@ def bin_tiles(
             settings,
             tile_size,
             by_slot=not device.is_cuda,
+            capacity=capacity,
         )
     return arrays, bins
 

@@ -37,7 +37,9 @@ def _run(
     strategy: DefaultStrategy, gaussians: Gaussians, optimizers: Optimizers, infos: list[dict[str, Any]], step: int
 ) -> Refinement | None:
     generator = torch.Generator().manual_seed(step)
-    return strategy.step_post_backward(gaussians, optimizers, infos, step, generator, FINE)
+    if strategy.is_active(step):
+        strategy.observe(infos, FINE)
+    return strategy.refine(gaussians, optimizers, step, generator)
 
 
 def _strategy(gaussians: Gaussians, **config: Any) -> DefaultStrategy:
@@ -182,7 +184,7 @@ def test_bad_gradients_are_not_noted() -> None:
     gaussians = random_gaussians(2)
     strategy = _strategy(gaussians)
     info = _info(torch.full((1, 2, 2), torch.nan), torch.ones(1, 2, dtype=torch.bool))
-    strategy.step_post_backward(gaussians, {}, [info], 1, torch.Generator(), torch.ones(()))
+    strategy.observe([info], torch.ones(()))
     assert strategy.grad_norm_sum.tolist() == [0.0, 0.0]
     assert strategy.observations.tolist() == [0.0, 0.0]
 

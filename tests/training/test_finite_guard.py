@@ -16,7 +16,7 @@ def _losses(**values: float) -> dict[str, Tensor]:
 def test_finite_steps_pass() -> None:
     """Nothing is blocked or reported as long as everything is finite."""
     guard = FiniteGuard("cpu")
-    guard.observe(1, _losses(rgb=0.3, thermal=1e30), {"means": [torch.ones(3)], "shN": []})
+    guard.observe(torch.tensor(1), _losses(rgb=0.3, thermal=1e30), {"means": [torch.ones(3)], "shN": []})
     assert guard.first_bad() is None
     assert guard.blocked == 0
 
@@ -25,9 +25,9 @@ def test_finite_steps_pass() -> None:
 def test_first_bad_loss_is_named(bad: float) -> None:
     """Of several bad steps and terms the first is told, though it is asked for later."""
     guard = FiniteGuard("cpu")
-    guard.observe(3, _losses(rgb=0.3, thermal_smoothness=0.1), {})
-    guard.observe(4, _losses(rgb=0.3, thermal_smoothness=bad), {})
-    guard.observe(5, _losses(rgb=math.nan, thermal_smoothness=math.nan), {})
+    guard.observe(torch.tensor(3), _losses(rgb=0.3, thermal_smoothness=0.1), {})
+    guard.observe(torch.tensor(4), _losses(rgb=0.3, thermal_smoothness=bad), {})
+    guard.observe(torch.tensor(5), _losses(rgb=math.nan, thermal_smoothness=math.nan), {})
     assert guard.first_bad() == (4, "thermal_smoothness")
     assert guard.blocked == 1
 
@@ -36,30 +36,30 @@ def test_bad_gradient_is_named() -> None:
     """A finite loss with a NaN in one gradient of several tensors is noticed."""
     guard = FiniteGuard("cpu")
     gradients = {"means": [torch.ones(3)], "decoders": [torch.ones(2), torch.tensor([[1.0, math.nan]])]}
-    guard.observe(9, _losses(rgb=0.3), gradients)
+    guard.observe(torch.tensor(9), _losses(rgb=0.3), gradients)
     assert guard.first_bad() == (9, "gradient of decoders")
 
 
 def test_loss_is_named_before_the_gradients_it_spoils() -> None:
     """A NaN loss makes every gradient NaN; the loss is what the user hears of."""
     guard = FiniteGuard("cpu")
-    guard.observe(2, _losses(rgb=0.3, thermal=math.nan), {"means": [torch.tensor([math.nan])]})
+    guard.observe(torch.tensor(2), _losses(rgb=0.3, thermal=math.nan), {"means": [torch.tensor([math.nan])]})
     assert guard.first_bad() == (2, "thermal")
 
 
 def test_frames_with_other_terms() -> None:
     """A frame without one spectrum has fewer terms; steps of both kinds are watched."""
     guard = FiniteGuard("cpu")
-    guard.observe(1, _losses(rgb=0.3, thermal=0.1), {})
-    guard.observe(2, _losses(rgb=math.nan), {})
-    guard.observe(3, _losses(rgb=0.3, thermal=math.nan), {})
+    guard.observe(torch.tensor(1), _losses(rgb=0.3, thermal=0.1), {})
+    guard.observe(torch.tensor(2), _losses(rgb=math.nan), {})
+    guard.observe(torch.tensor(3), _losses(rgb=0.3, thermal=math.nan), {})
     assert guard.first_bad() == (2, "rgb")
 
 
 def test_blocking_is_for_good() -> None:
     """A finite step after a bad one does not lift the block: the last good state is to be kept."""
     guard = FiniteGuard("cpu")
-    guard.observe(1, _losses(rgb=math.nan), {})
-    guard.observe(2, _losses(rgb=0.3), {})
+    guard.observe(torch.tensor(1), _losses(rgb=math.nan), {})
+    guard.observe(torch.tensor(2), _losses(rgb=0.3), {})
     assert guard.blocked == 1
     assert guard.first_bad() == (1, "rgb")

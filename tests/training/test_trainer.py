@@ -18,6 +18,7 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training import trainer as trainer_module
+from thermosplat.training import training_step
 from thermosplat.training.interruption import TrainingInterrupted
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
@@ -134,7 +135,7 @@ def test_interrupt_between_updates(
     """Ctrl-C while a step or an evaluation is being computed saves the last whole step, and nothing differs after."""
     config = toy_run_config(eval_steps=(4,))
     trainer = toy_trainer(tmp_path, config, capture)
-    owner = trainer.model if place == "render" else trainer_module
+    owner = {"render": trainer.model, "frame_losses": training_step, "evaluate": trainer_module}[place]
     genuine: Callable[..., Any] = getattr(owner, place)
 
     def interrupted(*args: object, **kwargs: object) -> object:
@@ -160,7 +161,8 @@ def test_interrupt_during_an_update(
 ) -> None:
     """Ctrl-C while optimizers, density control or a checkpoint are at work lets them finish first."""
     trainer = toy_trainer(tmp_path, toy_run_config(save_steps=(6,)), capture)
-    genuine: Callable[..., Any] = getattr(trainer_module, place)
+    owner = training_step if place == "step_unless" else trainer_module
+    genuine: Callable[..., Any] = getattr(owner, place)
     done = []
 
     def interrupted(*args: Any, **kwargs: Any) -> object:
@@ -169,7 +171,7 @@ def test_interrupt_during_an_update(
             done.append(1)
         return genuine(*args, **kwargs)
 
-    monkeypatch.setattr(trainer_module, place, interrupted)
+    monkeypatch.setattr(owner, place, interrupted)
     with pytest.raises(TrainingInterrupted) as stop:
         trainer.train()
     monkeypatch.undo()
@@ -184,7 +186,7 @@ def test_nan_stops_with_the_last_good_state(
 ) -> None:
     """A NaN loss names term, step and frame, and what is saved is the step before, also where nobody looked at once."""
     trainer = toy_trainer(tmp_path, toy_run_config(), capture)
-    genuine = trainer_module.frame_losses
+    genuine = training_step.frame_losses
 
     def spoiled(*args: Any) -> dict[str, torch.Tensor]:
         losses = genuine(*args)
@@ -192,7 +194,7 @@ def test_nan_stops_with_the_last_good_state(
             losses["thermal_smoothness"] = losses["thermal_smoothness"] * torch.nan
         return losses
 
-    monkeypatch.setattr(trainer_module, "frame_losses", spoiled)
+    monkeypatch.setattr(training_step, "frame_losses", spoiled)
     monkeypatch.setattr(trainer, "_looks_at_guard", lambda step: step % looks_every == 0)
     with pytest.raises(UserError, match=r"NaN or infinite at step 8 \(term: thermal_smoothness; frame: frame\d\)") as e:
         trainer.train()

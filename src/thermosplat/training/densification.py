@@ -39,8 +39,8 @@ class Refinement:
 class DefaultStrategy:
     """Density control of one set of Gaussians.
 
-    The trainer calls :meth:`step_pre_backward` after rendering, :meth:`step_post_backward` after the optimizers. Steps
-    count from 1: the number of the step that is being done.
+    The trainer calls :meth:`step_pre_backward` after rendering, :meth:`observe` after the backward pass, both while
+    :meth:`is_active`, and :meth:`refine` after the optimizers. Steps count from 1: the number of the step being done.
 
     Args:
         config: Schedule and thresholds.
@@ -75,35 +75,25 @@ class DefaultStrategy:
         """Whether opacities are reset at this step."""
         return self.is_active(step) and step > 1 and (step - 1) % self.config.reset_every == 0
 
-    def step_pre_backward(self, infos: list[dict[str, Any]], step: int) -> None:
-        """Keep the gradients that the refinement looks at.
+    def step_pre_backward(self, infos: list[dict[str, Any]]) -> None:
+        """Keep the gradients that :meth:`observe` looks at.
 
         Args:
             infos: What the rasterization said about each call that rendered this set.
-            step: The step.
         """
-        if self.is_active(step):
-            for info in infos:
-                info["means2d"].retain_grad()
+        for info in infos:
+            info["means2d"].retain_grad()
 
-    def step_post_backward(
-        self,
-        gaussians: Gaussians,
-        optimizers: Optimizers,
-        infos: list[dict[str, Any]],
-        step: int,
-        generator: torch.Generator,
-        blocked: Tensor,
+    def refine(
+        self, gaussians: Gaussians, optimizers: Optimizers, step: int, generator: torch.Generator
     ) -> Refinement | None:
-        """Note the gradients, and refine or reset where this step is the one to do so.
+        """Add and remove Gaussians, or reset opacities, where this step is the one to do so.
 
         Args:
             gaussians: The set.
             optimizers: Its optimizers.
-            infos: As given to :meth:`step_pre_backward`.
             step: The step.
             generator: Draws where the halves of split Gaussians go.
-            blocked: Scalar, 1 where this step's gradients are not finite and must not be noted.
 
         Returns:
             What changed; None where this step does not refine.
@@ -111,9 +101,6 @@ class DefaultStrategy:
         Raises:
             UserError: If no Gaussian is left.
         """
-        if not self.is_active(step):
-            return None
-        self._observe(infos, blocked)
         refinement = None
         if self.refines_at(step):
             try:
@@ -128,8 +115,13 @@ class DefaultStrategy:
         return refinement
 
     @torch.no_grad()
-    def _observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:
-        """Add this step's gradients. Nothing here waits for the device."""
+    def observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:
+        """Add this step's gradients. Nothing here waits for the device.
+
+        Args:
+            infos: As given to :meth:`step_pre_backward`.
+            blocked: Scalar, 1 where this step's gradients must not be noted.
+        """
         norms = torch.zeros_like(self.grad_norm_sum)
         visible = torch.zeros_like(self.observations)
         for info in infos:

@@ -20,11 +20,11 @@ class FiniteGuard:
         self._first_bad_step: dict[tuple[str, ...], Tensor] = {}
 
     @torch.no_grad()
-    def observe(self, step: int, losses: dict[str, Tensor], gradients: dict[str, list[Tensor]]) -> None:
+    def observe(self, step: Tensor, losses: dict[str, Tensor], gradients: dict[str, list[Tensor]]) -> None:
         """Look at one step, before its update.
 
         Args:
-            step: Its number, from 1.
+            step: Its number, from 1; int64 scalar on the device.
             losses: The loss terms, scalars, by name.
             gradients: Gradients by the name of what they belong to.
         """

@@ -5,11 +5,14 @@ A learning rate is a function of the step, so there is no scheduler with a state
 the configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else it stays constant.
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
 from thermosplat.config import OptimizerConfig
 from thermosplat.training.gaussian_ops import Optimizers
+from thermosplat.warp_adam import WarpAdam
 
 
 def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_extent: float) -> float:
@@ -40,16 +43,36 @@ def decoder_optimizer(decoders: nn.Module, config: OptimizerConfig) -> torch.opt
 
 
 def _adam(parameters: list[nn.Parameter], config: OptimizerConfig) -> torch.optim.Adam:
-    # fused: one kernel for the whole update on both devices (ten times faster than torch's loop on the CPU), and the
-    # one variant that can be told on the device, without waiting for it, to leave the parameters alone (found_inf)
+    # Both variants can be told on the device, without waiting for it, to leave the parameters alone (found_inf).
+    device = parameters[0].device
+    if device.type == "cuda":
+        return WarpAdam(parameters, torch.zeros((), device=device), config.eps)
+    # fused: one kernel for the whole update, ten times faster than torch's loop on the CPU
     return torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
+
+
+def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
+    """Go on from a checkpoint's state of an optimizer, which may have run on another device.
+
+    Args:
+        optimizer: Of the same parameters.
+        state: Its ``state_dict()``.
+    """
+    rates = [group["lr"] for group in optimizer.param_groups]
+    optimizer.load_state_dict(state)
+    for group, rate in zip(optimizer.param_groups, rates):
+        group["lr"], group["capturable"] = rate, isinstance(rate, Tensor)
 
 
 def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress: float, scene_extent: float) -> None:
     """Set the rates of optimizers, given by parameter name, for the step to come."""
     for name, optimizer in optimizers.items():
+        rate = learning_rate(name, config, progress, scene_extent)
         for group in optimizer.param_groups:
-            group["lr"] = learning_rate(name, config, progress, scene_extent)
+            if isinstance(group["lr"], Tensor):  # of a captured step: it must stay the same tensor
+                group["lr"].fill_(rate)
+            else:
+                group["lr"] = rate
 
 
 def step_unless(blocked: Tensor, optimizers: Optimizers) -> None:

@@ -124,8 +124,8 @@ class RunLogger:
         """Take note of a step, and write a line if one is due."""
         squared_errors = {f"psnr_{modality}": value for modality, value in record.squared_errors.items()}
         for name, value in {**record.losses, **squared_errors}.items():
-            value = value.detach()
-            self._sums[name] = self._sums[name] + value if name in self._sums else value
+            # a copy, since the next step may overwrite the value
+            self._sums[name] = self._sums[name] + value if name in self._sums else value.detach().clone()
             self._counts[name] = self._counts.get(name, 0) + 1
         if self._rate_from is None:
             self._rate_from = (record.step, record.train_seconds)  # after the first step, which may have compiled

@@ -15,29 +15,29 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from thermosplat.checkpoint import save_checkpoint
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
-from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.devices import choose_device, device_name
 from thermosplat.errors import UserError
 from thermosplat.evaluation import evaluate
 from thermosplat.export.scene import export_scene
-from thermosplat.losses import frame_losses
 from thermosplat.lpips import Lpips, find_lpips
-from thermosplat.model import RenderedFrame, SceneModel
+from thermosplat.model import SceneModel
+from thermosplat.pair_capacity import PairCapacity
 from thermosplat.run_directory import RunDirectory
+from thermosplat.training.captured_steps import CapturedSteps
+from thermosplat.training.fast_decoders import FastDecoders, can_compile
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts
-from thermosplat.training.optimizers import set_learning_rates, step_unless
 from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.random_streams import FrameOrder, random_stream
 from thermosplat.training.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.run_logger import RunLogger, StepRecord
 from thermosplat.training.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
+from thermosplat.training.training_step import StepKind, TrainingStep
 
 
 class Trainer:
@@ -80,6 +80,14 @@ class Trainer:
         if checkpoint is not None:
             self.state.load(checkpoint)
         self.guard = FiniteGuard(self.device)
+        self.device_step = TrainingStep(config, self.state, self.guard, PairCapacity(self.device))
+        self.captured: CapturedSteps | None = None
+        if self.device.type == "cuda":
+            if self.model.decoders is not None:
+                fast = FastDecoders(self.model.decoders, compiled=config.compile and can_compile(), tf32=config.tf32)
+                self.device_step.decoding = fast.active
+            if config.graph:
+                self.captured = CapturedSteps(self.device_step, len(self.frames))
         self.lpips: Lpips | None = None
         self._warm = False
 
@@ -154,49 +162,41 @@ class Trainer:
         config, state = self.config, self.state
         step, started = state.step + 1, time.perf_counter()
         frame = self.frames[self.frame_order[state.step]]
-        sh_degree = self._sh_degree(step)
-        state.clear_gradients()  # an interrupted step may have left some
+        densifying = any(strategy.is_active(step) for strategy in state.strategies.values())
+        kind = StepKind(self._sh_degree(step), densifying)
+        state.begin_step(step, config.optimizer, state.step / config.max_steps, self.capture.scene_extent)
 
-        with self._first_step():
-            rendered = self.model.render(
-                frame.rgb,
-                frame.thermal,
-                sh_degree=sh_degree,
-                absgrad=config.densification.absgrad,
-                aligned=frame.aligned,
-            )
-            losses = frame_losses(rendered, frame, config.loss)
-            if not losses:
-                raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
-            for name, strategy in state.strategies.items():
-                strategy.step_pre_backward(rendered.infos.get(name, []), step)
-            torch.stack(list(losses.values())).sum().backward()
-
-        self.guard.observe(step, losses, state.gradients())
-        if self._looks_at_guard(step):
-            self._stop_if_not_finite()
-
+        if self.captured is None:
+            with self._first_step():
+                differentiated = self.device_step.gradients(frame, kind, fixed_capacity=False)
         with deferred_interrupts():  # from here on the step is done as a whole
-            for optimizers in state.optimizers.values():
-                progress = state.step / config.max_steps
-                set_learning_rates(optimizers, config.optimizer, progress, self.capture.scene_extent)
-                step_unless(self.guard.blocked, optimizers)
-            state.clear_gradients()
+            if self.captured is None:
+                values = self.device_step.update(frame, kind, differentiated)
+            else:
+                with self._first_step():
+                    values = self.captured.run(frame, kind)
             state.step = step
+            if self._looks_at_guard(step):
+                self._stop_if_not_finite()
+                if self.captured is not None:
+                    self.captured.look()
             for name, strategy in state.strategies.items():
-                strategy.step_post_backward(
-                    state.gaussian_sets[name],
-                    state.optimizers[name],
-                    rendered.infos.get(name, []),
-                    step,
-                    random_stream(config.seed, "split", step),
-                    self.guard.blocked,
-                )
+                if strategy.refines_at(step) or strategy.resets_at(step):
+                    if self.captured is not None:
+                        self.captured.forget()
+                    random = random_stream(config.seed, "split", step)
+                    strategy.refine(state.gaussian_sets[name], state.optimizers[name], step, random)
             state.seconds.train += time.perf_counter() - started
 
-        squared_errors = _squared_errors(rendered, frame)
         self.logger.step(
-            StepRecord(step, losses, squared_errors, self.model.num_gaussians, sh_degree, state.seconds.train)
+            StepRecord(
+                step,
+                values.losses,
+                values.squared_errors,
+                self.model.num_gaussians,
+                kind.sh_degree,
+                state.seconds.train,
+            )
         )
 
     def _sh_degree(self, step: int) -> int:
@@ -278,7 +278,7 @@ class Trainer:
     # ---- when it goes wrong ------------------------------------------------------------------------------------------
 
     def _looks_at_guard(self, step: int) -> bool:
-        """Whether to wait for the device before this step's update: where a bad state would spread or be kept."""
+        """Whether to wait for the device after this step: where a bad state would spread or be kept."""
         config = self.config
         return (
             self.device.type == "cpu"  # nothing to wait for
@@ -306,6 +306,8 @@ class Trainer:
         """Save what there is; the error says what would need less memory."""
         failed, num_gaussians = self.state.step + 1, self.model.num_gaussians
         self.state.clear_gradients()
+        if self.captured is not None:
+            self.captured.forget()
         if self.device.type == "cuda":
             torch.cuda.empty_cache()
         self._stop_if_not_finite()
@@ -319,13 +321,3 @@ class Trainer:
             f"Checkpoint saved to {self._save()}.",
             self.run.resume_command(),
         )
-
-
-def _squared_errors(rendered: RenderedFrame, frame: FrameTensors) -> dict[str, Tensor]:
-    """Mean squared errors of the frame's own images, clamped to [0, 1], by modality; on the device."""
-    pairs = {"rgb": (rendered.rgb, frame.rgb), "thermal": (rendered.thermal, frame.thermal)}
-    return {
-        modality: (image.detach().clamp(0.0, 1.0) - view.image).square().mean()
-        for modality, (image, view) in pairs.items()
-        if image is not None and view is not None and view.image is not None
-    }

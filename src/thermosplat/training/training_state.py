@@ -6,14 +6,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import OptimizerConfig, TrainConfig
 from thermosplat.config_files import to_dict
 from thermosplat.gaussians import Gaussians
 from thermosplat.model import SceneModel
 from thermosplat.radiometry import ThermalScale
 from thermosplat.training.densification import DefaultStrategy
 from thermosplat.training.gaussian_ops import Optimizers
-from thermosplat.training.optimizers import decoder_optimizer, gaussian_optimizers
+from thermosplat.training.optimizers import decoder_optimizer, gaussian_optimizers, load_optimizer, set_learning_rates
 
 
 @dataclass
@@ -40,6 +40,7 @@ class TrainingState:
         optimizers: By name of the set, and "decoders", the optimizers by parameter name.
         strategies: Density control by name of the set.
         step: Steps done.
+        step_on_device: int64 scalar, the number of the step that is being done.
         seconds: Where the time went.
 
     Args:
@@ -62,7 +63,22 @@ class TrainingState:
             for name, gaussians in self.gaussian_sets.items()
         }
         self.step = 0
+        self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.seconds = Seconds()
+
+    def begin_step(self, step: int, config: OptimizerConfig, progress: float, scene_extent: float) -> None:
+        """Tell the device the step's number and learning rates, and forget what an interrupted step left.
+
+        Args:
+            step: The step to come, from 1.
+            config: The rates.
+            progress: Share of the run that is done, 0 to 1.
+            scene_extent: Radius of the cameras [world units].
+        """
+        self.clear_gradients()
+        self.step_on_device.fill_(step)
+        for optimizers in self.optimizers.values():
+            set_learning_rates(optimizers, config, progress, scene_extent)
 
     def clear_gradients(self) -> None:
         """Forget all gradients, and free their memory."""
@@ -115,7 +131,7 @@ class TrainingState:
         training = checkpoint["training"]
         for owner, optimizers in self.optimizers.items():
             for name, optimizer in optimizers.items():
-                optimizer.load_state_dict(training["optimizers"][owner][name])
+                load_optimizer(optimizer, training["optimizers"][owner][name])
         for name, strategy in self.strategies.items():
             strategy.load_state_dict(training["strategies"][name])
         self.step = checkpoint["step"]

@@ -1,0 +1,136 @@
+"""What a training step does on the device: render, compare, differentiate, update, take note.
+
+Nothing in here reads a value back, so the same lines run one by one or, captured once, as one CUDA graph
+(captured_steps.py).
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from thermosplat.config import TrainConfig
+from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.errors import UserError
+from thermosplat.losses import frame_losses
+from thermosplat.model import RenderedFrame
+from thermosplat.pair_capacity import PairCapacity
+from thermosplat.training.finite_guard import FiniteGuard
+from thermosplat.training.optimizers import step_unless
+from thermosplat.training.training_state import TrainingState
+
+
+@dataclass(frozen=True)
+class StepValues:
+    """What a step says of itself, on the device."""
+
+    losses: dict[str, Tensor]
+    """Weighted loss terms by name."""
+    squared_errors: dict[str, Tensor]
+    """Mean squared error of the step's own images, clamped to [0, 1], by modality."""
+
+
+@dataclass(frozen=True)
+class StepKind:
+    """What the host decides about a step, beside the frame."""
+
+    sh_degree: int
+    """Degree of the spherical harmonics in use."""
+    densifying: bool
+    """Note gradients for the next refinement."""
+
+
+class TrainingStep:
+    """The step of one run.
+
+    Args:
+        config: The whole configuration.
+        state: Model, optimizers and density control.
+        guard: Watches losses and gradients.
+        capacity: Counts the renderer's pairs.
+        decoding: Opened around rendering and backward pass; what makes decoders fast.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        state: TrainingState,
+        guard: FiniteGuard,
+        capacity: PairCapacity,
+        decoding: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.guard = guard
+        self.capacity = capacity
+        self.decoding = decoding
+
+    def gradients(self, frame: FrameTensors, kind: StepKind, *, fixed_capacity: bool) -> "_Differentiated":
+        """Render the frame, compare it with its images, and leave the gradients on the parameters.
+
+        Args:
+            frame: The frame.
+            kind: What is done with it.
+            fixed_capacity: Render without reading numbers of pairs back.
+
+        Raises:
+            UserError: If no loss has a weight.
+        """
+        config, state = self.config, self.state
+        with self.decoding():
+            with self.capacity.step(fixed=fixed_capacity):
+                rendered = state.model.render(
+                    frame.rgb,
+                    frame.thermal,
+                    sh_degree=kind.sh_degree,
+                    absgrad=config.densification.absgrad,
+                    aligned=frame.aligned,
+                )
+            losses = frame_losses(rendered, frame, config.loss)
+            if not losses:
+                raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
+            if kind.densifying:
+                for name, strategy in state.strategies.items():
+                    strategy.step_pre_backward(rendered.infos.get(name, []))
+            torch.stack(list(losses.values())).sum().backward()
+        self.guard.observe(state.step_on_device, losses, state.gradients())
+        return _Differentiated(rendered, losses)
+
+    def update(self, frame: FrameTensors, kind: StepKind, done: "_Differentiated") -> StepValues:
+        """Improve Gaussians and decoders by the gradients, except where something was not finite or did not fit.
+
+        Args:
+            frame: The frame.
+            kind: What is done with it.
+            done: What :meth:`gradients` returned.
+        """
+        state = self.state
+        blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
+        for optimizers in state.optimizers.values():
+            step_unless(blocked, optimizers)
+        state.clear_gradients()
+        if kind.densifying:
+            for name, strategy in state.strategies.items():
+                strategy.observe(done.rendered.infos.get(name, []), blocked)
+        losses = {name: loss.detach() for name, loss in done.losses.items()}
+        return StepValues(losses, _squared_errors(done.rendered, frame))
+
+
+@dataclass(frozen=True)
+class _Differentiated:
+    """A rendered frame and its losses, after the backward pass."""
+
+    rendered: RenderedFrame
+    losses: dict[str, Tensor]
+
+
+@torch.no_grad()
+def _squared_errors(rendered: RenderedFrame, frame: FrameTensors) -> dict[str, Tensor]:
+    pairs = {"rgb": (rendered.rgb, frame.rgb), "thermal": (rendered.thermal, frame.thermal)}
+    return {
+        modality: (image.clamp(0.0, 1.0) - view.image).square().mean()
+        for modality, (image, view) in pairs.items()
+        if image is not None and view is not None and view.image is not None
+    }
