@@ -3,14 +3,15 @@
     python benchmarks/bench_accuracy.py --device cpu --oracle FOLDER --output accuracy.json
     python benchmarks/bench_accuracy.py --device cuda --cases needles "5,000"
 
-One row a scene and renderer: the largest error of the image and the relative error of each gradient, of float32 against
-a dense float64 renderer that shares no code with the kernels (tests/reference_rasterizer.py; the scenes are
-tests/hard_scenes.py). A star marks where thermosplat's error exceeds gsplat's by more than a rounding of float32. On CUDA
-the peer is gsplat's extension, on the CPU its torch reference.
+One row a scene and renderer: the largest error of the image and the relative error of each gradient, of float32
+against a dense float64 renderer that shares no code with the kernels (tests/reference_rasterizer.py; the scenes are
+tests/hard_scenes.py). A star marks where thermosplat's error exceeds gsplat's by more than a rounding of float32. On
+CUDA the peer is gsplat's extension, on the CPU its torch reference.
 """
 
 import argparse
 import json
+import math
 import os
 import platform
 import sys
@@ -23,9 +24,10 @@ import torch
 import warp as wp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from accuracy_truth import Rasterization, Truth, errors, truth_of  # noqa: E402
-from hard_scenes import FINITE, LARGE, NON_FINITE  # noqa: E402
-from thermosplat import rasterization  # noqa: E402
+from accuracy_truth import Rasterization, Truth, errors, truth_of
+
+from hard_scenes import FINITE, LARGE, NON_FINITE
+from thermosplat import rasterization
 
 COLUMNS = ("image", "means", "quats", "scales", "covars", "opacities", "colors", "viewmats")
 ROUNDING = 2.0**-23
@@ -79,8 +81,8 @@ def measured(render: Rasterization, truth: Truth, device: torch.device, dtype: t
     """The errors, or why there are none."""
     try:
         return errors(render, truth, device, dtype)
-    except (RuntimeError, ValueError, AssertionError, IndexError) as error:
-        return {"failed": f"{type(error).__name__}: {str(error).splitlines()[0][:100]}"}
+    except (RuntimeError, ValueError, TypeError, AssertionError, IndexError) as error:
+        return {"failed": f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:100]}"}
 
 
 def exceeds(ours: float, theirs: float | None) -> bool:
@@ -109,8 +111,16 @@ def write_json(path: Path | None, report: dict[str, Any]) -> None:
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(path.name + ".part")
-        temporary.write_text(json.dumps(report, indent=1) + "\n")
+        # Standard JSON has no NaN: what is not finite becomes a string.
+        text = json.dumps(_json(report), indent=1, allow_nan=False)
+        temporary.write_text(text + "\n")
         temporary.replace(path)
+
+
+def _json(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _json(item) for key, item in value.items()}
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def main() -> int:
@@ -139,9 +149,8 @@ def main() -> int:
             "float64": measured(rasterization, truth, device, torch.float64),
             "thermosplat": measured(rasterization, truth, device, torch.float32),
         }
-        print(f"\r{len(rows)} of {len(names)}", end="", file=sys.stderr, flush=True)
         write_json(options.output, report)
-    print(f"\r{'case':<44} {'renderer':<12}", *(f"{column:>9}" for column in COLUMNS))
+    print(f"{'case':<44} {'renderer':<12}", *(f"{column:>9}" for column in COLUMNS))
     for name in names:
         if isinstance(peer, str):
             rows[name]["gsplat"] = None
@@ -157,7 +166,7 @@ def main() -> int:
     kernels = [value for row in rows.values() for value in row["float64"].values() if not isinstance(value, str)]
     print(f"gsplat: {report['environment']['gsplat']}. Our kernels in float64 are at most {max(kernels):.1e} off.")
     ours = [row["thermosplat"] for row in rows.values()]
-    sound = all("failed" not in row and all(abs(value) < float("inf") for value in row.values()) for row in ours)
+    sound = all("failed" not in row and all(math.isfinite(value) for value in row.values()) for row in ours)
     return 0 if sound else 1
 
 

@@ -154,7 +154,7 @@ def _crowd(opacities: tuple[float, float]) -> Scene:
     scene = _axis_aligned(_ordinary(n=n, width=6, height=4))
     scene["means"][:, :2] *= 0.3
     scene["means"][:, 2] = torch.linspace(3.0, 5.0, n, dtype=torch.float64).flip(0)
-    scene["scales"] = scene["scales"] + 0.5
+    scene["scales"] = scene["scales"] + 3.0  # so that few of them fall to 1/255 within the image
     low, high = opacities
     scene["opacities"] = low + (high - low) * scene["opacities"]
     return scene

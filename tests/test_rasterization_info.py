@@ -6,6 +6,8 @@ from typing import Any
 import pytest
 import torch
 
+from gaussian_scenes import leaves, random_rgbt_scene, random_scene
+from thermosplat import rasterization, rasterization_rgbt
 from thermosplat.rasterization_info import RasterizationInfo, isect_ids
 
 
@@ -54,3 +56,30 @@ def test_isect_ids_pack_image_tile_and_depth() -> None:
     bits = depths.view(torch.int32).tolist()
     expected = [bits[0], 2 << 32 | bits[0], 2 << 32 | bits[1], (1 << 2 | 1) << 32 | bits[3]]
     assert isect_ids(flatten_ids, tile_offsets, depths, 3).tolist() == expected
+
+
+def test_number_of_non_finite_gaussians(device: torch.device) -> None:
+    """Each counts once, whatever is wrong with it and in however many cameras; over all scenes of a batch."""
+    scene = random_scene(n=20, cameras=3, batch=(2,), per_camera_colors=True)
+    assert rasterization(**leaves(scene, device, torch.float32))[2]["num_nonfinite"] == 0
+    scene["means"][0, 4, 1] = float("nan")
+    scene["opacities"][0, 4] = float("inf")
+    scene["quats"][1, 4, 0] = float("-inf")
+    scene["colors"][1, :2, 7, 2] = float("nan")
+    info = rasterization(**leaves(scene, device, torch.float32))[2]
+    assert info["num_nonfinite"] == dict(info)["num_nonfinite"] == 3
+
+
+def test_number_of_non_finite_gaussians_in_what_is_rendered(device: torch.device) -> None:
+    """Features and thermal opacities count; SH coefficients above the active degree do not."""
+    scene = random_rgbt_scene(n=20, sh_degree=2) | {"sh_degree": 1}
+    scene["colors"][3, 8, 0] = float("nan")
+    assert rasterization_rgbt(**leaves(scene, device, torch.float32)).info["num_nonfinite"] == 0
+    scene["colors"][3, 3, 0] = scene["features"][5, 7] = scene["thermal_opacities"][9] = float("nan")
+    assert rasterization_rgbt(**leaves(scene, device, torch.float32)).info["num_nonfinite"] == 3
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_no_gaussians_none_non_finite(n: int) -> None:
+    """An empty scene has none."""
+    assert rasterization(**leaves(random_scene(n=n), "cpu", torch.float32))[2]["num_nonfinite"] == 0

@@ -14,6 +14,7 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from thermosplat.errors import UserError
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels import binning_step, blending_step, color_step, projection_step
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
@@ -300,16 +301,19 @@ def bin_tiles(
     scalar = SCALARS[opacities.dtype]
     with on_torch_stream(opacities.device) as device:
         arrays = projected.arrays()
-        bins = binning_step.bin_tiles(
-            arrays,
-            wrap(opacities, scalar),
-            wrap(thermal_opacities, scalar),
-            wrap(features, scalar),
-            settings,
-            tile_size,
-            by_slot=not device.is_cuda,
-            capacity=capacity,
-        )
+        try:
+            bins = binning_step.bin_tiles(
+                arrays,
+                wrap(opacities, scalar),
+                wrap(thermal_opacities, scalar),
+                wrap(features, scalar),
+                settings,
+                tile_size,
+                by_slot=not device.is_cuda,
+                capacity=capacity,
+            )
+        except binning_step.TooManyPairsError as error:
+            raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
     return arrays, bins
 
 
