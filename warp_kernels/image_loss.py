@@ -190,16 +190,17 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         plane = index // (width * strips)
         inside = y > RADIUS and y + STRIP + RADIUS < height
         total = vecS()
-        for k in range(REACH):
-            at = y + k - RADIUS
-            if at >= 0 and at < height:
+        if inside:
+            for k in range(REACH):
+                value = derivatives[plane, y + k - RADIUS, x]
+                for r in range(STRIP):
+                    if k - r >= 0 and k - r <= 2 * RADIUS:
+                        total[r] += taps[k - r] * value
+        else:
+            for at in range(wp.max(y - RADIUS, 0), wp.min(y + STRIP + RADIUS, height)):
                 value = derivatives[plane, at, x]
                 for r in range(STRIP):
-                    if inside:
-                        if k - r >= 0 and k - r <= 2 * RADIUS:
-                            total[r] += taps[k - r] * value
-                    else:
-                        total[r] += mirrored_tap(y + r, at, height) * value
+                    total[r] += mirrored_tap(y + r, at, height) * value
         for r in range(STRIP):
             if y + r < height:
                 blurred[plane, y + r, x] = total[r]
@@ -225,22 +226,24 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         by_x = vecS()
         by_xx = vecS()
         by_xy = vecS()
-        for k in range(REACH):
-            at = x + k - RADIUS
-            if at >= 0 and at < width:
+        if inside:
+            for k in range(REACH):
+                at = x + k - RADIUS
                 d0 = blurred[3 * c, y, at]
                 d1 = blurred[3 * c + 1, y, at]
                 d2 = blurred[3 * c + 2, y, at]
                 for r in range(STRIP):
-                    w = zero
-                    if inside:
-                        if k - r >= 0 and k - r <= 2 * RADIUS:
-                            w = taps[k - r]
-                    else:
-                        w = mirrored_tap(x + r, at, width)
-                    by_x[r] += w * d0
-                    by_xx[r] += w * d1
-                    by_xy[r] += w * d2
+                    if k - r >= 0 and k - r <= 2 * RADIUS:
+                        by_x[r] += taps[k - r] * d0
+                        by_xx[r] += taps[k - r] * d1
+                        by_xy[r] += taps[k - r] * d2
+        else:
+            for at in range(wp.max(x - RADIUS, 0), wp.min(x + STRIP + RADIUS, width)):
+                for r in range(STRIP):
+                    w = mirrored_tap(x + r, at, width)
+                    by_x[r] += w * blurred[3 * c, y, at]
+                    by_xx[r] += w * blurred[3 * c + 1, y, at]
+                    by_xy[r] += w * blurred[3 * c + 2, y, at]
         scale = v_mean[0] / dtype(height * width * render.shape[2])
         for r in range(STRIP):
             if x + r < width:

@@ -4,7 +4,6 @@ from typing import Any
 
 import torch
 import warp as wp
-from torch import Tensor
 
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.adam import adam_update
@@ -13,14 +12,8 @@ from warp_kernels.adam import adam_update
 class WarpAdam(torch.optim.Adam):
     """``torch.optim.Adam`` with the same state and, to rounding, the same update. Never waits for the device.
 
-    Args:
-        parameters: float32 parameters of one device.
-        lr: A tensor on that device, so that a captured step sees it change.
-        eps: Added to the denominator.
+    Its rate ``lr`` must be a tensor on the parameters' device, so that a captured step sees it change.
     """
-
-    def __init__(self, parameters: list[torch.nn.Parameter], lr: Tensor, eps: float) -> None:
-        super().__init__(parameters, lr=lr, eps=eps, fused=True, capturable=True)
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> None:  # type: ignore[override]

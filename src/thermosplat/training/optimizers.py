@@ -34,21 +34,25 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_ext
 
 def gaussian_optimizers(gaussians: nn.Module, config: OptimizerConfig) -> Optimizers:
     """One Adam for each parameter of a set of Gaussians, by name."""
-    return {name: _adam([parameter], config) for name, parameter in gaussians.named_parameters()}
+    optimizers = {}
+    for name, parameter in gaussians.named_parameters():
+        on_cuda = parameter.device.type == "cuda"
+        optimizers[name] = _adam([parameter], config, WarpAdam if on_cuda else torch.optim.Adam)
+    return optimizers
 
 
 def decoder_optimizer(decoders: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
     """Adam for the decoder networks."""
-    return _adam(list(decoders.parameters()), config)
+    return _adam(list(decoders.parameters()), config, torch.optim.Adam)
 
 
-def _adam(parameters: list[nn.Parameter], config: OptimizerConfig) -> torch.optim.Adam:
-    # Both variants can be told on the device, without waiting for it, to leave the parameters alone (found_inf).
+def _adam(parameters: list[nn.Parameter], config: OptimizerConfig, kind: type[torch.optim.Adam]) -> torch.optim.Adam:
+    # fused: one kernel for the whole update (ten times faster than torch's loop on the CPU), and the one variant that
+    # can be told on the device, without waiting for it, to leave the parameters alone (found_inf)
     device = parameters[0].device
-    if device.type == "cuda":
-        return WarpAdam(parameters, torch.zeros((), device=device), config.eps)
-    # fused: one kernel for the whole update, ten times faster than torch's loop on the CPU
-    return torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
+    if device.type == "cuda":  # a rate that a captured step sees change
+        return kind(parameters, lr=torch.zeros((), device=device), eps=config.eps, fused=True, capturable=True)
+    return kind(parameters, lr=0.0, eps=config.eps, fused=True)
 
 
 def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
