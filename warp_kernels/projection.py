@@ -5,6 +5,10 @@ projection at p, M = J R, rotation-scale G = R(q) diag(s), A = M G with rows a0,
 blur eps2d on its diagonal. Its determinant is |a0 x a1|² + eps2d (|a0|² + |a1|²) + eps2d²: a sum of non-negative
 terms, so that it does not cancel for needle-shaped Gaussians as xx·yy - xy² does in float32.
 
+The inverse of the 2D covariance, the conic Q, is stored as its triangular root: Q = Uᵀ U with U = [u, u k; 0, v],
+u = sqrt(yy / det), k = -xy / yy, v = 1 / sqrt(yy). Of a long needle Q's small eigenvalue is lost when Q is rounded; of
+U nothing is. z = U d is the offset d in units of the Gaussian's own standard deviations, and |z|² = dᵀ Q d.
+
 Images are numbered i = scene · cameras + camera; per-image arrays of Gaussians are flat, index i · N + n.
 """
 
@@ -136,7 +140,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     normalize, _, to_matrix, _ = rotation_functions(dtype)
     camera_position, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
-    zero, two = dtype(0.0), dtype(2.0)
+    zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
     alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
     largest_radius = dtype(1.0e9)  # fits an int32
     sharpest = dtype(1.0e30 if dtype is wp.float32 else 1.0e300)  # times pixels squared stays finite
@@ -168,7 +172,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         # outputs
         means2d: wp.array(dtype=vec2),
         depths: wp.array(dtype=dtype),
-        conics: wp.array(dtype=vec3),
+        roots: wp.array(dtype=vec3),
         compensations: wp.array(dtype=dtype),
         radii: wp.array(dtype=wp.vec2i),
         extents: wp.array(dtype=vec2),
@@ -180,7 +184,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         # A culled Gaussian: everything zero, so that nothing undefined is ever read.
         means2d[index] = vec2()
         depths[index] = zero
-        conics[index] = vec3()
+        roots[index] = vec3()
         compensations[index] = zero
         radii[index] = wp.vec2i(0, 0)
         extents[index] = vec2()
@@ -219,8 +223,9 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         mean2d = project_mean(exact, K)
         if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d)):
             return
-        conic = vec3(yy / det_blurred, -xy / det_blurred, xx / det_blurred)
-        if not conic[0] + conic[2] <= sharpest:
+        root = vec3(wp.sqrt(yy / det_blurred), -xy / yy, one / wp.sqrt(yy))
+        # The conic's largest entries, and the slope
+        if not (xx + yy) / det_blurred <= sharpest or not wp.abs(root[1]) <= sharpest or not root[0] > zero:
             return
         compensation = dtype(1.0)
         if antialiased:
@@ -244,7 +249,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
 
         means2d[index] = mean2d
         depths[index] = p[2]
-        conics[index] = conic
+        roots[index] = root
         compensations[index] = compensation
         radii[index] = wp.vec2i(int(rx), int(ry))
         extents[index] = vec2(ex, ey)
@@ -284,7 +289,7 @@ class ProjectedArrays:
     Attributes:
         means2d: vec2 [images · N], px.
         depths: [images · N], camera z in world units.
-        conics: vec3 [images · N], inverse 2D covariance (xx, xy, yy), 1/px².
+        roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module).
         compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one).
         radii: vec2i [images · N], px; 0 where culled.
         extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN.
@@ -292,7 +297,7 @@ class ProjectedArrays:
 
     means2d: wp.array
     depths: wp.array
-    conics: wp.array
+    roots: wp.array
     compensations: wp.array
     radii: wp.array
     extents: wp.array

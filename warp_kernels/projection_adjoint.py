@@ -3,8 +3,10 @@
 One thread a Gaussian walks the cameras of its scene and sums its own gradient, so that nothing is atomic and the sum
 is the same on every run. Gradients to cameras are written one record an (image, Gaussian) pair and summed afterwards.
 
-With Q the conic and V the symmetric gradient of the loss to a matrix: V_cov = -Q V_Q Q, V_A = 2 V_cov A, and for the
-antialiasing compensation ρ = sqrt(det / det_blurred) the determinant's gradient |a0 x a1|² -> 2 a1 x (a0 x a1).
+With U the conic's root and V the symmetric gradient of the loss to a matrix: the gradient to (u, k, v) determines W,
+the sum of p z zᵀ over pixels (see gradient_records), and V_cov = ½ Uᵀ W U, V_A = Uᵀ W (U A). All of it is computed on
+whitened rows U B, U M, whose entries are of order 1: of a needle, B's and M's are not, and their differences cancel. For
+the antialiasing compensation ρ = sqrt(det / det_blurred) the determinant's gradient is |a0 x a1|² -> 2 a1 x (a0 x a1).
 """
 
 import functools
@@ -71,12 +73,12 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         height: int,
         eps2d: dtype,
         antialiased: bool,
-        conics: wp.array(dtype=vec3),
+        roots: wp.array(dtype=vec3),
         compensations: wp.array(dtype=dtype),
         radii: wp.array(dtype=wp.vec2i),
         v_means2d: wp.array(dtype=vec2),
         v_depths: wp.array(dtype=dtype),
-        v_conics: wp.array(dtype=vec3),
+        v_roots: wp.array(dtype=vec3),
         v_compensations: wp.array(dtype=dtype),
         # outputs
         v_means: wp.array(dtype=vec3),
@@ -125,69 +127,91 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
                 m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
 
-                # conic -> covariance: V_cov = -Q V_Q Q, with the off-diagonal gradient shared by both entries
-                Q = conics[index]
-                v_Q = v_conics[index]
-                finite = wp.isfinite(v_Q) and wp.isfinite(v_means2d[index]) and wp.isfinite(v_depths[index])
+                # root -> W, the moments in whitened coordinates (see gradient_records)
+                u = roots[index][0]
+                k = roots[index][1]
+                v = roots[index][2]
+                v_root = v_roots[index]
+                finite = wp.isfinite(v_root) and wp.isfinite(v_means2d[index]) and wp.isfinite(v_depths[index])
                 finite = finite and wp.isfinite(v_compensations[index])
                 given = given and finite
-                off = half * v_Q[1]
-                r00 = v_Q[0] * Q[0] + off * Q[1]
-                r01 = v_Q[0] * Q[1] + off * Q[2]
-                r10 = off * Q[0] + v_Q[2] * Q[1]
-                r11 = off * Q[1] + v_Q[2] * Q[2]
-                v_xx = -(Q[0] * r00 + Q[1] * r10)
-                v_xy = -(Q[0] * r01 + Q[1] * r11)
-                v_yy = -(Q[1] * r01 + Q[2] * r11)
+                w00 = -u * v_root[0]
+                w01 = -v / u * v_root[1]
+                w11 = -v * v_root[2]
+
+                # W -> whitened M and the Gaussian's own shape
+                n0 = u * (m0 + k * m1)
+                n1 = v * m1
+                v_n0 = vec3()
+                v_n1 = vec3()
+                if wp.static(from_covars):
+                    c0 = covariance * n0
+                    c1 = covariance * n1
+                    v_n0 = w00 * c0 + w01 * c1
+                    v_n1 = w01 * c0 + w11 * c1
+                    V = half * (
+                        w00 * wp.outer(n0, n0) + w01 * (wp.outer(n0, n1) + wp.outer(n1, n0)) + w11 * wp.outer(n1, n1)
+                    )
+                    g_covar = g_covar + vec6(V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2])
+                else:
+                    b0 = back * n0
+                    b1 = back * n1
+                    a0 = wp.cw_mul(b0, s)
+                    a1 = wp.cw_mul(b1, s)
+                    v_a0 = w00 * a0 + w01 * a1
+                    v_a1 = w01 * a0 + w11 * a1
+                    g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
+                    v_b0 = wp.cw_mul(v_a0, s)
+                    v_b1 = wp.cw_mul(v_a1, s)
+                    g_rotation = g_rotation + wp.outer(n0, v_b0) + wp.outer(n1, v_b1)
+                    v_n0 = rotation * v_b0
+                    v_n1 = rotation * v_b1
+                v_m0 = u * v_n0
+                v_m1 = k * v_m0 + v * v_n1
 
                 # compensation -> determinant and blur
-                v_det = zero
                 if antialiased:
                     rho = compensations[index]
                     if rho > zero:
-                        # 1 / det_blurred is the conic's determinant; taken from the forward quantities without it
                         xx, xy, yy, det = zero, zero, zero, zero
                         if wp.static(from_covars):
                             xx, xy, yy, det = from_covariance(m0, m1, covariance)
                         else:
                             xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
                         det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
-                        k = half * v_compensations[index] / (rho * det_blurred)
-                        ratio = rho * rho
-                        v_det = k * (one - ratio)
-                        v_xx = v_xx - k * ratio * eps2d
-                        v_yy = v_yy - k * ratio * eps2d
-
-                # covariance -> M and the Gaussian's own shape
-                v_m0 = vec3()
-                v_m1 = vec3()
-                if wp.static(from_covars):
-                    c0 = covariance * m0
-                    c1 = covariance * m1
-                    xx = wp.dot(m0, c0)
-                    xy = wp.dot(m0, c1)
-                    yy = wp.dot(m1, c1)
-                    v_xx = v_xx + v_det * yy
-                    v_yy = v_yy + v_det * xx
-                    v_xy = v_xy - v_det * xy
-                    v_m0 = two * (v_xx * c0 + v_xy * c1)
-                    v_m1 = two * (v_xy * c0 + v_yy * c1)
-                    V = v_xx * wp.outer(m0, m0) + v_xy * (wp.outer(m0, m1) + wp.outer(m1, m0)) + v_yy * wp.outer(m1, m1)
-                    g_covar = g_covar + vec6(V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2])
-                else:
-                    b0 = back * m0
-                    b1 = back * m1
-                    a0 = wp.cw_mul(b0, s)
-                    a1 = wp.cw_mul(b1, s)
-                    normal = wp.cross(a0, a1)
-                    v_a0 = two * (v_xx * a0 + v_xy * a1 + v_det * wp.cross(a1, normal))
-                    v_a1 = two * (v_xy * a0 + v_yy * a1 + v_det * wp.cross(normal, a0))
-                    g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
-                    v_b0 = wp.cw_mul(v_a0, s)
-                    v_b1 = wp.cw_mul(v_a1, s)
-                    g_rotation = g_rotation + wp.outer(m0, v_b0) + wp.outer(m1, v_b1)
-                    v_m0 = rotation * v_b0
-                    v_m1 = rotation * v_b1
+                        share = half * v_compensations[index] / (rho * det_blurred)
+                        v_det = share * (one - rho * rho)
+                        v_blur = -share * rho * rho * eps2d
+                        if wp.static(from_covars):
+                            c0 = covariance * m0
+                            c1 = covariance * m1
+                            v_xx = v_blur + v_det * yy
+                            v_yy = v_blur + v_det * xx
+                            v_xy = -v_det * xy
+                            v_m0 = v_m0 + two * (v_xx * c0 + v_xy * c1)
+                            v_m1 = v_m1 + two * (v_xy * c0 + v_yy * c1)
+                            V = (
+                                v_xx * wp.outer(m0, m0)
+                                + v_xy * (wp.outer(m0, m1) + wp.outer(m1, m0))
+                                + v_yy * wp.outer(m1, m1)
+                            )
+                            g_covar = g_covar + vec6(
+                                V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2]
+                            )
+                        else:
+                            b0 = back * m0
+                            b1 = back * m1
+                            a0 = wp.cw_mul(b0, s)
+                            a1 = wp.cw_mul(b1, s)
+                            normal = wp.cross(a0, a1)
+                            v_a0 = two * (v_blur * a0 + v_det * wp.cross(a1, normal))
+                            v_a1 = two * (v_blur * a1 + v_det * wp.cross(normal, a0))
+                            g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
+                            v_b0 = wp.cw_mul(v_a0, s)
+                            v_b1 = wp.cw_mul(v_a1, s)
+                            g_rotation = g_rotation + wp.outer(m0, v_b0) + wp.outer(m1, v_b1)
+                            v_m0 = v_m0 + rotation * v_b0
+                            v_m1 = v_m1 + rotation * v_b1
 
                 # M = J R -> J and R
                 v_M = mat23(v_m0[0], v_m0[1], v_m0[2], v_m1[0], v_m1[1], v_m1[2])

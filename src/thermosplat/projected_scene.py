@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.pair_capacity import active_pair_capacity
-from thermosplat.rasterization_info import RasterizationInfo, isect_ids, num_nonfinite
+from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
 from thermosplat.warp_bridge import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles, to_torch
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins
@@ -70,7 +70,6 @@ class ProjectedScene:
         )
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
         self.means2d = self.projected.means2d.reshape(*self.images_shape, -1, 2)
-        self.conics = self.projected.conics.reshape(*self.images_shape, -1, 3)
         self.depths = self.projected.depths.reshape(*self.images_shape, -1)
         self.opacities = self._per_image_opacities(opacities)
         self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
@@ -124,7 +123,7 @@ class ProjectedScene:
         second = self.thermal_opacities if thermal_channels > 0 else None
         results = Blend.apply(
             self.means2d.reshape(-1, 2),
-            self.conics.reshape(-1, 3),
+            self.projected.roots,
             _flat(opacities),
             None if second is None else _flat(second),
             features,
@@ -178,7 +177,6 @@ class ProjectedScene:
             "radii": self.projected.radii.reshape(*shape, -1, 2),
             "means2d": self.means2d,
             "depths": self.depths,
-            "conics": self.conics,
             "opacities": self.opacities,
             "tile_width": bins.tiles_x,
             "tile_height": bins.tiles_y,
@@ -194,10 +192,12 @@ class ProjectedScene:
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
         depths, tiles = self.projected.depths.detach(), bins.tiles_x * bins.tiles_y
+        roots = self.projected.roots
         inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
         return RasterizationInfo(
             values,
             {
+                "conics": lambda: conics(roots).reshape(*shape, -1, 3),
                 "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles),
                 "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
             },

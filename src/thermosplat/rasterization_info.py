@@ -69,6 +69,16 @@ def num_nonfinite(inputs: Iterable[tuple[Tensor, int]], scenes: int, num_gaussia
     return int((~torch.stack(finite).all(0)).sum())
 
 
+def conics(roots: Tensor) -> Tensor:
+    """Inverse 2D covariances [..., 3] (xx, xy, yy) [1/px²] of their roots (u, k, v) [..., 3]: Uᵀ U, U = [u, u k; 0, v].
+
+    Differentiable: a loss on them reaches the Gaussians. (The image's own gradient goes through the roots.)
+    """
+    u, k, v = roots.unbind(-1)
+    uk = u * k
+    return torch.stack([u * u, u * uk, uk * uk + v * v], -1)
+
+
 def isect_ids(flatten_ids: Tensor, tile_offsets: Tensor, depths: Tensor, tiles: int) -> Tensor:
     """gsplat's sort keys: image, tile and depth bits packed into an int64, one a (Gaussian, tile) pair.
 

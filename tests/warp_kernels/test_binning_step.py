@@ -21,7 +21,7 @@ def test_more_pairs_than_indices_can_number() -> None:
     arrays = ProjectedArrays(
         means2d=array((size / 2, size / 2), wp.vec2),
         depths=array(1.0, wp.float32),
-        conics=array((1e-12, 0.0, 1e-12), wp.vec3),
+        roots=array((1e-6, 0.0, 1e-6), wp.vec3),
         compensations=array(1.0, wp.float32),
         radii=array((3e6, 3e6), wp.vec2i),
         extents=array((3e6, 3e6), wp.vec2),
