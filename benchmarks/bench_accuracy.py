@@ -40,6 +40,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--cases", nargs="+", default=None, help="parts of names; all if not given")
     parser.add_argument("--output", type=Path, default=None, help="JSON file to write")
+    parser.add_argument("--table", type=Path, default=None, help="Markdown file to write: images and worst gradients")
     parser.add_argument(
         "--oracle", type=Path, default=Path(os.environ.get("THERMOSPLAT_TEST_ORACLE", "../shared/oracle"))
     )
@@ -117,6 +118,33 @@ def write_json(path: Path | None, report: dict[str, Any]) -> None:
         temporary.replace(path)
 
 
+def markdown(rows: dict[str, dict[str, Any]]) -> str:
+    """A table of the images' errors and of each renderer's worst gradient; what is the smaller error is bold."""
+    lines = ["| scene | image | gsplat | worst gradient | gsplat |", "|---|---|---|---|---|"]
+    for name, row in rows.items():
+        cells = []
+        for key in ("image", "gradient"):
+            both = [_worst(row[renderer], key) for renderer in ("thermosplat", "gsplat")]
+            best = min((value for value, _ in both if math.isfinite(value)), default=math.nan)
+            for value, text in both:
+                cells.append(f"**{text}**" if value == best else text)
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _worst(found: dict[str, Any] | None, key: str) -> tuple[float, str]:
+    if found is None or "failed" in found:
+        return math.nan, "" if found is None else "does not run"
+    if key == "image":
+        return found[key], f"{found[key]:.1e}"
+    gradients = {name: found[name] for name in COLUMNS[1:] if name in found}
+    wrong = [name for name, value in gradients.items() if not math.isfinite(value)]
+    if wrong:
+        return math.nan, f"NaN: {', '.join(wrong)}"
+    name = max(gradients, key=lambda name: gradients[name])
+    return gradients[name], f"{gradients[name]:.1e} {name}"
+
+
 def _json(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _json(item) for key, item in value.items()}
@@ -155,7 +183,7 @@ def main() -> int:
         if isinstance(peer, str):
             rows[name]["gsplat"] = None
         elif name in LARGE and device.type == "cpu":
-            rows[name]["gsplat"] = {"failed": "skipped: the torch reference needs minutes for so many pixels"}
+            rows[name]["gsplat"] = {"failed": "left out: the torch reference needs minutes for so many pixels"}
         else:
             rows[name]["gsplat"] = measured(peer[1], truth_of(name, device), device, torch.float32)
         theirs = rows[name]["gsplat"]
@@ -163,6 +191,8 @@ def main() -> int:
         if theirs is not None:
             print_row("", "gsplat", theirs, None)
         write_json(options.output, report)
+    if options.table is not None:
+        options.table.write_text(markdown(rows))
     kernels = [value for row in rows.values() for value in row["float64"].values() if not isinstance(value, str)]
     print(f"gsplat: {report['environment']['gsplat']}. Our kernels in float64 are at most {max(kernels):.1e} off.")
     ours = [row["thermosplat"] for row in rows.values()]

@@ -5,7 +5,7 @@ is the same on every run. Gradients to cameras are written one record an (image,
 
 With U the conic's root and V the symmetric gradient of the loss to a matrix: the gradient to (u, k, v) determines W,
 the sum of p z zᵀ over pixels (see gradient_records), and V_cov = ½ Uᵀ W U, V_A = Uᵀ W (U A). All of it is computed on
-whitened rows U B, U M, whose entries are of order 1: of a needle, B's and M's are not, and their differences cancel. For
+whitened rows U B and U M, whose entries are of order 1; of a needle, those of B and M are not, and cancel. For
 the antialiasing compensation ρ = sqrt(det / det_blurred) the determinant's gradient is |a0 x a1|² -> 2 a1 x (a0 x a1).
 """
 
