@@ -34,7 +34,7 @@ def alpha_functions(dtype: type):
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     zero, half, one = dtype(0.0), dtype(0.5), dtype(1.0)
     alpha_min, alpha_max = dtype(ALPHA_MIN), dtype(ALPHA_MAX)
-    _, exp_negative, _ = lane_functions(dtype)
+    _, exp_negative, _, _ = lane_functions(dtype)
     rounding = dtype(1.0e-5)
     tolerance = dtype(4.0e-7)
 
@@ -116,7 +116,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, _ = lane_functions(dtype)
+    broadcast, exp_negative, _, attenuate = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
@@ -256,7 +256,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                         visibility = exp_negative(-half * (zx * zx + zy * zy))
                         a = alpha(o, visibility)
                         t = T[offset + q]
-                        next_t = t * (one - a)
+                        next_t = attenuate(t, a)
                         stop = next_t <= transmittance_min
                         w = wp.where(stop, zero, a * t)
                         T[offset + q] = wp.where(stop, -wp.abs(t), next_t)
@@ -265,7 +265,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                         if wp.static(dual):
                             a = alpha(ot, visibility)
                             t = Tt[offset + q]
-                            next_t = t * (one - a)
+                            next_t = attenuate(t, a)
                             stop = next_t <= transmittance_min
                             w = wp.where(stop, zero, a * t)
                             Tt[offset + q] = wp.where(stop, -wp.abs(t), next_t)

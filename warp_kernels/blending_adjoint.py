@@ -1,6 +1,7 @@
 """Adjoint of the blending, back to front, written by hand: Warp's generated adjoint of a dynamic loop is wrong.
 
-Walking a pixel's list backwards, T is recovered by division, and the colour behind the current Gaussian enters only
+Walking a pixel's list backwards, T is recovered by division (so that it does not drift over thousands of layers, faint
+ones add an increment), and the colour behind the current Gaussian enters only
 through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
 dL/dα = T (f · dL/dcolour) - S / (1 - α).
 
@@ -59,13 +60,18 @@ def blend_adjoint_kernel(
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     record = wp.types.vector(length, dtype)
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, add = lane_functions(dtype)
+    broadcast, exp_negative, add, _ = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
     batch = BATCH
     all_candidates = wp.uint32(0xFFFFFFFF)
     first_thermal = C - D
+
+    @wp.func
+    def restored(behind: dtype, a: dtype, ra: dtype):
+        """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
+        return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
     @wp.func_native(accumulate_snippet(length, dtype, atomic=not by_slot))
     def accumulate(dst: wp.array(dtype=record), index: int, v: record): ...
@@ -245,7 +251,7 @@ def blend_adjoint_kernel(
                         a = wp.where(pair > last[offset + q], zero, a)
                         hits = hits | wp.where(a > zero, 1, 0)
                         ra = one / (one - a)
-                        t = T[offset + q] * ra
+                        t = restored(T[offset + q], a, ra)
                         T[offset + q] = t
                         w = a * t
                         weight[q] = w
@@ -261,7 +267,7 @@ def blend_adjoint_kernel(
                             a = wp.where(pair > last_t[offset + q], zero, a)
                             hits = hits | wp.where(a > zero, 1, 0)
                             ra = one / (one - a)
-                            t = Tt[offset + q] * ra
+                            t = restored(Tt[offset + q], a, ra)
                             Tt[offset + q] = t
                             w = a * t
                             weight_t[q] = w
