@@ -77,11 +77,12 @@ def test_thermal_set_starts_grey() -> None:
 
 
 def test_sh_degree_sets_the_size_of_shN() -> None:
-    """Degree 0 has an empty shN; the coefficients are joined in order."""
+    """Degree 0 has an empty shN; the renderer gets both parts as they are stored."""
     assert start(sh_degree=0).shN.shape == (40, 0, 3)
     gaussians = start(sh_degree=1)
-    assert gaussians.sh_coeffs.shape == (40, 4, 3)
-    torch.testing.assert_close(gaussians.sh_coeffs[:, :1], gaussians.sh0)
+    assert gaussians.sh_coeffs[0] is gaussians.sh0
+    assert gaussians.sh_coeffs[1] is gaussians.shN
+    assert gaussians.shN.shape == (40, 3, 3)
 
 
 def test_seed_decides_the_features() -> None:

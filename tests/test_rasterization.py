@@ -16,6 +16,7 @@ from gaussian_scenes import (
     upstream_gradients,
 )
 from thermosplat import rasterization
+from thermosplat.errors import UserError
 
 RENDER_MODES = ["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 CAMERA_MODELS = ["pinhole", "ortho"]
@@ -333,3 +334,21 @@ def test_a_frame_of_many_tiles(device: torch.device) -> None:
     _, (_, alphas, _) = assert_matches_reference(rasterization, scene, device)
     assert (alphas > 0.999).float().mean() > 0.05
     assert (alphas < 0.9).float().mean() > 0.05
+
+
+def test_coefficients_in_two_tensors(device: torch.device) -> None:
+    """A pair of the first coefficient and the others gives the image and gradients of their concatenation."""
+    scene = random_scene(sh_degree=2, cameras=2)
+    joined = leaves(scene, device, torch.float64)
+    apart = leaves(scene, device, torch.float64)
+    pair = tuple(part.detach().clone().requires_grad_() for part in apart["colors"].split([1, 8], dim=-2))
+    image, _, _ = rasterization(**joined)
+    other, _, _ = rasterization(**{**apart, "colors": pair})
+    image.square().sum().backward()
+    other.square().sum().backward()
+    assert torch.equal(image, other)
+    gradient = torch.cat([part.grad for part in pair], dim=-2)
+    torch.testing.assert_close(gradient, joined["colors"].grad, rtol=1e-12, atol=1e-15)
+    torch.testing.assert_close(apart["means"].grad, joined["means"].grad, rtol=1e-10, atol=1e-14)
+    with pytest.raises(UserError, match=r"colors\[1\]"):
+        rasterization(**{**apart, "colors": (pair[0], pair[1][..., :5, :])})

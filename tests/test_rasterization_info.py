@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from gaussian_scenes import leaves, random_rgbt_scene, random_scene
+import reference_rasterizer
+from gaussian_scenes import leaves, random_rgbt_scene, random_scene, relative_error
 from thermosplat import rasterization, rasterization_rgbt
 from thermosplat.rasterization_info import RasterizationInfo, isect_ids
 
@@ -83,3 +84,28 @@ def test_number_of_non_finite_gaussians_in_what_is_rendered(device: torch.device
 def test_no_gaussians_none_non_finite(n: int) -> None:
     """An empty scene has none."""
     assert rasterization(**leaves(random_scene(n=n), "cpu", torch.float32))[2]["num_nonfinite"] == 0
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_non_finite_coefficients_as_stored(degree: int) -> None:
+    """Coefficients given as (sh0, shN): the active ones count."""
+    scene = leaves(random_scene(n=20, sh_degree=2) | {"sh_degree": degree}, "cpu", torch.float32)
+    coefficients = scene["colors"].detach().clone()
+    coefficients[2, 0, 0] = coefficients[3, 3, 1] = coefficients[5, 8, 2] = float("nan")
+    colors = (coefficients[:, :1].contiguous(), coefficients[:, 1:].contiguous())
+    assert rasterization(**scene | {"colors": colors})[2]["num_nonfinite"] == degree + 1
+
+
+def test_conics_are_differentiable() -> None:
+    """A loss on them has the gradient that it has in the reference."""
+    scene = random_scene(cameras=2)
+    found = []
+    for render in (rasterization, reference_rasterizer.rasterization):
+        inputs = leaves(scene, "cpu", torch.float64)
+        info = render(**inputs)[2]
+        visible = (info["radii"] > 0).all(-1)
+        loss = info["conics"].reshape(*visible.shape, 3)[visible].square().sum()
+        found.append(torch.autograd.grad(loss, [inputs[name] for name in ("means", "quats", "scales", "viewmats")]))
+    for one, other in zip(*found, strict=True):
+        assert other.norm() > 0
+        assert relative_error(one, other) < 1e-11

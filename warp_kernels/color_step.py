@@ -12,7 +12,8 @@ def sh_colors(
     degree: int,
     means: wp.array,
     camera_positions: wp.array,
-    coefficients: wp.array,
+    sh0: wp.array,
+    shN: wp.array,
     radii: wp.array,
     colors: wp.array,
     num_gaussians: int,
@@ -26,8 +27,10 @@ def sh_colors(
         degree: 0 to 3.
         means: vec3 [scenes · N]. Receives a gradient.
         camera_positions: vec3d [images], world units, float64 whatever the means are. Receives a gradient.
-        coefficients: vec3 [scenes · N, K], or [images · N, K] for coefficients of their own per image; K at least
-            (degree + 1)². Receives a gradient.
+        sh0: vec3 [scenes · N, 1], coefficients of degree 0, or [images · N, 1] for coefficients of their own per image;
+            any strides, as ``shN``. Receives a gradient.
+        shN: vec3 [scenes · N, K - 1] or [images · N, K - 1], those of the higher degrees; K at least (degree + 1)².
+            Receives a gradient.
         radii: vec2i [images · N] from the projection.
         colors: vec3 [images · N], output.
         num_gaussians: N.
@@ -37,7 +40,7 @@ def sh_colors(
     """
     device = means.device
     dtype = means.dtype._wp_scalar_type_
-    arguments = [num_gaussians, num_cameras, per_image, degree, means, camera_positions, coefficients, radii, colors]
+    arguments = [num_gaussians, num_cameras, per_image, degree, means, camera_positions, sh0, shN, radii, colors]
     launch(color_kernel(dtype), len(colors), arguments, device)
     if tape is None:
         return
@@ -47,7 +50,7 @@ def sh_colors(
         launch(
             color_adjoint_kernel(dtype),
             len(means),
-            [*arguments, gradient_of(colors), gradient_of(coefficients), gradient_of(means), v_offsets],
+            [*arguments, gradient_of(colors), gradient_of(sh0), gradient_of(shN), gradient_of(means), v_offsets],
             device,
         )
         if camera_positions.grad is not None:
@@ -59,4 +62,4 @@ def sh_colors(
                 record_tape=False,
             )
 
-    record_adjoint(tape, adjoint, means, camera_positions, coefficients, colors)
+    record_adjoint(tape, adjoint, means, camera_positions, sh0, shN, colors)

@@ -150,7 +150,8 @@ def color_kernel(dtype: type) -> wp.Kernel:
         degree: int,
         means: wp.array(dtype=vec3),
         camera_positions: wp.array(dtype=wp.vec3d),
-        coefficients: wp.array2d(dtype=vec3),
+        sh0: wp.array2d(dtype=vec3),
+        shN: wp.array2d(dtype=vec3),
         radii: wp.array(dtype=wp.vec2i),
         # outputs
         colors: wp.array(dtype=vec3),
@@ -164,8 +165,9 @@ def color_kernel(dtype: type) -> wp.Kernel:
             unit, _ = direction(means[gaussian], camera_positions[image])
             b = basis(unit, degree)
             color = vec3(dtype(0.5), dtype(0.5), dtype(0.5))
-            for k in range((degree + 1) * (degree + 1)):
-                color = color + b[k] * coefficients[row, k]
+            color = color + b[0] * sh0[row, 0]
+            for k in range(1, (degree + 1) * (degree + 1)):
+                color = color + b[k] * shN[row, k - 1]
             for c in range(3):
                 # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
                 if color[c] < dtype(0.0):
@@ -199,12 +201,14 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         degree: int,
         means: wp.array(dtype=vec3),
         camera_positions: wp.array(dtype=wp.vec3d),
-        coefficients: wp.array2d(dtype=vec3),
+        sh0: wp.array2d(dtype=vec3),
+        shN: wp.array2d(dtype=vec3),
         radii: wp.array(dtype=wp.vec2i),
         colors: wp.array(dtype=vec3),
         v_colors: wp.array(dtype=vec3),
         # outputs
-        v_coefficients: wp.array2d(dtype=vec3),
+        v_sh0: wp.array2d(dtype=vec3),
+        v_shN: wp.array2d(dtype=vec3),
         v_means: wp.array(dtype=vec3),
         v_offsets: wp.array(dtype=vec3),
     ):
@@ -225,9 +229,11 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                     if color[c] <= dtype(0.0):
                         v[c] = dtype(0.0)
                 v_basis = vec16()
-                for k in range((degree + 1) * (degree + 1)):
-                    v_basis[k] = wp.dot(coefficients[row, k], v)
-                    v_coefficients[row, k] = v_coefficients[row, k] + b[k] * v
+                v_basis[0] = wp.dot(sh0[row, 0], v)
+                v_sh0[row, 0] = v_sh0[row, 0] + b[0] * v
+                for k in range(1, (degree + 1) * (degree + 1)):
+                    v_basis[k] = wp.dot(shN[row, k - 1], v)
+                    v_shN[row, k - 1] = v_shN[row, k - 1] + b[k] * v
                 v_unit = basis_adjoint(unit, degree, v_basis)
                 v_offset = (v_unit - wp.dot(v_unit, unit) * unit) * inverse
                 if wp.isfinite(v) and not wp.isfinite(v_offset):

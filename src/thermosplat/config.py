@@ -107,13 +107,13 @@ class OptimizerConfig:
     """SH degree 0. 3DGS."""
     shN_lr: float = 2.5e-3 / 20
     """SH degrees 1 to 3. 3DGS."""
-    features_lr: float = 2.5e-3
-    """Latent features. Open choice: as sh0, since f[:3] is supervised as a colour; MS-Splatting takes 5e-3."""
+    features_lr: float = 5e-3
+    """Latent features. Open choice: MS-Splatting's."""
     thermal_opacity_offsets_lr: float = 5e-2
     """Thermal opacity offsets. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
-    decoders_lr: float = 1e-3
-    """Decoder networks. Open choice: MS-Splatting 5e-3, FeatSplat-like decoders 1e-3."""
-    decoders_lr_final: float = 1e-4
+    decoders_lr: float = 5e-3
+    """Decoder networks. Open choice: MS-Splatting's."""
+    decoders_lr_final: float = 5e-4
     """Decoder networks at the last step (exponential decay). Open choice."""
     eps: float = 1e-15
     """Adam's ε. 3DGS."""
@@ -182,8 +182,8 @@ class TrainConfig:
     compile: bool = True
     """On CUDA, let torch.compile fuse the decoders (half a minute at the first step, kept for later runs; skipped where
     Triton or a C compiler is missing). --no-compile: plain PyTorch."""
-    tf32: bool = True
-    """On CUDA, train with the decoders' matrix products in TensorFloat-32. Evaluation always uses float32."""
+    decoder_precision: Literal["float32", "tf32", "bfloat16"] = "bfloat16"
+    """Precision of the decoders in training steps on CUDA; parameters, evaluation and the CPU are always float32."""
     seed: int = 42
     """Seed of everything random. gsplat."""
     eval_steps: tuple[int, ...] = (7_000, 30_000)

@@ -78,9 +78,9 @@ class Gaussians(nn.Module):
         return torch.sigmoid(self.logit_opacities + self.thermal_opacity_offsets)
 
     @property
-    def sh_coeffs(self) -> Tensor:
-        """Spherical harmonics coefficients of all degrees, shape [N, K, 3]."""
-        return torch.cat([self.sh0, self.shN], dim=1)
+    def sh_coeffs(self) -> tuple[Tensor, Tensor]:
+        """Spherical harmonics coefficients as the renderer takes them: [N, 1, 3] of degree 0 and [N, K-1, 3]."""
+        return self.sh0, self.shN
 
     @property
     def has_features(self) -> bool:

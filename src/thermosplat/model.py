@@ -174,7 +174,13 @@ class SceneModel(nn.Module):
             name = "rgb" if "rgb" in self.gaussian_sets else "shared"
             gaussians = self.gaussians(name)
             rendered.rgb, rendered.rgb_alpha, info = self._rasterize(
-                gaussians, gaussians.sh_coeffs, gaussians.opacities, rgb, sh_degree, absgrad, self._backgrounds()
+                gaussians,
+                gaussians.sh_coeffs,
+                gaussians.opacities,
+                rgb,
+                sh_degree,
+                absgrad,
+                self._backgrounds(),
             )
             rendered.infos[name] = [info]
         if thermal is not None:
@@ -191,7 +197,7 @@ class SceneModel(nn.Module):
     def _rasterize(
         self,
         gaussians: Gaussians,
-        colors: Tensor,
+        colors: Tensor | tuple[Tensor, Tensor],
         opacities: Tensor,
         view: "ViewTensors",
         sh_degree: int | None,

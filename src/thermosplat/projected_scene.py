@@ -88,12 +88,21 @@ class ProjectedScene:
             values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
         return values.reshape(-1, values.shape[-1]).contiguous()
 
-    def colors(self, colors: Tensor, sh_degree: int | None, *, per_camera: bool) -> Tensor:
-        """Colours, or with ``sh_degree`` their coefficients in the view directions, flat [images · N, D]."""
+    def colors(
+        self, colors: Tensor, sh_degree: int | None, *, per_camera: bool, higher_degrees: Tensor | None = None
+    ) -> Tensor:
+        """Colours, or with ``sh_degree`` their coefficients in the view directions, flat [images · N, D].
+
+        ``higher_degrees``: coefficients above degree 0, where ``colors`` holds those of degree 0 alone.
+        """
         if sh_degree is None:
             return self.per_image(colors, per_camera=per_camera)
-        active = colors.detach()[..., : (sh_degree + 1) ** 2, :]
-        self._inputs.append((active, active.shape[-2] * active.shape[-1]))
+        active = (sh_degree + 1) ** 2
+        self._note(colors[..., :active, :])
+        if higher_degrees is not None:
+            self._note(higher_degrees[..., : active - 1, :])
+            rest = higher_degrees.shape[-2:]
+            higher_degrees = higher_degrees.reshape(-1, *rest).contiguous() if rest[0] > 0 else None
         # inv_ex does not synchronise with the device, as inverse() does. float64, because directions are differences.
         viewmats = self.viewmats.to(torch.float64, copy=True)
         if viewmats.requires_grad:
@@ -103,12 +112,17 @@ class ProjectedScene:
             self.means,
             camera_positions,
             colors.reshape(-1, *colors.shape[-2:]).contiguous(),
+            higher_degrees,
             self.projected.radii,
             sh_degree,
             per_camera,
             self.settings.num_gaussians,
             self.settings.num_cameras,
         )
+
+    def _note(self, coefficients: Tensor) -> None:
+        """Remembers coefficients [..., N, K, 3] as an input whose numbers should be finite."""
+        self._inputs.append((coefficients.detach(), coefficients.shape[-2] * 3))
 
     def blend(
         self, features: Tensor, thermal_channels: int, absgrad: bool, *, thermal_opacity: bool = False

@@ -167,12 +167,15 @@ def check_scene(
     return cameras, count
 
 
-def check_colors(name: str, colors: Tensor, means: Tensor, cameras: int, sh_degree: int | None) -> bool:
+def check_colors(
+    name: str, colors: Tensor | tuple[Tensor, Tensor], means: Tensor, cameras: int, sh_degree: int | None
+) -> bool:
     """Checks colours or features.
 
     Args:
         name: of the argument.
-        colors: [..., (C,) N, D], or [..., (C,) N, K, 3] with ``sh_degree``.
+        colors: [..., (C,) N, D], or with ``sh_degree`` [..., (C,) N, K, 3] or the pair of its first coefficient
+            [..., (C,) N, 1, 3] and the others [..., (C,) N, K - 1, 3].
         means: [..., N, 3].
         cameras: C.
         sh_degree: active degree or None.
@@ -183,6 +186,8 @@ def check_colors(name: str, colors: Tensor, means: Tensor, cameras: int, sh_degr
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
+    if isinstance(colors, tuple) and len(colors) == 2 and sh_degree is not None:
+        return _check_pair(name, *colors, means, cameras, sh_degree)
     if not isinstance(colors, Tensor):
         raise UserError(f"{name} must be a torch.Tensor, got {type(colors).__name__}.")
     batch, count = tuple(means.shape[:-2]), means.shape[-2]
@@ -205,6 +210,16 @@ def check_colors(name: str, colors: Tensor, means: Tensor, cameras: int, sh_degr
             f"{name} must hold at least {needed} coefficients of 3 channels for sh_degree={sh_degree} "
             f"({letters}), got {list(colors.shape)}."
         )
+    return per_camera
+
+
+def _check_pair(name: str, sh0: Tensor, shN: Tensor, means: Tensor, cameras: int, sh_degree: int) -> bool:
+    """``check_colors`` of coefficients in two tensors."""
+    per_camera = check_colors(f"{name}[0]", sh0, means, cameras, 0)
+    check_shape(f"{name}[0]", sh0, (*sh0.shape[:-2], 1, 3), means)
+    needed = (sh_degree + 1) ** 2 - 1
+    given = shN.shape[-2] if isinstance(shN, Tensor) and shN.dim() > 1 else 0
+    check_shape(f"{name}[1]", shN, (*sh0.shape[:-2], max(given, needed), 3), means)
     return per_camera
 
 

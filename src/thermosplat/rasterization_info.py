@@ -64,7 +64,9 @@ def num_nonfinite(inputs: Iterable[tuple[Tensor, int]], scenes: int, num_gaussia
     if scenes * num_gaussians == 0:
         return 0
     finite = [
-        tensor.detach().isfinite().reshape(scenes, -1, num_gaussians, width).all(-1).all(1) for tensor, width in inputs
+        tensor.detach().isfinite().reshape(scenes, -1, num_gaussians, width).all(-1).all(1)
+        for tensor, width in inputs
+        if width > 0
     ]
     return int((~torch.stack(finite).all(0)).sum())
 

@@ -48,7 +48,7 @@ def rasterization(
     quats: Tensor | None,  # [..., N, 4]
     scales: Tensor | None,  # [..., N, 3]
     opacities: Tensor,  # [..., N]
-    colors: Tensor,  # [..., (C,) N, D] or [..., (C,) N, K, 3]
+    colors: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, D] or [..., (C,) N, K, 3]
     viewmats: Tensor,  # [..., C, 4, 4]
     Ks: Tensor,  # [..., C, 3, 3]
     width: int,
@@ -91,7 +91,8 @@ def rasterization(
         scales: Standard deviations along the Gaussian's axes, [..., N, 3], world units. Ignored with ``covars``.
         opacities: In [0, 1], [..., N].
         colors: Features [..., N, D] or per camera [..., C, N, D]; with ``sh_degree``, coefficients [..., N, K, 3] or
-            [..., C, N, K, 3] with K at least (sh_degree + 1)².
+            [..., C, N, K, 3] with K at least (sh_degree + 1)². Stored apart, as 3DGS does, they need not be joined:
+            a pair of the first coefficient [..., (C,) N, 1, 3] and the others [..., (C,) N, K - 1, 3].
         viewmats: World-to-camera, OpenCV axes, [..., C, 4, 4].
         Ks: Intrinsics, [..., C, 3, 3], px.
         width: Image width [px].
@@ -177,12 +178,13 @@ def rasterization(
         camera_model=camera_model,
     )
     per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
+    colors, higher_degrees = colors if isinstance(colors, tuple) else (colors, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
     scene = ProjectedScene(means, quats, scales, covars, opacities, None, viewmats, Ks, settings, tile_size)
 
     columns = []
     if "RGB" in render_mode:
-        columns.append(scene.colors(colors, sh_degree, per_camera=per_camera))
+        columns.append(scene.colors(colors, sh_degree, per_camera=per_camera, higher_degrees=higher_degrees))
     if "D" in render_mode:
         columns.append(scene.depths.reshape(-1, 1))
         if "ED" in render_mode:
@@ -211,7 +213,7 @@ def rasterization_rgbt(
     scales: Tensor,  # [..., N, 3]
     opacities: Tensor,  # [..., N]
     thermal_opacities: Tensor | None,  # [..., N]
-    colors: Tensor,  # [..., (C,) N, 3] or [..., (C,) N, K, 3]
+    colors: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, 3] or [..., (C,) N, K, 3]
     features: Tensor,  # [..., (C,) N, d]
     viewmats: Tensor,  # [..., C, 4, 4]
     Ks: Tensor,  # [..., C, 3, 3]
@@ -286,10 +288,11 @@ def rasterization_rgbt(
     if thermal_opacities is not None:
         check_shape("thermal_opacities", thermal_opacities, tuple(opacities.shape), means)
     colors_per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
+    colors, higher_degrees = colors if isinstance(colors, tuple) else (colors, None)
     features_per_camera = check_colors("features", features, means, settings.num_cameras, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
     scene = ProjectedScene(means, quats, scales, None, opacities, thermal_opacities, viewmats, Ks, settings, tile_size)
-    flat_colors = scene.colors(colors, sh_degree, per_camera=colors_per_camera)
+    flat_colors = scene.colors(colors, sh_degree, per_camera=colors_per_camera, higher_degrees=higher_degrees)
     flat_features = scene.per_image(features, per_camera=features_per_camera)
     both = torch.cat([flat_colors, flat_features], -1)
     channels, dim = flat_colors.shape[-1], features.shape[-1]

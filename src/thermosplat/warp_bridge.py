@@ -144,14 +144,15 @@ class Project(torch.autograd.Function):
 
 
 class ShColors(torch.autograd.Function):
-    """Colours from spherical harmonics; see ``color_step``."""
+    """Colours from spherical harmonics; see ``color_step``. ``shN`` None: ``sh0`` holds all coefficients."""
 
     @staticmethod
     def forward(
         ctx: Any,
         means: Tensor,
         camera_positions: Tensor,
-        coefficients: Tensor,
+        sh0: Tensor,
+        shN: Tensor | None,
         radii: Tensor,
         degree: int,
         per_image: bool,
@@ -161,34 +162,39 @@ class ShColors(torch.autograd.Function):
         vec3 = wp.types.vector(3, SCALARS[means.dtype])
         colors = means.new_empty(len(radii), 3)
         with on_torch_stream(means.device):
-            kinds = (vec3, wp.vec3d, vec3, vec3)
-            tensors = (means, camera_positions, coefficients, colors)
+            kinds = (vec3, wp.vec3d, vec3, vec3, vec3)
+            tensors = (means, camera_positions, *_by_degree(sh0, shN), colors)
             ctx.arrays = [wrap(tensor, kind) for tensor, kind in zip(tensors, kinds, strict=True)]
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
             color_step.sh_colors(
                 degree,
-                *ctx.arrays[:3],
+                *ctx.arrays[:4],
                 wrap(radii, wp.vec2i),
-                ctx.arrays[3],
+                ctx.arrays[4],
                 num_gaussians,
                 num_cameras,
                 per_image,
                 ctx.tape,
             )
-        ctx.save_for_backward(means, camera_positions, coefficients, radii, colors)
+        ctx.save_for_backward(means, camera_positions, sh0, shN, radii, colors)
         return colors
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_colors: Tensor) -> tuple[Tensor | None, ...]:
-        means, camera_positions, coefficients = ctx.saved_tensors[:3]
-        v_means, v_coefficients = _zeros(means), _zeros(coefficients)
+        means, camera_positions, sh0, shN = ctx.saved_tensors[:4]
+        v_means, v_sh0, v_shN = torch.zeros_like(means), torch.zeros_like(sh0), _zeros(shN)
         v_positions = _zeros(camera_positions, ctx.needs_input_grad[1])
         with on_torch_stream(means.device):
-            _collect(ctx.arrays[:3], (v_means, v_positions, v_coefficients))
-            _lend(ctx.arrays[3:], (v_colors,))
+            _collect(ctx.arrays[:4], (v_means, v_positions, *_by_degree(v_sh0, v_shN)))
+            _lend(ctx.arrays[4:], (v_colors,))
             ctx.tape.backward()
-        return v_means, v_positions, v_coefficients, None, None, None, None, None
+        return v_means, v_positions, v_sh0, v_shN, None, None, None, None, None
+
+
+def _by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Coefficients of degree 0 and of the others, where they are one tensor as views of it."""
+    return (sh0[:, :1], sh0[:, 1:]) if shN is None else (sh0, shN)
 
 
 @dataclass

@@ -13,7 +13,7 @@ def test_precision_and_branches_are_put_back() -> None:
     """Inside: compiled branches and TF32; afterwards, also after an error, everything is as before."""
     decoders = Decoders(DecoderConfig(hidden_dim=4), 4, 3)
     before = torch.get_float32_matmul_precision()
-    fast = FastDecoders(decoders, compiled=True, tf32=True)
+    fast = FastDecoders(decoders, compiled=True, precision="tf32")
 
     def fail() -> None:
         with fast.active():
@@ -27,12 +27,21 @@ def test_precision_and_branches_are_put_back() -> None:
     assert not any(name in vars(decoders) for name in BRANCHES)
 
 
-def test_plain_decoders_stay() -> None:
-    """Nothing to compile, full precision: nothing is touched."""
-    decoders = Decoders(DecoderConfig(hidden_dim=4), 4, 3)
-    with FastDecoders(decoders, compiled=False, tf32=False).active():
-        assert torch.get_float32_matmul_precision() == "highest"
-        assert not any(name in vars(decoders) for name in BRANCHES)
+@pytest.mark.parametrize(("precision", "bits"), [("float32", 20), ("bfloat16", 5)])
+def test_precision_of_images_and_gradients(precision: fast_decoders.Precision, bits: int) -> None:
+    """The images of plain decoders, in float32, to the precision asked for; gradients reach features and weights."""
+    decoders = Decoders(DecoderConfig(hidden_dim=16), 8, 3)
+    features = torch.rand(2, 7, 9, 8, generator=torch.Generator().manual_seed(0))
+    leaf = features.clone().requires_grad_()
+    with FastDecoders(decoders, compiled=False, precision=precision).active():
+        images = decoders.both(leaf[0], leaf[1])
+        visible = decoders.rgb(leaf[0])
+    for image, plain in zip((*images, visible), (*decoders.both(*features), decoders.rgb(features[0])), strict=True):
+        assert image.dtype == torch.float32
+        assert (image - plain).abs().max() < 2.0**-bits
+    sum(image.sum() for image in images).backward()
+    assert leaf.grad.dtype == torch.float32
+    assert all(parameter.grad.abs().sum() > 0 for parameter in decoders.parameters())
 
 
 def test_compiling_needs_triton_and_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,7 +66,7 @@ def test_compiled_decoders_give_the_same_images() -> None:
     results = []
     for compiled in (False, True):
         leaf = features.clone().requires_grad_()
-        with FastDecoders(decoders, compiled=compiled, tf32=False).active():
+        with FastDecoders(decoders, compiled=compiled, precision="float32").active():
             images = decoders.both(leaf[0], leaf[1])
         sum(image.square().sum() for image in images).backward()
         results.append([*(image.detach() for image in images), leaf.grad])

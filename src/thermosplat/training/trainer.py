@@ -84,7 +84,8 @@ class Trainer:
         self.captured: CapturedSteps | None = None
         if self.device.type == "cuda":
             if self.model.decoders is not None:
-                fast = FastDecoders(self.model.decoders, compiled=config.compile and can_compile(), tf32=config.tf32)
+                compiled = config.compile and can_compile()
+                fast = FastDecoders(self.model.decoders, compiled=compiled, precision=config.decoder_precision)
                 self.device_step.decoding = fast.active
             if config.graph:
                 self.captured = CapturedSteps(self.device_step, len(self.frames))
