@@ -308,25 +308,6 @@ def test_gradcheck(
     )
 
 
-def test_same_bits_on_every_run_and_any_number_of_threads() -> None:
-    """On the CPU the image and gradients do not depend on the run or on torch's thread count."""
-    scene = random_scene(n=300, width=90, height=70, channels=11, seed=6)
-    scene["scales"] = scene["scales"] / 2
-    threads = torch.get_num_threads()
-    results = []
-    try:
-        for count in (1, 2, 1, 2):
-            torch.set_num_threads(count)
-            inputs = leaves(scene, "cpu", torch.float32)
-            image, alphas, _ = rasterization(**inputs)
-            upstream = upstream_gradients([image, alphas], torch.ones(1, 70, 90))
-            results.append([image, alphas, *gradients([image, alphas], upstream, inputs).values()])
-    finally:
-        torch.set_num_threads(threads)
-    for other in results[1:]:
-        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
-
-
 def test_a_frame_of_many_tiles(device: torch.device) -> None:
     """1200 Gaussians over 6x5 tiles, 11 channels: lists longer than a batch, tiles that stop early, ragged borders."""
     scene = random_scene(n=1200, width=93, height=71, channels=11, seed=11)

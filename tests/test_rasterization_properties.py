@@ -129,3 +129,22 @@ def test_float32_gradients_are_those_of_float64(scene: Scene) -> None:
         truth = double_gradients[name]
         scale = truth.abs().sum().clamp(min=1e-3)
         assert float((single_gradients[name] - truth).abs().sum() / scale) < 1e-4, name
+
+
+def test_same_bits_on_every_run_and_any_number_of_threads() -> None:
+    """On the CPU the image and gradients do not depend on the run or on torch's thread count."""
+    scene = random_scene(n=300, width=90, height=70, channels=11, seed=6)
+    scene["scales"] = scene["scales"] / 2
+    threads = torch.get_num_threads()
+    results = []
+    try:
+        for count in (1, 2, 1, 2):
+            torch.set_num_threads(count)
+            inputs = leaves(scene, "cpu", torch.float32)
+            image, alphas, _ = rasterization(**inputs)
+            upstream = upstream_gradients([image, alphas], torch.ones(1, 70, 90))
+            results.append([image, alphas, *gradients([image, alphas], upstream, inputs).values()])
+    finally:
+        torch.set_num_threads(threads)
+    for other in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
