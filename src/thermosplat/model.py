@@ -170,7 +170,7 @@ class SceneModel(nn.Module):
         return rendered
 
     def _covered(self, decoded: Tensor, alpha: Tensor, behind: Tensor | None = None) -> Tensor:
-        """A decoded image as far as Gaussians cover it; elsewhere ``behind``, or black: also the coldest temperature."""
+        """A decoded image as far as Gaussians cover it; elsewhere ``behind``, or black, the coldest temperature."""
         if not self.decoder_config.covered_only:
             return decoded
         covered = alpha * decoded
