@@ -9,19 +9,23 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-def test_rasterization_benchmark_runs(tmp_path: Path) -> None:
-    """Both CPU cases are checked, timed stage by stage and written to the JSON file."""
-    report = tmp_path / "report.json"
-    script = REPOSITORY / "benchmarks" / "bench_rasterization.py"
-    options = ["--device", "cpu", "--count", "200", "--sizes", "32x24", "--repeats", "1", "--no-peers"]
+def run_script(name: str, *options: str) -> subprocess.CompletedProcess[str]:
+    """Runs a script of benchmarks/ as a user does."""
     paths = [str(REPOSITORY / "src"), str(REPOSITORY), os.environ.get("PYTHONPATH", "")]
-    done = subprocess.run(
-        [sys.executable, str(script), *options, "--json", str(report)],
+    return subprocess.run(
+        [sys.executable, str(REPOSITORY / "benchmarks" / name), *options],
         capture_output=True,
         text=True,
         check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))},
     )
+
+
+def test_rasterization_benchmark_runs(tmp_path: Path) -> None:
+    """Both CPU cases are checked, timed stage by stage and written to the JSON file."""
+    report = tmp_path / "report.json"
+    options = ["--device", "cpu", "--count", "200", "--sizes", "32x24", "--repeats", "1", "--no-peers"]
+    done = run_script("bench_rasterization.py", *options, "--json", str(report))
     assert done.returncode == 0, done.stdout + done.stderr
     written = json.loads(report.read_text())
     assert [row["case"] for row in written["rows"]] == ["features", "rgbt"]
@@ -37,3 +41,27 @@ def test_rasterization_benchmark_runs(tmp_path: Path) -> None:
         }
     assert written["environment"]["renderers"]["thermosplat"]
     assert "thermosplat" in done.stdout
+
+
+def test_accuracy_benchmark_runs(tmp_path: Path) -> None:
+    """Errors of the chosen scenes are printed and written, those of numbers that are not finite included."""
+    report, table = tmp_path / "report.json", tmp_path / "table.md"
+    options = ["--device", "cpu", "--no-peer", "--output", str(report), "--table", str(table)]
+    done = run_script("bench_accuracy.py", *options, "--cases", "ordinary", "needles of 500 px", "nan in scales")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = json.loads(report.read_text())["rows"]
+    assert {"ordinary", "needles of 500 px", "nan in scales"} <= set(rows)
+    for row in rows.values():
+        assert 0 < row["thermosplat"]["image"] < 1e-4
+        assert 0 < row["thermosplat"]["scales"] < 1e-4
+        assert row["float64"]["scales"] < 1e-10
+        assert row["gsplat"] is None
+    assert all(name in done.stdout and name in table.read_text() for name in rows)
+
+
+def test_accuracy_benchmark_names_its_cases() -> None:
+    """A case that does not exist ends with the list of those that do."""
+    done = run_script("bench_accuracy.py", "--device", "cpu", "--cases", "pyramids")
+    assert done.returncode == 1
+    assert "no case has 'pyramids' in its name" in done.stderr
+    assert "needles of 500 px" in done.stderr

@@ -231,3 +231,18 @@ def test_rgbt_refuses_other_values() -> None:
         rasterization_rgbt(**rgbt_with(camera_model="fisheye"))
     with pytest.raises(UserError, match="rasterize_mode"):
         rasterization_rgbt(**rgbt_with(rasterize_mode="soft"))
+
+
+def test_more_than_the_kernels_can_number() -> None:
+    """Gaussians times images, or rows of images, beyond 32 bits: refused before anything is allocated."""
+    n, cameras = 2**26, 64  # views without memory of their own
+    scene = random_scene(n=1)
+    tensors = {
+        name: scene[name].expand(n, *scene[name].shape[1:]) for name in ("means", "quats", "scales", "opacities")
+    }
+    views = {name: scene[name].expand(cameras, *scene[name].shape[1:]) for name in ("viewmats", "Ks")}
+    colors = scene["colors"].expand(n, 3)
+    with pytest.raises(UserError, match="67,108,864 Gaussians in each of 64 images of 23 x 18 px are more than"):
+        rasterization(**tensors, **views, colors=colors, width=23, height=18)
+    with pytest.raises(UserError, match="1 Gaussians in each of 1 images of 1 x 3000000000 px are more than"):
+        rasterization(**random_scene(n=1) | {"width": 1, "height": 3_000_000_000, "backgrounds": None})

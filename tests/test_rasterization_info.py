@@ -6,6 +6,9 @@ from typing import Any
 import pytest
 import torch
 
+import reference_rasterizer
+from gaussian_scenes import leaves, random_rgbt_scene, random_scene, relative_error
+from thermosplat import rasterization, rasterization_rgbt
 from thermosplat.rasterization_info import RasterizationInfo, isect_ids
 
 
@@ -29,7 +32,7 @@ def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[Rasteriz
         calls.append(1)
         return torch.tensor([5, 7])
 
-    info = RasterizationInfo({"width": 23}, compute)
+    info = RasterizationInfo({"width": 23}, {"isect_ids": compute})
     assert (info["width"], info.get("width"), info.get("height", 18)) == (23, 23, 18)
     assert set(info) == {"width", "isect_ids"}
     assert not calls
@@ -40,7 +43,7 @@ def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[Rasteriz
 
 def test_missing_keys() -> None:
     """As in any dict."""
-    info = RasterizationInfo({}, lambda: torch.empty(0))
+    info = RasterizationInfo({}, {"isect_ids": lambda: torch.empty(0)})
     with pytest.raises(KeyError, match="means3d"):
         info["means3d"]
     assert info.get("means3d") is None
@@ -54,3 +57,55 @@ def test_isect_ids_pack_image_tile_and_depth() -> None:
     bits = depths.view(torch.int32).tolist()
     expected = [bits[0], 2 << 32 | bits[0], 2 << 32 | bits[1], (1 << 2 | 1) << 32 | bits[3]]
     assert isect_ids(flatten_ids, tile_offsets, depths, 3).tolist() == expected
+
+
+def test_number_of_non_finite_gaussians(device: torch.device) -> None:
+    """Each counts once, whatever is wrong with it and in however many cameras; over all scenes of a batch."""
+    scene = random_scene(n=20, cameras=3, batch=(2,), per_camera_colors=True)
+    assert rasterization(**leaves(scene, device, torch.float32))[2]["num_nonfinite"] == 0
+    scene["means"][0, 4, 1] = float("nan")
+    scene["opacities"][0, 4] = float("inf")
+    scene["quats"][1, 4, 0] = float("-inf")
+    scene["colors"][1, :2, 7, 2] = float("nan")
+    info = rasterization(**leaves(scene, device, torch.float32))[2]
+    assert info["num_nonfinite"] == dict(info)["num_nonfinite"] == 3
+
+
+def test_number_of_non_finite_gaussians_in_what_is_rendered(device: torch.device) -> None:
+    """Features and thermal opacities count; SH coefficients above the active degree do not."""
+    scene = random_rgbt_scene(n=20, sh_degree=2) | {"sh_degree": 1}
+    scene["colors"][3, 8, 0] = float("nan")
+    assert rasterization_rgbt(**leaves(scene, device, torch.float32)).info["num_nonfinite"] == 0
+    scene["colors"][3, 3, 0] = scene["features"][5, 7] = scene["thermal_opacities"][9] = float("nan")
+    assert rasterization_rgbt(**leaves(scene, device, torch.float32)).info["num_nonfinite"] == 3
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_no_gaussians_none_non_finite(n: int) -> None:
+    """An empty scene has none."""
+    assert rasterization(**leaves(random_scene(n=n), "cpu", torch.float32))[2]["num_nonfinite"] == 0
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_non_finite_coefficients_as_stored(degree: int) -> None:
+    """Coefficients given as (sh0, shN): the active ones count."""
+    scene = leaves(random_scene(n=20, sh_degree=2) | {"sh_degree": degree}, "cpu", torch.float32)
+    coefficients = scene["colors"].detach().clone()
+    coefficients[2, 0, 0] = coefficients[3, 3, 1] = coefficients[5, 8, 2] = float("nan")
+    colors = (coefficients[:, :1].contiguous(), coefficients[:, 1:].contiguous())
+    assert rasterization(**scene | {"colors": colors})[2]["num_nonfinite"] == degree + 1
+
+
+def test_conics_are_differentiable() -> None:
+    """A loss on them has the gradient that it has in the reference."""
+    scene = random_scene(cameras=2)
+    found = []
+    for render in (rasterization, reference_rasterizer.rasterization):
+        inputs = leaves(scene, "cpu", torch.float64)
+        info = render(**inputs)[2]
+        visible = (info["radii"] > 0).all(-1)
+        loss = info["conics"].reshape(*visible.shape, 3)[visible].square().sum()
+        found.append(torch.autograd.grad(loss, [inputs[name] for name in ("means", "quats", "scales", "viewmats")]))
+    for one, other in zip(*found, strict=True):
+        assert other.norm() > 0
+        assert relative_error(one, other) < 1e-11

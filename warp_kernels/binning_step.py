@@ -64,7 +64,7 @@ def bin_tiles(
             settings.height,
             tile_size,
             projected.means2d,
-            projected.conics,
+            projected.roots,
             projected.extents,
             projected.depths,
             opacities,
@@ -92,17 +92,25 @@ def bin_tiles(
         num_pairs = int(pair_ends[entries - 1 :].numpy()[0]) if capacity is None else capacity
     if num_pairs >= 2**31 or num_tiles >= 2**31:
         raise TooManyPairsError(
-            f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with tiles of {tile_size} px exceed the "
-            f"{2**31 - 1:,} that one call can hold; render fewer cameras per call, a smaller image, or smaller scales."
+            f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with {num_tiles:,} tiles of {tile_size} "
+            f"px exceed the {2**31 - 1:,} that one call can number."
         )
 
     # With a capacity, places that stay empty carry a tile after the last and sort to the end.
     room = wp.empty if capacity is None else functools.partial(wp.full, value=num_tiles)
-    keys = room(2 * num_pairs, dtype=wp.int32, device=device)
-    values = wp.empty(2 * num_pairs, dtype=wp.int32, device=device)
-    owners = wp.empty(num_pairs if by_slot else 0, dtype=wp.int32, device=device)
-    gaussian_ids = wp.empty(num_pairs, dtype=wp.int32, device=device)
-    tile_offsets = wp.empty(num_tiles + 1, dtype=wp.int32, device=device)
+    try:
+        keys = room(2 * num_pairs, dtype=wp.int32, device=device)
+        values = wp.empty(2 * num_pairs, dtype=wp.int32, device=device)
+        owners = wp.empty(num_pairs if by_slot else 0, dtype=wp.int32, device=device)
+        gaussian_ids = wp.empty(num_pairs, dtype=wp.int32, device=device)
+        tile_offsets = wp.empty(num_tiles + 1, dtype=wp.int32, device=device)
+    except Exception as error:
+        # Of what kind depends on the allocator; what was asked for is known here only.
+        error.add_note(
+            f"While making room for {num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with {num_tiles:,} "
+            f"tiles of {tile_size} px, about {(6 if by_slot else 5) * 4 * num_pairs / 2**20:,.0f} MiB on {device}."
+        )
+        raise
     if num_pairs > 0:
         launch(
             emit_kernel,
@@ -117,7 +125,7 @@ def bin_tiles(
                 by_slot,
                 num_pairs,
                 projected.means2d,
-                projected.conics,
+                projected.roots,
                 projected.extents,
                 opacities,
                 thermal_opacities,

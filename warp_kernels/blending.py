@@ -1,8 +1,8 @@
 """Front-to-back alpha blending of C channels, the last D of them a second time with a second opacity.
 
-Per pixel at offset d from a Gaussian's mean: σ = ½ (a dx² + c dy²) + b dx dy, α = min(ALPHA_MAX, o exp(-σ)), skipped
-where σ < 0 or α < ALPHA_MIN; colour += α T f, T *= 1 - α, stopping before the Gaussian that would bring T to
-TRANSMITTANCE_MIN. The second opacity runs through the same list with a transmittance of its own.
+Per pixel at offset d from a Gaussian's mean: z = U d with the conic's root U (see projection), σ = ½ |z|²,
+α = min(ALPHA_MAX, o exp(-σ)), skipped where α < ALPHA_MIN; colour += α T f, T *= 1 - α, stopping before the Gaussian
+that would bring T to TRANSMITTANCE_MIN. The second opacity runs through the same list with a transmittance of its own.
 
 A warp tests 32 candidates at a time against its pixel block, one a lane, and walks the survivors by ballot. On the CPU
 the binning was exact for the whole tile, so candidates are walked directly, each over the rows its ellipse reaches.
@@ -29,36 +29,37 @@ def alpha_functions(dtype: type):
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(exponent, alpha, reaches_block, row_range)``, Warp functions.
+        ``(whiten, alpha, reaches_block, row_range)``, Warp functions.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     zero, half, one = dtype(0.0), dtype(0.5), dtype(1.0)
     alpha_min, alpha_max = dtype(ALPHA_MIN), dtype(ALPHA_MAX)
-    _, exp_negative, _ = lane_functions(dtype)
+    _, exp_negative, _, _ = lane_functions(dtype)
     rounding = dtype(1.0e-5)
     tolerance = dtype(4.0e-7)
 
     @wp.func
-    def exponent(conic: vec3, dx: dtype, dy: dtype):
-        """-σ at an offset from the mean."""
-        return -half * (conic[0] * dx * dx + conic[2] * dy * dy) - conic[1] * dx * dy
+    def whiten(root: vec3, dx: dtype, dy: dtype):
+        """z = U d: an offset from the mean in the Gaussian's standard deviations; -σ = -½ |z|²."""
+        return root[0] * (dx + root[1] * dy), root[2] * dy
 
     @wp.func
-    def alpha(opacity: dtype, power: dtype, visibility: dtype):
+    def alpha(opacity: dtype, visibility: dtype):
         """α, zero where the Gaussian is not drawn."""
         a = wp.min(alpha_max, opacity * visibility)
-        a = wp.where(power > zero, zero, a)
         return wp.where(a < alpha_min, zero, a)
 
     @wp.func
-    def edge_exponent(conic: vec3, dx: dtype, dy: dtype):
+    def edge_exponent(root: vec3, dx: dtype, dy: dtype):
         """σ less a bound on its rounding error, so that culling never drops what the blend would draw."""
-        squares = half * (conic[0] * dx * dx + conic[2] * dy * dy)
-        mixed = conic[1] * dx * dy
-        return squares + mixed - tolerance * (squares + wp.abs(mixed)) - rounding
+        sheared = root[1] * dy
+        error = tolerance * (wp.abs(dx) + wp.abs(sheared))
+        s = root[0] * wp.max(wp.abs(dx + sheared) - error, zero)
+        t = root[2] * dy
+        return half * (s * s + t * t) * (one - tolerance) - rounding
 
     @wp.func
-    def reaches_block(mean: vec2, conic: vec3, opacity: dtype, x0: dtype, y0: dtype, x1: dtype, y1: dtype):
+    def reaches_block(mean: vec2, root: vec3, opacity: dtype, x0: dtype, y0: dtype, x1: dtype, y1: dtype):
         """Whether α reaches ALPHA_MIN anywhere in the rectangle of pixel centres [x0, x1] x [y0, y1]."""
         left, right = mean[0] - x1, mean[0] - x0
         top, bottom = mean[1] - y1, mean[1] - y0
@@ -71,10 +72,12 @@ def alpha_functions(dtype: type):
             # The minimum over the rectangle lies on the edge that faces the mean, at its best point along that edge.
             if not inside_x:
                 dx = wp.where(right < zero, right, left)
-                smallest = edge_exponent(conic, dx, wp.clamp(-conic[1] * dx / conic[2], top, bottom))
+                uk = root[0] * root[1]
+                tilt = uk * root[0] / (uk * uk + root[2] * root[2])
+                smallest = edge_exponent(root, dx, wp.clamp(-tilt * dx, top, bottom))
             if not inside_y:
                 dy = wp.where(bottom < zero, bottom, top)
-                smallest = wp.min(smallest, edge_exponent(conic, wp.clamp(-conic[1] * dy / conic[0], left, right), dy))
+                smallest = wp.min(smallest, edge_exponent(root, wp.clamp(-root[1] * dy, left, right), dy))
         return opacity * exp_negative(-wp.max(smallest, zero)) >= alpha_min * (one - rounding)
 
     @wp.func
@@ -85,7 +88,7 @@ def alpha_functions(dtype: type):
         end = int(wp.floor(wp.clamp(mean[1] + spare - y0, dtype(-1.0), dtype(rows - 1)))) + 1
         return first, end
 
-    return exponent, alpha, reaches_block, row_range
+    return whiten, alpha, reaches_block, row_range
 
 
 @functools.cache
@@ -112,8 +115,8 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
     vecQ = wp.types.vector(columns, dtype)
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
-    exponent, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, _ = lane_functions(dtype)
+    whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
+    broadcast, exp_negative, _, attenuate = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
@@ -137,7 +140,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         width: int,
         height: int,
         means2d: wp.array(dtype=vec2),
-        conics: wp.array(dtype=vec3),
+        roots: wp.array(dtype=vec3),
         extents: wp.array(dtype=vec2),
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
@@ -196,7 +199,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
             # Candidate of this lane, tested against the warp's whole block.
             g = int(0)
             mean = vec2()
-            conic = vec3()
+            root = vec3()
             opacity = zero
             opacity_t = zero
             candidates = wp.uint32(0)
@@ -205,7 +208,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                 if i + lane < end:
                     g = gaussian_ids[i + lane]
                     mean = means2d[g]
-                    conic = conics[g]
+                    root = roots[g]
                     opacity = opacities[g]
                     bound = opacity
                     if wp.static(dual):
@@ -213,7 +216,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                         bound = wp.max(opacity, opacity_t)
                     x1 = x0 + dtype(block_width - 1)
                     y1 = y0 + dtype(block_height - 1)
-                    hit = wp.where(reaches_block(mean, conic, bound, x0, y0, x1, y1), 1, 0)
+                    hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
                 candidates = warp_ballot(hit)
             else:
                 candidates = all_candidates >> wp.uint32(batch - wp.min(batch, end - i))
@@ -223,7 +226,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                 candidates = candidates & (candidates - wp.uint32(1))
                 gaussian = int(0)
                 m = vec2()
-                Q = vec3()
+                U = vec3()
                 o = zero
                 ot = zero
                 row_first = int(0)
@@ -231,14 +234,14 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                 if wp.static(cuda):
                     gaussian = broadcast_int(g, j)
                     m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
-                    Q = vec3(broadcast(conic[0], j), broadcast(conic[1], j), broadcast(conic[2], j))
+                    U = vec3(broadcast(root[0], j), broadcast(root[1], j), broadcast(root[2], j))
                     o = broadcast(opacity, j)
                     if wp.static(dual):
                         ot = broadcast(opacity_t, j)
                 else:
                     gaussian = gaussian_ids[i + j]
                     m = means2d[gaussian]
-                    Q = conics[gaussian]
+                    U = roots[gaussian]
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
                     row_first, row_end = row_range(m, extents[gaussian], y0, rows)
@@ -249,20 +252,20 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                     weight = vecQ()
                     weight_t = vecQ()
                     for q in range(columns):
-                        power = exponent(Q, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
-                        visibility = exp_negative(wp.min(power, zero))
-                        a = alpha(o, power, visibility)
+                        zx, zy = whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
+                        visibility = exp_negative(-half * (zx * zx + zy * zy))
+                        a = alpha(o, visibility)
                         t = T[offset + q]
-                        next_t = t * (one - a)
+                        next_t = attenuate(t, a)
                         stop = next_t <= transmittance_min
                         w = wp.where(stop, zero, a * t)
                         T[offset + q] = wp.where(stop, -wp.abs(t), next_t)
                         last[offset + q] = wp.where(w > zero, pair, last[offset + q])
                         weight[q] = w
                         if wp.static(dual):
-                            a = alpha(ot, power, visibility)
+                            a = alpha(ot, visibility)
                             t = Tt[offset + q]
-                            next_t = t * (one - a)
+                            next_t = attenuate(t, a)
                             stop = next_t <= transmittance_min
                             w = wp.where(stop, zero, a * t)
                             Tt[offset + q] = wp.where(stop, -wp.abs(t), next_t)

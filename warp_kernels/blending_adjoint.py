@@ -1,10 +1,12 @@
 """Adjoint of the blending, back to front, written by hand: Warp's generated adjoint of a dynamic loop is wrong.
 
-Walking a pixel's list backwards, T is recovered by division, and the colour behind the current Gaussian enters only
+Walking a pixel's list backwards, T is recovered by division (so that it does not drift over thousands of layers, faint
+ones add an increment), and the colour behind the current Gaussian enters only
 through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
 dL/dα = T (f · dL/dcolour) - S / (1 - α).
 
-Each warp sums a Gaussian's gradient over its pixels into one record; see gradient_records.
+Each warp sums a Gaussian's gradient over its pixels into one record; see gradient_records. Those to mean and conic are
+summed as moments of z, the offset in the Gaussian's standard deviations, in which nothing cancels.
 """
 
 import functools
@@ -57,14 +59,19 @@ def blend_adjoint_kernel(
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     record = wp.types.vector(length, dtype)
-    exponent, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, add = lane_functions(dtype)
+    whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
+    broadcast, exp_negative, add, _ = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
     batch = BATCH
     all_candidates = wp.uint32(0xFFFFFFFF)
     first_thermal = C - D
+
+    @wp.func
+    def restored(behind: dtype, a: dtype, ra: dtype):
+        """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
+        return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
     @wp.func_native(accumulate_snippet(length, dtype, atomic=not by_slot))
     def accumulate(dst: wp.array(dtype=record), index: int, v: record): ...
@@ -86,7 +93,7 @@ def blend_adjoint_kernel(
         width: int,
         height: int,
         means2d: wp.array(dtype=vec2),
-        conics: wp.array(dtype=vec3),
+        roots: wp.array(dtype=vec3),
         extents: wp.array(dtype=vec2),
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
@@ -163,7 +170,7 @@ def blend_adjoint_kernel(
             # The 32 candidates i - 31 ... i, bit j standing for i - 31 + j.
             g = int(0)
             mean = vec2()
-            conic = vec3()
+            root = vec3()
             opacity = zero
             opacity_t = zero
             candidates = wp.uint32(0)
@@ -173,7 +180,7 @@ def blend_adjoint_kernel(
                 if oldest + lane >= begin:
                     g = gaussian_ids[oldest + lane]
                     mean = means2d[g]
-                    conic = conics[g]
+                    root = roots[g]
                     opacity = opacities[g]
                     bound = opacity
                     if wp.static(dual):
@@ -181,7 +188,7 @@ def blend_adjoint_kernel(
                         bound = wp.max(opacity, opacity_t)
                     x1 = x0 + dtype(block_width - 1)
                     y1 = y0 + dtype(block_height - 1)
-                    hit = wp.where(reaches_block(mean, conic, bound, x0, y0, x1, y1), 1, 0)
+                    hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
                 candidates = warp_ballot(hit)
             else:
                 candidates = all_candidates << wp.uint32(wp.max(0, begin - oldest))
@@ -192,7 +199,7 @@ def blend_adjoint_kernel(
                 pair = oldest + j
                 gaussian = int(0)
                 m = vec2()
-                Q = vec3()
+                U = vec3()
                 o = zero
                 ot = zero
                 row_first = int(0)
@@ -200,23 +207,23 @@ def blend_adjoint_kernel(
                 if wp.static(cuda):
                     gaussian = broadcast_int(g, j)
                     m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
-                    Q = vec3(broadcast(conic[0], j), broadcast(conic[1], j), broadcast(conic[2], j))
+                    U = vec3(broadcast(root[0], j), broadcast(root[1], j), broadcast(root[2], j))
                     o = broadcast(opacity, j)
                     if wp.static(dual):
                         ot = broadcast(opacity_t, j)
                 else:
                     gaussian = gaussian_ids[pair]
                     m = means2d[gaussian]
-                    Q = conics[gaussian]
+                    U = roots[gaussian]
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
                     row_first, row_end = row_range(m, extents[gaussian], y0, rows)
                 f = features[gaussian]
                 v_x = zero
                 v_y = zero
-                v_a = zero
-                v_b = zero
-                v_c = zero
+                v_xx = zero
+                v_xy = zero
+                v_yy = zero
                 v_o = zero
                 v_ot = zero
                 abs_x = zero
@@ -238,15 +245,13 @@ def blend_adjoint_kernel(
                     weight = vecQ()
                     weight_t = vecQ()
                     for q in range(columns):
-                        dx = m[0] - PX[q]
-                        dy = m[1] - (PY[q] + dtype(row))
-                        power = exponent(Q, dx, dy)
-                        visibility = exp_negative(wp.min(power, zero))
-                        a = alpha(o, power, visibility)
+                        zx, zy = whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
+                        visibility = exp_negative(-half * (zx * zx + zy * zy))
+                        a = alpha(o, visibility)
                         a = wp.where(pair > last[offset + q], zero, a)
                         hits = hits | wp.where(a > zero, 1, 0)
                         ra = one / (one - a)
-                        t = T[offset + q] * ra
+                        t = restored(T[offset + q], a, ra)
                         T[offset + q] = t
                         w = a * t
                         weight[q] = w
@@ -258,11 +263,11 @@ def blend_adjoint_kernel(
                         v_power = v_alpha * a
                         v_o = add(v_o, v_alpha * visibility)
                         if wp.static(dual):
-                            a = alpha(ot, power, visibility)
+                            a = alpha(ot, visibility)
                             a = wp.where(pair > last_t[offset + q], zero, a)
                             hits = hits | wp.where(a > zero, 1, 0)
                             ra = one / (one - a)
-                            t = Tt[offset + q] * ra
+                            t = restored(Tt[offset + q], a, ra)
                             Tt[offset + q] = t
                             w = a * t
                             weight_t[q] = w
@@ -272,16 +277,16 @@ def blend_adjoint_kernel(
                             v_alpha = wp.where(a >= alpha_max or a == zero, zero, v_alpha)
                             v_power = v_power + v_alpha * a
                             v_ot = add(v_ot, v_alpha * visibility)
-                        pixel_x = v_power * (-Q[0] * dx - Q[1] * dy)
-                        pixel_y = v_power * (-Q[2] * dy - Q[1] * dx)
-                        v_x = add(v_x, pixel_x)
-                        v_y = add(v_y, pixel_y)
-                        v_a = add(v_a, -half * v_power * dx * dx)
-                        v_b = add(v_b, -v_power * dx * dy)
-                        v_c = add(v_c, -half * v_power * dy * dy)
+                        px = v_power * zx
+                        py = v_power * zy
+                        v_x = add(v_x, px)
+                        v_y = add(v_y, py)
+                        v_xx = add(v_xx, px * zx)
+                        v_xy = add(v_xy, px * zy)
+                        v_yy = add(v_yy, py * zy)
                         if wp.static(absgrad):
-                            abs_x = add(abs_x, wp.abs(pixel_x))
-                            abs_y = add(abs_y, wp.abs(pixel_y))
+                            abs_x = add(abs_x, wp.abs(U[0] * px))
+                            abs_y = add(abs_y, wp.abs(U[0] * U[1] * px + U[2] * py))
                     for c in range(C):
                         total = zero
                         for q in range(columns):
@@ -297,9 +302,9 @@ def blend_adjoint_kernel(
                     G = record()
                     G[0] = v_x
                     G[1] = v_y
-                    G[2] = v_a
-                    G[3] = v_b
-                    G[4] = v_c
+                    G[2] = v_xx
+                    G[3] = v_xy
+                    G[4] = v_yy
                     G[5] = v_o
                     if wp.static(dual):
                         G[6] = v_ot

@@ -52,7 +52,7 @@ def blend(
     """Blends features front to back, with one opacity or two in one traversal.
 
     Args:
-        projected: means2d and conics receive gradients.
+        projected: means2d and roots receive gradients.
         opacities: [images · N], compensation included. Receives a gradient.
         thermal_opacities: [images · N]; read only when ``blended.thermal_render`` is given. Receives a gradient.
         features: vecC [images · N], C at most ``CHANNELS_MAX``. Receives a gradient.
@@ -88,7 +88,7 @@ def blend(
         settings.width,
         settings.height,
         projected.means2d,
-        projected.conics,
+        projected.roots,
         projected.extents,
         opacities,
         thermal_opacities,
@@ -145,8 +145,9 @@ def blend(
                 bins.pair_ends,
                 bins.tiles_per_gaussian,
                 records,
+                projected.roots,
                 gradient_of(projected.means2d),
-                gradient_of(projected.conics),
+                gradient_of(projected.roots),
                 gradient_of(opacities),
                 gradient_of(thermal_opacities),
                 gradient_of(features),
@@ -156,6 +157,6 @@ def blend(
             record_tape=False,
         )
 
-    inputs = [projected.means2d, projected.conics, opacities, thermal_opacities, features]
+    inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
     images = [blended.render, blended.transmittance, thermal_render, thermal_transmittance]
     record_adjoint(tape, adjoint, *inputs, *images)

@@ -26,7 +26,7 @@ def sh_colors(
     Args:
         degree: 0 to 3.
         means: vec3 [scenes · N]. Receives a gradient.
-        camera_positions: vec3 [images], world units. Receives a gradient.
+        camera_positions: vec3d [images], world units, float64 whatever the means are. Receives a gradient.
         sh0: vec3 [scenes · N, 1], coefficients of degree 0, or [images · N, 1] for coefficients of their own per image;
             any strides, as ``shN``. Receives a gradient.
         shN: vec3 [scenes · N, K - 1] or [images · N, K - 1], those of the higher degrees; K at least (degree + 1)².
@@ -55,7 +55,7 @@ def sh_colors(
         )
         if camera_positions.grad is not None:
             wp.launch(
-                camera_position_adjoint_kernel(dtype),
+                camera_position_adjoint_kernel,
                 dim=len(camera_positions),
                 inputs=[strand_sums(v_offsets, len(camera_positions)), camera_positions.grad],
                 device=device,

@@ -12,6 +12,10 @@ TRANSMITTANCE_MIN = 1.0e-4
 EXTENT_MAX = 3.33
 """Largest extent of a Gaussian in standard deviations: exp(-3.33² / 2) < 1/255, so the cut is below ALPHA_MIN."""
 
+EXTENT_MIN = 1.0e-3
+"""Smallest extent in standard deviations: where the opacity rounds to ALPHA_MIN its logarithm is 0, and a Gaussian that
+the blend would still draw at its centre must not be culled."""
+
 FOV_MARGIN = 0.3
 """Share of the half field of view by which a mean may lie outside the image before its Jacobian is clamped."""
 

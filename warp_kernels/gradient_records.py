@@ -1,8 +1,10 @@
 """Records of gradients that the blending's adjoint writes, and their sum per Gaussian.
 
-A record is the gradient of one Gaussian over the pixels of a warp: mean2d (2), conic (3), opacity, [thermal opacity],
-features (C), [|mean2d| gradients (2)]. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair
-and summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+A record holds sums over the pixels of a warp for one Gaussian: p z (2) and p z zᵀ (xx, xy, yy), p being the gradient to
+-σ = -½ |z|² and z the pixel's offset in the Gaussian's standard deviations; then the gradients to opacity, [thermal
+opacity], features (C), [|mean2d| gradients (2)]. What the first five mean for mean2d and root is worked out once a
+Gaussian. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair and summed per Gaussian
+afterwards, which is deterministic and lets CPU threads work on disjoint memory.
 """
 
 import functools
@@ -66,9 +68,10 @@ def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad
         pair_ends: wp.array(dtype=wp.int64),
         tiles_per_gaussian: wp.array(dtype=wp.int32),
         records: wp.array(dtype=record),
+        roots: wp.array(dtype=vec3),
         # outputs
         v_means2d: wp.array(dtype=vec2),
-        v_conics: wp.array(dtype=vec3),
+        v_roots: wp.array(dtype=vec3),
         v_opacities: wp.array(dtype=dtype),
         v_thermal_opacities: wp.array(dtype=dtype),
         v_features: wp.array(dtype=vecC),
@@ -88,15 +91,19 @@ def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad
                 total = total + records[slot]
         else:
             total = records[g]
-        v_means2d[g] = v_means2d[g] + vec2(total[0], total[1])
-        v_conics[g] = v_conics[g] + vec3(total[2], total[3], total[4])
+        # -σ = -½ |U d|² with U = [u, u k; 0, v]
+        u = roots[g][0]
+        k = roots[g][1]
+        v = roots[g][2]
+        v_means2d[g] = v_means2d[g] - vec2(u * total[0], u * k * total[0] + v * total[1])
+        v_roots[g] = v_roots[g] - vec3(total[2] / u, total[3] * u / v, total[4] / v)
         v_opacities[g] = v_opacities[g] + total[5]
         if wp.static(dual):
             v_thermal_opacities[g] = v_thermal_opacities[g] + total[6]
-        v = v_features[g]
+        v_feature = v_features[g]
         for c in range(C):
-            v[c] = v[c] + total[first_feature + c]
-        v_features[g] = v
+            v_feature[c] = v_feature[c] + total[first_feature + c]
+        v_features[g] = v_feature
         if wp.static(absgrad):
             absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
 

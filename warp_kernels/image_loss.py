@@ -3,7 +3,8 @@
 SSIM's window is separable: a pass along rows blurs x, y, x², y² and xy; a pass along columns finishes the five moments
 and forms the loss of each pixel and the derivatives by the three moments that depend on x. The adjoint blurs those
 three back, along columns and then along rows. Borders are reflected (kornia, torchmetrics); the adjoint of a reflection
-adds the mirrored taps. Each thread makes ``STRIP`` neighbouring outputs, so that a value is read a few times, not 11.
+adds what the mirror images receive. Each thread makes ``STRIP`` neighbouring outputs, so that a value is read a few
+times, not 11.
 """
 
 import functools
@@ -63,22 +64,14 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         return wp.clamp(j, 0, n - 1)
 
     @wp.func
-    def tap(d: int):
-        """Weight at distance d from the centre; 0 outside of the window."""
-        weight = zero
-        if d >= -RADIUS and d <= RADIUS:
-            weight = taps[d + RADIUS]
-        return weight
-
-    @wp.func
-    def mirrored_tap(i: int, o: int, n: int):
-        """How much of input i there is in output o, mirror images included."""
-        weight = tap(i - o)
-        if i > 0:
-            weight += tap(i + o)
-        if i < n - 1:
-            weight += tap(2 * (n - 1) - i - o)
-        return weight
+    def image_center(i: int, image: int, n: int):
+        """Where input i and its two mirror images lie; far outside for a mirror image that no output sees."""
+        center = i
+        if image == 1:
+            center = wp.where(i > 0, -i, -n)
+        if image == 2:
+            center = wp.where(i < n - 1, 2 * (n - 1) - i, 3 * n)
+        return center
 
     @wp.kernel(name=f"image_loss_blur_rows_{dtype.__name__}", enable_backward=False, module="unique")
     def blur_rows_kernel(
@@ -197,10 +190,15 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
                     if k - r >= 0 and k - r <= 2 * RADIUS:
                         total[r] += taps[k - r] * value
         else:
-            for at in range(wp.max(y - RADIUS, 0), wp.min(y + STRIP + RADIUS, height)):
-                value = derivatives[plane, at, x]
-                for r in range(STRIP):
-                    total[r] += mirrored_tap(y + r, at, height) * value
+            for r in range(STRIP):
+                image = int(0)
+                while image < 3:
+                    center = image_center(y + r, image, height)
+                    for k in range(2 * RADIUS + 1):
+                        at = center + k - RADIUS
+                        if at >= 0 and at < height:
+                            total[r] += taps[k] * derivatives[plane, at, x]
+                    image += 1
         for r in range(STRIP):
             if y + r < height:
                 blurred[plane, y + r, x] = total[r]
@@ -238,12 +236,17 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
                         by_xx[r] += taps[k - r] * d1
                         by_xy[r] += taps[k - r] * d2
         else:
-            for at in range(wp.max(x - RADIUS, 0), wp.min(x + STRIP + RADIUS, width)):
-                for r in range(STRIP):
-                    w = mirrored_tap(x + r, at, width)
-                    by_x[r] += w * blurred[3 * c, y, at]
-                    by_xx[r] += w * blurred[3 * c + 1, y, at]
-                    by_xy[r] += w * blurred[3 * c + 2, y, at]
+            for r in range(STRIP):
+                image = int(0)
+                while image < 3:
+                    center = image_center(x + r, image, width)
+                    for k in range(2 * RADIUS + 1):
+                        at = center + k - RADIUS
+                        if at >= 0 and at < width:
+                            by_x[r] += taps[k] * blurred[3 * c, y, at]
+                            by_xx[r] += taps[k] * blurred[3 * c + 1, y, at]
+                            by_xy[r] += taps[k] * blurred[3 * c + 2, y, at]
+                    image += 1
         scale = v_mean[0] / dtype(height * width * render.shape[2])
         for r in range(STRIP):
             if x + r < width:

@@ -5,6 +5,10 @@ projection at p, M = J R, rotation-scale G = R(q) diag(s), A = M G with rows a0,
 blur eps2d on its diagonal. Its determinant is |a0 x a1|² + eps2d (|a0|² + |a1|²) + eps2d²: a sum of non-negative
 terms, so that it does not cancel for needle-shaped Gaussians as xx·yy - xy² does in float32.
 
+The inverse of the 2D covariance, the conic Q, is stored as its triangular root: Q = Uᵀ U with U = [u, u k; 0, v],
+u = sqrt(yy / det), k = -xy / yy, v = 1 / sqrt(yy). Of a long needle Q's small eigenvalue is lost when Q is rounded; of
+U nothing is. z = U d is the offset d in units of the Gaussian's own standard deviations, and |z|² = dᵀ Q d.
+
 Images are numbered i = scene · cameras + camera; per-image arrays of Gaussians are flat, index i · N + n.
 """
 
@@ -14,7 +18,7 @@ from typing import Literal
 
 import warp as wp
 
-from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, FOV_MARGIN
+from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN, FOV_MARGIN
 from warp_kernels.rotation import rotation_functions
 
 CameraModel = Literal["pinhole", "ortho"]
@@ -29,12 +33,23 @@ def projection_functions(dtype: type, camera_model: CameraModel):
         camera_model: "pinhole" or "ortho".
 
     Returns:
-        ``(jacobian, project_mean)``, Warp functions.
+        ``(camera_position, jacobian, project_mean, fov_limits)``, Warp functions.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     mat23, mat33 = wp.types.matrix((2, 3), dtype), wp.types.matrix((3, 3), dtype)
+    mat44 = wp.types.matrix((4, 4), dtype)
     zero, half, margin = dtype(0.0), dtype(0.5), dtype(FOV_MARGIN)
     pinhole = camera_model == "pinhole"
+
+    @wp.func
+    def camera_position(view: mat44, mean: vec3):
+        """p = R m + t in float64: far from the origin the terms are large and cancel."""
+        x = wp.vec4d(wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2]), wp.float64(1.0))
+        p = wp.vec3d()
+        for i in range(3):
+            for j in range(4):
+                p[i] += wp.float64(view[i, j]) * x[j]
+        return p
 
     @wp.func
     def fov_limits(focal: dtype, center: dtype, size: dtype):
@@ -61,13 +76,16 @@ def projection_functions(dtype: type, camera_model: CameraModel):
         return mat23(K[0, 0], zero, zero, zero, K[1, 1], zero)
 
     @wp.func
-    def project_mean(p: vec3, K: mat33):
-        """Image position [px] of a camera-space point."""
+    def project_mean(p: wp.vec3d, K: mat33):
+        """Image position [px] of a camera-space point, rounded once: errors here move the whole Gaussian."""
+        rz = wp.float64(1.0)
         if wp.static(pinhole):
-            return vec2(K[0, 0] * p[0] / p[2] + K[0, 2], K[1, 1] * p[1] / p[2] + K[1, 2])
-        return vec2(K[0, 0] * p[0] + K[0, 2], K[1, 1] * p[1] + K[1, 2])
+            rz = rz / p[2]
+        u = wp.float64(K[0, 0]) * p[0] * rz + wp.float64(K[0, 2])
+        v = wp.float64(K[1, 1]) * p[1] * rz + wp.float64(K[1, 2])
+        return vec2(dtype(u), dtype(v))
 
-    return jacobian, project_mean, fov_limits
+    return camera_position, jacobian, project_mean, fov_limits
 
 
 @functools.cache
@@ -120,11 +138,12 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     vec6 = wp.types.vector(6, dtype)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     normalize, _, to_matrix, _ = rotation_functions(dtype)
-    jacobian, project_mean, _ = projection_functions(dtype, camera_model)
+    camera_position, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
-    zero, two = dtype(0.0), dtype(2.0)
-    alpha_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MAX)
+    zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
+    alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
     largest_radius = dtype(1.0e9)  # fits an int32
+    sharpest = dtype(1.0e30 if dtype is wp.float32 else 1.0e300)  # times pixels squared stays finite
 
     @wp.kernel(
         name=f"project_{camera_model}_{'covars' if from_covars else 'quats'}_{dtype.__name__}",
@@ -153,7 +172,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         # outputs
         means2d: wp.array(dtype=vec2),
         depths: wp.array(dtype=dtype),
-        conics: wp.array(dtype=vec3),
+        roots: wp.array(dtype=vec3),
         compensations: wp.array(dtype=dtype),
         radii: wp.array(dtype=wp.vec2i),
         extents: wp.array(dtype=vec2),
@@ -165,7 +184,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         # A culled Gaussian: everything zero, so that nothing undefined is ever read.
         means2d[index] = vec2()
         depths[index] = zero
-        conics[index] = vec3()
+        roots[index] = vec3()
         compensations[index] = zero
         radii[index] = wp.vec2i(0, 0)
         extents[index] = vec2()
@@ -177,7 +196,8 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
             view[1, 0], view[1, 1], view[1, 2],
             view[2, 0], view[2, 1], view[2, 2],
         )  # fmt: skip
-        p = R * means[gaussian] + vec3(view[0, 3], view[1, 3], view[2, 3])
+        exact = camera_position(view, means[gaussian])
+        p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
         # Written so that NaN is culled too. Positions are tested before anything divides by the depth.
         if not (p[2] >= near_plane and p[2] <= far_plane):
             return
@@ -200,8 +220,12 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
         xx = xx + eps2d
         yy = yy + eps2d
-        mean2d = project_mean(p, K)
-        if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d[0]) and wp.isfinite(mean2d[1])):
+        mean2d = project_mean(exact, K)
+        if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d)):
+            return
+        root = vec3(wp.sqrt(yy / det_blurred), -xy / yy, one / wp.sqrt(yy))
+        # The conic's largest entries, and the slope
+        if not (xx + yy) / det_blurred <= sharpest or not wp.abs(root[1]) <= sharpest or not root[0] > zero:
             return
         compensation = dtype(1.0)
         if antialiased:
@@ -211,7 +235,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         opacity = wp.max(opacities[gaussian], thermal_opacities[gaussian]) * compensation
         if not (wp.isfinite(opacities[gaussian] + thermal_opacities[gaussian]) and opacity >= alpha_min):
             return
-        extent = wp.min(extent_max, wp.sqrt(two * wp.log(opacity / alpha_min)))
+        extent = wp.clamp(wp.sqrt(two * wp.log(opacity / alpha_min)), extent_min, extent_max)
         ex = extent * wp.sqrt(xx)
         ey = extent * wp.sqrt(yy)
         rx = wp.min(wp.ceil(ex), largest_radius)
@@ -225,7 +249,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
 
         means2d[index] = mean2d
         depths[index] = p[2]
-        conics[index] = vec3(yy / det_blurred, -xy / det_blurred, xx / det_blurred)
+        roots[index] = root
         compensations[index] = compensation
         radii[index] = wp.vec2i(int(rx), int(ry))
         extents[index] = vec2(ex, ey)
@@ -265,7 +289,7 @@ class ProjectedArrays:
     Attributes:
         means2d: vec2 [images · N], px.
         depths: [images · N], camera z in world units.
-        conics: vec3 [images · N], inverse 2D covariance (xx, xy, yy), 1/px².
+        roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module).
         compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one).
         radii: vec2i [images · N], px; 0 where culled.
         extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN.
@@ -273,7 +297,7 @@ class ProjectedArrays:
 
     means2d: wp.array
     depths: wp.array
-    conics: wp.array
+    roots: wp.array
     compensations: wp.array
     radii: wp.array
     extents: wp.array

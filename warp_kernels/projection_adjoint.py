@@ -3,8 +3,10 @@
 One thread a Gaussian walks the cameras of its scene and sums its own gradient, so that nothing is atomic and the sum
 is the same on every run. Gradients to cameras are written one record an (image, Gaussian) pair and summed afterwards.
 
-With Q the conic and V the symmetric gradient of the loss to a matrix: V_cov = -Q V_Q Q, V_A = 2 V_cov A, and for the
-antialiasing compensation ρ = sqrt(det / det_blurred) the determinant's gradient |a0 x a1|² -> 2 a1 x (a0 x a1).
+With U the conic's root and V the symmetric gradient of the loss to a matrix: the gradient to (u, k, v) determines W,
+the sum of p z zᵀ over pixels (see gradient_records), and V_cov = ½ Uᵀ W U, V_A = Uᵀ W (U A). All of it is computed on
+whitened rows U B and U M, whose entries are of order 1; of a needle, those of B and M are not, and cancel. For
+the antialiasing compensation ρ = sqrt(det / det_blurred) the determinant's gradient is |a0 x a1|² -> 2 a1 x (a0 x a1).
 """
 
 import functools
@@ -36,7 +38,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
     vec6, record = wp.types.vector(6, dtype), wp.types.vector(CAMERA_RECORD, dtype)
     mat23, mat33, mat44 = (wp.types.matrix(shape, dtype) for shape in ((2, 3), (3, 3), (4, 4)))
     normalize, inverse_norm, to_matrix, matrix_adjoint = rotation_functions(dtype)
-    jacobian, _, fov_limits = projection_functions(dtype, camera_model)
+    camera_position, jacobian, _, fov_limits = projection_functions(dtype, camera_model)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
     pinhole = camera_model == "pinhole"
@@ -71,12 +73,12 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         height: int,
         eps2d: dtype,
         antialiased: bool,
-        conics: wp.array(dtype=vec3),
+        roots: wp.array(dtype=vec3),
         compensations: wp.array(dtype=dtype),
         radii: wp.array(dtype=wp.vec2i),
         v_means2d: wp.array(dtype=vec2),
         v_depths: wp.array(dtype=dtype),
-        v_conics: wp.array(dtype=vec3),
+        v_roots: wp.array(dtype=vec3),
         v_compensations: wp.array(dtype=dtype),
         # outputs
         v_means: wp.array(dtype=vec3),
@@ -101,6 +103,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         back = wp.transpose(rotation)
 
         seen = bool(False)
+        given = bool(True)
         g_mean = vec3()
         g_scale = vec3()
         g_rotation = mat33()
@@ -117,72 +120,98 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                     view[1, 0], view[1, 1], view[1, 2],
                     view[2, 0], view[2, 1], view[2, 2],
                 )  # fmt: skip
-                p = R * mean + vec3(view[0, 3], view[1, 3], view[2, 3])
+                exact = camera_position(view, mean)
+                p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
                 J = jacobian(p, K, width, height)
                 M = J * R
                 m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
                 m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
 
-                # conic -> covariance: V_cov = -Q V_Q Q, with the off-diagonal gradient shared by both entries
-                Q = conics[index]
-                v_Q = v_conics[index]
-                off = half * v_Q[1]
-                r00 = v_Q[0] * Q[0] + off * Q[1]
-                r01 = v_Q[0] * Q[1] + off * Q[2]
-                r10 = off * Q[0] + v_Q[2] * Q[1]
-                r11 = off * Q[1] + v_Q[2] * Q[2]
-                v_xx = -(Q[0] * r00 + Q[1] * r10)
-                v_xy = -(Q[0] * r01 + Q[1] * r11)
-                v_yy = -(Q[1] * r01 + Q[2] * r11)
+                # root -> W, the moments in whitened coordinates (see gradient_records)
+                u = roots[index][0]
+                k = roots[index][1]
+                v = roots[index][2]
+                v_root = v_roots[index]
+                finite = wp.isfinite(v_root) and wp.isfinite(v_means2d[index]) and wp.isfinite(v_depths[index])
+                finite = finite and wp.isfinite(v_compensations[index])
+                given = given and finite
+                w00 = -u * v_root[0]
+                w01 = -v / u * v_root[1]
+                w11 = -v * v_root[2]
+
+                # W -> whitened M and the Gaussian's own shape
+                n0 = u * (m0 + k * m1)
+                n1 = v * m1
+                v_n0 = vec3()
+                v_n1 = vec3()
+                if wp.static(from_covars):
+                    c0 = covariance * n0
+                    c1 = covariance * n1
+                    v_n0 = w00 * c0 + w01 * c1
+                    v_n1 = w01 * c0 + w11 * c1
+                    V = half * (
+                        w00 * wp.outer(n0, n0) + w01 * (wp.outer(n0, n1) + wp.outer(n1, n0)) + w11 * wp.outer(n1, n1)
+                    )
+                    g_covar = g_covar + vec6(V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2])
+                else:
+                    b0 = back * n0
+                    b1 = back * n1
+                    a0 = wp.cw_mul(b0, s)
+                    a1 = wp.cw_mul(b1, s)
+                    v_a0 = w00 * a0 + w01 * a1
+                    v_a1 = w01 * a0 + w11 * a1
+                    g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
+                    v_b0 = wp.cw_mul(v_a0, s)
+                    v_b1 = wp.cw_mul(v_a1, s)
+                    g_rotation = g_rotation + wp.outer(n0, v_b0) + wp.outer(n1, v_b1)
+                    v_n0 = rotation * v_b0
+                    v_n1 = rotation * v_b1
+                v_m0 = u * v_n0
+                v_m1 = k * v_m0 + v * v_n1
 
                 # compensation -> determinant and blur
-                v_det = zero
                 if antialiased:
                     rho = compensations[index]
                     if rho > zero:
-                        # 1 / det_blurred is the conic's determinant; taken from the forward quantities without it
                         xx, xy, yy, det = zero, zero, zero, zero
                         if wp.static(from_covars):
                             xx, xy, yy, det = from_covariance(m0, m1, covariance)
                         else:
                             xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
                         det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
-                        k = half * v_compensations[index] / (rho * det_blurred)
-                        ratio = rho * rho
-                        v_det = k * (one - ratio)
-                        v_xx = v_xx - k * ratio * eps2d
-                        v_yy = v_yy - k * ratio * eps2d
-
-                # covariance -> M and the Gaussian's own shape
-                v_m0 = vec3()
-                v_m1 = vec3()
-                if wp.static(from_covars):
-                    c0 = covariance * m0
-                    c1 = covariance * m1
-                    xx = wp.dot(m0, c0)
-                    xy = wp.dot(m0, c1)
-                    yy = wp.dot(m1, c1)
-                    v_xx = v_xx + v_det * yy
-                    v_yy = v_yy + v_det * xx
-                    v_xy = v_xy - v_det * xy
-                    v_m0 = two * (v_xx * c0 + v_xy * c1)
-                    v_m1 = two * (v_xy * c0 + v_yy * c1)
-                    V = v_xx * wp.outer(m0, m0) + v_xy * (wp.outer(m0, m1) + wp.outer(m1, m0)) + v_yy * wp.outer(m1, m1)
-                    g_covar = g_covar + vec6(V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2])
-                else:
-                    b0 = back * m0
-                    b1 = back * m1
-                    a0 = wp.cw_mul(b0, s)
-                    a1 = wp.cw_mul(b1, s)
-                    normal = wp.cross(a0, a1)
-                    v_a0 = two * (v_xx * a0 + v_xy * a1 + v_det * wp.cross(a1, normal))
-                    v_a1 = two * (v_xy * a0 + v_yy * a1 + v_det * wp.cross(normal, a0))
-                    g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
-                    v_b0 = wp.cw_mul(v_a0, s)
-                    v_b1 = wp.cw_mul(v_a1, s)
-                    g_rotation = g_rotation + wp.outer(m0, v_b0) + wp.outer(m1, v_b1)
-                    v_m0 = rotation * v_b0
-                    v_m1 = rotation * v_b1
+                        share = half * v_compensations[index] / (rho * det_blurred)
+                        v_det = share * (one - rho * rho)
+                        v_blur = -share * rho * rho * eps2d
+                        if wp.static(from_covars):
+                            c0 = covariance * m0
+                            c1 = covariance * m1
+                            v_xx = v_blur + v_det * yy
+                            v_yy = v_blur + v_det * xx
+                            v_xy = -v_det * xy
+                            v_m0 = v_m0 + two * (v_xx * c0 + v_xy * c1)
+                            v_m1 = v_m1 + two * (v_xy * c0 + v_yy * c1)
+                            V = (
+                                v_xx * wp.outer(m0, m0)
+                                + v_xy * (wp.outer(m0, m1) + wp.outer(m1, m0))
+                                + v_yy * wp.outer(m1, m1)
+                            )
+                            g_covar = g_covar + vec6(
+                                V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2]
+                            )
+                        else:
+                            b0 = back * m0
+                            b1 = back * m1
+                            a0 = wp.cw_mul(b0, s)
+                            a1 = wp.cw_mul(b1, s)
+                            normal = wp.cross(a0, a1)
+                            v_a0 = two * (v_blur * a0 + v_det * wp.cross(a1, normal))
+                            v_a1 = two * (v_blur * a1 + v_det * wp.cross(normal, a0))
+                            g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
+                            v_b0 = wp.cw_mul(v_a0, s)
+                            v_b1 = wp.cw_mul(v_a1, s)
+                            g_rotation = g_rotation + wp.outer(m0, v_b0) + wp.outer(m1, v_b1)
+                            v_m0 = v_m0 + rotation * v_b0
+                            v_m1 = v_m1 + rotation * v_b1
 
                 # M = J R -> J and R
                 v_M = mat23(v_m0[0], v_m0[1], v_m0[2], v_m1[0], v_m1[1], v_m1[2])
@@ -230,13 +259,16 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 g_mean = g_mean + wp.transpose(R) * v_p
                 if wp.static(to_cameras):
                     v_R = v_R + wp.outer(v_p, mean)
-                    v_cameras[index] = record(
+                    G = record(
                         v_R[0, 0], v_R[0, 1], v_R[0, 2],
                         v_R[1, 0], v_R[1, 1], v_R[1, 2],
                         v_R[2, 0], v_R[2, 1], v_R[2, 2],
                         v_p[0], v_p[1], v_p[2],
                         v_fx, v_fy, v_cx, v_cy,
                     )  # fmt: skip
+                    if finite and not wp.isfinite(G):
+                        G = record()
+                    v_cameras[index] = G
             else:
                 if wp.static(to_cameras):
                     v_cameras[index] = record()
@@ -244,12 +276,19 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         if not seen:
             # Nothing to add, and what is not finite must not reach the gradient even times zero.
             return
+        g_quat = vec4()
+        if wp.static(not from_covars):
+            g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
+        held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
+        if given and not held:
+            # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
+            return
         v_means[gaussian] = v_means[gaussian] + g_mean
         if wp.static(from_covars):
             v_covars[gaussian] = v_covars[gaussian] + g_covar
         else:
             v_scales[gaussian] = v_scales[gaussian] + g_scale
-            v_quats[gaussian] = v_quats[gaussian] + matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
+            v_quats[gaussian] = v_quats[gaussian] + g_quat
 
     return project_adjoint_kernel
 

@@ -18,7 +18,7 @@ def project(
         gaussians: inputs. Gradients go to means, quats and scales (or covars), viewmats and Ks where they have one.
         settings: image size, planes and mode.
         projected: outputs, one entry an (image, Gaussian) pair.
-        tape: records the adjoint; gradients come from means2d, depths, conics and compensations.
+        tape: records the adjoint; gradients come from means2d, depths, roots and compensations.
     """
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
     from_covars = gaussians.covars is not None
@@ -48,7 +48,7 @@ def project(
             settings.antialiased,
             projected.means2d,
             projected.depths,
-            projected.conics,
+            projected.roots,
             projected.compensations,
             projected.radii,
             projected.extents,
@@ -78,12 +78,12 @@ def project(
                 settings.height,
                 dtype(settings.eps2d),
                 settings.antialiased,
-                projected.conics,
+                projected.roots,
                 projected.compensations,
                 projected.radii,
                 gradient_of(projected.means2d),
                 gradient_of(projected.depths),
-                gradient_of(projected.conics),
+                gradient_of(projected.roots),
                 gradient_of(projected.compensations),
                 gradient_of(gaussians.means),
                 gradient_of(gaussians.quats),
@@ -108,4 +108,4 @@ def project(
 
     g, p = gaussians, projected
     inputs = [g.means, g.quats, g.scales, g.viewmats, g.Ks, *([g.covars] if g.covars is not None else [])]
-    record_adjoint(tape, adjoint, *inputs, p.means2d, p.depths, p.conics, p.compensations)
+    record_adjoint(tape, adjoint, *inputs, p.means2d, p.depths, p.roots, p.compensations)

@@ -104,13 +104,18 @@ def direction_function(dtype: type):
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``direction(mean, camera_position) -> (unit, 1 / length)``; both zero where the mean is at the camera.
+        ``direction(mean, camera_position) -> (unit, 1 / length)``; both zero where the mean is at the camera. The
+        difference is taken in float64: far from the origin it cancels.
     """
     vec3 = wp.types.vector(3, dtype)
 
     @wp.func
-    def direction(mean: vec3, camera_position: vec3):
-        offset = mean - camera_position
+    def direction(mean: vec3, camera_position: wp.vec3d):
+        offset = vec3(
+            dtype(wp.float64(mean[0]) - camera_position[0]),
+            dtype(wp.float64(mean[1]) - camera_position[1]),
+            dtype(wp.float64(mean[2]) - camera_position[2]),
+        )
         length = wp.length(offset)
         unit = vec3()
         inverse = dtype(0.0)
@@ -144,7 +149,7 @@ def color_kernel(dtype: type) -> wp.Kernel:
         per_image: bool,
         degree: int,
         means: wp.array(dtype=vec3),
-        camera_positions: wp.array(dtype=vec3),
+        camera_positions: wp.array(dtype=wp.vec3d),
         sh0: wp.array2d(dtype=vec3),
         shN: wp.array2d(dtype=vec3),
         radii: wp.array(dtype=wp.vec2i),
@@ -195,7 +200,7 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         per_image: bool,
         degree: int,
         means: wp.array(dtype=vec3),
-        camera_positions: wp.array(dtype=vec3),
+        camera_positions: wp.array(dtype=wp.vec3d),
         sh0: wp.array2d(dtype=vec3),
         shN: wp.array2d(dtype=vec3),
         radii: wp.array(dtype=wp.vec2i),
@@ -231,6 +236,8 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                     v_shN[row, k - 1] = v_shN[row, k - 1] + b[k] * v
                 v_unit = basis_adjoint(unit, degree, v_basis)
                 v_offset = (v_unit - wp.dot(v_unit, unit) * unit) * inverse
+                if wp.isfinite(v) and not wp.isfinite(v_offset):
+                    v_offset = vec3()  # the camera is too near for its gradient to be held
             v_offsets[index] = v_offset
             total = total + v_offset
         v_means[gaussian] = v_means[gaussian] + total
@@ -238,29 +245,15 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
     return sh_colors_adjoint_kernel
 
 
-@functools.cache
-def camera_position_adjoint_kernel(dtype: type) -> wp.Kernel:
-    """Adds the strands of the directions' gradients and subtracts them from the positions', one thread an image.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``, of the gradients.
-
-    Returns:
-        The Warp kernel.
-    """
-    vec3, vec3d = wp.types.vector(3, dtype), wp.types.vector(3, wp.float64)
-
-    @wp.kernel(name=f"camera_position_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
-    def camera_position_adjoint_kernel_(
-        partial_sums: wp.array(dtype=vec3d),
-        # outputs
-        v_camera_positions: wp.array(dtype=vec3),
-    ):
-        image = wp.tid()
-        total = vec3d()
-        for strand in range(wp.static(STRANDS)):
-            total = total + partial_sums[image * wp.static(STRANDS) + strand]
-        v = v_camera_positions[image]
-        v_camera_positions[image] = v - vec3(dtype(total[0]), dtype(total[1]), dtype(total[2]))
-
-    return camera_position_adjoint_kernel_
+@wp.kernel(enable_backward=False, module="unique")
+def camera_position_adjoint_kernel(
+    partial_sums: wp.array(dtype=wp.vec3d),
+    # outputs
+    v_camera_positions: wp.array(dtype=wp.vec3d),
+):
+    """Adds the strands of the directions' gradients and subtracts them from the positions', one thread an image."""
+    image = wp.tid()
+    total = wp.vec3d()
+    for strand in range(wp.static(STRANDS)):
+        total = total + partial_sums[image * wp.static(STRANDS) + strand]
+    v_camera_positions[image] = v_camera_positions[image] - total

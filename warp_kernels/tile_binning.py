@@ -5,8 +5,8 @@ order and sorted, again stably, by tile alone, whose keys have few bits. A *pair
 pairs of one Gaussian are contiguous before the second sort, which is what the deterministic adjoint sums over.
 
 The overlap is exact for the ellipse of alpha >= ALPHA_MIN against the pixel centres of a row of tiles: within the row's
-band of dy, the ellipse spans dx = -(b/a) dy ± sqrt(2τ (1 - (dy / ey)²) / a) with conic (a, b, c), τ = ln(α / ALPHA_MIN)
-and half-height ey, so that nothing cancels for needles (ey comes from the covariance).
+band of dy, the ellipse spans dx = -k dy ± sqrt(2τ (1 - (dy / ey)²)) / u with the conic's root (u, k, v), τ =
+ln(α / ALPHA_MIN) and half-height ey, so that nothing cancels for needles.
 """
 
 import functools
@@ -56,7 +56,7 @@ def overlap_functions(dtype: type):
 
     @wp.func
     def tile_span(
-        mean2d: vec2, conic: vec3, extent: vec2, exponent: dtype, row: int, width: int, height: int, tile_size: int
+        mean2d: vec2, root: vec3, extent: vec2, exponent: dtype, row: int, width: int, height: int, tile_size: int
     ):
         """Tiles [first, end) of one row that the ellipse touches."""
         # The band of the row's pixel centres, relative to the mean, cut to the ellipse's height.
@@ -66,15 +66,17 @@ def overlap_functions(dtype: type):
             # Only the rounding of tile_rows brought us here: the ellipse's tip, its whole width is a safe answer.
             top = wp.clamp(top, -extent[1], extent[1])
             bottom = top
-        slope = -conic[1] / conic[0]
+        slope = -root[1]
+        uk = root[0] * root[1]
+        tilt = uk * root[0] / (uk * uk + root[2] * root[2])  # b / c of the conic
         # dy at which the ellipse reaches its right and left extremes, cut to the band
-        right_dy = wp.clamp(-conic[1] / conic[2] * extent[0], top, bottom)
-        left_dy = wp.clamp(conic[1] / conic[2] * extent[0], top, bottom)
-        scale = two * exponent / conic[0]
+        right_dy = wp.clamp(-tilt * extent[0], top, bottom)
+        left_dy = wp.clamp(tilt * extent[0], top, bottom)
+        reach = wp.sqrt(two * exponent) / root[0]
         right_share = right_dy / extent[1]
         left_share = left_dy / extent[1]
-        right = slope * right_dy + wp.sqrt(wp.max(zero, scale * (one - right_share * right_share)))
-        left = slope * left_dy - wp.sqrt(wp.max(zero, scale * (one - left_share * left_share)))
+        right = slope * right_dy + reach * wp.sqrt(wp.max(zero, one - right_share * right_share))
+        left = slope * left_dy - reach * wp.sqrt(wp.max(zero, one - left_share * left_share))
         first, end = pixel_range(mean2d[0], wp.max(left, -extent[0]), wp.min(right, extent[0]), width)
         if end <= first:
             return 0, 0
@@ -109,7 +111,7 @@ def binning_kernels(dtype: type):
         height: int,
         tile_size: int,
         means2d: wp.array(dtype=vec2),
-        conics: wp.array(dtype=vec3),
+        roots: wp.array(dtype=vec3),
         extents: wp.array(dtype=vec2),
         depths: wp.array(dtype=dtype),
         opacities: wp.array(dtype=dtype),
@@ -134,7 +136,7 @@ def binning_kernels(dtype: type):
                 exponent = cut_exponent(wp.max(opacities[index], thermal_opacities[index]))
                 row, row_end = tile_rows(mean2d, extent, height, tile_size)
                 while row < row_end:
-                    start, end = tile_span(mean2d, conics[index], extent, exponent, row, width, height, tile_size)
+                    start, end = tile_span(mean2d, roots[index], extent, exponent, row, width, height, tile_size)
                     count += end - start
                     row += 1
             else:
@@ -166,7 +168,7 @@ def binning_kernels(dtype: type):
         by_slot: bool,
         capacity: int,
         means2d: wp.array(dtype=vec2),
-        conics: wp.array(dtype=vec3),
+        roots: wp.array(dtype=vec3),
         extents: wp.array(dtype=vec2),
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
@@ -193,7 +195,7 @@ def binning_kernels(dtype: type):
         exponent = cut_exponent(wp.max(opacities[index], thermal_opacities[index]))
         row, row_end = tile_rows(mean2d, extent, height, tile_size)
         while row < row_end:
-            start, end = tile_span(mean2d, conics[index], extent, exponent, row, width, height, tile_size)
+            start, end = tile_span(mean2d, roots[index], extent, exponent, row, width, height, tile_size)
             while start < end and slot < capacity:
                 keys[slot] = image_first + row * tiles_x + start
                 if by_slot:

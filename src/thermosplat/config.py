@@ -45,6 +45,10 @@ class DecoderConfig:
     """The decoders also see the direction in which a pixel looks. MS-Splatting."""
     hybrid_rgb: bool = True
     """RGB is the SH render plus the decoded part. Off: the decoded part alone (ablation "w/o hybrid RGB")."""
+    covered_only: bool = True
+    """Multiply decoded images by the accumulated opacity, so that the background shows where no Gaussian is, as in
+    3DGS. Off: there the networks' answer to zero features shows, which nothing has taught them where the training
+    views did not look. Open choice."""
     rgb_head_bias: float = -4.0
     """Initial bias of the RGB head, so that the hybrid sum starts at the SH colour: sigmoid(-4) = 0.018. Open choice.
     Ignored (0) without the hybrid sum."""
@@ -137,15 +141,15 @@ class OptimizerConfig:
     """Thermal SH degree 0 in a shared set without features. ThermalGaussian, MMOne: as the visible one."""
     thermal_shN_lr: float = 2.5e-3 / 20
     """Thermal SH degrees 1 to 3 in a shared set without features. ThermalGaussian, MMOne: as the visible ones."""
-    features_lr: float = 2.5e-3
-    """Latent features. Open choice: as sh0, since f[:3] is supervised as a colour; MS-Splatting takes 5e-3."""
+    features_lr: float = 5e-3
+    """Latent features. Open choice: MS-Splatting's."""
     thermal_opacity_offsets_lr: float = 5e-2
     """Thermal opacity offsets. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
     thermal_opacities_lr: float = 5e-2
     """Logit of a thermal opacity of its own. MMOne: the opacity's rate."""
-    decoders_lr: float = 1e-3
-    """Decoder networks. Open choice: MS-Splatting 5e-3, FeatSplat-like decoders 1e-3."""
-    decoders_lr_final: float = 1e-4
+    decoders_lr: float = 5e-3
+    """Decoder networks. Open choice: MS-Splatting's."""
+    decoders_lr_final: float = 5e-4
     """Decoder networks at the last step (exponential decay). Open choice."""
     eps: float = 1e-15
     """Adam's ε. 3DGS."""

@@ -130,8 +130,8 @@ class SceneModel(nn.Module):
         if thermal is not None:
             gaussians = self.gaussians("shared")
             features, alpha, info = see(gaussians, gaussians.features, gaussians.thermal_opacities, thermal, how)
-            rendered.thermal = self.decoders.thermal(*self._decoder_inputs(thermal, features))
-            rendered.thermal_alpha = alpha
+            decoded = self.decoders.thermal(*self._decoder_inputs(thermal, features))
+            rendered.thermal, rendered.thermal_alpha = self._covered(decoded, alpha), alpha
             rendered.thermal_features = features
             info["modality"] = "thermal"
             rendered.infos["shared"].append(info)
@@ -160,11 +160,22 @@ class SceneModel(nn.Module):
             rendered.thermal_features = output.render_thermal_features[0]
             rendered.thermal_alpha = output.render_thermal_alphas[0]
             inputs = self._decoder_inputs(view, visible_features, rendered.thermal_features)
-            decoded, rendered.thermal = decoders.both(*inputs)
+            decoded, thermal = decoders.both(*inputs)
+            rendered.thermal = self._covered(thermal, rendered.thermal_alpha)
         else:
             decoded = decoders.rgb(*self._decoder_inputs(view, visible_features))
-        rendered.rgb = output.render_colors[0] + decoded if self.decoder_config.hybrid_rgb else decoded
+        if self.decoder_config.hybrid_rgb:
+            rendered.rgb = output.render_colors[0] + self._covered(decoded, output.render_alphas[0])
+        else:
+            rendered.rgb = self._covered(decoded, output.render_alphas[0], self.background)
         return rendered
+
+    def _covered(self, decoded: Tensor, alpha: Tensor, behind: Tensor | None = None) -> Tensor:
+        """A decoded image as far as Gaussians cover it; elsewhere ``behind``, or black, the coldest temperature."""
+        if not self.decoder_config.covered_only:
+            return decoded
+        covered = alpha * decoded
+        return covered if behind is None else covered + (1.0 - alpha) * behind
 
     def _decoder_inputs(self, view: "ViewTensors", *features: Tensor) -> tuple[Tensor, ...]:
         """Rendered features [H, W, d] as the decoders take them: with the viewing directions, where they see those."""

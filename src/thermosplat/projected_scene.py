@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.pair_capacity import active_pair_capacity
-from thermosplat.rasterization_info import RasterizationInfo, isect_ids
+from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
 from thermosplat.warp_bridge import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles, to_torch
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins
@@ -53,6 +53,8 @@ class ProjectedScene:
         if covars is not None or quats is None or scales is None:
             quats, scales = means.new_empty(0, 4), means.new_empty(0, 3)
         bound = _flat(opacities.detach())
+        shape = [(quats.detach(), 4), (scales.detach(), 3)] if upper is None else [(upper.detach(), 6)]
+        self._inputs = [(self.means.detach(), 3), *shape]  # and what per_image and colors are given
         self.projected = ProjectedTensors(
             *Project.apply(
                 self.means,
@@ -68,7 +70,6 @@ class ProjectedScene:
         )
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
         self.means2d = self.projected.means2d.reshape(*self.images_shape, -1, 2)
-        self.conics = self.projected.conics.reshape(*self.images_shape, -1, 3)
         self.depths = self.projected.depths.reshape(*self.images_shape, -1)
         self.opacities = self._per_image_opacities(opacities)
         self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
@@ -82,6 +83,7 @@ class ProjectedScene:
 
     def per_image(self, values: Tensor, *, per_camera: bool) -> Tensor:
         """Values [..., (C,) N, X] repeated for each camera where they are shared, flat [images · N, X]."""
+        self._inputs.append((values.detach(), values.shape[-1]))
         if not per_camera and self.settings.num_cameras != 1:
             values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
         return values.reshape(-1, values.shape[-1]).contiguous()
@@ -95,11 +97,17 @@ class ProjectedScene:
         """
         if sh_degree is None:
             return self.per_image(colors, per_camera=per_camera)
+        active = (sh_degree + 1) ** 2
+        self._note(colors[..., :active, :])
         if higher_degrees is not None:
+            self._note(higher_degrees[..., : active - 1, :])
             rest = higher_degrees.shape[-2:]
             higher_degrees = higher_degrees.reshape(-1, *rest).contiguous() if rest[0] > 0 else None
-        # inv_ex does not synchronise with the device, as inverse() does.
-        camera_positions = torch.linalg.inv_ex(self.viewmats)[0][:, :3, 3].contiguous()
+        # inv_ex does not synchronise with the device, as inverse() does. float64, because directions are differences.
+        viewmats = self.viewmats.to(torch.float64, copy=True)
+        if viewmats.requires_grad:
+            viewmats.register_hook(_held_by_float32)
+        camera_positions = torch.linalg.inv_ex(viewmats)[0][:, :3, 3].contiguous()
         return ShColors.apply(
             self.means,
             camera_positions,
@@ -111,6 +119,10 @@ class ProjectedScene:
             self.settings.num_gaussians,
             self.settings.num_cameras,
         )
+
+    def _note(self, coefficients: Tensor) -> None:
+        """Remembers coefficients [..., N, K, 3] as an input whose numbers should be finite."""
+        self._inputs.append((coefficients.detach(), coefficients.shape[-2] * 3))
 
     def blend(
         self, features: Tensor, thermal_channels: int, absgrad: bool, *, thermal_opacity: bool = False
@@ -125,7 +137,7 @@ class ProjectedScene:
         second = self.thermal_opacities if thermal_channels > 0 else None
         results = Blend.apply(
             self.means2d.reshape(-1, 2),
-            self.conics.reshape(-1, 3),
+            self.projected.roots,
             _flat(opacities),
             None if second is None else _flat(second),
             features,
@@ -179,7 +191,6 @@ class ProjectedScene:
             "radii": self.projected.radii.reshape(*shape, -1, 2),
             "means2d": self.means2d,
             "depths": self.depths,
-            "conics": self.conics,
             "opacities": self.opacities,
             "tile_width": bins.tiles_x,
             "tile_height": bins.tiles_y,
@@ -195,7 +206,21 @@ class ProjectedScene:
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
         depths, tiles = self.projected.depths.detach(), bins.tiles_x * bins.tiles_y
-        return RasterizationInfo(values, lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles))
+        roots = self.projected.roots
+        inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
+        return RasterizationInfo(
+            values,
+            {
+                "conics": lambda: conics(roots).reshape(*shape, -1, 3),
+                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles),
+                "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
+            },
+        )
+
+
+def _held_by_float32(gradient: Tensor) -> Tensor:
+    """Without what overflows where a view matrix has next to no inverse."""
+    return torch.where(gradient.abs() < 1e37, gradient, 0.0)
 
 
 def _flat(opacities: Tensor) -> Tensor:

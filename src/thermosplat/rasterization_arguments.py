@@ -15,6 +15,9 @@ RasterizeMode = Literal["classic", "antialiased"]
 CameraModel = Literal["pinhole", "ortho"]
 
 SH_DEGREE_MAX = 3
+INDEX_MAX = 2**31
+"""Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
+
 SUPPORTED = "pinhole and ortho cameras without distortion, dense gradients, one process"
 
 
@@ -272,12 +275,19 @@ def checked_settings(
     check_modes(render_mode, rasterize_mode, camera_model, tile_size, width, height, sh_degree)
     check_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
     cameras, count = check_scene(means, quats, scales, covars, opacities, viewmats, Ks)
+    images = math.prod(means.shape[:-2]) * cameras
+    if images * count >= INDEX_MAX or images * height >= INDEX_MAX:
+        raise UserError(
+            f"{count:,} Gaussians in each of {images:,} images of {width} x {height} px are more than the kernels can "
+            f"number ({INDEX_MAX - 1:,} Gaussians, and as many rows, over all images).",
+            "Render fewer cameras per call.",
+        )
     return ProjectionSettings(
         width=width,
         height=height,
         num_gaussians=count,
         num_cameras=cameras,
-        num_images=math.prod(means.shape[:-2]) * cameras,
+        num_images=images,
         eps2d=eps2d,
         near_plane=near_plane,
         far_plane=far_plane,

@@ -1,6 +1,6 @@
-"""gsplat's dictionary of intermediate results, of which the costly one is computed when it is read."""
+"""gsplat's dictionary of intermediate results, of which costly ones are computed when they are read."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import torch
@@ -8,15 +8,20 @@ from torch import Tensor
 
 
 class RasterizationInfo(dict[str, Any]):
-    """The third result of ``rasterization``: gsplat's keys. ``isect_ids`` is computed when first read."""
+    """The third result of ``rasterization``: gsplat's keys and some of our own.
 
-    def __init__(self, values: dict[str, Any], isect_ids: Callable[[], Tensor]) -> None:
-        super().__init__(values, isect_ids=None)
-        self._isect_ids = isect_ids
+    Args:
+        values: what is at hand.
+        computed: what is computed when it is first read, by key.
+    """
+
+    def __init__(self, values: dict[str, Any], computed: dict[str, Callable[[], Any]]) -> None:
+        super().__init__(values, **dict.fromkeys(computed))
+        self._computed = dict(computed)
 
     def __getitem__(self, key: str) -> Any:
-        if key == "isect_ids" and super().__getitem__(key) is None:
-            self[key] = self._isect_ids()
+        if key in self._computed:
+            self[key] = self._computed.pop(key)()
         return super().__getitem__(key)
 
     def __iter__(self) -> Iterator[str]:
@@ -31,13 +36,49 @@ class RasterizationInfo(dict[str, Any]):
 
     def items(self) -> Any:
         """As ``dict.items``, with every value computed."""
-        self["isect_ids"]
+        self._compute_all()
         return super().items()
 
     def values(self) -> Any:
         """As ``dict.values``, with every value computed."""
-        self["isect_ids"]
+        self._compute_all()
         return super().values()
+
+    def _compute_all(self) -> None:
+        for key in list(self._computed):
+            self[key]
+
+
+def num_nonfinite(inputs: Iterable[tuple[Tensor, int]], scenes: int, num_gaussians: int) -> int:
+    """Number of Gaussians, over all scenes, with a NaN or an infinity in any input. Waits for the device.
+
+    Args:
+        inputs: each with its number of values a Gaussian; scene by scene, in each Gaussian by Gaussian, or camera by
+            camera and then Gaussian by Gaussian.
+        scenes: number of scenes.
+        num_gaussians: N, Gaussians of a scene.
+
+    Returns:
+        The number.
+    """
+    if scenes * num_gaussians == 0:
+        return 0
+    finite = [
+        tensor.detach().isfinite().reshape(scenes, -1, num_gaussians, width).all(-1).all(1)
+        for tensor, width in inputs
+        if width > 0
+    ]
+    return int((~torch.stack(finite).all(0)).sum())
+
+
+def conics(roots: Tensor) -> Tensor:
+    """Inverse 2D covariances [..., 3] (xx, xy, yy) [1/px²] of their roots (u, k, v) [..., 3]: Uᵀ U, U = [u, u k; 0, v].
+
+    Differentiable: a loss on them reaches the Gaussians. (The image's own gradient goes through the roots.)
+    """
+    u, k, v = roots.unbind(-1)
+    uk = u * k
+    return torch.stack([u * u, u * uk, uk * uk + v * v], -1)
 
 
 def isect_ids(flatten_ids: Tensor, tile_offsets: Tensor, depths: Tensor, tiles: int) -> Tensor:

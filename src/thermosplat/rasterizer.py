@@ -82,7 +82,8 @@ def rasterization(
     """Renders Gaussians with any number of channels; gsplat 1.5.3's ``rasterization`` in signature and meaning.
 
     Differentiable in means, quats, scales, opacities, colors, covars, viewmats, backgrounds and (unlike gsplat) Ks.
-    Runs on the CPU and on CUDA, in float32 or float64. A Gaussian with anything non-finite is invisible.
+    Runs on the CPU and on CUDA, in float32 or float64. A Gaussian with anything non-finite is invisible and counted in
+    ``info["num_nonfinite"]``.
 
     Args:
         means: Centres, [..., N, 3], world units.
@@ -125,7 +126,8 @@ def rasterization(
 
     Returns:
         ``(render_colors, render_alphas, info)``: images [..., C, H, W, X] with X = D, 1 or D + 1; accumulated
-        opacities [..., C, H, W, 1]; gsplat's dictionary of intermediate results.
+        opacities [..., C, H, W, 1]; gsplat's dictionary of intermediate results, and in it ``num_nonfinite``, the
+        number of Gaussians with a NaN or an infinity in an input, which is counted when it is read.
 
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
@@ -185,9 +187,12 @@ def rasterization(
         columns.append(scene.colors(colors, sh_degree, per_camera=per_camera, higher_degrees=higher_degrees))
     if "D" in render_mode:
         columns.append(scene.depths.reshape(-1, 1))
+        if "ED" in render_mode:
+            # The weights' sum, to divide by: 1 - T loses its digits where little is drawn.
+            columns.append(torch.ones_like(columns[-1]))
         if backgrounds is not None:
             # Depth has no background, as in gsplat.
-            zero = backgrounds.new_zeros(*backgrounds.shape[:-1], 1)
+            zero = backgrounds.new_zeros(*backgrounds.shape[:-1], 2 if "ED" in render_mode else 1)
             backgrounds = torch.cat([backgrounds, zero], -1) if "RGB" in render_mode else zero
     features = columns[0] if len(columns) == 1 else torch.cat(columns, -1)
 
@@ -196,8 +201,8 @@ def rasterization(
     if backgrounds is not None:
         render_colors = render_colors + transmittance * backgrounds[..., None, None, :]
     if "ED" in render_mode:
-        expected = render_colors[..., -1:] / render_alphas.clamp(min=1e-10)
-        render_colors = torch.cat([render_colors[..., :-1], expected], -1)
+        expected = render_colors[..., -2:-1] / render_colors[..., -1:].clamp(min=1e-10)
+        render_colors = torch.cat([render_colors[..., :-2], expected], -1)
     return render_colors, render_alphas, scene.info()
 
 

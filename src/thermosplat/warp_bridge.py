@@ -14,6 +14,7 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from thermosplat.errors import UserError
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels import binning_step, blending_step, color_step, projection_step
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
@@ -64,7 +65,7 @@ class ProjectedTensors(NamedTuple):
 
     means2d: Tensor
     depths: Tensor
-    conics: Tensor
+    roots: Tensor
     compensations: Tensor
     radii: Tensor  # int32, not differentiable
     extents: Tensor  # not differentiable
@@ -100,7 +101,7 @@ class Project(torch.autograd.Function):
         projected = ProjectedTensors(
             means2d=means.new_empty(entries, 2),
             depths=means.new_empty(entries),
-            conics=means.new_empty(entries, 3),
+            roots=means.new_empty(entries, 3),
             compensations=means.new_empty(entries),
             radii=torch.empty(entries, 2, dtype=torch.int32, device=means.device),
             extents=means.new_empty(entries, 2),
@@ -122,7 +123,7 @@ class Project(torch.autograd.Function):
         ctx.mark_non_differentiable(projected.radii, projected.extents)
         ctx.set_materialize_grads(False)
         # Saved so that torch reports in-place changes between forward and backward.
-        outputs = (projected.conics, projected.compensations, projected.radii)
+        outputs = (projected.roots, projected.compensations, projected.radii)
         ctx.save_for_backward(means, quats, scales, covars, viewmats, Ks, *outputs)
         return tuple(projected)
 
@@ -137,7 +138,7 @@ class Project(torch.autograd.Function):
             g, p = ctx.gaussians, ctx.projected
             inputs = (g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks)
             _collect(inputs, (v_means, v_quats, v_scales, v_covars, v_viewmats, v_Ks))
-            _lend((p.means2d, p.depths, p.conics, p.compensations), gradients[:4])
+            _lend((p.means2d, p.depths, p.roots, p.compensations), gradients[:4])
             ctx.tape.backward()
         return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None
 
@@ -161,7 +162,9 @@ class ShColors(torch.autograd.Function):
         vec3 = wp.types.vector(3, SCALARS[means.dtype])
         colors = means.new_empty(len(radii), 3)
         with on_torch_stream(means.device):
-            ctx.arrays = [wrap(t, vec3) for t in (means, camera_positions, *_by_degree(sh0, shN), colors)]
+            kinds = (vec3, wp.vec3d, vec3, vec3, vec3)
+            tensors = (means, camera_positions, *_by_degree(sh0, shN), colors)
+            ctx.arrays = [wrap(tensor, kind) for tensor, kind in zip(tensors, kinds, strict=True)]
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
             color_step.sh_colors(
                 degree,
@@ -214,7 +217,7 @@ class Blend(torch.autograd.Function):
     def forward(
         ctx: Any,
         means2d: Tensor,
-        conics: Tensor,
+        roots: Tensor,
         opacities: Tensor,
         thermal_opacities: Tensor | None,
         features: Tensor,
@@ -253,18 +256,18 @@ class Blend(torch.autograd.Function):
         ctx.shown_means2d = inputs.shown_means2d
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
         read = [image for image, _ in images if image.dim() == 2]
-        ctx.save_for_backward(means2d, conics, opacities, thermal_opacities, features, *read)
+        ctx.save_for_backward(means2d, roots, opacities, thermal_opacities, features, *read)
         return tuple(image for image, kind in images if kind is not wp.int32)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        means2d, conics, opacities, thermal_opacities, features = ctx.saved_tensors[:5]
-        v_means2d, v_conics, v_opacities, v_features = (_zeros(t) for t in (means2d, conics, opacities, features))
+        means2d, roots, opacities, thermal_opacities, features = ctx.saved_tensors[:5]
+        v_means2d, v_roots, v_opacities, v_features = (_zeros(t) for t in (means2d, roots, opacities, features))
         v_thermal = _zeros(thermal_opacities)
         with on_torch_stream(means2d.device):
-            arrays = [ctx.projected.means2d, ctx.projected.conics, ctx.opacities, ctx.features]
-            _collect(arrays, (v_means2d, v_conics, v_opacities, v_features))
+            arrays = [ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.features]
+            _collect(arrays, (v_means2d, v_roots, v_opacities, v_features))
             if v_thermal is not None:
                 _collect([ctx.thermal_opacities], [v_thermal])
             blended = ctx.blended
@@ -275,7 +278,7 @@ class Blend(torch.autograd.Function):
             ctx.tape.backward()
         if ctx.absolute is not None:
             ctx.shown_means2d.absgrad = ctx.absolute.reshape(ctx.shown_means2d.shape)
-        return v_means2d, v_conics, v_opacities, v_thermal, v_features, None
+        return v_means2d, v_roots, v_opacities, v_thermal, v_features, None
 
 
 def bin_tiles(
@@ -304,16 +307,19 @@ def bin_tiles(
     scalar = SCALARS[opacities.dtype]
     with on_torch_stream(opacities.device) as device:
         arrays = projected.arrays()
-        bins = binning_step.bin_tiles(
-            arrays,
-            wrap(opacities, scalar),
-            wrap(thermal_opacities, scalar),
-            wrap(features, scalar),
-            settings,
-            tile_size,
-            by_slot=not device.is_cuda,
-            capacity=capacity,
-        )
+        try:
+            bins = binning_step.bin_tiles(
+                arrays,
+                wrap(opacities, scalar),
+                wrap(thermal_opacities, scalar),
+                wrap(features, scalar),
+                settings,
+                tile_size,
+                by_slot=not device.is_cuda,
+                capacity=capacity,
+            )
+        except binning_step.TooManyPairsError as error:
+            raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
     return arrays, bins
 
 

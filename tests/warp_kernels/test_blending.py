@@ -16,7 +16,7 @@ from warp_kernels.rasterization import scalar_view
 def blended(
     scene: WarpScene, layout: BlendLayout, thermal_channels: int = 0
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Images, and gradients of means2d, conics, opacities and features for a fixed random loss."""
+    """Images, and gradients of means2d, roots, opacities and features for a fixed random loss."""
     settings, dtype = scene.settings, scene.gaussians.opacities.dtype
     rows = settings.num_images * settings.height
     opacities = thermal = image_opacities(scene, scene.gaussians.opacities)
@@ -43,7 +43,7 @@ def blended(
     for output in outputs:
         output.grad.assign(rng.normal(size=output.numpy().shape))
     tape.backward()
-    inputs = [arrays.means2d, arrays.conics, opacities, scene.features] + [thermal] * bool(thermal_channels)
+    inputs = [arrays.means2d, arrays.roots, opacities, scene.features] + [thermal] * bool(thermal_channels)
     # numpy() of a CPU array is its memory: copies, because gradients accumulate
     return [output.numpy().copy() for output in outputs], [array.grad.numpy().copy() for array in inputs]
 

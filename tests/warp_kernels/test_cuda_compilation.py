@@ -31,7 +31,7 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     ]
     kernels += [*binning_kernels(dtype), tile_ranges_kernel, camera_finish_kernel(dtype)]
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
-    kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), camera_position_adjoint_kernel(dtype)]
+    kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), camera_position_adjoint_kernel]
     kernels += [
         distribute_kernel(channels, thermal_channels, dtype, absgrad, False)
         for channels, thermal_channels in ((3, 0), (11, 8))

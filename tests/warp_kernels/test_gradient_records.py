@@ -11,7 +11,10 @@ from warp_kernels.gradient_records import distribute_kernel, feature_offset, rec
 @pytest.mark.parametrize("thermal_channels", [0, 2])
 @pytest.mark.parametrize("by_slot", [False, True])
 def test_records_are_added_to_the_gradients(by_slot: bool, thermal_channels: int, absgrad: bool) -> None:
-    """Each Gaussian's records, by slot or already summed, are added to what its gradients hold; without tiles none."""
+    """Each Gaussian's records, by slot or already summed, are added to what its gradients hold; without tiles none.
+
+    With the root (1, 0, 1) moments are the gradients to mean2d and root but for the sign.
+    """
     rng = np.random.default_rng(0)
     order = np.array([2, 0, 3, 1])  # depth ranks to Gaussians
     tiles = np.array([3, 0, 1, 2])  # of each Gaussian
@@ -23,7 +26,7 @@ def test_records_are_added_to_the_gradients(by_slot: bool, thermal_channels: int
         if tiles[g]:
             sums[g] = records[end - tiles[g] : end].sum(0) if by_slot else records[g]
 
-    parts = {"means2d": 2, "conics": 3, "opacities": 1, "thermal_opacities": 1, "features": 3, "absolute": 2}
+    parts = {"means2d": 2, "roots": 3, "opacities": 1, "thermal_opacities": 1, "features": 3, "absolute": 2}
     before = {name: rng.normal(size=(4, width)) for name, width in parts.items()}
     kinds = {width: wp.types.vector(width, wp.float64) for width in (2, 3)} | {1: wp.float64}
     after = {name: wp.array(before[name].squeeze(), dtype=kinds[width], device="cpu") for name, width in parts.items()}
@@ -35,12 +38,13 @@ def test_records_are_added_to_the_gradients(by_slot: bool, thermal_channels: int
             wp.array(ends, dtype=wp.int64, device="cpu"),
             wp.array(tiles, dtype=wp.int32, device="cpu"),
             wp.array(records, dtype=wp.types.vector(length, wp.float64), device="cpu"),
+            wp.array(np.tile([1.0, 0.0, 1.0], (4, 1)), dtype=kinds[3], device="cpu"),
             *after.values(),
         ],
         device="cpu",
     )
     first = feature_offset(thermal_channels)
-    columns = {"means2d": (0, 2), "conics": (2, 5), "opacities": (5, 6), "features": (first, first + 3)}
+    columns = {"means2d": (0, 2), "roots": (2, 5), "opacities": (5, 6), "features": (first, first + 3)}
     if thermal_channels:
         columns["thermal_opacities"] = (6, 7)
     if absgrad:
@@ -49,5 +53,5 @@ def test_records_are_added_to_the_gradients(by_slot: bool, thermal_channels: int
     assert covered == list(range(length))
     for name, values in after.items():
         begin, end = columns.get(name, (0, 0))
-        added = sums[:, begin:end] if end else 0.0
+        added = sums[:, begin:end] * (-1.0 if name in ("means2d", "roots") else 1.0) if end else 0.0
         assert np.allclose(values.numpy().reshape(4, -1), before[name] + added, rtol=0, atol=1e-14), name

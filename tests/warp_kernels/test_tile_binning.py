@@ -38,15 +38,16 @@ def bin_scene(name: str, tile_size: int, needles: bool, by_slot: bool = True) ->
 def drawn_tiles(arrays: ProjectedArrays, bins: TileBins, extra: dict, alpha_min: float) -> set[tuple[int, int]]:
     """(tile, flat Gaussian) pairs in which some pixel centre has alpha of at least alpha_min, by trying them all."""
     settings = extra["settings"]
-    means, conics = arrays.means2d.numpy().astype(np.float64), arrays.conics.numpy().astype(np.float64)
+    means, roots = arrays.means2d.numpy().astype(np.float64), arrays.roots.numpy().astype(np.float64)
     visible = (arrays.radii.numpy() > 0).all(-1)
     x, y = np.meshgrid(np.arange(settings.width), np.arange(settings.height))
     tile_of_pixel = (y // bins.tile_size) * bins.tiles_x + x // bins.tile_size
     pairs = set()
     for g in np.flatnonzero(visible):
         dx, dy = means[g, 0] - (x + 0.5), means[g, 1] - (y + 0.5)
-        sigma = 0.5 * (conics[g, 0] * dx * dx + conics[g, 2] * dy * dy) + conics[g, 1] * dx * dy
-        alpha = extra["opacities"][g] * np.exp(-np.maximum(sigma, 0))
+        u, k, v = roots[g]
+        sigma = 0.5 * ((u * (dx + k * dy)) ** 2 + (v * dy) ** 2)
+        alpha = extra["opacities"][g] * np.exp(-sigma)
         image = g // settings.num_gaussians
         tiles = np.unique(tile_of_pixel[alpha >= alpha_min]) + image * bins.tiles_x * bins.tiles_y
         pairs |= {(int(tile), int(g)) for tile in tiles}

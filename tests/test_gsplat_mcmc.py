@@ -1,0 +1,80 @@
+"""gsplat's MCMCStrategy on our rasterizer. (DefaultStrategy: test_rasterization_gsplat.)"""
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import reference_rasterizer
+from gaussian_scenes import random_scene
+from thermosplat import rasterization
+
+
+def relocated(opacities: Tensor, scales: Tensor, ratios: Tensor, binoms: Tensor) -> tuple[Tensor, Tensor]:
+    """What gsplat's CUDA operator computes: equation 9 of Kheradmand et al. 2024 (arXiv 2404.09591)."""
+    new_opacities, factors = [], []
+    for opacity, ratio in zip(opacities.tolist(), ratios.clamp(1, len(binoms)).int().tolist(), strict=True):
+        new = 1 - (1 - opacity) ** (1 / ratio)
+        total = sum(
+            binoms[i, k].item() * (-1) ** k * new ** (k + 1) / (k + 1) ** 0.5
+            for i in range(ratio)
+            for k in range(i + 1)
+        )
+        new_opacities.append(new)
+        factors.append(opacity / total)
+    return opacities.new_tensor(new_opacities), scales * scales.new_tensor(factors)[:, None]
+
+
+def test_mcmc_strategy_densifies(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It relocates the dead, adds Gaussians and noise, and training goes on."""
+    strategies = pytest.importorskip("gsplat.strategy", reason="gsplat 1.5.3 is not installed")
+    if device.type == "cpu":
+        from gsplat.cuda._torch_impl import _quat_scale_to_covar_preci
+
+        monkeypatch.setattr("gsplat.strategy.ops.compute_relocation", relocated)
+        monkeypatch.setattr("gsplat.strategy.ops.quat_scale_to_covar_preci", _quat_scale_to_covar_preci)
+    scene = random_scene(n=60, backgrounds=False)
+    scene["opacities"][:6] = 0.001  # dead
+    target = reference_rasterizer.rasterization(**random_scene(n=60, seed=1, backgrounds=False))[0].float().to(device)
+    params = torch.nn.ParameterDict(
+        {
+            "means": scene["means"].float(),
+            "scales": scene["scales"].float().log(),
+            "quats": scene["quats"].float(),
+            "opacities": torch.logit(scene["opacities"].float()),
+            "colors": scene["colors"].float(),
+        }
+    ).to(device)
+    optimizers = {name: torch.optim.Adam([{"params": value, "lr": 1e-2}]) for name, value in params.items()}
+    strategy = strategies.MCMCStrategy(cap_max=66, refine_start_iter=1, refine_every=2, min_opacity=0.005)
+    strategy.check_sanity(params, optimizers)
+    state: dict[str, Any] = strategy.initialize_state()
+    losses, dead = [], []
+    torch.manual_seed(0)
+    for step in range(8):
+        image, _, info = rasterization(
+            params["means"],
+            params["quats"],
+            params["scales"].exp(),
+            params["opacities"].sigmoid(),
+            params["colors"],
+            scene["viewmats"].float().to(device),
+            scene["Ks"].float().to(device),
+            23,
+            18,
+            packed=False,
+        )
+        loss = (image - target).square().mean()
+        loss.backward()
+        for optimizer in optimizers.values():
+            optimizer.step()
+            optimizer.zero_grad(set_to_none=True)
+        strategy.step_post_backward(params, optimizers, state, step, info, lr=1e-4)
+        losses.append(loss.item())
+        dead.append(int((params["opacities"].sigmoid() < 0.004).sum()))
+    assert len(params["means"]) == 66
+    assert dead[0] > 0
+    assert dead[-1] == 0
+    assert losses[-1] < losses[0]
+    assert all(torch.isfinite(value).all() for value in params.values())
