@@ -11,9 +11,6 @@ import warp as wp
 
 from warp_kernels.lanes import LANES_CUDA
 
-BLOCK_DIM = 64
-"""Threads of a CUDA block of the blending kernels, at most; measured in benchmarks/notes.md."""
-
 
 @dataclass(frozen=True)
 class BlendLayout:
@@ -53,13 +50,8 @@ class BlendLayout:
 
     @property
     def threads(self) -> int:
-        """Threads of a tile."""
+        """Threads of a tile, which are one CUDA block."""
         return self.warps * self.lanes
-
-    @property
-    def block_dim(self) -> int:
-        """Threads of a CUDA block. Warps share nothing, but one that is done frees its place only with its block."""
-        return min(self.threads, BLOCK_DIM)
 
     @property
     def tag(self) -> str:
@@ -72,7 +64,7 @@ class BlendLayout:
         unroll = min(15, self.columns - 1) if self.lanes == 1 else 64
         # No fast_math: the adjoint divides its way back through the transmittance, and approximate division would let
         # the error grow with every layer.
-        return {"max_unroll": unroll, "block_dim": self.block_dim, "fast_math": False}
+        return {"max_unroll": unroll, "block_dim": self.threads, "fast_math": False}
 
 
 CROWDED = 250

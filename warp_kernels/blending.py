@@ -93,7 +93,7 @@ def alpha_functions(dtype: type):
 
 @functools.cache
 def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
-    """The forward kernel, ``layout.threads`` threads a tile.
+    """The forward kernel, one block of threads a tile.
 
     Args:
         channels: C, channels blended with the first opacity.
@@ -131,7 +131,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         module="unique",
         module_options=layout.module_options,
         grid_stride=False,
-        launch_bounds=max(layout.block_dim, 32),
+        launch_bounds=max(layout.threads, 32),
     )
     def blend_tiles_kernel(
         first_tile: int,

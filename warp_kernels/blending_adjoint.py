@@ -32,7 +32,7 @@ from warp_kernels.lanes import (
 def blend_adjoint_kernel(
     channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, absgrad: bool, by_slot: bool
 ) -> wp.Kernel:
-    """The adjoint kernel, ``layout.threads`` threads a tile.
+    """The adjoint kernel, one block of threads a tile.
 
     Args:
         channels: C, channels blended with the first opacity.
@@ -84,7 +84,7 @@ def blend_adjoint_kernel(
         module="unique",
         module_options=layout.module_options,
         grid_stride=False,
-        launch_bounds=max(layout.block_dim, 32),
+        launch_bounds=max(layout.threads, 32),
     )
     def blend_tiles_adjoint_kernel(
         first_tile: int,

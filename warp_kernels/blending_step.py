@@ -98,7 +98,7 @@ def blend(
     launch_tiles(
         blend_kernel(channels, thermal_channels, dtype, layout),
         num_tiles,
-        layout,
+        layout.threads,
         [
             *geometry,
             bins.tile_offsets,
@@ -120,7 +120,7 @@ def blend(
         launch_tiles(
             blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absolute is not None, by_slot),
             num_tiles,
-            layout,
+            layout.threads,
             [
                 *geometry,
                 bins.slots if by_slot else bins.gaussian_ids,

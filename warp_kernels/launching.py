@@ -10,8 +10,6 @@ from typing import Any
 
 import warp as wp
 
-from warp_kernels.blend_layout import BlendLayout
-
 CHUNKS_PER_THREAD = 6
 """Pieces a thread's share is cut into, so that threads finish together although tiles differ in work."""
 
@@ -57,29 +55,28 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device) 
     _launch_range(kernel, count, MIN_CHUNK, None, inputs, device)
 
 
-def launch_tiles(kernel: wp.Kernel, num_tiles: int, layout: BlendLayout, inputs: list[Any], device: wp.Device) -> None:
-    """Launches a blending kernel, ``layout.threads`` threads a tile, without recording it on a tape.
+def launch_tiles(kernel: wp.Kernel, num_tiles: int, threads: int, inputs: list[Any], device: wp.Device) -> None:
+    """Launches a blending kernel, one block of ``threads`` threads a tile, without recording it on a tape.
 
     Args:
         kernel: its first argument is the first tile of the range; ``inputs`` are the others, outputs included.
         num_tiles: number of tiles.
-        layout: deal of pixels to lanes.
+        threads: threads a tile.
         inputs: arguments after the first.
         device: where to run.
     """
-    _launch_range(kernel, num_tiles, 1, layout, inputs, device)
+    _launch_range(kernel, num_tiles, 1, threads, inputs, device)
 
 
 def _launch_range(
-    kernel: wp.Kernel, count: int, min_chunk: int, layout: BlendLayout | None, inputs: list[Any], device: wp.Device
+    kernel: wp.Kernel, count: int, min_chunk: int, block: int | None, inputs: list[Any], device: wp.Device
 ) -> None:
     if count == 0:
         return
 
     def run(first: int, end: int) -> None:
-        dim = end - first if layout is None else (end - first, layout.threads)
-        block_dim = 256 if layout is None else layout.block_dim
-        wp.launch(kernel, dim=dim, inputs=[first, *inputs], device=device, record_tape=False, block_dim=block_dim)
+        dim = end - first if block is None else (end - first, block)
+        wp.launch(kernel, dim=dim, inputs=[first, *inputs], device=device, record_tape=False, block_dim=block or 256)
 
     if device.is_cuda or _num_threads == 1 or count < 2 * min_chunk:
         run(0, count)

@@ -7,7 +7,6 @@ import pytest
 import warp as wp
 
 from warp_kernels import launching
-from warp_kernels.blend_layout import BlendLayout
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -50,7 +49,7 @@ def test_every_tile_once(tiles: int, threads: int) -> None:
     """Each (tile, thread) pair is visited exactly once."""
     launching.set_num_threads(threads)
     marks = wp.zeros((tiles, 4), dtype=wp.int32, device="cpu")
-    launching.launch_tiles(mark_kernel, tiles, BlendLayout(8, 4, 4, 1), [marks], wp.get_device("cpu"))
+    launching.launch_tiles(mark_kernel, tiles, 4, [marks], wp.get_device("cpu"))
     assert (marks.numpy() == 1).all()
 
 
