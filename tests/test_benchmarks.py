@@ -65,3 +65,18 @@ def test_accuracy_benchmark_names_its_cases() -> None:
     assert done.returncode == 1
     assert "no case has 'pyramids' in its name" in done.stderr
     assert "needles of 500 px" in done.stderr
+
+
+def test_training_step_profile_runs(tmp_path: Path) -> None:
+    """A short training on the packaged sample is timed, and its operators are listed, the costliest first."""
+    report = tmp_path / "profile.json"
+    options = ["sample", "--config", "demo", "--device", "cpu", "--data-factor", "8", "--steps", "2"]
+    done = run_script("profile_training_step.py", *options, "--output", str(report))
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = json.loads(report.read_text())
+    assert written["milliseconds"] > 0
+    assert written["num_gaussians"] > 1000
+    times = [kernel["microseconds"] for kernel in written["kernels"]]
+    assert times == sorted(times, reverse=True)
+    assert 0.2 * written["milliseconds"] < sum(times) / 1e3 < 20 * written["milliseconds"]
+    assert "ms a step" in done.stdout
