@@ -218,7 +218,7 @@ def environment(device: torch.device) -> dict[str, Any]:
             versions[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             versions[package] = None
-    versions["torch"] = str(torch.__version__)  # says which build it is, as "+cu124" does; the package's metadata may not
+    versions["torch"] = str(torch.__version__)  # names the build too (+cu124), which the metadata may not
     return {
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
