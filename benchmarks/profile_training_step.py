@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--data-factor", type=int, default=1)
     parser.add_argument("--no-graph", action="store_true")
     parser.add_argument("--no-compile", action="store_true")
-    parser.add_argument("--precision", default="bfloat16", choices=["float32", "tf32", "bfloat16"])
+    parser.add_argument("--precision", default="tf32", choices=["float32", "tf32", "bfloat16"])
     parser.add_argument("--kernels", type=int, default=40, help="lines of the table")
     parser.add_argument("--output", type=Path)
     options = parser.parse_args(arguments)

@@ -226,8 +226,9 @@ class TrainConfig:
     compile: bool = True
     """On CUDA, let torch.compile fuse the decoders (half a minute at the first step, kept for later runs; skipped where
     Triton or a C compiler is missing). --no-compile: plain PyTorch."""
-    decoder_precision: Literal["float32", "tf32", "bfloat16"] = "bfloat16"
-    """Precision of the decoders in training steps on CUDA; parameters, evaluation and the CPU are always float32."""
+    decoder_precision: Literal["float32", "tf32", "bfloat16"] = "tf32"
+    """Precision of the decoders in training steps; parameters and evaluation are always float32. On the CPU "tf32" is
+    float32. "bfloat16" is faster on CUDA and costs about 1 dB of thermal PSNR (docs/results.md)."""
     seed: int = 42
     """Seed of everything random. gsplat."""
     eval_steps: tuple[int, ...] = (7_000, 30_000)

@@ -1,4 +1,4 @@
-"""The decoders as training runs them on CUDA: compiled, in the precision of tensor cores.
+"""The decoders as training runs them: on CUDA compiled, in the precision of tensor cores.
 
 Only training steps see them like this; evaluation and rendering use the plain decoders in full float32.
 """

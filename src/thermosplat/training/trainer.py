@@ -84,13 +84,13 @@ class Trainer:
         self.guard = FiniteGuard(self.device)
         self.device_step = TrainingStep(config, self.state, self.guard, PairCapacity(self.device))
         self.captured: CapturedSteps | None = None
-        if self.device.type == "cuda":
-            if self.model.decoders is not None:
-                compiled = config.compile and can_compile()
-                fast = FastDecoders(self.model.decoders, compiled=compiled, precision=config.decoder_precision)
-                self.device_step.decoding = fast.active
-            if config.graph:
-                self.captured = CapturedSteps(self.device_step, len(self.frames))
+        on_cuda = self.device.type == "cuda"
+        if self.model.decoders is not None and (on_cuda or config.decoder_precision == "bfloat16"):
+            compiled = on_cuda and config.compile and can_compile()
+            fast = FastDecoders(self.model.decoders, compiled=compiled, precision=config.decoder_precision)
+            self.device_step.decoding = fast.active
+        if on_cuda and config.graph:
+            self.captured = CapturedSteps(self.device_step, len(self.frames))
         self.lpips: Lpips | None = None
         self._warm = False
 
