@@ -173,3 +173,19 @@ def assert_finite(
     for name, gradient in gradients([image, alphas], upstream, inputs).items():
         assert torch.isfinite(gradient).all(), name
     return image.detach()
+
+
+def gsplat_training(
+    scene: Scene, device: torch.device | str
+) -> tuple[torch.nn.ParameterDict, dict[str, torch.optim.Adam]]:
+    """A scene's Gaussians as gsplat's densification strategies take them: stored parameters, an optimizer for each."""
+    params = torch.nn.ParameterDict(
+        {
+            "means": scene["means"].float(),
+            "scales": scene["scales"].float().log(),
+            "quats": scene["quats"].float(),
+            "opacities": torch.logit(scene["opacities"].float()),
+            "colors": scene["colors"].float(),
+        }
+    ).to(device)
+    return params, {name: torch.optim.Adam([{"params": value, "lr": 1e-2}]) for name, value in params.items()}

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 import reference_rasterizer
-from gaussian_scenes import random_scene
+from gaussian_scenes import gsplat_training, random_scene
 from thermosplat import rasterization
 
 
@@ -37,16 +37,7 @@ def test_mcmc_strategy_densifies(device: torch.device, monkeypatch: pytest.Monke
     scene = random_scene(n=60, backgrounds=False)
     scene["opacities"][:6] = 0.001  # dead
     target = reference_rasterizer.rasterization(**random_scene(n=60, seed=1, backgrounds=False))[0].float().to(device)
-    params = torch.nn.ParameterDict(
-        {
-            "means": scene["means"].float(),
-            "scales": scene["scales"].float().log(),
-            "quats": scene["quats"].float(),
-            "opacities": torch.logit(scene["opacities"].float()),
-            "colors": scene["colors"].float(),
-        }
-    ).to(device)
-    optimizers = {name: torch.optim.Adam([{"params": value, "lr": 1e-2}]) for name, value in params.items()}
+    params, optimizers = gsplat_training(scene, device)
     strategy = strategies.MCMCStrategy(cap_max=66, refine_start_iter=1, refine_every=2, min_opacity=0.005)
     strategy.check_sanity(params, optimizers)
     state: dict[str, Any] = strategy.initialize_state()

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import reference_rasterizer
-from gaussian_scenes import gradients, leaves, random_scene, relative_error, upstream_gradients
+from gaussian_scenes import gradients, gsplat_training, leaves, random_scene, relative_error, upstream_gradients
 from thermosplat import rasterization
 
 GSPLAT_KEYS = {
@@ -148,16 +148,7 @@ def test_default_strategy_densifies(absgrad: bool) -> None:
     strategies = pytest.importorskip("gsplat.strategy", reason="gsplat 1.5.3 is not installed")
     scene = random_scene(n=60, backgrounds=False)
     target = reference_rasterizer.rasterization(**random_scene(n=60, seed=1, backgrounds=False))[0].float()
-    params = torch.nn.ParameterDict(
-        {
-            "means": scene["means"].float(),
-            "scales": scene["scales"].float().log(),
-            "quats": scene["quats"].float(),
-            "opacities": torch.logit(scene["opacities"].float()),
-            "colors": scene["colors"].float(),
-        }
-    )
-    optimizers = {name: torch.optim.Adam([{"params": value, "lr": 1e-2}]) for name, value in params.items()}
+    params, optimizers = gsplat_training(scene, "cpu")
     strategy = strategies.DefaultStrategy(
         refine_start_iter=2, refine_every=3, reset_every=1000, grow_grad2d=1e-5, absgrad=absgrad, prune_opa=0.02
     )
