@@ -21,7 +21,7 @@ class BlendLayout:
         block_width: width of the block one warp owns [px].
         block_height: height of the block one warp owns [px].
         lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
-        segment: pairs of a tile's list that the adjoint gives to one block of threads, a multiple of 32; 0: all of them.
+        segment: pairs of a tile's list that the adjoint gives to one block of threads, a multiple of 32; 0: all.
     """
 
     tile_size: int
@@ -76,7 +76,7 @@ SEGMENT = 256
 """Pairs a block of the adjoint walks where lists are cut."""
 
 FEW_TILES = 4096
-"""Up to so many tiles the longest list decides how long the adjoint takes, and lists are cut; above, tiles fill a GPU."""
+"""Tiles up to which the longest list decides how long the adjoint takes, so that lists are cut; more fill a GPU."""
 
 
 def default_layout(

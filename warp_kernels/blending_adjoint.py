@@ -5,7 +5,7 @@ ones add an increment), and the colour behind the current Gaussian enters only
 through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
 dL/dα = T (f · dL/dcolour) - S / (1 - α).
 
-A list may be cut into segments, each walked by a block of threads of its own from the state the forward pass left there.
+A list may be cut into segments, each walked by its own block of threads from the state the forward pass left there.
 
 Each warp sums a Gaussian's gradient over its pixels into one record; see gradient_records. Those to mean and conic are
 summed as moments of z, the offset in the Gaussian's standard deviations, in which nothing cancels.

@@ -75,9 +75,7 @@ def blend(
     by_slot = bins.slots is not None
     num_tiles = len(bins.tile_offsets) - 1
     if layout is None:
-        layout = default_layout(
-            device, bins.tile_size, channels + thermal_channels, dtype, bins.num_pairs, num_tiles
-        )
+        layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype, bins.num_pairs, num_tiles)
     segment = layout.segment if tape is not None else 0
     num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
     state = wp.types.vector(state_length(channels, thermal_channels), dtype)

@@ -3,8 +3,8 @@
 A record holds sums over the pixels of a warp for one Gaussian: p z (2) and p z zᵀ (xx, xy, yy), p being the gradient to
 -σ = -½ |z|² and z the pixel's offset in the Gaussian's standard deviations; then the gradients to opacity, [thermal
 opacity], features (C), [|mean2d| gradients (2)]. What the first five mean for mean2d and root is worked out once a
-Gaussian. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair and warp and summed per Gaussian
-afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+Gaussian. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair and warp and summed per
+Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
 """
 
 import functools
@@ -61,7 +61,7 @@ def distribute_kernel(
     vec2, vec3, vecC = wp.types.vector(2, dtype), wp.types.vector(3, dtype), wp.types.vector(C, dtype)
 
     @wp.kernel(
-        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}{f'_{records_per_pair}_slots' * (records_per_pair > 0)}",
+        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}_{records_per_pair}",
         enable_backward=False,
         module="unique",
     )
