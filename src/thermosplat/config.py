@@ -121,7 +121,7 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """Adam's learning rates, each a constant unless it says otherwise."""
+    """Adam's learning rates, each a constant unless it or ``final_share`` says otherwise."""
 
     means_lr: float = 1.6e-4
     """Means, times the scene's extent. 3DGS."""
@@ -143,6 +143,8 @@ class OptimizerConfig:
     """Thermal SH degrees 1 to 3 in a shared set without features. ThermalGaussian, MMOne: as the visible ones."""
     features_lr: float = 5e-3
     """Latent features. Open choice: MS-Splatting's."""
+    features_lr_final: float = 5e-3
+    """Latent features at the last step (exponential decay). Open choice: MS-Splatting's constant rate."""
     thermal_opacity_offsets_lr: float = 5e-2
     """Thermal opacity offsets. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
     thermal_opacities_lr: float = 5e-2
@@ -151,6 +153,8 @@ class OptimizerConfig:
     """Decoder networks. Open choice: MS-Splatting's."""
     decoders_lr_final: float = 5e-4
     """Decoder networks at the last step (exponential decay). Open choice."""
+    final_share: float = 1.0
+    """Share of every other rate that is left at the last step (exponential decay). 3DGS: 1, all of it."""
     eps: float = 1e-15
     """Adam's ε. 3DGS."""
 
