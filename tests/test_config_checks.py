@@ -36,6 +36,8 @@ def changed(key: str, value: Any) -> TrainConfig:
         ("background", (0.0, 2.0, 0.0), "--background must be three values between 0 and 1"),
         ("thermal.range_celsius", (30.0, 20.0), "--thermal.range-celsius must rise"),
         ("densification.max_gaussians", 0, "--densification.max-gaussians must be at least 1"),
+        ("densification.strategy", "mcmc", "mcmc grows to a budget, and there is none"),
+        ("densification.growth", -0.1, "--densification.growth must be at least 0"),
         ("densification.decompose_threshold", 2e-4, "needs a shared set with a thermal opacity of its own"),
         ("densification.off_opacity", 0.01, "--densification.off-opacity must lie between 0 and 1/255"),
         ("densification.keep_opacity", 2.0, "--densification.keep-opacity must lie between 0 and 1"),

@@ -73,7 +73,10 @@ class ModelConfig:
     """How the second opacity is stored: as an offset, α_t = sigmoid(logit α + Δ) (ThermoSplat), so that both move
     together until thermal images say otherwise, or as a logit of its own (MMOne)."""
     rasterize_mode: Literal["classic", "antialiased"] = "classic"
-    """As gsplat's rasterization. ThermoSplat and 3DGS use classic."""
+    """As gsplat's rasterization. ThermoSplat and 3DGS use classic; antialiased is Mip-Splatting's 2D filter."""
+    exposures: bool = False
+    """Learn an affine colour change of every training view's images; held-out views are rendered without. 3DGS has one
+    for RGB (exposure compensation, off by default there as well)."""
     thermal_start: Literal["points", "rgb"] = "points"
     """What a thermal set of its own starts from: the sparse points, or the RGB set as it is when thermal training
     begins (ThermalGaussian MFTG, with ``schedule.thermal_from``)."""
@@ -113,8 +116,15 @@ class LossConfig:
     """η: factor of the second feature term, A_f(t)[3] against the thermal intensity. ThermoSplat."""
     thermal_smoothness: float = 0.3
     """λ_sm: weight of the mean absolute image gradient of the thermal image. ThermoSplat."""
+    thermal_charbonnier: float = 0.0
+    """ε of sqrt(d² + ε²) - ε in place of |d| in the losses on thermal images, in their units (0 to 1): differences
+    within the sensor's noise count by their square, larger ones as before. Charbonnier et al. 1994. 0: plain L1."""
     feature_norm: float = 0.0
     """Weight of the mean of (|f| - 1)² over the Gaussians. MS-Splatting: 0.1."""
+    opacity_reg: float = 0.0
+    """Weight of the mean opacity, of α and of α_t each. 3DGS-MCMC: 0.01."""
+    scale_reg: float = 0.0
+    """Weight of the mean scale [1 / world unit]. 3DGS-MCMC: 0.01."""
     balance: bool = False
     """Multiply the losses of a separate set by the other set's share of all Gaussians. ThermalGaussian MSMG."""
 
@@ -151,16 +161,31 @@ class OptimizerConfig:
     """Decoder networks. Open choice: MS-Splatting's."""
     decoders_lr_final: float = 5e-4
     """Decoder networks at the last step (exponential decay). Open choice."""
+    exposures_lr: float = 1e-3
+    """Exposures of the training views (``model.exposures``). Open choice: a tenth of 3DGS's."""
+    exposures_lr_final: float = 1e-4
+    """Exposures at the last step (exponential decay). Open choice: a tenth of 3DGS's."""
     eps: float = 1e-15
     """Adam's ε. 3DGS."""
 
 
 @dataclass(frozen=True)
 class DensificationConfig:
-    """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control)."""
+    """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control), or relocated (MCMC)."""
 
     enabled: bool = True
     """Off: the number of Gaussians stays what it is."""
+    strategy: Literal["default", "mcmc"] = "default"
+    """3DGS's adaptive density control, or 3DGS-MCMC (Kheradmand et al. 2024): Gaussians that both spectra see fainter
+    than ``prune_opacity`` move onto others, their number grows by ``growth`` up to ``max_gaussians``, and noise moves
+    faint ones. It needs no thresholds and no resets; its opacities are held down by ``loss.opacity_reg``."""
+    growth: float = 0.05
+    """MCMC: share of the Gaussians that a refinement adds. 3DGS-MCMC."""
+    position_noise: float = 5e5
+    """MCMC: standard deviation of the noise on the means, times their learning rate and covariance. 3DGS-MCMC."""
+    sample_by: Literal["opacity", "gradient"] = "opacity"
+    """MCMC: Gaussians are doubled with a probability proportional to their larger opacity (3DGS-MCMC), or to the mean
+    gradient of means2d, of both spectra, that the default strategy compares with its threshold (open choice)."""
     start_step: int = 500
     """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
     stop_step: int = 15_000
@@ -195,7 +220,7 @@ class DensificationConfig:
     reset_opacity: float = 0.01
     """Opacity after a reset, at most: α and α_t both. 3DGS (open choice: MMOne resets both)."""
     max_gaussians: int | None = None
-    """Growth stops at this count. None: no limit, as in 3DGS."""
+    """Growth stops at this count. None: no limit, as in 3DGS. The budget of the MCMC strategy, which needs one."""
 
 
 @dataclass(frozen=True)

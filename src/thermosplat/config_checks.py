@@ -21,6 +21,8 @@ _AT_LEAST: dict[str, float] = {
     "densification.every": 1,
     "densification.reset_every": 1,
     "densification.max_gaussians": 1,
+    "densification.growth": 0,
+    "densification.position_noise": 0,
     "densification.decompose_threshold": 0,
     "densification.start_step": 0,
     "densification.stop_step": 0,
@@ -42,6 +44,7 @@ _POSITIVE = (
     "optimizer.eps",
     "optimizer.means_lr_final",
     "optimizer.decoders_lr_final",
+    "optimizer.exposures_lr_final",
     "densification.grow_scale3d",
     "densification.prune_scale3d",
 )
@@ -90,6 +93,7 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
             f"Switch {name('decoder.modulation')} off too.",
         )
     _check_decomposition(config, name)
+    _check_mcmc(config, name)
 
 
 def _check_temperatures(span: tuple[float, float] | None, name: str) -> None:
@@ -153,6 +157,23 @@ def _check_decomposition(config: TrainConfig, name: Any) -> None:
         raise UserError(
             f"{name('densification.decompose_threshold')} compares directions, which {name('densification.absgrad')} "
             "does not keep.",
+            "Leave one of them out.",
+        )
+
+
+def _check_mcmc(config: TrainConfig, name: Any) -> None:
+    densification = config.densification
+    if densification.strategy != "mcmc":
+        return
+    if densification.max_gaussians is None:
+        raise UserError(
+            f"{name('densification.strategy')} mcmc grows to a budget, and there is none.",
+            f"Give {name('densification.max_gaussians')}, such as 1000000.",
+        )
+    if densification.decompose_threshold is not None:
+        raise UserError(
+            f"{name('densification.strategy')} mcmc and {name('densification.decompose_threshold')} are two ways of "
+            "density control.",
             "Leave one of them out.",
         )
 

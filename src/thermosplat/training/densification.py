@@ -35,6 +35,8 @@ class Refinement:
     """Large Gaussians that became two smaller ones."""
     pruned: int = 0
     """Gaussians that were removed."""
+    relocated: int = 0
+    """Faint Gaussians that were moved onto others."""
 
 
 class DefaultStrategy:
@@ -53,6 +55,8 @@ class DefaultStrategy:
 
     separates_modalities = False
     """Needs the gradients of the two spectra apart: each is rendered by a call of its own."""
+    moves_gaussians = False
+    """Moves Gaussians after every update, by :meth:`move`."""
 
     def __init__(
         self,
@@ -131,6 +135,16 @@ class DefaultStrategy:
         if self.resets_at(step):
             reset_opacities(gaussians, optimizers, self.config.reset_opacity)
         return refinement
+
+    def move(self, gaussians: Gaussians, optimizers: Optimizers, blocked: Tensor, generator: torch.Generator) -> None:
+        """Change Gaussians after an update: this strategy does not.
+
+        Args:
+            gaussians: The set.
+            optimizers: Its optimizers.
+            blocked: Scalar, 1 where this step must change nothing.
+            generator: For what is random, on the Gaussians' device.
+        """
 
     @torch.no_grad()
     def observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:

@@ -78,7 +78,7 @@ class Trainer:
             self.model = SceneModel.from_capture(config, capture, self.device)
         else:
             self.model = SceneModel.from_checkpoint(checkpoint, self.device)
-        self.state = TrainingState(self.model, config, capture.scene_extent, self.device)
+        self.state = TrainingState(self.model, config, capture.scene_extent, self.device, len(self.frames))
         if checkpoint is not None:
             self.state.load(checkpoint)
         self.guard = FiniteGuard(self.device)

@@ -15,6 +15,7 @@ from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
 from thermosplat.feature_norm import feature_norm_loss
+from thermosplat.gaussian_penalties import gaussian_penalties
 from thermosplat.losses import frame_losses
 from thermosplat.model import RenderedFrame
 from thermosplat.pair_capacity import PairCapacity
@@ -90,12 +91,15 @@ class TrainingStep:
                     absgrad=config.densification.absgrad,
                     aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
                 )
+            if state.exposures is not None and frame.index is not None:
+                rendered = state.exposures(rendered, frame.index)
             losses = frame_losses(rendered, frame, config.loss)
             if config.loss.feature_norm > 0 and state.model.decoders is not None:
                 features = state.gaussian_sets["shared"].features
                 losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
             if config.loss.balance:
                 losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
+            losses |= gaussian_penalties(state.gaussian_sets, config.loss)
             if not losses:
                 raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
             if kind.densifying:
@@ -117,6 +121,9 @@ class TrainingStep:
         blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
         for optimizers in state.optimizers.values():
             step_unless(blocked, optimizers)
+        for name, strategy in state.strategies.items():
+            if strategy.moves_gaussians and state.gaussian_sets[name].means.grad is not None:
+                strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
         state.clear_gradients()
         if kind.densifying:
             for name, strategy in state.strategies.items():
