@@ -224,6 +224,33 @@ class DensificationConfig:
 
 
 @dataclass(frozen=True)
+class AutoBudgetConfig:
+    """How ``--budget auto`` finds the size of the model; without it nothing of this happens."""
+
+    prune_at: tuple[float, ...] = (0.6, 0.75)
+    """Shares of the run after which the Gaussians of least contribution are removed. Growth ends with the first."""
+    prune_share: float = 0.01
+    """Share of all blending weights, over the training views and both spectra, of what is removed each time."""
+    offset_shrinkage: float = 0.02
+    """λ: soft threshold of the thermal opacity offsets after a step, as a multiple of their learning rate."""
+    offset_tolerance: float = 0.02
+    """At the last pruning, offsets that change an opacity by at most this become zero for good; the others shrink no
+    further."""
+    sh_tolerance: float = 1.0 / 255.0
+    """Largest change of a training image by the spherical harmonics that are dropped at the end, of the range 0 to 1.
+    One step of an 8-bit image."""
+    validation_views: int = 4
+    """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
+    ends with ``densification.stop_step`` or the first pruning. None are taken where that would be over a quarter."""
+    validate_every: int = 250
+    """Steps between looks at the validation views."""
+    least_gain: float = 0.02
+    """Rise of the validation views' PSNR [dB], mean over views and spectra, that justifies more Gaussians."""
+    patience: int = 2000
+    """Growth stops when there was no such rise for this many steps: longer than an opacity reset is felt."""
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """Train RGB + thermal 3D Gaussians on a capture and evaluate them on its held-out views."""
 
@@ -267,6 +294,9 @@ class TrainConfig:
     lpips_weights: str | None = None
     """Folder or file with LPIPS backbone weights (torchvision state_dict) for the LPIPS columns. None: torchvision's
     cache; LPIPS is null where there is none."""
+    budget: Literal["fixed", "auto"] = "fixed"
+    """"auto" finds the number of Gaussians, thermal offsets and SH bands that the training views support (the
+    auto_budget settings) and leaves the rest out; "fixed" is what the densification settings give."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Colour behind the Gaussians in the RGB image, 0 to 1. 3DGS: black."""
     resume: str | None = None
@@ -280,3 +310,4 @@ class TrainConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     densification: DensificationConfig = field(default_factory=DensificationConfig)
+    auto_budget: AutoBudgetConfig = field(default_factory=AutoBudgetConfig)

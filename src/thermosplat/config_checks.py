@@ -22,6 +22,11 @@ _AT_LEAST: dict[str, float] = {
     "densification.reset_every": 1,
     "densification.max_gaussians": 1,
     "densification.growth": 0,
+    "auto_budget.offset_shrinkage": 0,
+    "auto_budget.sh_tolerance": 0,
+    "auto_budget.validation_views": 0,
+    "auto_budget.validate_every": 1,
+    "auto_budget.patience": 1,
     "densification.position_noise": 0,
     "densification.decompose_threshold": 0,
     "densification.start_step": 0,
@@ -38,6 +43,8 @@ _SHARES = (
     "densification.keep_opacity",
     "schedule.thermal_from",
     "schedule.rgb_until",
+    "auto_budget.prune_share",
+    "auto_budget.offset_tolerance",
 )
 _POSITIVE = (
     "model.init_scale",
@@ -94,6 +101,9 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         )
     _check_decomposition(config, name)
     _check_mcmc(config, name)
+    if not all(0 < share < 1 for share in config.auto_budget.prune_at):
+        shares = config.auto_budget.prune_at
+        raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
 
 
 def _check_temperatures(span: tuple[float, float] | None, name: str) -> None:

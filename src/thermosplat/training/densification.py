@@ -69,6 +69,8 @@ class DefaultStrategy:
         self.config = config
         self.span = span
         self.scene_extent = scene_extent
+        self.growing = True
+        """Off: Gaussians are removed, but no longer added."""
         self.grad_norm_sum = torch.zeros(num_gaussians, device=device)
         """Norms of the means2d gradients since the last refinement, in units of half the image, shape [N]."""
         self.observations = torch.zeros(num_gaussians, device=device)
@@ -173,6 +175,8 @@ class DefaultStrategy:
     @torch.no_grad()
     def _grow(self, gaussians: Gaussians, optimizers: Optimizers, generator: torch.Generator) -> tuple[int, int]:
         """Clone small and split large Gaussians with a large mean gradient; how many of each."""
+        if not self.growing:
+            return 0, 0
         cloned, halved = self._growing(gaussians)
         num_cloned, num_split = int(cloned.sum()), int(halved.sum())
         if num_cloned:

@@ -1,5 +1,6 @@
 """Everything that changes while training, and that a checkpoint must hold to go on exactly."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -48,6 +49,9 @@ class TrainingState:
         strategies: Density control by name of the set.
         step: Steps done.
         step_on_device: int64 scalar, the number of the step that is being done.
+        growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
+        offsets_dropped: Whether thermal opacity offsets that are zero stay zero.
+        best_validation: Best PSNR of withheld training views so far [dB], and its step.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
         seconds: Where the time went.
 
@@ -80,6 +84,9 @@ class TrainingState:
             for name, gaussians in self.gaussian_sets.items()
         }
         self.step = 0
+        self.growing = True
+        self.offsets_dropped = False
+        self.best_validation = (-math.inf, 0)
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.seed = config.seed
         self.noise = torch.Generator(device)
@@ -139,6 +146,9 @@ class TrainingState:
                 },
                 "strategies": {name: strategy.state_dict() for name, strategy in self.strategies.items()},
                 "exposures": self.exposures.state_dict() if self.exposures is not None else None,
+                "growing": self.growing,
+                "offsets_dropped": self.offsets_dropped,
+                "best_validation": self.best_validation,
                 "seconds": asdict(self.seconds),
             },
         }
@@ -157,6 +167,8 @@ class TrainingState:
             strategy.load_state_dict(training["strategies"][name])
         if self.exposures is not None:
             self.exposures.load_state_dict(training["exposures"])
+        self.growing, self.offsets_dropped = training["growing"], training["offsets_dropped"]
+        self.best_validation = training["best_validation"]
         self.step = checkpoint["step"]
         self.seconds = Seconds(**training["seconds"])
 

@@ -21,6 +21,7 @@ from thermosplat.model import RenderedFrame
 from thermosplat.pair_capacity import PairCapacity
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.modality_balance import balanced_losses
+from thermosplat.training.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.training_state import TrainingState
 
@@ -117,13 +118,19 @@ class TrainingStep:
             kind: What is done with it.
             done: What :meth:`gradients` returned.
         """
-        state = self.state
+        config, state = self.config, self.state
         blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
+        if state.offsets_dropped:
+            for gaussians in state.gaussian_sets.values():
+                hold_zeros(gaussians)
         for optimizers in state.optimizers.values():
             step_unless(blocked, optimizers)
         for name, strategy in state.strategies.items():
             if strategy.moves_gaussians and state.gaussian_sets[name].means.grad is not None:
                 strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
+        if config.budget == "auto" and not state.offsets_dropped:
+            for name, gaussians in state.gaussian_sets.items():
+                shrink_offsets(gaussians, state.optimizers[name], config.auto_budget.offset_shrinkage, blocked)
         state.clear_gradients()
         if kind.densifying:
             for name, strategy in state.strategies.items():
