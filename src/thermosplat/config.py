@@ -229,16 +229,17 @@ class AutoBudgetConfig:
 
     prune_at: tuple[float, ...] = (0.6, 0.75)
     """Shares of the run after which the Gaussians of least contribution are removed. Growth ends with the first."""
-    prune_share: float = 0.01
-    """Share of all blending weights, over the training views and both spectra, of what is removed each time."""
+    prune_share: float = 0.02
+    """Share of all blending weights, over the training views and both spectra, of what is removed each time. Open choice:
+    the faintest half of the Gaussians often has no more."""
     offset_shrinkage: float = 0.02
     """λ: soft threshold of the thermal opacity offsets after a step, as a multiple of their learning rate."""
     offset_tolerance: float = 0.02
     """At the last pruning, offsets that change an opacity by at most this become zero for good; the others shrink no
     further."""
-    sh_tolerance: float = 1.0 / 255.0
+    sh_tolerance: float = 0.01
     """Largest change of a training image by the spherical harmonics that are dropped at the end, of the range 0 to 1.
-    One step of an 8-bit image."""
+    Open choice: an upper bound, which costs about 0.01 dB."""
     validation_views: int = 4
     """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
     ends with ``densification.stop_step`` or the first pruning. None are taken where that would be over a quarter."""

@@ -70,7 +70,7 @@ class DefaultStrategy:
         self.span = span
         self.scene_extent = scene_extent
         self.growing = True
-        """Off: Gaussians are removed, but no longer added."""
+        """Off: faint Gaussians are removed, but none added, and opacities are not reset."""
         self.grad_norm_sum = torch.zeros(num_gaussians, device=device)
         """Norms of the means2d gradients since the last refinement, in units of half the image, shape [N]."""
         self.observations = torch.zeros(num_gaussians, device=device)
@@ -94,7 +94,7 @@ class DefaultStrategy:
     def resets_at(self, step: int) -> bool:
         """Whether opacities are reset at this step."""
         done = self._schedule_step(step)
-        return self.is_active(step) and done > 0 and done % self.config.reset_every == 0
+        return self.growing and self.is_active(step) and done > 0 and done % self.config.reset_every == 0
 
     def _schedule_step(self, step: int) -> int:
         """Steps of the set's training before this one."""
