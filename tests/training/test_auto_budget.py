@@ -12,6 +12,7 @@ from toy_run import assert_same_state, many_frames, state_tensors, toy_run_confi
 from thermosplat.checkpoint import load_checkpoint
 from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.model import SceneModel
+from thermosplat.training.offset_shrinkage import drop_offsets
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
 
@@ -79,9 +80,11 @@ def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
     """metrics.json says how small; the checkpoint holds as much and comes back equal."""
     capture = many_frames(toy_capture(), FRAMES)
     trainer = toy_trainer(tmp_path / "auto", budget_config(), capture)
-    advance(trainer, 18)  # where offsets are dropped: these are from now on zero
+    advance(trainer, 18)  # where offsets are dropped: half of them are zero from now on
+    gaussians = trainer.model.gaussians("shared")
     with torch.no_grad():
-        trainer.model.gaussians("shared").thermal_opacity_offsets[::2] = 0.0
+        gaussians.thermal_opacity_offsets[::2] = 0.0
+    drop_offsets(gaussians, trainer.state.optimizers["shared"], 0.0)
     trainer.train()
     metrics = json.loads(trainer.run.metrics_json.read_text())
     dense = sum(4 * parameter.numel() for parameter in trainer.model.parameters())
