@@ -103,18 +103,17 @@ def plot(rows: list[dict[str, Any]], title: str, path: Path) -> bool:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    axes_labels = {"num_gaussians": "Gaussians", "model_bytes": "model bytes", "ms": "ms a frame, both spectra"}
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4), sharey=True, layout="constrained")
-    for axis, (key, label) in zip(axes, axes_labels.items()):
-        for modality, color in (("rgb", "tab:blue"), ("thermal", "tab:red")):
-            points = [(row[key], row[f"{modality}_psnr"]) for row in rows if row[f"{modality}_psnr"] is not None]
-            if points:
-                axis.plot(*zip(*points), "o-", color=color, label=modality)
-        axis.set_xscale("log")
-        axis.set_xlabel(label)
-        axis.grid(alpha=0.3)
-    axes[0].set_ylabel("held-out PSNR [dB]")
-    axes[0].legend()
+    quantities = {"num_gaussians": "Gaussians", "model_bytes": "model bytes", "ms": "ms a frame, both spectra"}
+    modalities = [name for name in ("rgb", "thermal") if rows[0][f"{name}_psnr"] is not None]
+    shape = (len(modalities), len(quantities))
+    figure, grid = plt.subplots(*shape, figsize=(13, 3 * shape[0]), sharey="row", squeeze=False, layout="constrained")
+    for modality, axes in zip(modalities, grid):
+        axes[0].set_ylabel(f"held-out {modality} PSNR [dB]")
+        for axis, (key, label) in zip(axes, quantities.items()):
+            axis.plot([row[key] for row in rows], [row[f"{modality}_psnr"] for row in rows], "o-")
+            axis.set_xscale("linear" if key == "ms" else "log")
+            axis.set_xlabel(label)
+            axis.grid(alpha=0.3)
     figure.suptitle(title)
     figure.savefig(path, dpi=130)
     return True

@@ -124,7 +124,7 @@ class LossConfig:
     opacity_reg: float = 0.0
     """Weight of the mean opacity, of α and of α_t each. 3DGS-MCMC: 0.01."""
     scale_reg: float = 0.0
-    """Weight of the mean scale [1 / world unit]. 3DGS-MCMC: 0.01."""
+    """Weight of the mean scale, in units of the scene's extent. 3DGS-MCMC: 0.01."""
     balance: bool = False
     """Multiply the losses of a separate set by the other set's share of all Gaussians. ThermalGaussian MSMG."""
 

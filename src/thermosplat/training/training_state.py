@@ -88,7 +88,7 @@ class TrainingState:
         self.offsets_dropped = False
         self.best_validation = (-math.inf, 0)
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
-        self.seed = config.seed
+        self.seed, self.scene_extent = config.seed, scene_extent
         self.noise = torch.Generator(device)
         self.seconds = Seconds()
 

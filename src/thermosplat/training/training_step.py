@@ -100,7 +100,7 @@ class TrainingStep:
                 losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
             if config.loss.balance:
                 losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
-            losses |= gaussian_penalties(state.gaussian_sets, config.loss)
+            losses |= gaussian_penalties(state.gaussian_sets, config.loss, state.scene_extent)
             if not losses:
                 raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
             if kind.densifying:
