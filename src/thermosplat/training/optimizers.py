@@ -20,7 +20,7 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_ext
     """Learning rate of a parameter.
 
     Args:
-        name: Parameter name of a set of Gaussians, or "decoders".
+        name: Parameter name of a set of Gaussians, "decoders" or "exposures".
         config: The rates.
         progress: Share of the run that is done, 0 to 1.
         scene_extent: Radius of the cameras [world units]; scales the rate of the means. 3DGS.
@@ -42,9 +42,9 @@ def gaussian_optimizers(gaussians: nn.Module, config: OptimizerConfig) -> Optimi
     return optimizers
 
 
-def decoder_optimizer(decoders: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
-    """Adam for the decoder networks."""
-    return _adam(list(decoders.parameters()), config, torch.optim.Adam)
+def network_optimizer(network: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
+    """One Adam for all parameters of the decoders, or of the exposures."""
+    return _adam(list(network.parameters()), config, torch.optim.Adam)
 
 
 def _adam(parameters: list[nn.Parameter], config: OptimizerConfig, kind: type[torch.optim.Adam]) -> torch.optim.Adam:
