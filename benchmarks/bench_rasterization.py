@@ -23,7 +23,7 @@ import torch
 import warp as wp
 from benchmark_scenes import BenchmarkScene, garden_scene, huge_scene, synthetic_scene
 from floors import Peaks, measure_peaks
-from peers import CASES, Peer, cpu_peers, cuda_peers
+from peers import CASES, PEERS, Peer, cpu_peers, cuda_peers
 from rasterization_case import one_line, run_case
 from rasterization_summary import summaries, summary_lines
 from rasterization_tables import markdown
@@ -62,7 +62,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--oracle", type=Path, default=Path(os.environ.get("THERMOSPLAT_TEST_ORACLE", "../shared/oracle"))
     )
-    parser.add_argument("--no-peers", action="store_true", help="time thermosplat alone")
+    parser.add_argument("--peers", nargs="*", choices=PEERS, default=list(PEERS), help="none: time thermosplat alone")
     return parser.parse_args()
 
 
@@ -156,6 +156,7 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
         if isinstance(scene, tuple):
             note({"scene": scene[0], "size": "", "case": "", "error": one_line(scene[1])})
             continue
+        scene = scene.to(device)
         for size in options.sizes or ([CPU_SIZE] if on_cpu else CUDA_SIZES):
             width, height = (int(number) for number in size.lower().split("x"))
             with_truth = width * height <= TRUTH_PIXELS and len(scene.means) <= options.truth_gaussians
@@ -187,10 +188,10 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
 
 
 def main() -> int:
-    """Runs the cases asked for; returns 1 if any failed."""
+    """Runs the cases asked for; returns 1 if any failed, or a peer rendered something else."""
     options = arguments()
     device = torch.device(options.device)
-    peers = cpu_peers(options.oracle, options.no_peers) if device.type == "cpu" else cuda_peers(options.no_peers)
+    peers = cpu_peers(options.peers, options.oracle) if device.type == "cpu" else cuda_peers(options.peers)
     report: dict[str, Any] = {"environment": environment(device, peers), "rows": []}
     if not options.no_stages:
         report["peaks"] = measure_peaks(device)._asdict()
@@ -203,7 +204,7 @@ def main() -> int:
     write_report(report, options.json, options.markdown)
     for found in report["summaries"]:
         print("\n" + "\n".join(summary_lines(found)), flush=True)
-    return int(any("error" in row for row in report["rows"]))
+    return int(any("error" in row or row["apart"] for row in report["rows"]))
 
 
 if __name__ == "__main__":

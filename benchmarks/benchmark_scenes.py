@@ -1,7 +1,7 @@
 """Scenes to time the rasterizer on: gsplat's garden asset on a grid, trained ones, and two made of random numbers."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import torch
@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class BenchmarkScene:
-    """Gaussians and one camera, float32 on the CPU; opacities and attributes are drawn with a fixed seed."""
+    """Gaussians and one camera, float32; opacities and attributes are drawn with a fixed seed."""
 
     name: str
     means: Tensor  # [N, 3]
@@ -26,13 +26,20 @@ class BenchmarkScene:
 
     def intrinsics(self, width: int, height: int) -> Tensor:
         """Intrinsics [3, 3] for an image size [px]."""
-        return torch.diag(torch.tensor([width, height, 1.0])) @ self.K
+        return torch.diag(self.K.new_tensor([width, height, 1.0])) @ self.K
 
     def features(self, channels: int) -> Tensor:
         """Features [N, channels], the same for the same scene and number; trained ones are repeated or cut."""
         if self.latents is not None:
             return self.latents.repeat(1, -(-channels // self.latents.shape[1]))[:, :channels].contiguous()
-        return torch.rand(len(self.means), channels, generator=torch.Generator().manual_seed(channels))
+        device = self.means.device
+        generator = torch.Generator(device).manual_seed(channels)
+        return torch.rand(len(self.means), channels, generator=generator, device=device)
+
+    def to(self, device: torch.device) -> "BenchmarkScene":
+        """The scene on a device; features drawn there are other random numbers."""
+        tensors = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{name: t.to(device) for name, t in tensors.items() if isinstance(t, Tensor)})
 
 
 def garden_scene(path: Path, grid: int) -> BenchmarkScene:

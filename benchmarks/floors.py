@@ -93,7 +93,7 @@ def stage_floors(
         peaks: measured.
 
     Returns:
-        For each stage ``bytes``, ``operations`` and ``floor_ms``, the longer of the two times they take at the peaks, and
+        For each stage ``bytes``, ``operations``, ``floor_ms``, the longer of the two times they take at the peaks, and
         ``bound``, which of the two that is.
     """
     width, height = size

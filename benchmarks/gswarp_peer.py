@@ -80,6 +80,5 @@ def gswarp_peer() -> Peer:
         cases=("rgb",),
         near_plane=NEAR_PLANE,
         tolerance=OTHER_CONVENTIONS,
-        timed_apart=True,
         release=gswarp.clear_warp_caches,
     )

@@ -1,7 +1,7 @@
 """The renderers that are compared: each takes a case's tensors and returns its images."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +16,8 @@ NEAR_PLANE = 0.01
 
 CASES = ("rgb", "features8", "features11", "features32", "rgbt")
 """rgb: SH colour of degree 3. featuresN: N channels. rgbt: SH colour and 8 features at α, the 8 features at α_t."""
+
+PEERS = ("gsplat", "gswarp", "torch")
 
 Tensors = dict[str, Tensor]
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict]]
@@ -52,7 +54,6 @@ class Peer:
         cases: those it can render.
         near_plane: Gaussians nearer than this are not drawn [world units].
         tolerance: how far its images and gradients may be from thermosplat's.
-        timed_apart: it is timed even if they are farther, and its row says so.
         release: gives back memory that it keeps between calls.
     """
 
@@ -62,7 +63,6 @@ class Peer:
     cases: tuple[str, ...] = CASES
     near_plane: float = NEAR_PLANE
     tolerance: Tolerance = SAME_CONVENTIONS
-    timed_apart: bool = False
     release: Callable[[], object] = lambda: None
 
 
@@ -150,35 +150,41 @@ def gsplat_renderer(rasterization: Rasterization, spherical_harmonics: Callable,
     return renderer
 
 
-def cuda_peers(alone: bool) -> list[Peer]:
-    """thermosplat and, where they can be imported, gsplat's CUDA kernels and gswarp."""
+def cuda_peers(names: Collection[str]) -> list[Peer]:
+    """thermosplat and, of those named and where they can be imported, gsplat's CUDA kernels and gswarp."""
     peers = [thermosplat_peer()]
-    if alone:
-        return peers
     try:
-        import gsplat
+        if "gsplat" in names:
+            import gsplat
 
-        renderer = gsplat_renderer(gsplat.rasterization, gsplat.spherical_harmonics, packed=False)
-        peers.append(Peer("gsplat", f"gsplat {version('gsplat')}, CUDA kernels", renderer))
+            renderer = gsplat_renderer(gsplat.rasterization, gsplat.spherical_harmonics, packed=False)
+            peers.append(Peer("gsplat", f"gsplat {version('gsplat')}, CUDA kernels", renderer))
     except ImportError as error:
         print(f"gsplat is not importable ({error}); it is left out")
     try:
-        from gswarp_peer import gswarp_peer
+        if "gswarp" in names:
+            from gswarp_peer import gswarp_peer
 
-        peers.append(gswarp_peer())
+            peers.append(gswarp_peer())
     except ImportError as error:
         print(f"gswarp is not importable ({error}); it is left out")
     return peers
 
 
-def cpu_peers(oracle: Path, alone: bool) -> list[Peer]:
-    """thermosplat, a plain torch renderer and, where gsplat and its CPU oracle are at hand, its torch reference."""
-    peers = [thermosplat_peer()]
-    if alone:
-        return peers
-    from torch_renderer import torch_peer
+def cpu_peers(names: Collection[str], oracle: Path) -> list[Peer]:
+    """thermosplat and, of those named, a plain torch renderer and, where it can be imported, gsplat's torch reference.
 
-    peers.append(torch_peer())
+    Args:
+        names: "torch", "gsplat".
+        oracle: folder of ``gsplat_oracle.py``, which makes the reference run without CUDA.
+    """
+    peers = [thermosplat_peer()]
+    if "torch" in names:
+        from torch_renderer import torch_peer
+
+        peers.append(torch_peer())
+    if "gsplat" not in names:
+        return peers
     sys.path.insert(0, str(oracle))
     try:
         import gsplat_oracle

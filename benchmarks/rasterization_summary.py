@@ -63,7 +63,9 @@ def targets_against(peer: str) -> tuple[Target, ...]:
 
 
 def ratio(row: Row, measure: str, peer: str) -> float | None:
-    """The peer's time over ours, or our peak memory over the peer's; None where one is missing."""
+    """The peer's time over ours, or our peak memory over the peer's; None where one is missing or they disagree."""
+    if peer in row.get("apart", {}):
+        return None
     if measure == "memory":
         values = row.get("peak_memory_mib", {})
         one, other = values.get(OURS), values.get(peer)
