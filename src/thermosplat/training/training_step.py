@@ -89,6 +89,7 @@ class TrainingStep:
                     sh_degree=kind.sh_degree,
                     absgrad=config.densification.absgrad,
                     aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
+                    deterministic=config.deterministic,
                 )
             losses = frame_losses(rendered, frame, config.loss)
             if config.loss.feature_norm > 0 and state.model.decoders is not None:
