@@ -62,7 +62,13 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--oracle", type=Path, default=Path(os.environ.get("THERMOSPLAT_TEST_ORACLE", "../shared/oracle"))
     )
-    parser.add_argument("--peers", nargs="*", choices=PEERS, default=list(PEERS), help="none: time thermosplat alone")
+    parser.add_argument(
+        "--peers",
+        nargs="*",
+        choices=(*PEERS, "deterministic"),
+        default=list(PEERS),
+        help="beside whom; 'deterministic' is thermosplat with deterministic=True, on CUDA; none: thermosplat alone",
+    )
     return parser.parse_args()
 
 

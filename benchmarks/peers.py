@@ -18,6 +18,7 @@ CASES = ("rgb", "features8", "features11", "features32", "rgbt")
 """rgb: SH colour of degree 3. featuresN: N channels. rgbt: SH colour and 8 features at α, the 8 features at α_t."""
 
 PEERS = ("gsplat", "gswarp", "torch")
+"""Whom thermosplat is compared with unless others are asked for; "deterministic" is itself with that option."""
 
 Tensors = dict[str, Tensor]
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict]]
@@ -70,13 +71,13 @@ def _camera(t: Tensors, width: int, height: int) -> dict[str, Any]:
     return {"viewmats": t["viewmats"], "Ks": t["Ks"], "width": width, "height": height}
 
 
-def thermosplat_peer(near_plane: float = NEAR_PLANE) -> Peer:
+def thermosplat_peer(near_plane: float = NEAR_PLANE, deterministic: bool = False) -> Peer:
     """This project, through its public functions."""
     from thermosplat import __version__, rasterization, rasterization_rgbt
 
     def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:
         geometry = (t["means"], t["quats"], t["scales"], t["opacities"])
-        camera = _camera(t, width, height) | {"near_plane": near_plane}
+        camera = _camera(t, width, height) | {"near_plane": near_plane, "deterministic": deterministic}
 
         def single() -> Rendered:
             colors = {"colors": t["sh"], "sh_degree": 3} if case == "rgb" else {"colors": t["features"]}
@@ -92,7 +93,8 @@ def thermosplat_peer(near_plane: float = NEAR_PLANE) -> Peer:
 
         return both if case == "rgbt" else single
 
-    return Peer("thermosplat", f"thermosplat {__version__}, Warp kernels", renderer)
+    name, suffix = ("deterministic", ", deterministic=True") if deterministic else ("thermosplat", "")
+    return Peer(name, f"thermosplat {__version__}, Warp kernels{suffix}", renderer)
 
 
 def float64_renderer(near_plane: float = NEAR_PLANE) -> Renderer:
@@ -168,6 +170,8 @@ def cuda_peers(names: Collection[str]) -> list[Peer]:
             peers.append(gswarp_peer())
     except ImportError as error:
         print(f"gswarp is not importable ({error}); it is left out")
+    if "deterministic" in names:
+        peers.append(thermosplat_peer(deterministic=True))
     return peers
 
 

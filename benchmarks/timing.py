@@ -24,7 +24,7 @@ def time_interleaved(
     """Times calls A, B, A, B, ... so that both see the same clocks and neighbours.
 
     Args:
-        calls: by name. Each is called a few times first, which compiles it.
+        calls: by name. Each is called a few times first, which compiles it (slow ones on the CPU once).
         device: where the calls compute.
         repeats: measurements of each.
         hide_host: let the host run ahead of the device, so that launching a stage of a few microseconds is not counted
@@ -37,9 +37,8 @@ def time_interleaved(
     for call in calls.values():
         start_s = time.perf_counter()
         for _ in range(WARM_UP):
-            call()
-            if device.type == "cpu" and time.perf_counter() - start_s > SECONDS_PER_CALL / 10:
-                break
+            if device.type == "cuda" or time.perf_counter() - start_s < SECONDS_PER_CALL / 20:
+                call()
     measured: dict[str, list[float]] = {name: [] for name in calls}
     host: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):
