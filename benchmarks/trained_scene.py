@@ -99,7 +99,7 @@ def read_ply(path: Path) -> dict[str, Tensor]:
         ValueError: if the file is of another kind.
     """
     with path.open("rb") as file:
-        header = []
+        header: list[str] = []
         while not header or header[-1] != "end_header":
             line = file.readline()
             if not line:
