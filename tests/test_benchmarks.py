@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -58,3 +60,16 @@ def test_training_step_profile_runs(tmp_path: Path) -> None:
     assert times == sorted(times, reverse=True)
     assert 0.2 * written["milliseconds"] < sum(times) / 1e3 < 20 * written["milliseconds"]
     assert "ms a step" in done.stdout
+
+
+def test_budget_benchmark_runs(tmp_path: Path) -> None:
+    """A short training is pruned to each budget and measured; fewer Gaussians take fewer bytes."""
+    options = ["sample", "--config", "demo", "--device", "cpu", "--data-factor", "8", "--max-steps", "3"]
+    done = run_script("bench_budget.py", *options, "--fine-tune", "2", "--budgets", "0.1", "1", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stdout + done.stderr
+    tenth, full = json.loads((tmp_path / "budget.json").read_text())["rows"]
+    assert tenth["num_gaussians"] == pytest.approx(0.1 * full["num_gaussians"], abs=1)
+    assert tenth["model_bytes"] < 0.2 * full["model_bytes"]
+    assert full["thermal_offsets_kept"] > 0.5
+    assert all(row["rgb_psnr"] > 5 and row["thermal_psnr"] > 5 and row["ms"] > 0 for row in (tenth, full))
+    assert "100%" in (tmp_path / "budget.md").read_text()

@@ -8,7 +8,7 @@ import torch
 from kornia.losses import ssim_loss
 
 from thermosplat.config import LossConfig
-from thermosplat.losses import frame_losses, image_loss, smoothness
+from thermosplat.losses import charbonnier, frame_losses, image_loss, smoothness
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model
 
 
@@ -151,3 +151,23 @@ def test_smoothness_of_a_ramp() -> None:
     expected = (3 * 5 * 1.0 + 4 * 4 * 10.0) / 20
     torch.testing.assert_close(smoothness(ramp), torch.tensor(expected))
     assert smoothness(torch.full((4, 5, 3), 0.7)) == 0
+
+
+def test_charbonnier_is_square_within_and_absolute_beyond_the_noise() -> None:
+    """d² / 2ε far below ε, |d| - ε far above it."""
+    assert charbonnier(torch.tensor([1e-3, -1e-3]), 0.1).item() == pytest.approx(5e-6, rel=1e-2)
+    assert charbonnier(torch.tensor([2.0, -2.0]), 1e-3).item() == pytest.approx(1.999, rel=1e-4)
+
+
+def test_charbonnier_takes_the_place_of_l1_on_thermal_images() -> None:
+    """RGB terms stay; thermal terms keep their SSIM part."""
+    rendered, frame = rendered_and_frame()
+    plain = frame_losses(rendered, frame, LossConfig())
+    robust = frame_losses(rendered, frame, LossConfig(thermal_charbonnier=0.05))
+    assert set(robust) == set(plain)
+    for name in ("rgb", "features_rgb", "thermal_smoothness"):
+        torch.testing.assert_close(robust[name], plain[name])
+    difference = rendered.thermal - frame.thermal.image
+    change = charbonnier(difference, 0.05) - difference.abs().mean()
+    torch.testing.assert_close(robust["thermal"] - plain["thermal"], 0.8 * change)
+    assert robust["features_thermal"] < plain["features_thermal"]

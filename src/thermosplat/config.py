@@ -73,7 +73,10 @@ class ModelConfig:
     """How the second opacity is stored: as an offset, α_t = sigmoid(logit α + Δ) (ThermoSplat), so that both move
     together until thermal images say otherwise, or as a logit of its own (MMOne)."""
     rasterize_mode: Literal["classic", "antialiased"] = "classic"
-    """As gsplat's rasterization. ThermoSplat and 3DGS use classic."""
+    """As gsplat's rasterization. ThermoSplat and 3DGS use classic; antialiased is Mip-Splatting's 2D filter."""
+    exposures: bool = False
+    """Learn an affine colour change of every training view's images; held-out views are rendered without. 3DGS has one
+    for RGB (exposure compensation, off by default there as well)."""
     thermal_start: Literal["points", "rgb"] = "points"
     """What a thermal set of its own starts from: the sparse points, or the RGB set as it is when thermal training
     begins (ThermalGaussian MFTG, with ``schedule.thermal_from``)."""
@@ -113,15 +116,22 @@ class LossConfig:
     """η: factor of the second feature term, A_f(t)[3] against the thermal intensity. ThermoSplat."""
     thermal_smoothness: float = 0.3
     """λ_sm: weight of the mean absolute image gradient of the thermal image. ThermoSplat."""
+    thermal_charbonnier: float = 0.0
+    """ε of sqrt(d² + ε²) - ε in place of |d| in the losses on thermal images, in their units (0 to 1): differences
+    within the sensor's noise count by their square, larger ones as before. Charbonnier et al. 1994. 0: plain L1."""
     feature_norm: float = 0.0
     """Weight of the mean of (|f| - 1)² over the Gaussians. MS-Splatting: 0.1."""
+    opacity_reg: float = 0.0
+    """Weight of the mean opacity, of α and of α_t each. 3DGS-MCMC: 0.01."""
+    scale_reg: float = 0.0
+    """Weight of the mean scale, in units of the scene's extent. 3DGS-MCMC: 0.01."""
     balance: bool = False
     """Multiply the losses of a separate set by the other set's share of all Gaussians. ThermalGaussian MSMG."""
 
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """Adam's learning rates, each a constant unless it says otherwise."""
+    """Adam's learning rates, each a constant unless it or ``final_share`` says otherwise."""
 
     means_lr: float = 1.6e-4
     """Means, times the scene's extent. 3DGS."""
@@ -143,6 +153,8 @@ class OptimizerConfig:
     """Thermal SH degrees 1 to 3 in a shared set without features. ThermalGaussian, MMOne: as the visible ones."""
     features_lr: float = 5e-3
     """Latent features. Open choice: MS-Splatting's."""
+    features_lr_final: float = 5e-3
+    """Latent features at the last step (exponential decay). Open choice: MS-Splatting's constant rate."""
     thermal_opacity_offsets_lr: float = 5e-2
     """Thermal opacity offsets. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
     thermal_opacities_lr: float = 5e-2
@@ -151,16 +163,33 @@ class OptimizerConfig:
     """Decoder networks. Open choice: MS-Splatting's."""
     decoders_lr_final: float = 5e-4
     """Decoder networks at the last step (exponential decay). Open choice."""
+    exposures_lr: float = 1e-3
+    """Exposures of the training views (``model.exposures``). Open choice: a tenth of 3DGS's."""
+    exposures_lr_final: float = 1e-4
+    """Exposures at the last step (exponential decay). Open choice: a tenth of 3DGS's."""
+    final_share: float = 1.0
+    """Share of every other rate that is left at the last step (exponential decay). 3DGS: 1, all of it."""
     eps: float = 1e-15
     """Adam's ε. 3DGS."""
 
 
 @dataclass(frozen=True)
 class DensificationConfig:
-    """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control)."""
+    """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control), or relocated (MCMC)."""
 
     enabled: bool = True
     """Off: the number of Gaussians stays what it is."""
+    strategy: Literal["default", "mcmc"] = "default"
+    """3DGS's adaptive density control, or 3DGS-MCMC (Kheradmand et al. 2024): Gaussians that both spectra see fainter
+    than ``prune_opacity`` move onto others, their number grows by ``growth`` up to ``max_gaussians``, and noise moves
+    faint ones. It needs no thresholds and no resets; its opacities are held down by ``loss.opacity_reg``."""
+    growth: float = 0.05
+    """MCMC: share of the Gaussians that a refinement adds. 3DGS-MCMC."""
+    position_noise: float = 5e5
+    """MCMC: standard deviation of the noise on the means, times their learning rate and covariance. 3DGS-MCMC."""
+    sample_by: Literal["opacity", "gradient"] = "opacity"
+    """MCMC: Gaussians are doubled with a probability proportional to their larger opacity (3DGS-MCMC), or to the mean
+    gradient of means2d, of both spectra, that the default strategy compares with its threshold (open choice)."""
     start_step: int = 500
     """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
     stop_step: int = 15_000
@@ -195,7 +224,35 @@ class DensificationConfig:
     reset_opacity: float = 0.01
     """Opacity after a reset, at most: α and α_t both. 3DGS (open choice: MMOne resets both)."""
     max_gaussians: int | None = None
-    """Growth stops at this count. None: no limit, as in 3DGS."""
+    """Growth stops at this count. None: no limit, as in 3DGS. The budget of the MCMC strategy, which needs one."""
+
+
+@dataclass(frozen=True)
+class AutoBudgetConfig:
+    """How ``--budget auto`` finds the size of the model; without it nothing of this happens."""
+
+    prune_at: tuple[float, ...] = (0.6, 0.75)
+    """Shares of the run after which the Gaussians of least contribution are removed. Growth ends with the first."""
+    prune_share: float = 0.02
+    """Share of all blending weights, over the training views and both spectra, of what is removed each time. Open
+    choice: the faintest half of the Gaussians often has no more."""
+    offset_shrinkage: float = 0.02
+    """λ: soft threshold of the thermal opacity offsets after a step, as a multiple of their learning rate."""
+    offset_tolerance: float = 0.02
+    """At the last pruning, offsets that change an opacity by at most this become zero for good; the others shrink no
+    further."""
+    sh_tolerance: float = 0.01
+    """Largest change of a training image by the spherical harmonics that are dropped at the end, of the range 0 to 1.
+    Open choice: an upper bound, which costs about 0.01 dB."""
+    validation_views: int = 4
+    """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
+    ends with ``densification.stop_step`` or the first pruning. None are taken where that would be over a quarter."""
+    validate_every: int = 250
+    """Steps between looks at the validation views."""
+    least_gain: float = 0.02
+    """Rise of the validation views' PSNR [dB], mean over views and spectra, that justifies more Gaussians."""
+    patience: int = 2000
+    """Growth stops when there was no such rise for this many steps: longer than an opacity reset is felt."""
 
 
 @dataclass(frozen=True)
@@ -245,6 +302,9 @@ class TrainConfig:
     lpips_weights: str | None = None
     """Folder or file with LPIPS backbone weights (torchvision state_dict) for the LPIPS columns. None: torchvision's
     cache; LPIPS is null where there is none."""
+    budget: Literal["fixed", "auto"] = "fixed"
+    """"auto" finds the number of Gaussians, thermal offsets and SH bands that the training views support (the
+    auto_budget settings) and leaves the rest out; "fixed" is what the densification settings give."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Colour behind the Gaussians in the RGB image, 0 to 1. 3DGS: black."""
     resume: str | None = None
@@ -258,3 +318,4 @@ class TrainConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     densification: DensificationConfig = field(default_factory=DensificationConfig)
+    auto_budget: AutoBudgetConfig = field(default_factory=AutoBudgetConfig)

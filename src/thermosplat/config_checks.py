@@ -21,6 +21,13 @@ _AT_LEAST: dict[str, float] = {
     "densification.every": 1,
     "densification.reset_every": 1,
     "densification.max_gaussians": 1,
+    "densification.growth": 0,
+    "auto_budget.offset_shrinkage": 0,
+    "auto_budget.sh_tolerance": 0,
+    "auto_budget.validation_views": 0,
+    "auto_budget.validate_every": 1,
+    "auto_budget.patience": 1,
+    "densification.position_noise": 0,
     "densification.decompose_threshold": 0,
     "densification.start_step": 0,
     "densification.stop_step": 0,
@@ -36,12 +43,17 @@ _SHARES = (
     "densification.keep_opacity",
     "schedule.thermal_from",
     "schedule.rgb_until",
+    "auto_budget.prune_share",
+    "auto_budget.offset_tolerance",
 )
 _POSITIVE = (
     "model.init_scale",
     "optimizer.eps",
     "optimizer.means_lr_final",
+    "optimizer.features_lr_final",
     "optimizer.decoders_lr_final",
+    "optimizer.exposures_lr_final",
+    "optimizer.final_share",
     "densification.grow_scale3d",
     "densification.prune_scale3d",
 )
@@ -90,6 +102,10 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
             f"Switch {name('decoder.modulation')} off too.",
         )
     _check_decomposition(config, name)
+    _check_mcmc(config, name)
+    if not all(0 < share < 1 for share in config.auto_budget.prune_at):
+        shares = config.auto_budget.prune_at
+        raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
 
 
 def _check_temperatures(span: tuple[float, float] | None, name: str) -> None:
@@ -153,6 +169,23 @@ def _check_decomposition(config: TrainConfig, name: Any) -> None:
         raise UserError(
             f"{name('densification.decompose_threshold')} compares directions, which {name('densification.absgrad')} "
             "does not keep.",
+            "Leave one of them out.",
+        )
+
+
+def _check_mcmc(config: TrainConfig, name: Any) -> None:
+    densification = config.densification
+    if densification.strategy != "mcmc":
+        return
+    if densification.max_gaussians is None:
+        raise UserError(
+            f"{name('densification.strategy')} mcmc grows to a budget, and there is none.",
+            f"Give {name('densification.max_gaussians')}, such as 1000000.",
+        )
+    if densification.decompose_threshold is not None:
+        raise UserError(
+            f"{name('densification.strategy')} mcmc and {name('densification.decompose_threshold')} are two ways of "
+            "density control.",
             "Leave one of them out.",
         )
 

@@ -90,6 +90,22 @@ class Gaussians(nn.Module):
             return self.logit_opacities + self.thermal_opacity_offsets
         return self.logit_opacities
 
+    @torch.no_grad()
+    def set_opacity_logits(self, indices: Tensor, visible: Tensor, thermal: Tensor) -> None:
+        """Overwrite opacities, however the thermal one is stored; in a set with one opacity the visible one alone.
+
+        Args:
+            indices: Which Gaussians, int64, shape [n].
+            visible: Logits of α, shape [n].
+            thermal: Logits of α_t, shape [n].
+        """
+        dtype = self.logit_opacities.dtype
+        self.logit_opacities[indices] = visible.to(dtype)
+        if "logit_thermal_opacities" in self._parameters:
+            self.logit_thermal_opacities[indices] = thermal.to(dtype)
+        elif "thermal_opacity_offsets" in self._parameters:
+            self.thermal_opacity_offsets[indices] = (thermal - visible).to(dtype)
+
     @property
     def sh_coeffs(self) -> tuple[Tensor, Tensor]:
         """Spherical harmonics coefficients as the renderer takes them: [N, 1, 3] of degree 0 and [N, K-1, 3]."""
@@ -99,6 +115,11 @@ class Gaussians(nn.Module):
     def thermal_sh_coeffs(self) -> tuple[Tensor, Tensor]:
         """As ``sh_coeffs``, of the thermal image: coefficients of its own where two spectra share the set."""
         return (self.thermal_sh0, self.thermal_shN) if "thermal_sh0" in self._parameters else self.sh_coeffs
+
+    @property
+    def has_two_opacities(self) -> bool:
+        """Whether α_t may differ from α."""
+        return not {"logit_thermal_opacities", "thermal_opacity_offsets"}.isdisjoint(self._parameters)
 
     @property
     def has_features(self) -> bool:

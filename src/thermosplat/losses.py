@@ -29,6 +29,7 @@ class _ImageTerm:
     weight: float
     render: Tensor  # [H, W, C]
     target: Tensor  # [H, W, C]
+    charbonnier: float = 0.0
 
 
 def image_loss(render: Tensor, target: Tensor, ssim_lambda: float) -> Tensor:
@@ -84,20 +85,22 @@ def _image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: LossCon
     rgb = frame.rgb.image if frame.rgb is not None else None
     thermal = frame.thermal.image if frame.thermal is not None else None
     intensity = frame.thermal.intensity if frame.thermal is not None else None
-    candidates: list[tuple[str, float, Tensor | None, Tensor | None]] = [
-        ("rgb", config.rgb, rendered.rgb, rgb),
-        ("thermal", config.thermal, rendered.thermal, thermal),
-        ("features_rgb", config.features * config.features_rgb, _channels(rendered.visible_features, 0, 3), rgb),
+    noise = config.thermal_charbonnier
+    candidates: list[tuple[str, float, Tensor | None, Tensor | None, float]] = [
+        ("rgb", config.rgb, rendered.rgb, rgb, 0.0),
+        ("thermal", config.thermal, rendered.thermal, thermal, noise),
+        ("features_rgb", config.features * config.features_rgb, _channels(rendered.visible_features, 0, 3), rgb, 0.0),
         (
             "features_thermal",
             config.features * config.features_thermal,
             _channels(rendered.thermal_features, 3, 4),
             intensity[..., None] if intensity is not None else None,
+            noise,
         ),
     ]
     return [
-        _ImageTerm(name, weight, render, target)
-        for name, weight, render, target in candidates
+        _ImageTerm(name, weight, render, target, epsilon)
+        for name, weight, render, target, epsilon in candidates
         if weight > 0 and render is not None and target is not None
     ]
 
@@ -109,8 +112,24 @@ def _channels(features: Tensor | None, start: int, stop: int) -> Tensor | None:
 def _image_losses(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
     """Weighted image losses by name: on CUDA by Warp's fused kernels, on the CPU by kornia's filters."""
     on_cuda = all(term.render.is_cuda for term in terms)
-    losses = _fused(terms, ssim_lambda) if on_cuda else _filtered(terms, ssim_lambda)
+    compute = _fused if on_cuda else _filtered
+    losses = compute([term for term in terms if term.charbonnier == 0], ssim_lambda)
+    robust = [term for term in terms if term.charbonnier > 0]
+    structural = compute(robust, 1.0)  # 1 - SSIM alone
+    for term in robust:
+        difference = charbonnier(term.render - term.target, term.charbonnier)
+        losses[term.name] = (1 - ssim_lambda) * difference + ssim_lambda * structural[term.name]
     return {term.name: term.weight * losses[term.name] for term in terms}
+
+
+def charbonnier(differences: Tensor, epsilon: float) -> Tensor:
+    """Mean of sqrt(d² + ε²) - ε: d² / 2ε for differences well below ε, |d| - ε for those well above it.
+
+    Args:
+        differences: Any shape.
+        epsilon: ε > 0, in the differences' units.
+    """
+    return torch.sqrt(differences.square() + epsilon**2).mean() - epsilon
 
 
 def _fused(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:

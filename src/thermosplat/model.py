@@ -21,6 +21,7 @@ from thermosplat.decoders import Decoders
 from thermosplat.gaussian_views import Rendering, see, see_both
 from thermosplat.gaussians import Gaussians
 from thermosplat.initial_gaussians import initial_gaussians
+from thermosplat.packed_parameters import num_bytes, pack, unpack
 from thermosplat.rendered_frame import RenderedFrame
 from thermosplat.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.view_directions import view_directions
@@ -84,6 +85,18 @@ class SceneModel(nn.Module):
     def num_gaussians(self) -> int:
         """Gaussians in all sets together."""
         return sum(len(self.gaussians(name)) for name in self.gaussian_sets)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all parameters as a checkpoint stores them: without zeros of SH bands and thermal offsets."""
+        stored = self.checkpoint_state()
+        return sum(num_bytes(values) for values in [*stored["gaussian_sets"].values(), stored["decoders"] or {}])
+
+    @property
+    def offsets_kept(self) -> float | None:
+        """Share of the Gaussians with a thermal opacity of their own; None where there are no offsets."""
+        offsets = [value for name, value in self.named_parameters() if name.endswith("thermal_opacity_offsets")]
+        return (offsets[0] != 0).float().mean().item() if offsets else None
 
     # ---- rendering ---------------------------------------------------------------------------------------------------
 
@@ -258,7 +271,7 @@ class SceneModel(nn.Module):
     def checkpoint_state(self) -> dict[str, Any]:
         """What ``from_checkpoint`` needs under the checkpoint's key "model"."""
         return {
-            "gaussian_sets": {name: self.gaussians(name).state_dict() for name in self.gaussian_sets},
+            "gaussian_sets": {name: pack(self.gaussians(name).state_dict()) for name in self.gaussian_sets},
             "decoders": self.decoders.state_dict() if self.decoders is not None else None,
             "thermal_channels": self.thermal_channels,
         }
@@ -273,7 +286,11 @@ class SceneModel(nn.Module):
         """
         config = from_dict(state["config"])
         saved = state["model"]
-        gaussian_sets = {name: Gaussians.from_state_dict(values) for name, values in saved["gaussian_sets"].items()}
+        num_bases = (config.sh_degree + 1) ** 2 - 1
+        gaussian_sets = {
+            name: Gaussians.from_state_dict(unpack(values, num_bases))
+            for name, values in saved["gaussian_sets"].items()
+        }
         model = cls(config.model, config.decoder, gaussian_sets, saved["thermal_channels"], config.background)
         if model.decoders is not None:
             model.decoders.load_state_dict(saved["decoders"])

@@ -29,7 +29,8 @@ def test_finished_cell_says_everything(tmp_path: Path) -> None:
     assert result.thermal is not None
     assert result.rgb["psnr"] > 5
     assert result.thermal["mae_celsius"] > 0
-    assert result.model_bytes == result.num_gaussians * 4 * (3 + 4 + 3 + 1 + 1 + 2 * 3 * 16)
+    # the run is too short for spherical harmonics above degree 0: they are zero, and stored as a byte a set
+    assert result.model_bytes == result.num_gaussians * (4 * (3 + 4 + 3 + 1 + 1 + 2 * 3) + 2)
     assert result.frames_per_second > 0
     assert result.peak_memory_bytes is None
     rgb = [row["psnr"] for row in result.per_view if row["modality"] == "rgb"]

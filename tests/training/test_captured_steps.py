@@ -70,6 +70,31 @@ def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str)
     assert metrics["thermal"]["psnr"] > 5
 
 
+def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
+    """MCMC's noise is drawn anew in every replay, the same as without graphs; every frame's exposure learns."""
+    mcmc = DensificationConfig(strategy="mcmc", max_gaussians=300, start_step=4, stop_step=60, every=10)
+
+    def run(name: str, graph: bool) -> Trainer:
+        config = toy_run_config(max_steps=40, model={"exposures": True})
+        loss = dataclasses.replace(config.loss, opacity_reg=0.01, scale_reg=0.01, thermal_charbonnier=0.02)
+        config = dataclasses.replace(config, device="cuda", graph=graph, densification=mcmc, loss=loss)
+        trainer = toy_trainer(tmp_path / name, config, many_frames(toy_capture()))
+        while trainer.step < 40:
+            trainer._train_step()
+        return trainer
+
+    plain, captured = run("plain", False), run("captured", True)
+    assert captured.captured is not None
+    assert captured.captured._graphs
+    assert captured.guard.first_bad() is None
+    assert captured.model.num_gaussians == plain.model.num_gaussians > 60
+    ours, theirs = captured.state.exposures, plain.state.exposures
+    assert ours is not None
+    assert theirs is not None
+    assert ours.rgb.abs().amax(dim=(1, 2)).min() > 0
+    torch.testing.assert_close(ours.rgb, theirs.rgb, rtol=0.2, atol=2e-3)
+
+
 def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     """With too little room the parameters stay; after a look there is room, and training goes on."""
     still = DensificationConfig(enabled=False)

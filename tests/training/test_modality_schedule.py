@@ -67,3 +67,15 @@ def test_a_phase_without_frames_is_a_users_error() -> None:
     config = toy_run_config(8, schedule=ScheduleConfig(thermal_from=0.5))
     with pytest.raises(UserError, match="step 1 is to learn from"):
         schedule_of(many_frames(toy_capture(rgb=False)), config)
+
+
+def test_withheld_frames_are_not_trained_on() -> None:
+    """While frames are withheld the others take all steps; afterwards all do."""
+    capture = many_frames(toy_capture())
+    schedule = schedule_of(capture, toy_run_config(8))
+    schedule.withhold((1, 3))
+    assert {schedule.frame(done).name for done in range(8)} == {capture.train[0].name, capture.train[2].name}
+    schedule.withhold(())
+    assert len({schedule.frame(done).name for done in range(8)}) == 4
+    with pytest.raises(UserError, match="No training frame"):
+        schedule.withhold(range(4))

@@ -35,12 +35,16 @@ class ViewTensors:
 
 @dataclass(frozen=True, eq=False)
 class FrameTensors:
-    """A frame on a device; `aligned` as `Frame.aligned`."""
+    """A frame on a device; `aligned` as `Frame.aligned`.
+
+    Training frames know their place among them: `index`, int64 scalar on the device.
+    """
 
     name: str
     rgb: ViewTensors | None
     thermal: ViewTensors | None
     aligned: bool
+    index: Tensor | None = None
 
 
 def frame_tensors(frame: Frame, scale: ThermalScale | None, device: torch.device | str) -> FrameTensors:

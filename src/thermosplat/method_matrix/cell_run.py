@@ -50,7 +50,7 @@ def make_cell(cell: Cell, config: TrainConfig, folder: Path, *, keep_checkpoint:
         rgb=metrics["rgb"],
         thermal=metrics["thermal"],
         num_gaussians=metrics["num_gaussians"],
-        model_bytes=sum(parameter.numel() * parameter.element_size() for parameter in model.parameters()),
+        model_bytes=metrics["model_bytes"],
         train_minutes=metrics["train_seconds"] / 60.0,
         peak_memory_bytes=peak,
         frames_per_second=frames_per_second(model, trainer.capture, sh_degree=sh_degree, device=trainer.device),

@@ -87,6 +87,10 @@ class CapturedSteps:
         static, graph = self._frames[shape], torch.cuda.CUDAGraph()
         if not self._graphs:
             self.step.capacity.measure()
+        if self.step.state.noise.device.type == "cuda":
+            graph.register_generator_state(
+                self.step.state.noise
+            )  # each replay then draws from where the step starts it
         with captured_in(graph, self._pool.id):
             values = self.step.update(static, kind, self.step.gradients(static, kind, fixed_capacity=True))
         return _Captured(graph, static, values)
@@ -111,11 +115,14 @@ def _clone(frame: FrameTensors) -> FrameTensors:
         image, intensity = (None if tensor is None else tensor.clone() for tensor in (view.image, view.intensity))
         return ViewTensors(view.viewmat.clone(), view.K.clone(), view.width, view.height, image, intensity)
 
-    return FrameTensors(frame.name, cloned(frame.rgb), cloned(frame.thermal), frame.aligned)
+    index = None if frame.index is None else frame.index.clone()
+    return FrameTensors(frame.name, cloned(frame.rgb), cloned(frame.thermal), frame.aligned, index)
 
 
 def _copy(target: FrameTensors, source: FrameTensors) -> None:
+    pairs = [(target.index, source.index)]
     for ours, theirs in ((target.rgb, source.rgb), (target.thermal, source.thermal)):
-        for to, value in zip(_tensors(ours), _tensors(theirs), strict=True):
-            if to is not None and value is not None:
-                to.copy_(value)
+        pairs += zip(_tensors(ours), _tensors(theirs), strict=True)
+    for to, value in pairs:
+        if to is not None and value is not None:
+            to.copy_(value)

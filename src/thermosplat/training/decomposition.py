@@ -65,7 +65,7 @@ class DecomposingStrategy(DefaultStrategy):
         self, gaussians: Gaussians, optimizers: Optimizers, step: int, generator: torch.Generator
     ) -> Refinement | None:
         """As ``DefaultStrategy.refine``; Gaussians that conflict are divided, and not grown or removed this time."""
-        if self.refines_at(step):
+        if self.refines_at(step) and self.growing:
             self._divide(gaussians, optimizers)
         return super().refine(gaussians, optimizers, step, generator)
 

@@ -35,6 +35,8 @@ class Refinement:
     """Large Gaussians that became two smaller ones."""
     pruned: int = 0
     """Gaussians that were removed."""
+    relocated: int = 0
+    """Faint Gaussians that were moved onto others."""
 
 
 class DefaultStrategy:
@@ -53,6 +55,8 @@ class DefaultStrategy:
 
     separates_modalities = False
     """Needs the gradients of the two spectra apart: each is rendered by a call of its own."""
+    moves_gaussians = False
+    """Moves Gaussians after every update, by :meth:`move`."""
 
     def __init__(
         self,
@@ -65,6 +69,8 @@ class DefaultStrategy:
         self.config = config
         self.span = span
         self.scene_extent = scene_extent
+        self.growing = True
+        """Off: faint Gaussians are removed, but none added, and opacities are not reset."""
         self.grad_norm_sum = torch.zeros(num_gaussians, device=device)
         """Norms of the means2d gradients since the last refinement, in units of half the image, shape [N]."""
         self.observations = torch.zeros(num_gaussians, device=device)
@@ -88,7 +94,7 @@ class DefaultStrategy:
     def resets_at(self, step: int) -> bool:
         """Whether opacities are reset at this step."""
         done = self._schedule_step(step)
-        return self.is_active(step) and done > 0 and done % self.config.reset_every == 0
+        return self.growing and self.is_active(step) and done > 0 and done % self.config.reset_every == 0
 
     def _schedule_step(self, step: int) -> int:
         """Steps of the set's training before this one."""
@@ -132,6 +138,16 @@ class DefaultStrategy:
             reset_opacities(gaussians, optimizers, self.config.reset_opacity)
         return refinement
 
+    def move(self, gaussians: Gaussians, optimizers: Optimizers, blocked: Tensor, generator: torch.Generator) -> None:
+        """Change Gaussians after an update: this strategy does not.
+
+        Args:
+            gaussians: The set.
+            optimizers: Its optimizers.
+            blocked: Scalar, 1 where this step must change nothing.
+            generator: For what is random, on the Gaussians' device.
+        """
+
     @torch.no_grad()
     def observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:
         """Add this step's gradients. Nothing here waits for the device.
@@ -159,6 +175,8 @@ class DefaultStrategy:
     @torch.no_grad()
     def _grow(self, gaussians: Gaussians, optimizers: Optimizers, generator: torch.Generator) -> tuple[int, int]:
         """Clone small and split large Gaussians with a large mean gradient; how many of each."""
+        if not self.growing:
+            return 0, 0
         cloned, halved = self._growing(gaussians)
         num_cloned, num_split = int(cloned.sum()), int(halved.sum())
         if num_cloned:

@@ -32,6 +32,35 @@ def clone(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor) -> Non
 
 
 @torch.no_grad()
+def append_copies(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor) -> None:
+    """Append a copy of each named Gaussian, of a repeated one several.
+
+    Args:
+        gaussians: The Gaussians, N of them.
+        optimizers: Their optimizers.
+        indices: int64, shape [n].
+    """
+    number = len(next(gaussians.parameters()))
+    added = {name: parameter[indices] for name, parameter in gaussians.named_parameters()}
+    _rebuild(gaussians, optimizers, torch.arange(number, device=indices.device), added)
+
+
+@torch.no_grad()
+def clear_moments(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor) -> None:
+    """Let Adam forget what it knows of some Gaussians.
+
+    Args:
+        gaussians: The Gaussians.
+        optimizers: Their optimizers.
+        indices: int64, shape [n].
+    """
+    for name, parameter in gaussians.named_parameters():
+        for key, moment in optimizers[name].state.get(parameter, {}).items():
+            if key != "step":
+                moment[indices] = 0.0
+
+
+@torch.no_grad()
 def split(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor, generator: torch.Generator) -> None:
     """Replace each selected Gaussian by two smaller ones, drawn from its own distribution. 3DGS.
 
@@ -44,7 +73,7 @@ def split(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor, genera
     parameters = dict(gaussians.named_parameters())
     scales = parameters["log_scales"][selected].exp()
     noise = torch.randn(2, *scales.shape, generator=generator, dtype=scales.dtype).to(scales.device)
-    samples = _rotate(parameters["quats"][selected], noise * scales)  # [2, n, 3]
+    samples = rotate(parameters["quats"][selected], noise * scales)  # [2, n, 3]
 
     added = {}
     for name, parameter in parameters.items():
@@ -133,7 +162,7 @@ def _rebuild(gaussians: nn.Module, optimizers: Optimizers, kept: Tensor, added: 
             optimizers[name].state[new] = state
 
 
-def _rotate(quats: Tensor, vectors: Tensor) -> Tensor:
+def rotate(quats: Tensor, vectors: Tensor) -> Tensor:
     """Rotate vectors [..., n, 3] by quaternions [n, 4] (wxyz, any length): v + 2w (u x v) + 2 u x (u x v)."""
     w, u = nn.functional.normalize(quats, dim=-1).split((1, 3), dim=-1)
     u = u.expand_as(vectors)

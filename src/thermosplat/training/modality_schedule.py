@@ -3,6 +3,7 @@
 Notation: steps count from 1; a span (start, end) holds the steps start + 1 to end.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -63,17 +64,29 @@ class ModalitySchedule:
     def __init__(self, config: TrainConfig, frames: TrainFrames) -> None:
         self._spans = modality_spans(config)
         self._frames = frames
+        self._seed = config.seed
+        self._starts = {0, *(boundary for span in self._spans.values() for boundary in span)} - {config.max_steps}
         self._trained: dict[tuple[bool, bool], tuple[list[int], FrameOrder]] = {}
-        boundaries = {0, *(boundary for span in self._spans.values() for boundary in span)} - {config.max_steps}
-        for start in boundaries:
+        self.withhold(())
+
+    def withhold(self, indices: Collection[int]) -> None:
+        """Train on all frames but these from now on.
+
+        Args:
+            indices: Training frames, by index.
+
+        Raises:
+            UserError: If some step would have no frame to learn from.
+        """
+        for start in self._starts:
             shown = self._shown(start)
-            having = [i for i, frame in enumerate(frames.frames) if _has(frame, shown)]
+            having = [i for i, frame in enumerate(self._frames.frames) if _has(frame, shown) and i not in indices]
             if not having:
                 raise UserError(
                     f"No training frame has what step {start + 1:,} is to learn from.",
                     "Look at schedule.thermal_from and schedule.rgb_until, and at the capture's images.",
                 )
-            self._trained[shown] = having, FrameOrder(len(having), config.seed)
+            self._trained[shown] = having, FrameOrder(len(having), self._seed)
 
     def frame(self, steps_done: int) -> Frame:
         """The frame of the step that follows ``steps_done`` steps."""

@@ -2,7 +2,8 @@
 
 A learning rate is a function of the step, so there is no scheduler with a state of its own. Parameters named
 ``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``; where
-the configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else it stays constant.
+the configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else to ``final_share``
+of itself.
 """
 
 from typing import Any
@@ -19,15 +20,15 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_ext
     """Learning rate of a parameter.
 
     Args:
-        name: Parameter name of a set of Gaussians, or "decoders".
+        name: Parameter name of a set of Gaussians, "decoders" or "exposures".
         config: The rates.
         progress: Share of the run that is done, 0 to 1.
         scene_extent: Radius of the cameras [world units]; scales the rate of the means. 3DGS.
     """
     field = name.removeprefix("log_").removeprefix("logit_") + "_lr"
     rate = getattr(config, field)
-    final = getattr(config, f"{field}_final", rate)
-    if final != rate:
+    final = getattr(config, f"{field}_final", rate * config.final_share)
+    if rate > 0 and final != rate:
         rate = rate * (final / rate) ** min(progress, 1.0)
     return rate * scene_extent if name == "means" else rate
 
@@ -41,9 +42,9 @@ def gaussian_optimizers(gaussians: nn.Module, config: OptimizerConfig) -> Optimi
     return optimizers
 
 
-def decoder_optimizer(decoders: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
-    """Adam for the decoder networks."""
-    return _adam(list(decoders.parameters()), config, torch.optim.Adam)
+def network_optimizer(network: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
+    """One Adam for all parameters of the decoders, or of the exposures."""
+    return _adam(list(network.parameters()), config, torch.optim.Adam)
 
 
 def _adam(parameters: list[nn.Parameter], config: OptimizerConfig, kind: type[torch.optim.Adam]) -> torch.optim.Adam:

@@ -7,7 +7,7 @@ step to step: a resumed run, and a step taken back, draw what the uninterrupted 
 import numpy as np
 import torch
 
-_PURPOSES = ("frame order", "split", "initialisation")
+_PURPOSES = ("frame order", "split", "initialisation", "position noise")
 
 
 def random_stream(seed: int, purpose: str, index: int = 0) -> torch.Generator:
@@ -15,11 +15,26 @@ def random_stream(seed: int, purpose: str, index: int = 0) -> torch.Generator:
 
     Args:
         seed: The run's seed, at least 0.
-        purpose: "frame order", "split" or "initialisation".
+        purpose: "frame order", "split", "initialisation" or "position noise".
         index: Step or epoch, at least 0.
     """
+    return start_stream(torch.Generator(), seed, purpose, index)
+
+
+def start_stream(generator: torch.Generator, seed: int, purpose: str, index: int = 0) -> torch.Generator:
+    """Let a generator, on any device, start the stream that ``random_stream`` names; each device draws its own numbers.
+
+    Args:
+        generator: The generator.
+        seed: As of ``random_stream``.
+        purpose: As of ``random_stream``.
+        index: As of ``random_stream``.
+
+    Returns:
+        The same generator.
+    """
     entropy = np.random.SeedSequence([seed, _PURPOSES.index(purpose), index])
-    return torch.Generator().manual_seed(int(entropy.generate_state(1, np.uint64)[0] >> np.uint64(1)))
+    return generator.manual_seed(int(entropy.generate_state(1, np.uint64)[0] >> np.uint64(1)))
 
 
 class FrameOrder:

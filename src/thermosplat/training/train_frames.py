@@ -1,5 +1,6 @@
 """The training frames as tensors, kept on the device as far as memory allows."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -46,7 +47,8 @@ class TrainFrames:
         """Tensors of a frame; made again each time once the memory for them is full."""
         if index in self._cache:
             return self._cache[index]
-        frame = frame_tensors(self.frames[index], self.thermal_scale, self.device)
+        place = torch.tensor(index, device=self.device)
+        frame = replace(frame_tensors(self.frames[index], self.thermal_scale, self.device), index=place)
         size = sum(_bytes(view) for view in (frame.rgb, frame.thermal))
         if size <= self._budget:
             self._budget -= size

@@ -27,6 +27,7 @@ from thermosplat.lpips import Lpips, find_lpips
 from thermosplat.model import SceneModel
 from thermosplat.pair_capacity import PairCapacity
 from thermosplat.run_directory import RunDirectory
+from thermosplat.training.auto_budget import AutoBudget
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.fast_decoders import FastDecoders, can_compile
 from thermosplat.training.finite_guard import FiniteGuard
@@ -78,9 +79,11 @@ class Trainer:
             self.model = SceneModel.from_capture(config, capture, self.device)
         else:
             self.model = SceneModel.from_checkpoint(checkpoint, self.device)
-        self.state = TrainingState(self.model, config, capture.scene_extent, self.device)
+        self.state = TrainingState(self.model, config, capture.scene_extent, self.device, len(self.frames))
         if checkpoint is not None:
             self.state.load(checkpoint)
+        auto = config.budget == "auto"
+        self.budget = AutoBudget(config, self.state, self.frames, self.schedule) if auto else None
         self.guard = FiniteGuard(self.device)
         self.device_step = TrainingStep(config, self.state, self.guard, PairCapacity(self.device))
         self.captured: CapturedSteps | None = None
@@ -150,6 +153,8 @@ class Trainer:
                     self._save()
                 if state.step in config.eval_steps and state.step < config.max_steps:
                     self._evaluate()
+            if self.budget is not None:
+                self.budget.finish(self.sh_degree)
             self._save()  # before the evaluation, so that nothing which goes wrong there costs the training
             metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
             state.seconds.wall = time.perf_counter() - started
@@ -188,26 +193,21 @@ class Trainer:
                 self._stop_if_not_finite()
                 if self.captured is not None:
                     self.captured.look()
-            for name, strategy in state.strategies.items():
-                if strategy.refines_at(step) or strategy.resets_at(step):
-                    if self.captured is not None:
-                        self.captured.forget()
-                    random = random_stream(config.seed, "split", step)
-                    strategy.refine(state.gaussian_sets[name], state.optimizers[name], step, random)
+            refining = {n: s for n, s in state.strategies.items() if s.refines_at(step) or s.resets_at(step)}
+            budgeting = self.budget is not None and self.budget.acts_at(step)
+            if self.captured is not None and (refining or budgeting):
+                self.captured.forget()
+            for name, strategy in refining.items():
+                random = random_stream(config.seed, "split", step)
+                strategy.refine(state.gaussian_sets[name], state.optimizers[name], step, random)
+            if self.budget is not None and budgeting:
+                self.budget.after_step(step, kind.sh_degree)
             if config.model.thermal_start == "rgb" and step == state.spans["thermal"].start:
                 self._start_thermal_from_rgb()
             state.seconds.train += time.perf_counter() - started
 
-        self.logger.step(
-            StepRecord(
-                step,
-                values.losses,
-                values.squared_errors,
-                self.model.num_gaussians,
-                kind.sh_degree,
-                state.seconds.train,
-            )
-        )
+        losses, errors, number = values.losses, values.squared_errors, self.model.num_gaussians
+        self.logger.step(StepRecord(step, losses, errors, number, kind.sh_degree, state.seconds.train))
 
     def _start_thermal_from_rgb(self) -> None:
         """Make the thermal set a copy of the trained RGB set, to be trained anew from it."""
@@ -281,6 +281,8 @@ class Trainer:
             "first_step_seconds": seconds.first_step,
             "gaussians": {name: len(gaussians) for name, gaussians in self.state.gaussian_sets.items()},
             "lpips_net": self.lpips.name if self.lpips is not None else None,
+            "model_bytes": self.model.num_bytes,
+            "thermal_offsets_kept": self.model.offsets_kept,
         }
         self.run.write_json(self.run.metrics_json, metrics)
         return metrics
@@ -304,6 +306,7 @@ class Trainer:
             or step in (*config.eval_steps, *config.save_steps, config.max_steps)
             or step == self.state.spans.get("thermal", Span(0, 0)).start
             or any(strategy.refines_at(step) or strategy.resets_at(step) for strategy in self.state.strategies.values())
+            or (self.budget is not None and self.budget.acts_at(step))
         )
 
     def _stop_if_not_finite(self) -> None:

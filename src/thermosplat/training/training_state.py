@@ -1,21 +1,25 @@
 """Everything that changes while training, and that a checkpoint must hold to go on exactly."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from thermosplat.config import OptimizerConfig, TrainConfig
+from thermosplat.config import DensificationConfig, OptimizerConfig, TrainConfig
 from thermosplat.config_files import to_dict
 from thermosplat.gaussians import Gaussians
 from thermosplat.model import SceneModel
 from thermosplat.radiometry import ThermalScale
 from thermosplat.training.decomposition import DecomposingStrategy
 from thermosplat.training.densification import DefaultStrategy
+from thermosplat.training.exposures import Exposures
 from thermosplat.training.gaussian_ops import Optimizers
+from thermosplat.training.mcmc import McmcStrategy
 from thermosplat.training.modality_schedule import set_span
-from thermosplat.training.optimizers import decoder_optimizer, gaussian_optimizers, load_optimizer, set_learning_rates
+from thermosplat.training.optimizers import gaussian_optimizers, load_optimizer, network_optimizer, set_learning_rates
+from thermosplat.training.random_streams import start_stream
 
 
 @dataclass
@@ -39,11 +43,16 @@ class TrainingState:
     Attributes:
         model: The scene.
         gaussian_sets: The model's sets of Gaussians by name.
-        optimizers: By name of the set, and "decoders", the optimizers by parameter name.
+        exposures: Colour changes of the training views; None where the model has none.
+        optimizers: By name of the set, "decoders" and "exposures", the optimizers by parameter name.
         spans: The steps that train each owner of optimizers.
         strategies: Density control by name of the set.
         step: Steps done.
         step_on_device: int64 scalar, the number of the step that is being done.
+        growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
+        offsets_dropped: Whether thermal opacity offsets that are zero stay zero.
+        best_validation: Best PSNR of withheld training views so far [dB], and its step.
+        noise: Draws what is random within a step, on the device; starts afresh in every step.
         seconds: Where the time went.
 
     Args:
@@ -51,24 +60,36 @@ class TrainingState:
         config: The whole configuration.
         scene_extent: Radius of the cameras [world units].
         device: The model's device.
+        num_frames: Training frames; their exposures are part of the state.
     """
 
-    def __init__(self, model: SceneModel, config: TrainConfig, scene_extent: float, device: torch.device) -> None:
+    def __init__(
+        self, model: SceneModel, config: TrainConfig, scene_extent: float, device: torch.device, num_frames: int = 0
+    ) -> None:
         self.model = model
         self.gaussian_sets: dict[str, Gaussians] = {name: model.gaussians(name) for name in model.gaussian_sets}
         self.optimizers: dict[str, Optimizers] = {
             name: gaussian_optimizers(gaussians, config.optimizer) for name, gaussians in self.gaussian_sets.items()
         }
         if model.decoders is not None:
-            self.optimizers["decoders"] = {"decoders": decoder_optimizer(model.decoders, config.optimizer)}
+            self.optimizers["decoders"] = {"decoders": network_optimizer(model.decoders, config.optimizer)}
+        self.exposures: Exposures | None = None
+        if config.model.exposures:
+            self.exposures = Exposures(num_frames, model.thermal_channels).to(device)
+            self.optimizers["exposures"] = {"exposures": network_optimizer(self.exposures, config.optimizer)}
         self.spans = {owner: set_span(owner, config) for owner in self.optimizers}
-        strategy = DefaultStrategy if config.densification.decompose_threshold is None else DecomposingStrategy
+        strategy = _strategy(config.densification)
         self.strategies: dict[str, DefaultStrategy] = {
             name: strategy(config.densification, scene_extent, len(gaussians), device, self.spans[name])
             for name, gaussians in self.gaussian_sets.items()
         }
         self.step = 0
+        self.growing = True
+        self.offsets_dropped = False
+        self.best_validation = (-math.inf, 0)
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
+        self.seed, self.scene_extent = config.seed, scene_extent
+        self.noise = torch.Generator(device)
         self.seconds = Seconds()
 
     def begin_step(self, step: int, config: OptimizerConfig, scene_extent: float) -> None:
@@ -81,6 +102,8 @@ class TrainingState:
         """
         self.clear_gradients()
         self.step_on_device.fill_(step)
+        if any(strategy.moves_gaussians for strategy in self.strategies.values()):
+            start_stream(self.noise, self.seed, "position noise", step)
         for owner, optimizers in self.optimizers.items():
             set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scene_extent)
 
@@ -122,6 +145,10 @@ class TrainingState:
                     for owner, optimizers in self.optimizers.items()
                 },
                 "strategies": {name: strategy.state_dict() for name, strategy in self.strategies.items()},
+                "exposures": self.exposures.state_dict() if self.exposures is not None else None,
+                "growing": self.growing,
+                "offsets_dropped": self.offsets_dropped,
+                "best_validation": self.best_validation,
                 "seconds": asdict(self.seconds),
             },
         }
@@ -138,5 +165,16 @@ class TrainingState:
                 load_optimizer(optimizer, training["optimizers"][owner][name])
         for name, strategy in self.strategies.items():
             strategy.load_state_dict(training["strategies"][name])
+        if self.exposures is not None:
+            self.exposures.load_state_dict(training["exposures"])
+        self.growing, self.offsets_dropped = training["growing"], training["offsets_dropped"]
+        self.best_validation = training["best_validation"]
         self.step = checkpoint["step"]
         self.seconds = Seconds(**training["seconds"])
+
+
+def _strategy(config: DensificationConfig) -> type[DefaultStrategy]:
+    """The density control that a configuration asks for."""
+    if config.strategy == "mcmc":
+        return McmcStrategy
+    return DefaultStrategy if config.decompose_threshold is None else DecomposingStrategy

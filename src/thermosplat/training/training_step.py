@@ -15,11 +15,13 @@ from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
 from thermosplat.feature_norm import feature_norm_loss
+from thermosplat.gaussian_penalties import gaussian_penalties
 from thermosplat.losses import frame_losses
 from thermosplat.model import RenderedFrame
 from thermosplat.pair_capacity import PairCapacity
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.modality_balance import balanced_losses
+from thermosplat.training.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.training_state import TrainingState
 
@@ -91,12 +93,15 @@ class TrainingStep:
                     aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
                     deterministic=config.deterministic,
                 )
+            if state.exposures is not None and frame.index is not None:
+                rendered = state.exposures(rendered, frame.index)
             losses = frame_losses(rendered, frame, config.loss)
             if config.loss.feature_norm > 0 and state.model.decoders is not None:
                 features = state.gaussian_sets["shared"].features
                 losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
             if config.loss.balance:
                 losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
+            losses |= gaussian_penalties(state.gaussian_sets, config.loss, state.scene_extent)
             if not losses:
                 raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
             if kind.densifying:
@@ -114,10 +119,19 @@ class TrainingStep:
             kind: What is done with it.
             done: What :meth:`gradients` returned.
         """
-        state = self.state
+        config, state = self.config, self.state
         blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
+        if state.offsets_dropped:
+            for gaussians in state.gaussian_sets.values():
+                hold_zeros(gaussians)
         for optimizers in state.optimizers.values():
             step_unless(blocked, optimizers)
+        for name, strategy in state.strategies.items():
+            if strategy.moves_gaussians and state.gaussian_sets[name].means.grad is not None:
+                strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
+        if config.budget == "auto" and not state.offsets_dropped:
+            for name, gaussians in state.gaussian_sets.items():
+                shrink_offsets(gaussians, state.optimizers[name], config.auto_budget.offset_shrinkage, blocked)
         state.clear_gradients()
         if kind.densifying:
             for name, strategy in state.strategies.items():

@@ -1,0 +1,136 @@
+"""How much each Gaussian contributes to the training images, and removing those that contribute least.
+
+A render is A = Σ_i a_i w_i with blending weights w_i (equation 1), so the gradient of the sum of all pixels with
+respect to a_i is the sum of the Gaussian's weights over the image: one backward pass a view gives those of all
+Gaussians, exactly. With two opacities every Gaussian has a weight in either spectrum.
+"""
+
+from collections.abc import Iterable, Mapping
+
+import torch
+from torch import Tensor
+
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
+from thermosplat.gaussians import Gaussians
+from thermosplat.model import SceneModel
+from thermosplat.rasterizer import rasterization, rasterization_rgbt
+from thermosplat.training.gaussian_ops import Optimizers, prune
+
+
+def contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
+    """Each Gaussian's share of all blending weights of its spectra.
+
+    Args:
+        model: The scene.
+        frames: The training frames.
+
+    Returns:
+        By name of the set, shape [N]: the sum of its weights over all pixels of all frames, divided by that of all
+        Gaussians; in a set that renders both spectra the mean of both shares. They add up to 1.
+    """
+    weights = {name: torch.zeros(2, len(model.gaussians(name)), device=_device(model)) for name in model.gaussian_sets}
+    for frame in frames:
+        rgb = frame.rgb if model.config.rgb else None
+        thermal = frame.thermal if model.config.thermal else None
+        if frame.aligned and rgb is not None and thermal is not None and "shared" in model.gaussian_sets:
+            weights["shared"] += _weights_of_both(model, rgb)
+            continue
+        for row, (spectrum, view) in enumerate((("rgb", rgb), ("thermal", thermal))):
+            if view is not None:
+                name = spectrum if spectrum in model.gaussian_sets else "shared"
+                weights[name][row] += _weights(model, name, view, thermal=spectrum == "thermal")
+    return {name: _shares(both) for name, both in weights.items()}
+
+
+def negligible(shares: Tensor, together: float) -> Tensor:
+    """Mask of the Gaussians of least contribution, as many as together have this share of all.
+
+    Args:
+        shares: As ``contributions`` gives them, shape [N].
+        together: 0 to 1.
+    """
+    order = torch.argsort(shares.double(), stable=True)
+    removed = torch.zeros_like(shares, dtype=torch.bool)
+    removed[order] = shares.double()[order].cumsum(dim=0) <= together
+    return removed
+
+
+def least(shares: Tensor, count: int) -> Tensor:
+    """Mask of the ``count`` Gaussians of least contribution, of shares [N]."""
+    removed = torch.zeros_like(shares, dtype=torch.bool)
+    removed[torch.argsort(shares, stable=True)[:count]] = True
+    return removed
+
+
+def prune_sets(
+    gaussian_sets: Mapping[str, Gaussians], optimizers: Mapping[str, Optimizers], removed: Mapping[str, Tensor]
+) -> None:
+    """Remove Gaussians from several sets, but never all of one.
+
+    Args:
+        gaussian_sets: The sets by name.
+        optimizers: Their optimizers.
+        removed: Masks [N] by name of the set.
+    """
+    for name, mask in removed.items():
+        if bool(mask.any()) and not bool(mask.all()):
+            prune(gaussian_sets[name], optimizers[name], mask)
+
+
+@torch.enable_grad()
+def _weights_of_both(model: SceneModel, view: ViewTensors) -> Tensor:
+    """Summed weights at α and at α_t, shape [2, N], by one traversal."""
+    gaussians = model.gaussians("shared")
+    # as many channels as training blends, so that its compiled kernels serve
+    colors, features = _ones(gaussians, 3), _ones(gaussians, model.config.feature_dim or 3)
+    output = rasterization_rgbt(
+        *(value.detach() for value in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)),
+        gaussians.thermal_opacities.detach() if gaussians.has_two_opacities else None,
+        colors,
+        features,
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        rasterize_mode=model.config.rasterize_mode,
+    )
+    thermal = output.render_thermal_features
+    if thermal is None:
+        thermal = output.render_features
+    total = output.render_colors[..., 0].sum() + thermal[..., 0].sum()
+    by_color, by_feature = torch.autograd.grad(total, (colors, features))
+    return torch.stack([by_color[:, 0], by_feature[:, 0]])
+
+
+@torch.enable_grad()
+def _weights(model: SceneModel, name: str, view: ViewTensors, *, thermal: bool) -> Tensor:
+    """Summed weights of one spectrum in one view, shape [N]."""
+    gaussians = model.gaussians(name)
+    colors = _ones(gaussians, 3)
+    image, _, _ = rasterization(
+        *(value.detach() for value in (gaussians.means, gaussians.quats, gaussians.scales)),
+        (gaussians.thermal_opacities if thermal else gaussians.opacities).detach(),
+        colors,
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        packed=False,
+        rasterize_mode=model.config.rasterize_mode,
+    )
+    return torch.autograd.grad(image[..., 0].sum(), colors)[0][:, 0]
+
+
+def _ones(gaussians: Gaussians, channels: int) -> Tensor:
+    return gaussians.means.new_ones(len(gaussians), channels).requires_grad_()
+
+
+def _shares(weights: Tensor) -> Tensor:
+    """Mean over the spectra that have weights of each one's shares, of weights [2, N]."""
+    totals = weights.sum(dim=1, keepdim=True)
+    spectra = (totals > 0).sum().clamp(min=1)
+    return (weights / totals.clamp(min=torch.finfo(weights.dtype).tiny)).sum(dim=0) / spectra
+
+
+def _device(model: SceneModel) -> torch.device:
+    return model.background.device

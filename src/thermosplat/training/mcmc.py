@@ -1,0 +1,132 @@
+"""Density control as sampling: 3D Gaussian Splatting as Markov Chain Monte Carlo (Kheradmand et al. 2024).
+
+Gaussians are samples of where the scene is. Those that fade away are not deleted but moved onto others (relocation.py),
+their number grows by a fixed share up to a budget, and after every step noise moves each of them,
+
+    μ += λ σ(-k (o - t)) Σ η,    η ~ N(0, I),  λ = position_noise · learning rate of the means,  k = 100,  t = 0.005,
+
+within its own extent and only while it is faint: a clear Gaussian does not move. With two opacities o is the larger
+one: a Gaussian that either spectrum sees is neither faint nor dead.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from thermosplat.errors import UserError
+from thermosplat.gaussians import Gaussians
+from thermosplat.training.densification import DefaultStrategy, Refinement
+from thermosplat.training.gaussian_ops import Optimizers, rotate
+from thermosplat.training.relocation import add, relocate
+
+NOISE_STEEPNESS = 100.0
+"""k of the noise's gate. 3DGS-MCMC."""
+NOISE_OPACITY = 0.005
+"""t of the noise's gate: opacity at which the noise has half its size. 3DGS-MCMC."""
+
+
+class McmcStrategy(DefaultStrategy):
+    """Density control by relocation, growth to a budget, and noise; arguments as ``DefaultStrategy``."""
+
+    moves_gaussians = True
+
+    @property
+    def _by_gradient(self) -> bool:
+        return self.config.sample_by == "gradient"
+
+    def resets_at(self, step: int) -> bool:
+        """Never: what the images do not need fades by ``loss.opacity_reg``."""
+        return False
+
+    def step_pre_backward(self, infos: list[dict[str, Any]]) -> None:
+        """Keep gradients, where they say what is doubled."""
+        if self._by_gradient:
+            super().step_pre_backward(infos)
+
+    def observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:
+        """Add this step's gradients, where they say what is doubled."""
+        if self._by_gradient:
+            super().observe(infos, blocked)
+
+    @torch.no_grad()
+    def refine(
+        self, gaussians: Gaussians, optimizers: Optimizers, step: int, generator: torch.Generator
+    ) -> Refinement | None:
+        """Move dead Gaussians and add new ones, where this step is the one to do so.
+
+        Args:
+            gaussians: The set.
+            optimizers: Its optimizers.
+            step: The step.
+            generator: Draws which Gaussians are doubled.
+
+        Returns:
+            What changed; None where this step does not refine.
+
+        Raises:
+            UserError: If all Gaussians are dead.
+        """
+        if not self.refines_at(step):
+            return None
+        config = self.config
+        try:
+            dead = self._larger_opacities(gaussians) <= config.prune_opacity
+            moved = torch.where(dead)[0]
+            if len(moved) == len(gaussians):
+                raise UserError(
+                    f"No Gaussian is left to relocate to at step {step:,}: all {len(moved):,} were fainter than "
+                    f"{config.prune_opacity}.",
+                    "Check the camera poses, or lower --loss.opacity-reg.",
+                )
+            if len(moved):
+                sources = _draw(self._weights(gaussians) * ~dead, len(moved), generator)
+                relocate(gaussians, optimizers, moved, sources, config.prune_opacity)
+            room = (config.max_gaussians or 0) - len(gaussians)
+            added = max(0, min(room, int(config.growth * len(gaussians)))) if self.growing else 0
+            if added:
+                sources = _draw(self._weights(gaussians), added, generator)
+                add(gaussians, optimizers, sources, config.prune_opacity)
+            return Refinement(cloned=added, relocated=len(moved))
+        finally:
+            self.forget(len(gaussians))
+
+    @torch.no_grad()
+    def move(self, gaussians: Gaussians, optimizers: Optimizers, blocked: Tensor, generator: torch.Generator) -> None:
+        """Add the noise of a step to the means. Nothing here waits for the device.
+
+        Args:
+            gaussians: The set, after its update.
+            optimizers: Its optimizers.
+            blocked: Scalar, 1 where this step must change nothing.
+            generator: Draws the noise, on the Gaussians' device.
+        """
+        means = gaussians.means
+        rate = optimizers["means"].param_groups[0]["lr"]
+        gate = torch.sigmoid(NOISE_STEEPNESS * (NOISE_OPACITY - self._larger_opacities(gaussians)))
+        noise = torch.randn(means.shape, generator=generator, device=means.device, dtype=means.dtype)
+        # Σ η = R S² Rᵀ η; the inverse rotation is that of the conjugate quaternion
+        conjugates = torch.cat([gaussians.quats[:, :1], -gaussians.quats[:, 1:]], dim=-1)
+        within = rotate(gaussians.quats, gaussians.scales.square() * rotate(conjugates, noise))
+        offset = (self.config.position_noise * rate) * gate[:, None] * within
+        means.add_(torch.where(blocked == 0, offset, 0.0))
+
+    def _weights(self, gaussians: Gaussians) -> Tensor:
+        """What the probability to be doubled is proportional to, shape [N]."""
+        opacities = self._larger_opacities(gaussians)
+        if not self._by_gradient:
+            return opacities
+        # a trace of opacity keeps the sum of all weights above zero
+        return self.grad_norm_sum / self.observations.clamp(min=1.0) + 1e-12 * opacities
+
+    @staticmethod
+    def _larger_opacities(gaussians: Gaussians) -> Tensor:
+        """max(α, α_t), shape [N]."""
+        return torch.maximum(gaussians.opacities, gaussians.thermal_opacities)
+
+
+def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Indices drawn with replacement, with probabilities proportional to weights [N]; the same on every device."""
+    ends = weights.double().cumsum(dim=0)
+    places = torch.rand(count, generator=generator, dtype=torch.float64).to(ends.device) * ends[-1]
+    return torch.searchsorted(ends, places, right=True).clamp(max=len(weights) - 1)

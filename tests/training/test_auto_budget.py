@@ -1,0 +1,111 @@
+"""With ``--budget auto`` a run ends with fewer Gaussians, and with zeros that are not stored."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
+
+from thermosplat.checkpoint import load_checkpoint
+from thermosplat.config import AutoBudgetConfig, TrainConfig
+from thermosplat.model import SceneModel
+from thermosplat.training.offset_shrinkage import drop_offsets
+from thermosplat.training.trainer import Trainer
+from toy_scene import toy_capture
+
+FRAMES = 9  # of which 8 are trained on
+
+
+def budget_config(max_steps: int = 24, **changes: Any) -> TrainConfig:
+    settings = {
+        "prune_at": (0.75,),
+        "prune_share": 0.1,
+        "validation_views": 2,
+        "validate_every": 2,
+        "patience": 1000,
+        "sh_tolerance": 0.05,
+        "offset_shrinkage": 0.1,
+        "offset_tolerance": 1e-4,
+    }
+    return toy_run_config(max_steps, budget="auto", auto_budget=AutoBudgetConfig(**(settings | changes)))
+
+
+def advance(trainer: Trainer, steps: int) -> None:
+    while trainer.step < steps:
+        trainer._train_step()
+
+
+def test_pruning_ends_growth_and_frees_the_validation_views(tmp_path: Path) -> None:
+    """Before: two frames are withheld and Gaussians are added. After: fewer Gaussians, no growth, all frames."""
+    trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
+    assert trainer.budget is not None
+    withheld = {trainer.frames.frames[index].name for index in trainer.budget.validation}
+    assert len(withheld) == 2
+    assert not withheld & {trainer.schedule.frame(step).name for step in range(18)}
+    advance(trainer, 17)
+    before = trainer.model.num_gaussians
+    assert before > 60
+    assert trainer.state.growing
+    advance(trainer, 18)
+    assert trainer.model.num_gaussians < before
+    assert not trainer.state.growing
+    pruned = trainer.model.num_gaussians
+    advance(trainer, 24)
+    assert trainer.model.num_gaussians <= pruned
+    assert withheld < {trainer.schedule.frame(step).name for step in range(16, 24)}  # a whole epoch of all eight
+
+
+def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
+    """Without the gain that is asked for, growth ends after the patience."""
+    config = budget_config(least_gain=1000.0, patience=6)
+    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
+    advance(trainer, 9)
+    assert trainer.state.growing
+    assert trainer.state.best_validation[0] > 0
+    advance(trainer, 10)  # first look at 4, the best; at 10 the patience ends
+    assert not trainer.state.growing
+
+
+def test_no_validation_views_where_there_are_too_few(tmp_path: Path) -> None:
+    """Of four training frames none is withheld."""
+    trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), 5))
+    assert trainer.budget is not None
+    assert trainer.budget.validation == ()
+
+
+def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
+    """metrics.json says how small; the checkpoint holds as much and comes back equal."""
+    capture = many_frames(toy_capture(), FRAMES)
+    trainer = toy_trainer(tmp_path / "auto", budget_config(), capture)
+    advance(trainer, 18)  # where offsets are dropped: half of them are zero from now on
+    gaussians = trainer.model.gaussians("shared")
+    with torch.no_grad():
+        gaussians.thermal_opacity_offsets[::2] = 0.0
+    drop_offsets(gaussians, trainer.state.optimizers["shared"], 0.0)
+    trainer.train()
+    metrics = json.loads(trainer.run.metrics_json.read_text())
+    dense = sum(4 * parameter.numel() for parameter in trainer.model.parameters())
+    assert metrics["model_bytes"] == trainer.model.num_bytes < dense
+    assert 0.3 < metrics["thermal_offsets_kept"] < 0.6
+    checkpoint = load_checkpoint(trainer.run.checkpoint(24))
+    restored = SceneModel.from_checkpoint(checkpoint, "cpu")
+    assert restored.num_bytes == metrics["model_bytes"]
+    fixed = toy_trainer(tmp_path / "fixed", dataclasses.replace(budget_config(), budget="fixed"), capture)
+    assert fixed.budget is None
+
+
+@pytest.mark.parametrize("stop", [7, 20])
+def test_resumed_run_is_the_same(tmp_path: Path, stop: int) -> None:
+    """A run that stopped before or after pruning ends as one that did not."""
+    config, capture = budget_config(), many_frames(toy_capture(), FRAMES)
+    whole = toy_trainer(tmp_path / "whole", config, capture)
+    advance(whole, 24)
+    half = toy_trainer(tmp_path / "half", config, capture)
+    advance(half, stop)
+    half._save()
+    resumed = Trainer.resume(config, capture, half.run)
+    advance(resumed, 24)
+    assert_same_state(state_tensors(resumed), state_tensors(whole))

@@ -1,0 +1,71 @@
+"""Contributions are sums of blending weights; the least of them go."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from thermosplat.datasets.frame_tensors import frame_tensors
+from thermosplat.model import SceneModel
+from thermosplat.training.contributions import contributions, least, negligible, prune_sets
+from thermosplat.training.optimizers import gaussian_optimizers
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
+
+SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
+
+
+def drawn(model: SceneModel, name: str, chosen: int, capture: Any) -> tuple[float, float]:
+    """Sum of the image, by its alpha, that leaves when one Gaussian's colour is black: rendered the long way."""
+    from thermosplat.rasterizer import rasterization
+
+    gaussians, frame = model.gaussians(name), toy_frame(capture)
+    sums = []
+    for opacities, view in ((gaussians.opacities, frame.rgb), (gaussians.thermal_opacities, frame.thermal)):
+        colors = torch.zeros(len(gaussians), 1)
+        colors[chosen] = 1.0
+        image, _, _ = rasterization(
+            *(gaussians.means, gaussians.quats, gaussians.scales, opacities, colors),
+            *(view.viewmat[None], view.K[None], view.width, view.height),
+        )
+        sums.append(image.double().sum().item())
+    return sums[0], sums[1]
+
+
+@pytest.mark.parametrize("aligned", [True, False])
+def test_shares_of_blending_weights(aligned: bool) -> None:
+    """A Gaussian's share is what is drawn of it alone among the others, in both spectra."""
+    capture = toy_capture(aligned=aligned)
+    model = toy_model(toy_config(), capture)
+    shares = contributions(model, [toy_frame(capture), toy_frame(capture)])["shared"]
+    assert shares.sum().item() == pytest.approx(1.0, abs=1e-5)
+    everyone = torch.tensor([drawn(model, "shared", i, capture) for i in range(len(shares))])
+    expected = (everyone / everyone.sum(dim=0)).mean(dim=1)
+    torch.testing.assert_close(shares, expected.to(shares.dtype), rtol=1e-3, atol=1e-6)
+
+
+def test_separate_sets_have_shares_of_their_own() -> None:
+    """Each set's shares, of its own spectrum, add up to 1."""
+    capture = toy_capture()
+    model = toy_model(toy_config(**SEPARATE), capture)
+    shares = contributions(model, [frame_tensors(capture.train[0], capture.thermal_scale, "cpu")])
+    assert {name: round(values.sum().item(), 4) for name, values in shares.items()} == {"rgb": 1.0, "thermal": 1.0}
+
+
+def test_who_is_negligible() -> None:
+    """As many of the smallest as together stay within the share; or a number of them."""
+    shares = torch.tensor([0.5, 0.01, 0.4, 0.03, 0.06])
+    assert negligible(shares, 0.05).tolist() == [False, True, False, True, False]
+    assert negligible(shares, 0.0).tolist() == [False] * 5
+    assert least(shares, 3).tolist() == [False, True, False, True, True]
+
+
+def test_no_set_is_emptied() -> None:
+    """Pruning all of a set leaves it as it is."""
+    model = toy_model(toy_config(), toy_capture())
+    gaussians = model.gaussians("shared")
+    optimizers = {"shared": gaussian_optimizers(gaussians, toy_config().optimizer)}
+    some = torch.arange(len(gaussians)) < 7
+    prune_sets({"shared": gaussians}, optimizers, {"shared": some})
+    assert len(gaussians) == len(some) - 7
+    prune_sets({"shared": gaussians}, optimizers, {"shared": torch.ones(len(gaussians), dtype=torch.bool)})
+    assert len(gaussians) == len(some) - 7

@@ -1,0 +1,84 @@
+"""Gaussians become several without their image changing."""
+
+import math
+
+import pytest
+import torch
+from random_gaussians import random_gaussians, stepped_optimizers
+
+from thermosplat.training.relocation import MOST_COPIES, add, relocate, scale_factors, shared_opacities
+
+
+@pytest.mark.parametrize("copies", [1, 2, 5, MOST_COPIES])
+@pytest.mark.parametrize("opacity", [0.006, 0.3, 0.9, 0.999])
+def test_line_integral_stays(opacity: float, copies: int) -> None:
+    """Blended along a line, n Gaussians cover as much as the one they came from, and as much at its centre."""
+    opacities, counts = torch.tensor([opacity], dtype=torch.float64), torch.tensor([copies])
+    shared, sigma = shared_opacities(opacities, counts), scale_factors(opacities, counts)
+    assert 1 - (1 - shared.item()) ** copies == pytest.approx(opacity)
+    x = torch.linspace(-20.0, 20.0, 200_001, dtype=torch.float64)
+    together = 1 - (1 - shared * torch.exp(-0.5 * (x / sigma) ** 2)) ** copies
+    assert torch.trapezoid(together, x).item() == pytest.approx(opacity * math.sqrt(2 * math.pi), rel=1e-6)
+
+
+def test_factors_as_the_publication_writes_them() -> None:
+    """The double sum of 3DGS-MCMC's equation 9."""
+    opacity, n = 0.7, 4
+    shared = 1 - (1 - opacity) ** (1 / n)
+    denominator = sum(
+        math.comb(i - 1, k) * (-1) ** k * shared ** (k + 1) / math.sqrt(k + 1)
+        for i in range(1, n + 1)
+        for k in range(i)
+    )
+    factor = scale_factors(torch.tensor([opacity], dtype=torch.float64), torch.tensor([n]))
+    assert factor.item() == pytest.approx(opacity / denominator)
+
+
+def test_relocated_ones_are_copies_that_share() -> None:
+    """Two go to one and one to another: equal parameters afterwards, either opacity shared, no moments, same number."""
+    gaussians = random_gaussians(6)
+    with torch.no_grad():
+        gaussians.logit_opacities.fill_(0.4)
+        gaussians.thermal_opacity_offsets.copy_(torch.linspace(-1.0, 1.0, 6))
+    optimizers = stepped_optimizers(gaussians)
+    visible, thermal = gaussians.opacities.detach(), gaussians.thermal_opacities.detach()
+    untouched = gaussians.means[4].detach().clone()
+    relocate(gaussians, optimizers, torch.tensor([0, 1, 2]), torch.tensor([3, 5, 3]), least=0.005)
+    assert len(gaussians) == 6
+    for group, n in (([0, 2, 3], 3), ([1, 5], 2)):
+        source = group[-1]
+        for name, parameter in gaussians.named_parameters():
+            assert torch.equal(parameter[group], parameter[source].expand_as(parameter[group])), name
+            assert not optimizers[name].state[parameter]["exp_avg"][group].any(), name
+        for before, now in ((visible, gaussians.opacities), (thermal, gaussians.thermal_opacities)):
+            assert 1 - (1 - now[source].item()) ** n == pytest.approx(before[source].item(), rel=1e-4)
+    assert torch.equal(gaussians.means[4], untouched)
+    assert optimizers["means"].state[gaussians.means]["exp_avg"][4].any()
+
+
+def test_added_ones_come_last_and_share() -> None:
+    """A doubled Gaussian gets smaller and fainter with its copy; nobody falls below the least opacity by sharing."""
+    gaussians = random_gaussians(4)
+    with torch.no_grad():
+        gaussians.logit_opacities.copy_(torch.logit(torch.tensor([0.8, 0.5, 0.006, 0.5])))
+        gaussians.thermal_opacity_offsets.zero_()
+    optimizers = stepped_optimizers(gaussians)
+    scales = gaussians.scales.detach()
+    add(gaussians, optimizers, torch.tensor([0, 2, 2]), least=0.005)
+    assert len(gaussians) == 7
+    assert torch.equal(gaussians.means[[4, 5, 6]], gaussians.means[[0, 2, 2]])
+    assert (gaussians.scales[0] < scales[0]).all()
+    torch.testing.assert_close(gaussians.opacities[[2, 5, 6]], torch.full((3,), 0.005), rtol=0.05, atol=0)
+    assert optimizers["means"].state[gaussians.means]["exp_avg"].shape == (7, 3)
+
+
+def test_equal_opacities_stay_equal() -> None:
+    """An offset of zero, one opacity in both spectra, is still zero after sharing."""
+    gaussians = random_gaussians(3)
+    with torch.no_grad():
+        gaussians.thermal_opacity_offsets.zero_()
+    optimizers = stepped_optimizers(gaussians)
+    with torch.no_grad():
+        gaussians.thermal_opacity_offsets.zero_()
+    add(gaussians, optimizers, torch.tensor([0, 1, 1]), least=0.005)
+    assert not gaussians.thermal_opacity_offsets.any()
