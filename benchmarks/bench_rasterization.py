@@ -58,6 +58,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--no-stages", action="store_true", help="neither stages nor floors")
     parser.add_argument("--cores", type=int, nargs="+", default=None, help="CPU threads to time thermosplat with")
     parser.add_argument("--json", type=Path, default=None, help="file to write")
+    parser.add_argument(
+        "--resume", action="store_true", help="keep what --json holds, and measure only what is not in it"
+    )
     parser.add_argument("--markdown", type=Path, default=None, help="file to write the tables to")
     parser.add_argument(
         "--oracle", type=Path, default=Path(os.environ.get("THERMOSPLAT_TEST_ORACLE", "../shared/oracle"))
@@ -69,7 +72,10 @@ def arguments() -> argparse.Namespace:
         default=list(PEERS),
         help="beside whom; 'deterministic' is thermosplat with deterministic=True, on CUDA; none: thermosplat alone",
     )
-    return parser.parse_args()
+    options = parser.parse_args()
+    if options.resume and options.json is None:
+        parser.error("--resume needs the --json of the run it goes on with")
+    return options
 
 
 def scenes(options: argparse.Namespace, on_cpu: bool) -> Iterator[BenchmarkScene | tuple[str, Exception]]:
@@ -158,6 +164,7 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
         report["rows"].append(row)
         write_report(report, options.json, options.markdown)
 
+    done = {(row["scene"], row["size"], row["case"]) for row in report["rows"]}
     for scene in scenes(options, on_cpu):
         if isinstance(scene, tuple):
             note({"scene": scene[0], "size": "", "case": "", "error": one_line(scene[1])})
@@ -167,6 +174,8 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
             width, height = (int(number) for number in size.lower().split("x"))
             with_truth = width * height <= TRUTH_PIXELS and len(scene.means) <= options.truth_gaussians
             for case in options.cases or (CPU_CASES if on_cpu else CASES):
+                if (scene.name, size, case) in done:
+                    continue
                 if options.time_limit is not None and time.perf_counter() - start_s > options.time_limit:
                     report["stopped"] = (
                         f"the time limit of {options.time_limit:g} s came before {scene.name} {size} {case}"
@@ -199,6 +208,8 @@ def main() -> int:
     device = torch.device(options.device)
     peers = cpu_peers(options.peers, options.oracle) if device.type == "cpu" else cuda_peers(options.peers)
     report: dict[str, Any] = {"environment": environment(device, peers), "rows": []}
+    if options.resume and options.json.exists():
+        report["rows"] = [row for row in json.loads(options.json.read_text())["rows"] if "error" not in row]
     if not options.no_stages:
         report["peaks"] = measure_peaks(device)._asdict()
         print(

@@ -54,16 +54,16 @@ def test_the_tables_hold_every_row(report: dict[str, Any]) -> None:
     assert "geometric mean" in report["stdout"]
 
 
-def test_a_time_limit_keeps_what_was_measured(tmp_path: Path) -> None:
-    """Nothing is started after the limit, and the report says where it stopped."""
+def test_a_time_limit_keeps_what_was_measured(report: dict[str, Any], tmp_path: Path) -> None:
+    """Nothing is started after the limit, and the report says where it stopped; what a resumed file holds stays."""
     path = tmp_path / "report.json"
-    done = run_script(
-        "bench_rasterization.py", "--device", "cpu", "--peers", "--time-limit", "0", "--no-stages", "--json", str(path)
-    )
+    path.write_text(json.dumps({"rows": report["rows"][:2]}))
+    options = ["--device", "cpu", "--peers", "--time-limit", "0", "--no-stages", "--json", str(path), "--resume"]
+    done = run_script("bench_rasterization.py", *options, "--count", "700", "--sizes", "48x32", "16x16")
     assert done.returncode == 0, done.stdout + done.stderr
     written = json.loads(path.read_text())
-    assert written["rows"] == []
-    assert "synthetic 20000 320x240 features11" in written["stopped"]
+    assert written["rows"] == report["rows"][:2]
+    assert "synthetic 700 16x16 features11" in written["stopped"]
 
 
 def test_a_wrong_path_is_a_row_and_a_failure(tmp_path: Path) -> None:
