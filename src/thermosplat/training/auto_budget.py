@@ -53,7 +53,7 @@ class AutoBudget:
 
     def acts_at(self, step: int) -> bool:
         """Whether something may change after this step."""
-        return step in self._prune_steps or self._validates_at(step)
+        return step in self._prune_steps or self._validates_at(step) or self._growth_is_over(step)
 
     def after_step(self, step: int, sh_degree: int) -> None:
         """Validate, stop growth or prune, where this step is the one to do so.
@@ -64,6 +64,8 @@ class AutoBudget:
         """
         if self._validates_at(step):
             self._validate(step, sh_degree)
+        if self._growth_is_over(step):
+            self._stop_growing()
         if step in self._prune_steps:
             self._stop_growing()
             self._prune()
@@ -81,6 +83,14 @@ class AutoBudget:
     def _validates_at(self, step: int) -> bool:
         settings, started = self.settings, self.config.densification.start_step
         return bool(self.validation) and self.state.growing and step > started and step % settings.validate_every == 0
+
+    def _growth_is_over(self, step: int) -> bool:
+        """Whether density control adds nothing any more although nobody has stopped it."""
+        state = self.state
+        if not state.growing:
+            return False
+        full = (strategy.is_full(state.gaussian_sets[name]) for name, strategy in state.strategies.items())
+        return step >= self.config.densification.stop_step or all(full)
 
     @torch.no_grad()
     def _validate(self, step: int, sh_degree: int) -> None:
