@@ -21,12 +21,14 @@ class BlendLayout:
         block_width: width of the block one warp owns [px].
         block_height: height of the block one warp owns [px].
         lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
+        segment: pairs of a tile's list that the adjoint gives to one block of threads, a multiple of 32; 0: all.
     """
 
     tile_size: int
     block_width: int
     block_height: int
     lanes: int
+    segment: int = 0
 
     @property
     def blocks_x(self) -> int:
@@ -55,7 +57,7 @@ class BlendLayout:
 
     @property
     def tag(self) -> str:
-        """Part of a kernel's name."""
+        """Part of a kernel's name; ``segment`` is an argument of the kernels."""
         return f"{self.tile_size}_{self.block_width}x{self.block_height}_{self.lanes}"
 
     @property
@@ -70,8 +72,16 @@ class BlendLayout:
 CROWDED = 250
 """Mean pairs a tile above which the smallest block blends fastest on CUDA; measured in benchmarks/notes.md."""
 
+SEGMENT = 256
+"""Pairs a block of the adjoint walks where lists are cut."""
 
-def default_layout(device: wp.Device, tile_size: int, channels: int, dtype: type, pairs_per_tile: float) -> BlendLayout:
+FEW_TILES = 4096
+"""Tiles up to which the longest list decides how long the adjoint takes, so that lists are cut; more fill a GPU."""
+
+
+def default_layout(
+    device: wp.Device, tile_size: int, channels: int, dtype: type, num_pairs: int, num_tiles: int
+) -> BlendLayout:
     """The layout measured best for a device and a frame; see benchmarks/notes.md.
 
     Args:
@@ -79,7 +89,8 @@ def default_layout(device: wp.Device, tile_size: int, channels: int, dtype: type
         tile_size: edge of a tile [px].
         channels: channels blended, over both opacities.
         dtype: ``wp.float32`` or ``wp.float64``.
-        pairs_per_tile: mean number of Gaussians a tile.
+        num_pairs: (Gaussian, tile) pairs of the frame.
+        num_tiles: tiles of the frame.
 
     Returns:
         The layout.
@@ -88,6 +99,6 @@ def default_layout(device: wp.Device, tile_size: int, channels: int, dtype: type
         return BlendLayout(tile_size, tile_size, tile_size, 1)
     # Crowded tiles are decided by culling, which is sharper for a small block; sparse ones by how often a Gaussian's
     # gradient is reduced over a warp, which a large block does less often.
-    if dtype is wp.float64 or (channels <= 24 and pairs_per_tile > CROWDED):
-        return BlendLayout(tile_size, 8, 4, LANES_CUDA)
-    return BlendLayout(tile_size, 8, 8, LANES_CUDA)
+    crowded = num_pairs > CROWDED * num_tiles
+    height = 4 if dtype is wp.float64 or (channels <= 24 and crowded) else 8
+    return BlendLayout(tile_size, 8, height, LANES_CUDA, SEGMENT if num_tiles <= FEW_TILES else 0)

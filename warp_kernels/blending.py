@@ -7,6 +7,10 @@ that would bring T to TRANSMITTANCE_MIN. The second opacity runs through the sam
 A warp tests 32 candidates at a time against its pixel block, one a lane, and walks the survivors by ballot. On the CPU
 the binning was exact for the whole tile, so candidates are walked directly, each over the rows its ellipse reaches.
 A pixel that has finished carries the sign bit in its transmittance.
+
+A frame of few tiles takes as long as its longest list. So that the adjoint can cut the lists, the forward pass leaves a
+state of every pixel where the pairs' index is a multiple of a segment: the transmittances there, and the colours that
+the pairs from there on added.
 """
 
 import functools
@@ -91,6 +95,19 @@ def alpha_functions(dtype: type):
     return whiten, alpha, reaches_block, row_range
 
 
+def state_length(channels: int, thermal_channels: int) -> int:
+    """Numbers in a pixel's state at a boundary of segments: T, [thermal T], colours behind (C), [thermal ones (D)].
+
+    Args:
+        channels: C.
+        thermal_channels: D, or 0.
+
+    Returns:
+        The length.
+    """
+    return channels + 1 + (thermal_channels + 1 if thermal_channels else 0)
+
+
 @functools.cache
 def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
     """The forward kernel, one block of threads a tile.
@@ -115,6 +132,9 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
     vecQ = wp.types.vector(columns, dtype)
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
+    state = wp.types.vector(state_length(channels, thermal_channels), dtype)
+    first_behind = 2 if dual else 1
+    first_behind_t = first_behind + C
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
     broadcast, exp_negative, _, attenuate = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
@@ -147,6 +167,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         features: wp.array(dtype=vecC),
         gaussian_ids: wp.array(dtype=wp.int32),
         tile_offsets: wp.array(dtype=wp.int32),
+        segment: int,
         # outputs
         render: wp.array2d(dtype=vecC),
         transmittance: wp.array2d(dtype=dtype),
@@ -154,6 +175,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         thermal_render: wp.array2d(dtype=vecD),
         thermal_transmittance: wp.array2d(dtype=dtype),
         thermal_last_pairs: wp.array2d(dtype=wp.int32),
+        states: wp.array2d(dtype=state),
     ):
         tile, thread = wp.tid()
         tile = tile + first_tile
@@ -187,7 +209,25 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
 
         i = int(tile_offsets[tile])
         end = tile_offsets[tile + 1]
+        first_boundary = int(0)
+        if segment > 0:
+            first_boundary = i // segment + 1
+        boundary = int(first_boundary)
         while i < end:
+            if segment > 0 and i == boundary * segment:
+                for p in range(pixels):
+                    kept = state()
+                    kept[0] = T[p]
+                    for c in range(C):
+                        kept[first_behind + c] = acc[c, p]
+                        acc[c, p] = zero
+                    if wp.static(dual):
+                        kept[1] = Tt[p]
+                        for c in range(D):
+                            kept[first_behind_t + c] = acc_t[c, p]
+                            acc_t[c, p] = zero
+                    states[boundary, thread * pixels + p] = kept
+                boundary += 1
             alive = int(0)
             for p in range(pixels):
                 alive = alive | wp.where(T[p] > zero, 1, 0)
@@ -196,6 +236,8 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
             if warp_any(alive) == 0:
                 break
 
+            # Batches end at multiples of 32, and so at the boundaries of segments.
+            batch_end = wp.min(end, (i // batch + 1) * batch)
             # Candidate of this lane, tested against the warp's whole block.
             g = int(0)
             mean = vec2()
@@ -205,7 +247,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
             candidates = wp.uint32(0)
             if wp.static(cuda):
                 hit = int(0)
-                if i + lane < end:
+                if i + lane < batch_end:
                     g = gaussian_ids[i + lane]
                     mean = means2d[g]
                     root = roots[g]
@@ -219,7 +261,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                     hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
                 candidates = warp_ballot(hit)
             else:
-                candidates = all_candidates >> wp.uint32(batch - wp.min(batch, end - i))
+                candidates = all_candidates >> wp.uint32(batch - (batch_end - i))
 
             while candidates != wp.uint32(0):
                 j = lowest_bit(candidates)
@@ -278,7 +320,23 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                         for c in range(D):
                             for q in range(columns):
                                 acc_t[c, offset + q] += weight_t[q] * f[first_thermal + c]
-            i += batch
+            i = batch_end
+
+        # From "added before the boundary" to "added from it on", from behind, so that small sums are not differences.
+        while boundary > first_boundary:
+            boundary -= 1
+            for p in range(pixels):
+                kept = states[boundary, thread * pixels + p]
+                for c in range(C):
+                    before = kept[first_behind + c]
+                    kept[first_behind + c] = acc[c, p]
+                    acc[c, p] += before
+                if wp.static(dual):
+                    for c in range(D):
+                        before = kept[first_behind_t + c]
+                        kept[first_behind_t + c] = acc_t[c, p]
+                        acc_t[c, p] += before
+                states[boundary, thread * pixels + p] = kept
 
         for r in range(rows):
             for q in range(columns):

@@ -5,6 +5,8 @@ ones add an increment), and the colour behind the current Gaussian enters only
 through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
 dL/dα = T (f · dL/dcolour) - S / (1 - α).
 
+A list may be cut into segments, each walked by its own block of threads from the state the forward pass left there.
+
 Each warp sums a Gaussian's gradient over its pixels into one record; see gradient_records. Those to mean and conic are
 summed as moments of z, the offset in the Gaussian's standard deviations, in which nothing cancels.
 """
@@ -14,7 +16,7 @@ import functools
 import warp as wp
 
 from warp_kernels.blend_layout import BlendLayout
-from warp_kernels.blending import BATCH, alpha_functions
+from warp_kernels.blending import BATCH, alpha_functions, state_length
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.gradient_records import feature_offset, record_length
 from warp_kernels.lanes import (
@@ -32,15 +34,18 @@ from warp_kernels.lanes import (
 def blend_adjoint_kernel(
     channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, absgrad: bool, by_slot: bool
 ) -> wp.Kernel:
-    """The adjoint kernel, one block of threads a tile.
+    """The adjoint kernel, one block of threads a segment of a tile's list.
+
+    Segments begin where the index of the pair is a multiple of ``segment``, or a tile does. The block of segment k of
+    tile t is number t + k: along the sorted pairs every step from one block to the next raises t or k.
 
     Args:
         channels: C, channels blended with the first opacity.
         thermal_channels: D <= C; the last D channels were blended with the second opacity too. 0: one opacity.
         dtype: ``wp.float32`` or ``wp.float64``.
-        layout: deal of pixels to lanes, one warp a tile when ``by_slot``.
+        layout: deal of pixels to lanes.
         absgrad: also sum the absolute values of each pixel's mean2d gradient.
-        by_slot: store one record a pair instead of adding atomically per Gaussian.
+        by_slot: store one record a pair and warp instead of adding atomically per Gaussian.
 
     Returns:
         The Warp kernel.
@@ -59,6 +64,10 @@ def blend_adjoint_kernel(
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     record = wp.types.vector(length, dtype)
+    state = wp.types.vector(state_length(channels, thermal_channels), dtype)
+    first_behind = 2 if dual else 1
+    first_behind_t = first_behind + C
+    warps = layout.warps
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
     broadcast, exp_negative, add, _ = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
@@ -87,7 +96,7 @@ def blend_adjoint_kernel(
         launch_bounds=max(layout.threads, 32),
     )
     def blend_tiles_adjoint_kernel(
-        first_tile: int,
+        first_block: int,
         tiles_x: int,
         tiles_y: int,
         width: int,
@@ -101,6 +110,8 @@ def blend_adjoint_kernel(
         gaussian_ids: wp.array(dtype=wp.int32),
         slots: wp.array(dtype=wp.int32),
         tile_offsets: wp.array(dtype=wp.int32),
+        segment: int,
+        states: wp.array2d(dtype=state),
         transmittance: wp.array2d(dtype=dtype),
         last_pairs: wp.array2d(dtype=wp.int32),
         thermal_transmittance: wp.array2d(dtype=dtype),
@@ -112,8 +123,27 @@ def blend_adjoint_kernel(
         # outputs
         records: wp.array(dtype=record),
     ):
-        tile, thread = wp.tid()
-        tile = tile + first_tile
+        block, thread = wp.tid()
+        block = block + first_block
+        tile = int(block)
+        if segment > 0:
+            tile = int(0)
+            upper = tile_offsets.shape[0] - 2
+            while tile < upper:
+                middle = (tile + upper + 1) // 2
+                if middle + tile_offsets[middle] // segment <= block:
+                    tile = middle
+                else:
+                    upper = middle - 1
+        begin = int(tile_offsets[tile])
+        end = int(tile_offsets[tile + 1])
+        if segment > 0:
+            first = (block - tile) * segment
+            begin = wp.max(begin, first)
+            end = first + wp.min(end - first, segment)
+        if begin >= end:
+            return
+
         warp = thread // lanes
         lane = thread % lanes
         image = tile // (tiles_x * tiles_y)
@@ -155,6 +185,13 @@ def blend_adjoint_kernel(
                     v = v_render[line, x]
                     for c in range(C):
                         v_pixel[c, p] = v[c]
+                    goes_on = last[p] >= end  # so the pixel was not finished at the boundary, and left a state there
+                    kept = state()
+                    if goes_on:
+                        kept = states[end // segment, thread * pixels + p]
+                        T[p] = kept[0]
+                        for c in range(C):
+                            S[p] += kept[first_behind + c] * v[c]
                     if wp.static(dual):
                         Tt[p] = thermal_transmittance[line, x]
                         St[p] = v_thermal_transmittance[line, x] * Tt[p]
@@ -163,9 +200,14 @@ def blend_adjoint_kernel(
                         vt = v_thermal_render[line, x]
                         for c in range(D):
                             v_pixel_t[c, p] = vt[c]
+                        if last_t[p] >= end:
+                            if not goes_on:
+                                kept = states[end // segment, thread * pixels + p]
+                            Tt[p] = kept[1]
+                            for c in range(D):
+                                St[p] += kept[first_behind_t + c] * vt[c]
 
-        begin = tile_offsets[tile]
-        i = int(warp_max(newest))
+        i = wp.min(int(warp_max(newest)), end - 1)
         while i >= begin:
             # The 32 candidates i - 31 ... i, bit j standing for i - 31 + j.
             g = int(0)
@@ -315,7 +357,7 @@ def blend_adjoint_kernel(
                         G[wp.static(length - 1)] = abs_y
                     destination = gaussian
                     if wp.static(by_slot):
-                        destination = slots[pair]
+                        destination = slots[pair] * warps + warp
                     accumulate(records, destination, G)
             i -= batch
 

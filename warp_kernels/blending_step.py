@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warp_kernels.blend_layout import BlendLayout, default_layout
-from warp_kernels.blending import blend_kernel
+from warp_kernels.blending import blend_kernel, state_length
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.gradient_records import distribute_kernel, record_length
@@ -75,8 +75,11 @@ def blend(
     by_slot = bins.slots is not None
     num_tiles = len(bins.tile_offsets) - 1
     if layout is None:
-        pairs_per_tile = bins.num_pairs / num_tiles
-        layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype, pairs_per_tile)
+        layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype, bins.num_pairs, num_tiles)
+    segment = layout.segment if tape is not None else 0
+    num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
+    state = wp.types.vector(state_length(channels, thermal_channels), dtype)
+    states = wp.empty((num_states, bins.tile_size**2), dtype=state, device=device)
 
     nothing = wp.empty((0, 0), dtype=wp.types.vector(max(thermal_channels, 1), dtype), device=device)
     thermal_render = blended.thermal_render if dual else nothing
@@ -102,12 +105,14 @@ def blend(
         [
             *geometry,
             bins.tile_offsets,
+            segment,
             blended.render,
             blended.transmittance,
             blended.last_pairs,
             thermal_render,
             thermal_transmittance,
             thermal_last_pairs,
+            states,
         ],
         device,
     )
@@ -116,15 +121,18 @@ def blend(
 
     def adjoint() -> None:
         record = wp.types.vector(record_length(channels, thermal_channels, absolute is not None), dtype)
-        records = wp.zeros(bins.num_pairs if by_slot else len(features), dtype=record, device=device)
+        per_pair = layout.warps if by_slot else 0
+        records = wp.zeros(bins.num_pairs * per_pair if by_slot else len(features), dtype=record, device=device)
         launch_tiles(
             blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absolute is not None, by_slot),
-            num_tiles,
+            num_tiles + num_states,
             layout.threads,
             [
                 *geometry,
                 bins.slots if by_slot else bins.gaussian_ids,
                 bins.tile_offsets,
+                segment,
+                states,
                 blended.transmittance,
                 blended.last_pairs,
                 thermal_transmittance,
@@ -138,7 +146,7 @@ def blend(
             device,
         )
         wp.launch(
-            distribute_kernel(channels, thermal_channels, dtype, absolute is not None, by_slot),
+            distribute_kernel(channels, thermal_channels, dtype, absolute is not None, per_pair),
             dim=len(features),
             inputs=[
                 bins.order,

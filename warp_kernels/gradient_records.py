@@ -3,8 +3,8 @@
 A record holds sums over the pixels of a warp for one Gaussian: p z (2) and p z zᵀ (xx, xy, yy), p being the gradient to
 -σ = -½ |z|² and z the pixel's offset in the Gaussian's standard deviations; then the gradients to opacity, [thermal
 opacity], features (C), [|mean2d| gradients (2)]. What the first five mean for mean2d and root is worked out once a
-Gaussian. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair and summed per Gaussian
-afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+Gaussian. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair and warp and summed per
+Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
 """
 
 import functools
@@ -39,7 +39,9 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
 
 
 @functools.cache
-def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad: bool, by_slot: bool) -> wp.Kernel:
+def distribute_kernel(
+    channels: int, thermal_channels: int, dtype: type, absgrad: bool, records_per_pair: int
+) -> wp.Kernel:
     """Sums each Gaussian's records and adds them to the gradients, one thread a depth rank.
 
     Args:
@@ -47,7 +49,7 @@ def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad
         thermal_channels: D, or 0.
         dtype: ``wp.float32`` or ``wp.float64``.
         absgrad: records end with the absolute mean2d gradients.
-        by_slot: records are one a pair, contiguous per Gaussian, rather than one a Gaussian.
+        records_per_pair: records of a pair, those of a Gaussian's pairs side by side; 0: one record a Gaussian.
 
     Returns:
         The Warp kernel.
@@ -59,7 +61,7 @@ def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad
     vec2, vec3, vecC = wp.types.vector(2, dtype), wp.types.vector(3, dtype), wp.types.vector(C, dtype)
 
     @wp.kernel(
-        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}{'_slots' * by_slot}",
+        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}_{records_per_pair}",
         enable_backward=False,
         module="unique",
     )
@@ -83,10 +85,11 @@ def distribute_kernel(channels: int, thermal_channels: int, dtype: type, absgrad
         if count == 0:
             return
         total = record()
-        if wp.static(by_slot):
+        if wp.static(records_per_pair > 0):
             # a capacity may have cut the last ranges off
-            end = int(wp.min(pair_ends[rank], wp.int64(records.shape[0])))
-            first = int(wp.min(pair_ends[rank] - wp.int64(count), wp.int64(records.shape[0])))
+            per_pair = wp.int64(records_per_pair)
+            end = int(wp.min(pair_ends[rank] * per_pair, wp.int64(records.shape[0])))
+            first = int(wp.min((pair_ends[rank] - wp.int64(count)) * per_pair, wp.int64(records.shape[0])))
             for slot in range(first, end):
                 total = total + records[slot]
         else:

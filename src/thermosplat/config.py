@@ -131,7 +131,7 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """Adam's learning rates, each a constant unless it says otherwise."""
+    """Adam's learning rates, each a constant unless it or ``final_share`` says otherwise."""
 
     means_lr: float = 1.6e-4
     """Means, times the scene's extent. 3DGS."""
@@ -153,6 +153,8 @@ class OptimizerConfig:
     """Thermal SH degrees 1 to 3 in a shared set without features. ThermalGaussian, MMOne: as the visible ones."""
     features_lr: float = 5e-3
     """Latent features. Open choice: MS-Splatting's."""
+    features_lr_final: float = 5e-3
+    """Latent features at the last step (exponential decay). Open choice: MS-Splatting's constant rate."""
     thermal_opacity_offsets_lr: float = 5e-2
     """Thermal opacity offsets. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
     thermal_opacities_lr: float = 5e-2
@@ -165,6 +167,8 @@ class OptimizerConfig:
     """Exposures of the training views (``model.exposures``). Open choice: a tenth of 3DGS's."""
     exposures_lr_final: float = 1e-4
     """Exposures at the last step (exponential decay). Open choice: a tenth of 3DGS's."""
+    final_share: float = 1.0
+    """Share of every other rate that is left at the last step (exponential decay). 3DGS: 1, all of it."""
     eps: float = 1e-15
     """Adam's ε. 3DGS."""
 
@@ -284,6 +288,9 @@ class TrainConfig:
     float32. "bfloat16" is faster on CUDA and costs about 1 dB of thermal PSNR (docs/results.md)."""
     seed: int = 42
     """Seed of everything random. gsplat."""
+    deterministic: bool = False
+    """On CUDA, train to the same bits every time on one machine: gradients are summed in a fixed order, at a cost in
+    time and memory (docs/results.md). On the CPU that is always so."""
     eval_steps: tuple[int, ...] = (7_000, 30_000)
     """Steps at which the held-out views are evaluated; the last step always is. 3DGS."""
     save_steps: tuple[int, ...] = (7_000, 30_000)

@@ -50,8 +50,10 @@ _POSITIVE = (
     "model.init_scale",
     "optimizer.eps",
     "optimizer.means_lr_final",
+    "optimizer.features_lr_final",
     "optimizer.decoders_lr_final",
     "optimizer.exposures_lr_final",
+    "optimizer.final_share",
     "densification.grow_scale3d",
     "densification.prune_scale3d",
 )

@@ -25,6 +25,8 @@ class Rendering(NamedTuple):
     """As gsplat's."""
     backgrounds: Tensor | None
     """Colour behind the visible SH colours, [1, 3]."""
+    deterministic: bool = False
+    """As the rasterizer's."""
 
 
 def see(
@@ -64,6 +66,7 @@ def see(
         backgrounds=backgrounds,
         absgrad=rendering.absgrad,
         rasterize_mode=rendering.rasterize_mode,
+        deterministic=rendering.deterministic,
     )
     return image[0], alpha[0], info
 
@@ -101,4 +104,5 @@ def see_both(
         backgrounds=rendering.backgrounds,
         absgrad=rendering.absgrad,
         rasterize_mode=rendering.rasterize_mode,
+        deterministic=rendering.deterministic,
     )

@@ -108,6 +108,7 @@ class SceneModel(nn.Module):
         sh_degree: int,
         absgrad: bool = False,
         aligned: bool | None = None,
+        deterministic: bool = False,
     ) -> RenderedFrame:
         """Render one frame: both spectra, or the one whose view is given.
 
@@ -120,6 +121,7 @@ class SceneModel(nn.Module):
             absgrad: Also accumulate absolute means2d gradients (``info["means2d"].absgrad``).
             aligned: Whether both views have one camera, pose and size. None: compare them. False is always right, and
                 keeps the spectra's gradients of means2d apart.
+            deterministic: As the rasterizer's.
 
         Returns:
             The images; a spectrum that the configuration switches off is not rendered even if its view is given.
@@ -127,7 +129,7 @@ class SceneModel(nn.Module):
         rgb = rgb if self.config.rgb else None
         thermal = thermal if self.config.thermal else None
         backgrounds = self.background[None] if self._has_background else None
-        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds)
+        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds, deterministic)
         common = self._common_view(rgb, thermal, aligned)
         if self.decoders is None:
             return self._render_sh(rgb, thermal, how) if common is None else self._render_sh_traversal(common, how)

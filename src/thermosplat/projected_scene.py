@@ -26,6 +26,7 @@ class ProjectedScene:
         Ks: [..., C, 3, 3], px.
         settings: image size, counts, planes and mode.
         tile_size: edge of a tile [px].
+        deterministic: sum gradients in the same order every time, on CUDA at a cost (on the CPU that is always so).
     """
 
     def __init__(
@@ -40,8 +41,11 @@ class ProjectedScene:
         Ks: Tensor,
         settings: ProjectionSettings,
         tile_size: int,
+        *,
+        deterministic: bool = False,
     ) -> None:
         self.tile_size = tile_size
+        self.deterministic = deterministic
         self.settings = settings
         self.images_shape = (*means.shape[:-2], settings.num_cameras)
         self.means = means.reshape(-1, 3).contiguous()
@@ -171,7 +175,14 @@ class ProjectedScene:
             room = active_pair_capacity()
             limit = room.limit() if room is not None else None
             self._binned = bin_tiles(
-                self.projected, opacities, thermal_opacities, features, self.settings, self.tile_size, limit
+                self.projected,
+                opacities,
+                thermal_opacities,
+                features,
+                self.settings,
+                self.tile_size,
+                limit,
+                deterministic=self.deterministic,
             )
             if room is not None:
                 room.note(to_torch(self._binned[1].pair_ends)[-1:])

@@ -78,6 +78,8 @@ def rasterization(
     ftheta_coeffs: Any | None = None,
     rolling_shutter: Any | None = None,
     viewmats_rs: Tensor | None = None,
+    *,
+    deterministic: bool = False,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Renders Gaussians with any number of channels; gsplat 1.5.3's ``rasterization`` in signature and meaning.
 
@@ -123,6 +125,8 @@ def rasterization(
         ftheta_coeffs: Not supported.
         rolling_shutter: Not supported.
         viewmats_rs: Not supported.
+        deterministic: Gradients are the same to the bit on every run, also on CUDA, where that takes more memory (a
+            record of D + 6 numbers for each pair of a Gaussian and a part of a tile) and time. On the CPU always so.
 
     Returns:
         ``(render_colors, render_alphas, info)``: images [..., C, H, W, X] with X = D, 1 or D + 1; accumulated
@@ -180,7 +184,19 @@ def rasterization(
     per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
     colors, higher_degrees = colors if isinstance(colors, tuple) else (colors, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
-    scene = ProjectedScene(means, quats, scales, covars, opacities, None, viewmats, Ks, settings, tile_size)
+    scene = ProjectedScene(
+        means,
+        quats,
+        scales,
+        covars,
+        opacities,
+        None,
+        viewmats,
+        Ks,
+        settings,
+        tile_size,
+        deterministic=deterministic,
+    )
 
     columns = []
     if "RGB" in render_mode:
@@ -231,6 +247,7 @@ def rasterization_rgbt(
     absgrad: bool = False,
     rasterize_mode: RasterizeMode = "classic",
     camera_model: CameraModel = "pinhole",
+    deterministic: bool = False,
 ) -> RGBTRender:
     """Renders colours and features at one opacity and the same features at another, in one traversal.
 
@@ -261,6 +278,7 @@ def rasterization_rgbt(
         absgrad: As in ``rasterization``; both passes' per-pixel gradients are summed before the absolute value.
         rasterize_mode: As in ``rasterization``.
         camera_model: As in ``rasterization``.
+        deterministic: As in ``rasterization``.
 
     Returns:
         The five images and the info dictionary. The gradient of ``info["means2d"]`` is the sum over both passes.
@@ -295,7 +313,19 @@ def rasterization_rgbt(
     features_per_camera = check_colors("features", features, means, settings.num_cameras, features_sh_degree)
     features, features_rest = features if isinstance(features, tuple) else (features, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
-    scene = ProjectedScene(means, quats, scales, None, opacities, thermal_opacities, viewmats, Ks, settings, tile_size)
+    scene = ProjectedScene(
+        means,
+        quats,
+        scales,
+        None,
+        opacities,
+        thermal_opacities,
+        viewmats,
+        Ks,
+        settings,
+        tile_size,
+        deterministic=deterministic,
+    )
     flat_colors = scene.colors(colors, sh_degree, per_camera=colors_per_camera, higher_degrees=higher_degrees)
     flat_features = scene.colors(
         features, features_sh_degree, per_camera=features_per_camera, higher_degrees=features_rest

@@ -289,6 +289,8 @@ def bin_tiles(
     settings: ProjectionSettings,
     tile_size: int,
     capacity: int | None = None,
+    *,
+    deterministic: bool = False,
 ) -> tuple[ProjectedArrays, TileBins]:
     """Lists the Gaussians of each tile.
 
@@ -300,6 +302,7 @@ def bin_tiles(
         settings: image size.
         tile_size: edge of a tile [px].
         capacity: pairs there is room for; None: their number is read back from the device.
+        deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
 
     Returns:
         The projected arrays for ``Blend`` and the bins.
@@ -315,7 +318,7 @@ def bin_tiles(
                 wrap(features, scalar),
                 settings,
                 tile_size,
-                by_slot=not device.is_cuda,
+                by_slot=deterministic or not device.is_cuda,
                 capacity=capacity,
             )
         except binning_step.TooManyPairsError as error:

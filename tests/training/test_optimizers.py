@@ -33,6 +33,16 @@ def test_published_rates(name: str, progress: float, expected: float) -> None:
     assert learning_rate(name, CONFIG, progress, scene_extent=3.0) == pytest.approx(expected)
 
 
+def test_rates_may_decay() -> None:
+    """A final value of their own or a share of all others, half way by the square root; a rate of 0 stays 0."""
+    config = OptimizerConfig(features_lr=4e-3, features_lr_final=1e-3, final_share=0.25, quats_lr=0.0)
+    assert learning_rate("features", config, 0.5, 1.0) == pytest.approx(2e-3)
+    assert learning_rate("features", config, 1.0, 1.0) == pytest.approx(1e-3)
+    assert learning_rate("sh0", config, 0.5, 1.0) == pytest.approx(config.sh0_lr / 2)
+    assert learning_rate("decoders", config, 1.0, 1.0) == pytest.approx(config.decoders_lr_final)
+    assert learning_rate("quats", config, 0.5, 1.0) == 0.0
+
+
 def test_every_parameter_has_its_rate() -> None:
     """Rates are set parameter by parameter, and there is one optimizer for each."""
     gaussians = random_gaussians(3)

@@ -64,6 +64,31 @@ def test_tile_sizes_agree(tile_size: int, thermal_channels: int) -> None:
         assert np.linalg.norm(one - other) < 1e-12 * np.linalg.norm(one)
 
 
+@pytest.mark.parametrize("thermal_channels", [0, 2])
+@pytest.mark.parametrize("segment", [32, 64])
+@pytest.mark.parametrize("block", [16, 8])
+def test_lists_may_be_cut(segment: int, block: int, thermal_channels: int) -> None:
+    """An adjoint that walks lists in segments, also with several warps a tile, gives the gradients of whole lists.
+
+    Opacities up to 1 let some pixels finish in an early segment, their neighbours later or never.
+    """
+    arguments = {"n": 400, "width": 45, "height": 35, "cameras": 2, "channels": 3, "requires_grad": True}
+    whole = blended(warp_scene(wp.float64, **arguments), BlendLayout(16, 16, 16, 1), thermal_channels)
+    cut = blended(warp_scene(wp.float64, **arguments), BlendLayout(16, block, block, 1, segment), thermal_channels)
+    for one, other in zip([*whole[0], *whole[1]], [*cut[0], *cut[1]], strict=True):
+        assert np.linalg.norm(one) > 0
+        assert np.linalg.norm(one - other) < 1e-12 * np.linalg.norm(one)
+
+
+def test_a_cut_list_is_several_segments_long() -> None:
+    """The scene of the test above has lists that the longer segment cuts more than once."""
+    scene = warp_scene(wp.float64, n=400, width=45, height=35, cameras=2, channels=3)
+    opacities = image_opacities(scene, scene.gaussians.opacities)
+    features = scalar_view(scene.features)
+    bins = bin_tiles(projected(scene), opacities, opacities, features, scene.settings, 16, by_slot=True)
+    assert np.diff(bins.tile_offsets.numpy()).max() > 2 * 64
+
+
 def test_gradients_accumulate() -> None:
     """The adjoint adds to gradients that are already there, as a tape with several uses of an array needs."""
     layout = BlendLayout(16, 16, 16, 1)

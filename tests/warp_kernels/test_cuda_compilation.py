@@ -33,8 +33,8 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
     kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), camera_position_adjoint_kernel]
     kernels += [
-        distribute_kernel(channels, thermal_channels, dtype, absgrad, False)
-        for channels, thermal_channels in ((3, 0), (11, 8))
+        distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair)
+        for channels, thermal_channels, per_pair in ((3, 0, 0), (11, 8, 0), (11, 8, 8))
         for absgrad in (False, True)
     ]
     return kernels
@@ -87,5 +87,6 @@ def test_blending_variants_compile_for_cuda(
     for block_height in (4, 8):
         layout = BlendLayout(tile_size, 8, block_height, 32)
         kernels = [blend_kernel(channels, thermal_channels, wp.float32, layout)]
-        kernels.append(blend_adjoint_kernel(channels, thermal_channels, wp.float32, layout, block_height == 4, False))
+        absgrad = by_slot = block_height == 4
+        kernels.append(blend_adjoint_kernel(channels, thermal_channels, wp.float32, layout, absgrad, by_slot))
         compile_all(kernels, arch, tmp_path / str(block_height))

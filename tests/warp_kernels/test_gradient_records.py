@@ -9,9 +9,9 @@ from warp_kernels.gradient_records import distribute_kernel, feature_offset, rec
 
 @pytest.mark.parametrize("absgrad", [False, True])
 @pytest.mark.parametrize("thermal_channels", [0, 2])
-@pytest.mark.parametrize("by_slot", [False, True])
-def test_records_are_added_to_the_gradients(by_slot: bool, thermal_channels: int, absgrad: bool) -> None:
-    """Each Gaussian's records, by slot or already summed, are added to what its gradients hold; without tiles none.
+@pytest.mark.parametrize("per_pair", [0, 1, 3])
+def test_records_are_added_to_the_gradients(per_pair: int, thermal_channels: int, absgrad: bool) -> None:
+    """Each Gaussian's records, by pair or already summed, are added to what its gradients hold; without tiles none.
 
     With the root (1, 0, 1) moments are the gradients to mean2d and root but for the sign.
     """
@@ -20,18 +20,19 @@ def test_records_are_added_to_the_gradients(by_slot: bool, thermal_channels: int
     tiles = np.array([3, 0, 1, 2])  # of each Gaussian
     ends = np.cumsum(tiles[order])
     length = record_length(3, thermal_channels, absgrad)
-    records = rng.normal(size=(ends[-1] if by_slot else 4, length))
+    records = rng.normal(size=(ends[-1] * per_pair if per_pair else 4, length))
     sums = np.zeros((4, length))
     for g, end in zip(order, ends, strict=True):
         if tiles[g]:
-            sums[g] = records[end - tiles[g] : end].sum(0) if by_slot else records[g]
+            own = slice((end - tiles[g]) * per_pair, end * per_pair)
+            sums[g] = records[own].sum(0) if per_pair else records[g]
 
     parts = {"means2d": 2, "roots": 3, "opacities": 1, "thermal_opacities": 1, "features": 3, "absolute": 2}
     before = {name: rng.normal(size=(4, width)) for name, width in parts.items()}
     kinds = {width: wp.types.vector(width, wp.float64) for width in (2, 3)} | {1: wp.float64}
     after = {name: wp.array(before[name].squeeze(), dtype=kinds[width], device="cpu") for name, width in parts.items()}
     wp.launch(
-        distribute_kernel(3, thermal_channels, wp.float64, absgrad, by_slot),
+        distribute_kernel(3, thermal_channels, wp.float64, absgrad, per_pair),
         dim=4,
         inputs=[
             wp.array(order, dtype=wp.int32, device="cpu"),

@@ -1,4 +1,4 @@
-"""The decoders as training runs them: on CUDA compiled, in the precision of tensor cores.
+"""The decoders as training runs them: on CUDA compiled or fused, in the precision of tensor cores.
 
 Only training steps see them like this; evaluation and rendering use the plain decoders in full float32.
 """
@@ -8,13 +8,16 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor
 
 from thermosplat.decoders import Decoders
 from thermosplat.spectrum_decoders import SpectrumDecoders
+
+if TYPE_CHECKING:
+    from thermosplat.training.fused_decoders import FusedDecoders
 
 Precision = Literal["float32", "tf32", "bfloat16"]
 
@@ -27,7 +30,9 @@ class FastDecoders:
 
     Args:
         decoders: The decoders.
-        compiled: Let torch.compile join their element-wise work into few kernels; takes some seconds once a size.
+        compiled: On CUDA, let fused kernels decode where there are some for the decoders and the precision
+            (fused_decoders.py); otherwise let torch.compile join element-wise work into few kernels, which takes some
+            seconds once a size.
         precision: Of activations and matrix products: "float32"; "tf32", whose products round their inputs to 10 bits
             of mantissa; "bfloat16", which also keeps activations in 16 bits, 7 of them mantissa, and halves the
             traffic. Parameters, their updates and the images are float32 in any case.
@@ -37,7 +42,11 @@ class FastDecoders:
         self.decoders = decoders
         self._matmul = "highest" if precision == "float32" else "high"
         self._branches: dict[str, Callable[..., Any]] = {}
+        fused = _fused(decoders) if compiled and precision == "tf32" else None
         for name in BRANCHES:
+            if fused is not None:
+                self._branches[name] = getattr(fused, name)
+                continue
             branch = getattr(decoders, name)
             if precision == "bfloat16":
                 branch = _in_bfloat16(branch)
@@ -56,6 +65,16 @@ class FastDecoders:
             for name in self._branches:
                 delattr(self.decoders, name)
             torch.set_float32_matmul_precision(precision)
+
+
+def _fused(decoders: Decoders | SpectrumDecoders) -> "FusedDecoders | None":
+    """The decoders by fused kernels; None where there are none for them."""
+    if next(decoders.parameters()).device.type != "cuda":
+        return None
+    # Imported here: Triton comes with PyTorch for CUDA only.
+    from thermosplat.training.fused_decoders import FusedDecoders, fits
+
+    return FusedDecoders(decoders) if isinstance(decoders, Decoders) and fits(decoders) else None
 
 
 def _in_bfloat16(branch: Callable[..., Any]) -> Callable[..., Any]:

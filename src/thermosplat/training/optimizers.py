@@ -2,7 +2,8 @@
 
 A learning rate is a function of the step, so there is no scheduler with a state of its own. Parameters named
 ``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``; where
-the configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else it stays constant.
+the configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else to ``final_share``
+of itself.
 """
 
 from typing import Any
@@ -26,8 +27,8 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_ext
     """
     field = name.removeprefix("log_").removeprefix("logit_") + "_lr"
     rate = getattr(config, field)
-    final = getattr(config, f"{field}_final", rate)
-    if final != rate:
+    final = getattr(config, f"{field}_final", rate * config.final_share)
+    if rate > 0 and final != rate:
         rate = rate * (final / rate) ** min(progress, 1.0)
     return rate * scene_extent if name == "means" else rate
 

@@ -91,6 +91,7 @@ class TrainingStep:
                     sh_degree=kind.sh_degree,
                     absgrad=config.densification.absgrad,
                     aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
+                    deterministic=config.deterministic,
                 )
             if state.exposures is not None and frame.index is not None:
                 rendered = state.exposures(rendered, frame.index)

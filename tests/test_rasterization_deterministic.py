@@ -1,0 +1,55 @@
+"""deterministic=True: the same bits on every run, and the same gradients as without."""
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from gaussian_scenes import leaves, random_rgbt_scene
+from thermosplat import rasterization, rasterization_rgbt
+
+
+def _gradients(device: torch.device, tile_size: int, **how: Any) -> dict[str, Tensor]:
+    """Of a frame whose Gaussians lie in many tiles and, on CUDA, under many warps."""
+    scene = leaves(random_rgbt_scene(n=600, width=120, height=90, cameras=2, channels=3), device, torch.float32)
+    render = rasterization_rgbt(**scene, tile_size=tile_size, **how)
+    images = [render.render_colors, render.render_features, render.render_thermal_features, render.render_alphas]
+    generator = torch.Generator().manual_seed(3)
+    torch.autograd.backward(images, [torch.randn(i.shape, generator=generator).to(device) for i in images])
+    return {name: value.grad for name, value in scene.items() if isinstance(value, Tensor) and value.grad is not None}
+
+
+@pytest.mark.parametrize("tile_size", [8, 16])
+def test_same_bits_every_time(device: torch.device, tile_size: int) -> None:
+    """Five backward passes, five times the same bits."""
+    first = _gradients(device, tile_size, deterministic=True)
+    assert len(first) >= 8
+    for _ in range(4):
+        again = _gradients(device, tile_size, deterministic=True)
+        for name, gradient in first.items():
+            assert torch.equal(gradient, again[name]), name
+
+
+@pytest.mark.parametrize("tile_size", [8, 16])
+def test_same_gradients_as_without(device: torch.device, tile_size: int) -> None:
+    """Only the order of the sums differs."""
+    plain = _gradients(device, tile_size)
+    for name, gradient in _gradients(device, tile_size, deterministic=True).items():
+        assert gradient.norm() > 0
+        assert (gradient - plain[name]).norm() < 1e-5 * gradient.norm(), name
+
+
+def test_one_opacity(device: torch.device) -> None:
+    """The plain rasterization takes the argument too."""
+    scene = random_rgbt_scene(n=200, channels=5)
+    for name in ("features", "thermal_opacities"):
+        del scene[name]
+    results = []
+    for deterministic in (True, True, False):
+        inputs = leaves(scene, device, torch.float32)
+        image, _, _ = rasterization(**inputs, absgrad=True, deterministic=deterministic)
+        image.square().sum().backward()
+        results.append(inputs["means"].grad)
+    assert torch.equal(results[0], results[1])
+    assert (results[0] - results[2]).norm() < 1e-5 * results[2].norm()
