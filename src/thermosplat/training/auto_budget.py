@@ -53,7 +53,11 @@ class AutoBudget:
 
     def acts_at(self, step: int) -> bool:
         """Whether something may change after this step."""
-        return step in self._prune_steps or self._validates_at(step) or self._growth_is_over(step)
+        return self.prunes_at(step) or self._validates_at(step) or self._growth_is_over(step)
+
+    def prunes_at(self, step: int) -> bool:
+        """Whether Gaussians are removed after this step, and captured steps no longer fit."""
+        return step in self._prune_steps
 
     def after_step(self, step: int, sh_degree: int) -> None:
         """Validate, stop growth or prune, where this step is the one to do so.
@@ -66,7 +70,7 @@ class AutoBudget:
             self._validate(step, sh_degree)
         if self._growth_is_over(step):
             self._stop_growing()
-        if step in self._prune_steps:
+        if self.prunes_at(step):
             self._stop_growing()
             self._prune()
         if step == max(self._prune_steps, default=0):
