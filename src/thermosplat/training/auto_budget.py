@@ -120,7 +120,8 @@ class AutoBudget:
 
     def _prune(self) -> None:
         state = self.state
-        shares: dict[str, Tensor] = contributions(state.model, self._all_frames())
+        squared = self.settings.prune_by == "squares"
+        shares: dict[str, Tensor] = contributions(state.model, self._all_frames(), squared=squared)
         removed = {name: negligible(values, self.settings.prune_share) for name, values in shares.items()}
         prune_sets(state.gaussian_sets, state.optimizers, removed)
         for name, strategy in state.strategies.items():
