@@ -1,11 +1,11 @@
-"""How fast is the rasterizer, and how exact? Beside gsplat 1.5.3 where that is installed.
+"""How fast is the rasterizer, and how exact? Beside gsplat 1.5.3 and gswarp 1.1.0 where they are installed.
 
-    python benchmarks/bench_rasterization.py --device cpu
-    python benchmarks/bench_rasterization.py --device cuda --scene test_garden.npz --grid 1 5 --json results.json
+    python benchmarks/bench_rasterization.py --device cpu --cores 1 2
+    python benchmarks/bench_rasterization.py --device cuda --scene test_garden.npz huge results/desk --grid 1 5 11 \\
+        --json rasterization.json --markdown rasterization.md --time-limit 360
 
-On the CPU the peer is gsplat's own torch reference, which needs ``gsplat_oracle.py`` (see README.md) on the path given
-by --oracle. Every case checks that images and gradients agree before it is timed, and the JSON file is rewritten after
-every case, so that an interrupted run keeps what it measured.
+Every case checks that images and gradients agree before it is timed, and the files are rewritten after every case, so
+that an interrupted run keeps what it measured. README.md says what is compared and how it is measured.
 """
 
 import argparse
@@ -21,169 +21,113 @@ from typing import Any
 
 import torch
 import warp as wp
-from benchmark_scenes import BenchmarkScene, garden_scene, synthetic_scene
-from peers import Peer, cpu_peers, cuda_peers
-from stages import stage_times
-from timing import peak_memory, time_interleaved
-from torch import Tensor
+from benchmark_scenes import BenchmarkScene, garden_scene, huge_scene, synthetic_scene
+from floors import Peaks, measure_peaks
+from peers import CASES, PEERS, Peer, cpu_peers, cuda_peers
+from rasterization_case import one_line, run_case
+from rasterization_summary import summaries, summary_lines
+from rasterization_tables import markdown
+from trained_scene import trained_scene
 
-CASES = ("rgb", "features", "rgbt")
-"""rgb: SH colour of degree 3. features: 11 channels. rgbt: SH colour and 8 features at two opacities."""
-
-CPU_SIZE, CUDA_SIZES = "320x240", ("640x480", "1297x840", "1920x1080")
-PIXEL_TOLERANCE, SHARE_TOLERANCE = 1e-4, 1e-3
-"""Images agree when fewer than SHARE of their values differ by more than PIXEL. Two implementations that round
-differently may decide differently at alpha = 1/255 or transmittance = 1e-4, which shows in single pixels."""
-GRADIENT_TOLERANCE = 1e-2
-"""Relative norm; the same flips make up nearly all of it."""
+CPU_CASES = ("features11", "rgbt")
+CPU_SIZE, CUDA_SIZES = "320x240", ("640x480", "1297x840", "1920x1080", "3840x2160")
+TRUTH_PIXELS = 1920 * 1080
 
 
 def arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    parser.add_argument("--scene", default="synthetic", help="'synthetic' or the path of gsplat's test_garden.npz")
-    parser.add_argument("--count", type=int, nargs="+", default=None, help="Gaussians of the synthetic scene")
+    parser.add_argument(
+        "--scene",
+        nargs="+",
+        default=["synthetic"],
+        help="'synthetic', 'huge', the path of gsplat's test_garden.npz, and of trained runs: a result folder, a "
+        "checkpoint, or an exported PLY",
+    )
+    parser.add_argument("--data", default=None, help="where the capture of trained scenes lies now, for its camera")
+    parser.add_argument("--count", type=int, nargs="+", default=None, help="Gaussians of the synthetic and huge scenes")
     parser.add_argument("--grid", type=int, nargs="+", default=[1], help="repetitions of the garden, odd")
     parser.add_argument("--sizes", nargs="+", default=None, help="WIDTHxHEIGHT ...")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=None)
     parser.add_argument("--repeats", type=int, default=None, help="measurements a case (50 on CUDA, 11 on the CPU)")
+    parser.add_argument("--time-limit", type=float, default=None, help="start no case after so long [s]")
+    parser.add_argument(
+        "--truth-gaussians", type=int, default=1_000_000, help="compare with float64 up to so many, and up to 1920x1080"
+    )
+    parser.add_argument("--no-stages", action="store_true", help="neither stages nor floors")
+    parser.add_argument("--cores", type=int, nargs="+", default=None, help="CPU threads to time thermosplat with")
     parser.add_argument("--json", type=Path, default=None, help="file to write")
+    parser.add_argument(
+        "--resume", action="store_true", help="keep what --json holds, and measure only what is not in it"
+    )
+    parser.add_argument("--markdown", type=Path, default=None, help="file to write the tables to")
     parser.add_argument(
         "--oracle", type=Path, default=Path(os.environ.get("THERMOSPLAT_TEST_ORACLE", "../shared/oracle"))
     )
-    parser.add_argument("--no-peers", action="store_true", help="time thermosplat alone")
-    return parser.parse_args()
+    parser.add_argument(
+        "--peers",
+        nargs="*",
+        choices=(*PEERS, "deterministic"),
+        default=list(PEERS),
+        help="beside whom; 'deterministic' is thermosplat with deterministic=True, on CUDA; none: thermosplat alone",
+    )
+    options = parser.parse_args()
+    if options.resume and options.json is None:
+        parser.error("--resume needs the --json of the run it goes on with")
+    return options
 
 
-def scenes(options: argparse.Namespace, on_cpu: bool) -> Iterator[BenchmarkScene]:
-    """The scenes asked for, made one at a time."""
-    if options.scene == "synthetic":
-        for count in options.count or [20_000 if on_cpu else 1_000_000]:
-            yield synthetic_scene(count)
-    else:
-        for grid in options.grid:
-            yield garden_scene(Path(options.scene), grid)
-
-
-def inputs_of(scene: BenchmarkScene, case: str, width: int, height: int, device: torch.device) -> dict[str, Tensor]:
-    """The case's tensors on the device, as leaves."""
-    tensors = {"means": scene.means, "quats": scene.quats, "scales": scene.scales, "opacities": scene.opacities}
-    if case in ("rgb", "rgbt"):
-        tensors["sh"] = scene.sh
-    if case in ("features", "rgbt"):
-        tensors["features"] = scene.features(11 if case == "features" else 8)
-    if case == "rgbt":
-        tensors["thermal_opacities"] = scene.thermal_opacities
-    leaves = {name: tensor.to(device, copy=True).requires_grad_() for name, tensor in tensors.items()}
-    leaves["viewmats"] = scene.viewmat[None].to(device)
-    leaves["Ks"] = scene.intrinsics(width, height)[None].to(device)
-    return leaves
-
-
-def passes(render: Callable[[], list[Tensor]], inputs: dict[str, Tensor]) -> tuple[Callable, Callable]:
-    """The forward pass without gradients, and forward plus backward with random gradients of every image."""
-    leaves = [tensor for tensor in inputs.values() if tensor.requires_grad]
-    with torch.no_grad():
-        shapes = [image.shape for image in render()]
-    generator = torch.Generator().manual_seed(0)
-    device, dtype = inputs["means"].device, inputs["means"].dtype
-    upstream = [torch.randn(shape, generator=generator).to(device, dtype) for shape in shapes]
-
-    def forward() -> list[Tensor]:
-        with torch.no_grad():
-            return render()
-
-    def forward_backward() -> tuple[list[Tensor], tuple[Tensor, ...]]:
-        images = render()
-        return images, torch.autograd.grad(images, leaves, upstream)
-
-    return forward, forward_backward
-
-
-def differences(one: tuple[Any, Any], other: tuple[Any, Any], names: list[str]) -> dict[str, float]:
-    """How far images and gradients of two renderers are apart."""
-    offs = torch.cat([(a.double() - b.double()).abs().flatten() for a, b in zip(one[0], other[0], strict=True)])
-    result = {
-        "image_mean": offs.mean().item(),
-        "image_max": offs.max().item(),
-        "image_share_above_1e-4": (offs > PIXEL_TOLERANCE).double().mean().item(),
-    }
-    for name, a, b in zip(names, one[1], other[1], strict=True):
-        result[f"grad_{name}"] = ((a.double() - b.double()).norm() / b.double().norm().clamp(min=1e-30)).item()
-    return result
-
-
-def disagreement(found: dict[str, float]) -> str | None:
-    """What is too far apart to compare times, if anything."""
-    if not found["image_share_above_1e-4"] <= SHARE_TOLERANCE:
-        return f"images differ: {found['image_share_above_1e-4']:.1%} of the values by more than {PIXEL_TOLERANCE}"
-    wrong = [f"{k} {v:.1e}" for k, v in found.items() if k.startswith("grad_") and not v <= GRADIENT_TOLERANCE]
-    return f"gradients differ: {', '.join(wrong)}" if wrong else None
-
-
-def run_case(
-    scene: BenchmarkScene, case: str, width: int, height: int, device: torch.device, peers: list[Peer], repeats: int
-) -> dict[str, Any]:
-    """Checks and times one case; returns its row."""
-    inputs = inputs_of(scene, case, width, height, device)
-    names = [name for name, tensor in inputs.items() if tensor.requires_grad]
-    row: dict[str, Any] = {
-        "scene": scene.name,
-        "gaussians": len(scene.means),
-        "size": f"{width}x{height}",
-        "case": case,
-    }
-    both = {peer.name: passes(peer.renderer(case, inputs, width, height), inputs) for peer in peers}
-
-    start = time.perf_counter()
-    results = {name: forward_backward() for name, (_, forward_backward) in both.items()}
-    row["first_call_s"] = round(time.perf_counter() - start, 2)
-    ours = peers[0].name
-    exact = {k: v.detach().double().requires_grad_(v.requires_grad) for k, v in inputs.items()}
-    truth = passes(peers[0].renderer(case, exact, width, height), exact)[1]()
-    row["error_to_float64"] = {name: differences(result, truth, names) for name, result in results.items()}
-    others = {name: result for name, result in results.items() if name != ours}
-    row["difference"] = {name: differences(result, results[ours], names) for name, result in others.items()}
-    for name, found in row["difference"].items():
-        if (reason := disagreement(found)) is not None:
-            row["error"] = f"not timed: {name} and {ours} disagree: {reason}"
-            return row
-    del results, others, truth, exact
-
-    row["forward"] = time_interleaved({name: forward for name, (forward, _) in both.items()}, device, repeats)
-    row["forward_backward"] = time_interleaved({name: step for name, (_, step) in both.items()}, device, repeats)
-    row["peak_memory_mib"] = {name: peak_memory(step, device) for name, (_, step) in both.items()}
-    if case != "rgb":
-        row["stages"], row["pairs"] = stage_times(inputs, width, height, repeats)
-    return row
+def scenes(options: argparse.Namespace, on_cpu: bool) -> Iterator[BenchmarkScene | tuple[str, Exception]]:
+    """The scenes asked for, made one at a time; in place of one that cannot be made, its name and why."""
+    makers: list[tuple[str, Callable[[], BenchmarkScene]]] = []
+    for name in options.scene:
+        if name in ("synthetic", "huge"):
+            make = synthetic_scene if name == "synthetic" else huge_scene
+            default = 20_000 if on_cpu else 1_000_000 if name == "synthetic" else 300_000
+            makers += [(name, lambda make=make, n=n: make(n)) for n in options.count or [default]]
+        elif name.endswith(".npz"):
+            makers += [(name, lambda name=name, grid=grid: garden_scene(Path(name), grid)) for grid in options.grid]
+        else:
+            makers.append((name, lambda name=name: trained_scene(Path(name), options.data)))
+    for name, maker in makers:
+        try:
+            yield maker()
+        except Exception as error:  # a path that is wrong must not lose the other scenes
+            traceback.print_exc()
+            yield name, error
 
 
 def print_row(row: dict[str, Any]) -> None:
-    """One line a renderer."""
-    head = f"{row['scene']:<16} {row['size']:>9} {row['case']:<8}"
+    """One line a renderer, then its stages."""
+    head = f"{row['scene']:<16} {row['size']:>9} {row['case']:<10}"
     if "error" in row:
         print(f"{head} {row['error']}", flush=True)
         return
     for name, times in row["forward"].items():
-        both, memory = row["forward_backward"][name], row["peak_memory_mib"][name]
-        error = row["error_to_float64"][name]
-        worst = max(value for key, value in error.items() if key.startswith("grad_"))
-        print(
-            f"{head} {name:<22} {times['median_ms']:>9.2f} {both['median_ms']:>9.2f} "
-            f"{error['image_mean']:>9.1e} {worst:>9.1e} {'' if memory is None else f'{memory:>9.0f}'}",
-            flush=True,
-        )
+        both, memory, pairs = row["forward_backward"][name], row["peak_memory_mib"][name], row["intersections"][name]
+        line = f"{head} {name:<22} {times['median_ms']:>9.2f} {both['median_ms']:>9.2f} {both['host_ms']:>9.2f}"
+        if (error := row["error_to_float64"].get(name)) is not None:
+            worst = max(value for key, value in error.items() if key.startswith("grad_"))
+            line += f" {error['image_rms']:>9.1e} {error['image_max']:>9.1e} {worst:>9.1e}"
+        else:
+            line += f"{'-':>10}" * 3
+        line += f"{'-' if memory is None else format(memory, '.0f'):>10}{'-' if pairs is None else pairs:>12}"
+        print(line + (f"  * {row['apart'][name]}" if name in row["apart"] else ""), flush=True)
+    for name, reason in row["left_out"].items():
+        print(f"{head} {name:<22} not timed: {reason}", flush=True)
     for stage, times in row.get("stages", {}).items():
-        print(f"{'':35} . {stage:<20} {times['median_ms']:>9.2f}", flush=True)
-    if "pairs" in row:
-        print(f"{'':35} . {row['pairs']:,} (Gaussian, tile) pairs", flush=True)
+        print(f"{'':37} . {stage:<20} {times['median_ms']:>9.3f} {times['times_floor']:>7.1f}x its floor", flush=True)
+    for count, times in row.get("cores", {}).items():
+        print(f"{'':37} . {count + ' threads':<20} {times['forward']:>9.2f} {times['forward_backward']:>9.2f}")
+    if "fragments" in row:
+        print(f"{'':37} . {row['fragments']['either']:,} fragments", flush=True)
 
 
 def environment(device: torch.device, peers: list[Peer]) -> dict[str, Any]:
     """What the numbers depend on."""
     return {
-        "command": " ".join(sys.argv),
+        "command": " ".join(["python", "benchmarks/bench_rasterization.py", *sys.argv[1:]]),
         "date": time.strftime("%Y-%m-%d"),
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor() or "cpu",
         "cpus": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -195,42 +139,89 @@ def environment(device: torch.device, peers: list[Peer]) -> dict[str, Any]:
     }
 
 
-def write_json(path: Path | None, report: dict[str, Any]) -> None:
-    """Replaces the file, so that it is whole at any time."""
-    if path is None:
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(json.dumps(report, indent=1) + "\n")
-    temporary.replace(path)
+def write_report(report: dict[str, Any], json_path: Path | None, markdown_path: Path | None) -> None:
+    """Replaces the files, so that they are whole at any time."""
+    report["summaries"] = summaries(report["rows"])
+    for path, text in (
+        (json_path, lambda: json.dumps(report, indent=1) + "\n"),
+        (markdown_path, lambda: markdown(report)),
+    ):
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary = path.with_name(path.name + ".part")
+            temporary.write_text(text(), encoding="utf-8")
+            temporary.replace(path)
+
+
+def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], report: dict[str, Any]) -> None:
+    """Fills the report's rows, case by case."""
+    start_s, on_cpu = time.perf_counter(), device.type == "cpu"
+    peaks = None if options.no_stages else Peaks(**report["peaks"])
+    repeats = options.repeats or (11 if on_cpu else 50)
+
+    def note(row: dict[str, Any]) -> None:
+        print_row(row)
+        report["rows"].append(row)
+        write_report(report, options.json, options.markdown)
+
+    done = {(row["scene"], row["size"], row["case"]) for row in report["rows"]}
+    for scene in scenes(options, on_cpu):
+        if isinstance(scene, tuple):
+            note({"scene": scene[0], "size": "", "case": "", "error": one_line(scene[1])})
+            continue
+        scene = scene.to(device)
+        for size in options.sizes or ([CPU_SIZE] if on_cpu else CUDA_SIZES):
+            width, height = (int(number) for number in size.lower().split("x"))
+            with_truth = width * height <= TRUTH_PIXELS and len(scene.means) <= options.truth_gaussians
+            for case in options.cases or (CPU_CASES if on_cpu else CASES):
+                if (scene.name, size, case) in done:
+                    continue
+                if options.time_limit is not None and time.perf_counter() - start_s > options.time_limit:
+                    report["stopped"] = (
+                        f"the time limit of {options.time_limit:g} s came before {scene.name} {size} {case}"
+                    )
+                    print(report["stopped"], flush=True)
+                    return
+                try:
+                    row = run_case(
+                        scene,
+                        case,
+                        (width, height),
+                        device,
+                        peers,
+                        repeats,
+                        with_truth=with_truth,
+                        peaks=peaks,
+                        cores=options.cores if on_cpu else None,
+                    )
+                except Exception as error:  # one case that fails (out of memory, say) must not lose the others
+                    traceback.print_exc()
+                    row = {"scene": scene.name, "size": size, "case": case, "error": one_line(error)}
+                note(row)
+                if not on_cpu:
+                    torch.cuda.empty_cache()
 
 
 def main() -> int:
-    """Runs the cases asked for; returns 1 if any failed."""
+    """Runs the cases asked for; returns 1 if any failed, or a peer rendered something else."""
     options = arguments()
     device = torch.device(options.device)
-    on_cpu = device.type == "cpu"
-    peers = cpu_peers(options.oracle, options.no_peers) if on_cpu else cuda_peers(options.no_peers)
+    peers = cpu_peers(options.peers, options.oracle) if device.type == "cpu" else cuda_peers(options.peers)
     report: dict[str, Any] = {"environment": environment(device, peers), "rows": []}
-    repeats = options.repeats or (11 if on_cpu else 50)
-    sizes = options.sizes or ([CPU_SIZE] if on_cpu else list(CUDA_SIZES))
-    print(f"{'scene':<16} {'size':>9} {'case':<8} {'renderer':<22} {'fwd ms':>9} {'f+b ms':>9} ", end="")
-    print(f"{'img err':>9} {'grad err':>9} {'' if on_cpu else 'peak MiB':>9}", flush=True)
-    for scene in scenes(options, on_cpu):
-        for size in sizes:
-            width, height = (int(number) for number in size.lower().split("x"))
-            for case in options.cases or (("features", "rgbt") if on_cpu else CASES):
-                try:
-                    row = run_case(scene, case, width, height, device, peers, repeats)
-                except Exception as error:  # one case that fails (out of memory, say) must not lose the others
-                    traceback.print_exc()
-                    row = {"scene": scene.name, "size": size, "case": case, "error": f"{type(error).__name__}: {error}"}
-                print_row(row)
-                report["rows"].append(row)
-                write_json(options.json, report)
-                if not on_cpu:
-                    torch.cuda.empty_cache()
-    return int(any("error" in row for row in report["rows"]))
+    if options.resume and options.json.exists():
+        report["rows"] = [row for row in json.loads(options.json.read_text())["rows"] if "error" not in row]
+    if not options.no_stages:
+        report["peaks"] = measure_peaks(device)._asdict()
+        print(
+            f"peaks: {report['peaks']['bytes_per_s'] / 1e9:.0f} GB/s, {report['peaks']['fma_per_s'] / 1e9:.0f} GFMA/s"
+        )
+    print(f"{'scene':<16} {'size':>9} {'case':<10} {'renderer':<22} {'fwd ms':>9} {'f+b ms':>9} {'host ms':>9}", end="")
+    print(f" {'img rms':>9} {'img max':>9} {'grad err':>9} {'peak MiB':>9} {'pairs':>11}", flush=True)
+    run(options, device, peers, report)
+    write_report(report, options.json, options.markdown)
+    for found in report["summaries"]:
+        print("\n" + "\n".join(summary_lines(found)), flush=True)
+    return int(any("error" in row or row["apart"] for row in report["rows"]))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Scenes to time the rasterizer on: gsplat's garden asset repeated on a grid, and one made of random numbers."""
+"""Scenes to time the rasterizer on: gsplat's garden asset on a grid, trained ones, and two made of random numbers."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import torch
@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class BenchmarkScene:
-    """Gaussians and one camera, float32 on the CPU; opacities and attributes are drawn with a fixed seed."""
+    """Gaussians and one camera, float32; opacities and attributes are drawn with a fixed seed."""
 
     name: str
     means: Tensor  # [N, 3]
@@ -22,14 +22,24 @@ class BenchmarkScene:
     sh: Tensor  # [N, 16, 3]
     viewmat: Tensor  # [4, 4]
     K: Tensor  # [3, 3], for a width and height of 1
+    latents: Tensor | None = None  # [N, d], trained features
 
     def intrinsics(self, width: int, height: int) -> Tensor:
         """Intrinsics [3, 3] for an image size [px]."""
-        return torch.diag(torch.tensor([width, height, 1.0])) @ self.K
+        return torch.diag(self.K.new_tensor([width, height, 1.0])) @ self.K
 
     def features(self, channels: int) -> Tensor:
-        """Features [N, channels], the same for the same scene and number."""
-        return torch.rand(len(self.means), channels, generator=torch.Generator().manual_seed(channels))
+        """Features [N, channels], the same for the same scene and number; trained ones are repeated or cut."""
+        if self.latents is not None:
+            return self.latents.repeat(1, -(-channels // self.latents.shape[1]))[:, :channels].contiguous()
+        device = self.means.device
+        generator = torch.Generator(device).manual_seed(channels)
+        return torch.rand(len(self.means), channels, generator=generator, device=device)
+
+    def to(self, device: torch.device) -> "BenchmarkScene":
+        """The scene on a device; features drawn there are other random numbers."""
+        tensors = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{name: t.to(device) for name, t in tensors.items() if isinstance(t, Tensor)})
 
 
 def garden_scene(path: Path, grid: int) -> BenchmarkScene:
@@ -49,7 +59,7 @@ def garden_scene(path: Path, grid: int) -> BenchmarkScene:
         garden["quats"],
         garden["scales"],
         garden["opacities"],
-        _shifted(garden["opacities"]),
+        shifted(garden["opacities"]),
         garden["sh_coeffs"],
         garden["viewmats"][0],
         garden["Ks"][0],
@@ -81,14 +91,36 @@ def synthetic_scene(count: int) -> BenchmarkScene:
         torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1),
         size * torch.exp(0.5 * torch.randn(count, 3, generator=generator)),
         opacities,
-        _shifted(opacities),
+        shifted(opacities),
         sh,
         torch.eye(4),
         K,
     )
 
 
-def _shifted(opacities: Tensor) -> Tensor:
+def huge_scene(count: int) -> BenchmarkScene:
+    """The synthetic scene, with 64 Gaussians larger than the image and 512 of a third of it among the others.
+
+    The large ones are faint (opacities 0.02 to 0.1), as trained ones are that paint fog and sky: opaque ones would hide
+    the rest of the scene and be cheap.
+
+    Args:
+        count: number of Gaussians, more than 1,000.
+    """
+    base = synthetic_scene(count)
+    generator = torch.Generator().manual_seed(2)
+    large = torch.randperm(count, generator=generator)[: 64 + 512]
+    depth = base.means[large, 2:]
+    # The image is 1.1 depths wide. A faint Gaussian ends about 2 standard deviations from its mean.
+    share = torch.full_like(depth, 0.08)
+    share[:64] = 0.6
+    scales, opacities = base.scales.clone(), base.opacities.clone()
+    scales[large] = share * depth * (0.8 + 0.4 * torch.rand(len(large), 3, generator=generator))
+    opacities[large] = 0.02 + 0.08 * torch.rand(len(large), generator=generator)
+    return replace(base, name=f"huge {count}", scales=scales, opacities=opacities, thermal_opacities=shifted(opacities))
+
+
+def shifted(opacities: Tensor) -> Tensor:
     """Thermal opacities: the opacities with random offsets of their logits."""
     offsets = torch.randn(len(opacities), generator=torch.Generator().manual_seed(1))
     return torch.sigmoid(torch.logit(opacities, eps=1e-6) + offsets)

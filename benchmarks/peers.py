@@ -1,16 +1,47 @@
 """The renderers that are compared: each takes a case's tensors and returns its images."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
+from agreement import SAME_CONVENTIONS, Tolerance
 from torch import Tensor
 
-Images = list[Tensor]
+NEAR_PLANE = 0.01
+"""gsplat's and thermosplat's default [world units]."""
+
+CASES = ("rgb", "features8", "features11", "features32", "rgbt")
+"""rgb: SH colour of degree 3. featuresN: N channels. rgbt: SH colour and 8 features at α, the 8 features at α_t."""
+
+PEERS = ("gsplat", "gswarp", "torch")
+"""Whom thermosplat is compared with unless others are asked for; "deterministic" is itself with that option."""
+
+Tensors = dict[str, Tensor]
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict]]
+
+
+class Rendered(NamedTuple):
+    """What a renderer made of a case.
+
+    Attributes:
+        images: [1, H, W, X] colours and alphas, the same for every renderer of a case.
+        infos: one dictionary of gsplat's kind a rasterization; none where the renderer has no such thing.
+    """
+
+    images: list[Tensor]
+    infos: list[Mapping[str, Any]]
+
+    @property
+    def intersections(self) -> int | None:
+        """(Gaussian, tile) pairs of all rasterizations together."""
+        return sum(len(info["flatten_ids"]) for info in self.infos) if self.infos else None
+
+
+Renderer = Callable[[str, Tensors, int, int], Callable[[], Rendered]]
 
 
 @dataclass(frozen=True)
@@ -20,93 +51,143 @@ class Peer:
     Attributes:
         name: as printed.
         description: version and kind.
-        renderer: (case, tensors, width, height) -> a call that renders and returns the images.
+        renderer: (case, tensors, width, height) -> a call that renders.
+        cases: those it can render.
+        near_plane: Gaussians nearer than this are not drawn [world units].
+        tolerance: how far its images and gradients may be from thermosplat's.
+        release: gives back memory that it keeps between calls.
     """
 
     name: str
     description: str
-    renderer: Callable[[str, dict[str, Tensor], int, int], Callable[[], Images]]
+    renderer: Renderer
+    cases: tuple[str, ...] = CASES
+    near_plane: float = NEAR_PLANE
+    tolerance: Tolerance = SAME_CONVENTIONS
+    release: Callable[[], object] = lambda: None
 
 
-def _camera(t: dict[str, Tensor], width: int, height: int) -> dict:
+def _camera(t: Tensors, width: int, height: int) -> dict[str, Any]:
     return {"viewmats": t["viewmats"], "Ks": t["Ks"], "width": width, "height": height}
 
 
-def thermosplat_peer() -> Peer:
-    """This project."""
+def thermosplat_peer(near_plane: float = NEAR_PLANE, deterministic: bool = False) -> Peer:
+    """This project, through its public functions."""
     from thermosplat import __version__, rasterization, rasterization_rgbt
 
-    def renderer(case: str, t: dict[str, Tensor], width: int, height: int) -> Callable[[], Images]:
+    def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:
         geometry = (t["means"], t["quats"], t["scales"], t["opacities"])
-        camera = _camera(t, width, height)
+        camera = _camera(t, width, height) | {"near_plane": near_plane, "deterministic": deterministic}
 
-        def single() -> Images:
+        def single() -> Rendered:
             colors = {"colors": t["sh"], "sh_degree": 3} if case == "rgb" else {"colors": t["features"]}
-            image, alphas, _ = rasterization(*geometry, **colors, **camera, packed=False)
-            return [image, alphas]
+            image, alphas, info = rasterization(*geometry, **colors, **camera, packed=False)
+            return Rendered([image, alphas], [info])
 
-        def both() -> Images:
+        def both() -> Rendered:
             result = rasterization_rgbt(
                 *geometry, t["thermal_opacities"], t["sh"], t["features"], **camera, sh_degree=3
             )
-            return [
-                torch.cat([result.render_colors, result.render_features], -1),
-                result.render_alphas,
-                result.render_thermal_features,
-                result.render_thermal_alphas,
-            ]
+            images = [result.render_colors, result.render_features, result.render_alphas]
+            return Rendered([*images, result.render_thermal_features, result.render_thermal_alphas], [result.info])
 
         return both if case == "rgbt" else single
 
-    return Peer("thermosplat", f"thermosplat {__version__}, Warp kernels", renderer)
+    name, suffix = ("deterministic", ", deterministic=True") if deterministic else ("thermosplat", "")
+    return Peer(name, f"thermosplat {__version__}, Warp kernels{suffix}", renderer)
 
 
-def _gsplat_renderer(rasterization: Rasterization, spherical_harmonics: Callable, **options: bool) -> Callable:
+def float64_renderer(near_plane: float = NEAR_PLANE) -> Renderer:
+    """thermosplat's kernels for float64 tensors, as the truth; the frame at two opacities as two plain renderings.
+
+    At most 8 channels are blended at a time, so that two compiled kernels do for all cases.
+    """
+    from thermosplat import rasterization
+
+    def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:
+        shape = (t["means"], t["quats"], t["scales"])
+        options = {"near_plane": near_plane, "channel_chunk": 8} | _camera(t, width, height)
+
+        def render() -> Rendered:
+            images = []
+            if "sh" in t:
+                images += rasterization(*shape, t["opacities"], t["sh"], sh_degree=3, **options)[:2]
+            if "features" in t:
+                features, alphas, _ = rasterization(*shape, t["opacities"], t["features"], **options)
+                images = [features, alphas] if not images else [images[0], features, images[1]]
+            if "thermal_opacities" in t:
+                images += rasterization(*shape, t["thermal_opacities"], t["features"], **options)[:2]
+            return Rendered(images, [])
+
+        return render
+
+    return renderer
+
+
+def gsplat_renderer(rasterization: Rasterization, spherical_harmonics: Callable, **options: bool) -> Renderer:
     """gsplat's calls; the RGB + thermal frame is two of them, the first on SH colours joined with the features."""
 
-    def renderer(case: str, t: dict[str, Tensor], width: int, height: int) -> Callable[[], Images]:
+    def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:
         shape = (t["means"], t["quats"], t["scales"])
         camera = _camera(t, width, height)
 
-        def single() -> Images:
+        def single() -> Rendered:
             colors = {"colors": t["sh"], "sh_degree": 3} if case == "rgb" else {"colors": t["features"]}
-            image, alphas, _ = rasterization(*shape, t["opacities"], **colors, **camera, **options)
-            return [image, alphas]
+            image, alphas, info = rasterization(*shape, t["opacities"], **colors, **camera, **options)
+            return Rendered([image, alphas], [info])
 
-        def both() -> Images:
+        def both() -> Rendered:
             position = torch.linalg.inv(t["viewmats"])[0, :3, 3]
             rgb = (spherical_harmonics(3, t["means"] - position, t["sh"]) + 0.5).clamp(min=0.0)
             colors = torch.cat([rgb, t["features"]], -1)
-            image, alphas, _ = rasterization(*shape, t["opacities"], colors, **camera, **options)
-            thermal, thermal_alphas, _ = rasterization(
+            image, alphas, info = rasterization(*shape, t["opacities"], colors, **camera, **options)
+            thermal, thermal_alphas, thermal_info = rasterization(
                 *shape, t["thermal_opacities"], t["features"], **camera, **options
             )
-            return [image, alphas, thermal, thermal_alphas]
+            # split, whose gradient is one copy, where slices would each fill an image with zeros
+            return Rendered([*image.split([3, 8], -1), alphas, thermal, thermal_alphas], [info, thermal_info])
 
         return both if case == "rgbt" else single
 
     return renderer
 
 
-def cuda_peers(alone: bool) -> list[Peer]:
-    """thermosplat and, where it can be imported, gsplat's CUDA kernels."""
+def cuda_peers(names: Collection[str]) -> list[Peer]:
+    """thermosplat and, of those named and where they can be imported, gsplat's CUDA kernels and gswarp."""
     peers = [thermosplat_peer()]
-    if alone:
-        return peers
     try:
-        import gsplat
+        if "gsplat" in names:
+            import gsplat
 
-        renderer = _gsplat_renderer(gsplat.rasterization, gsplat.spherical_harmonics, packed=False)
+            renderer = gsplat_renderer(gsplat.rasterization, gsplat.spherical_harmonics, packed=False)
+            peers.append(Peer("gsplat", f"gsplat {version('gsplat')}, CUDA kernels", renderer))
     except ImportError as error:
-        print(f"gsplat is not importable ({error}); timing thermosplat alone")
-        return peers
-    return [*peers, Peer("gsplat", f"gsplat {version('gsplat')}, CUDA kernels", renderer)]
+        print(f"gsplat is not importable ({error}); it is left out")
+    try:
+        if "gswarp" in names:
+            from gswarp_peer import gswarp_peer
+
+            peers.append(gswarp_peer())
+    except ImportError as error:
+        print(f"gswarp is not importable ({error}); it is left out")
+    if "deterministic" in names:
+        peers.append(thermosplat_peer(deterministic=True))
+    return peers
 
 
-def cpu_peers(oracle: Path, alone: bool) -> list[Peer]:
-    """thermosplat and, where gsplat and its CPU oracle are at hand, gsplat's torch reference."""
+def cpu_peers(names: Collection[str], oracle: Path) -> list[Peer]:
+    """thermosplat and, of those named, a plain torch renderer and, where it can be imported, gsplat's torch reference.
+
+    Args:
+        names: "torch", "gsplat".
+        oracle: folder of ``gsplat_oracle.py``, which makes the reference run without CUDA.
+    """
     peers = [thermosplat_peer()]
-    if alone:
+    if "torch" in names:
+        from torch_renderer import torch_peer
+
+        peers.append(torch_peer())
+    if "gsplat" not in names:
         return peers
     sys.path.insert(0, str(oracle))
     try:
@@ -115,7 +196,8 @@ def cpu_peers(oracle: Path, alone: bool) -> list[Peer]:
         rasterization = gsplat_oracle.install()
         from gsplat import rendering
     except ImportError as error:
-        print(f"gsplat's torch reference is not importable ({error}); timing thermosplat alone")
+        print(f"gsplat's torch reference is not importable ({error}); it is left out")
         return peers
-    renderer = _gsplat_renderer(rasterization, rendering.spherical_harmonics)
-    return [*peers, Peer("gsplat torch reference", f"gsplat {version('gsplat')}, _rasterization on the CPU", renderer)]
+    renderer = gsplat_renderer(rasterization, rendering.spherical_harmonics)
+    description = f"gsplat {version('gsplat')}, _rasterization on the CPU"
+    return [*peers, Peer("gsplat torch reference", description, renderer)]

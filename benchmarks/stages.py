@@ -10,44 +10,51 @@ from torch import Tensor
 from thermosplat.warp_bridge import on_torch_stream, wrap
 from warp_kernels.binning_step import bin_tiles
 from warp_kernels.blending_step import BlendedArrays, blend
+from warp_kernels.color_step import sh_colors
 from warp_kernels.projection import GaussianArrays, ProjectionSettings
 from warp_kernels.projection_step import project
 from warp_kernels.rasterization import allocate_projected, scalar_view
 
 
-def stage_times(
-    inputs: dict[str, Tensor], width: int, height: int, repeats: int
-) -> tuple[dict[str, dict[str, float]], int]:
-    """Times projection, binning and blending and their adjoints on one image of float32 features.
+def blended_channels(inputs: dict[str, Tensor]) -> tuple[int, int]:
+    """Channels a case blends at the first opacity, and at the second (0 where there is one)."""
+    features = inputs["features"].shape[-1] if "features" in inputs else 0
+    return (3 if "sh" in inputs else 0) + features, features if "thermal_opacities" in inputs else 0
+
+
+def stage_times(inputs: dict[str, Tensor], width: int, height: int, repeats: int) -> dict[str, dict[str, float]]:
+    """Times each step and its adjoint on one image in float32.
+
+    On a GPU the host runs ahead of the device, so that these are times of the kernels (in the binning, which reads the
+    number of pairs back, also of the wait).
 
     Args:
-        inputs: means, quats, scales, opacities, features, and thermal_opacities for two opacities.
+        inputs: means, quats, scales, opacities, viewmats, Ks, and sh [N, 16, 3] or features or both;
+            thermal_opacities for two opacities.
         width: image width [px].
         height: image height [px].
         repeats: measurements of each stage.
 
     Returns:
-        For each stage the median and spread [ms], and the number of (Gaussian, tile) pairs.
+        For each stage the median and spread [ms].
     """
     device = inputs["means"].device
     with on_torch_stream(device) as warp_device:
         detached = {name: tensor.detach() for name, tensor in inputs.items()}
-        calls, pairs = _stages(detached, width, height, warp_device)
-        return {name: time_interleaved({name: call}, device, repeats)[name] for name, call in calls.items()}, pairs
+        calls = _stages(detached, width, height, warp_device)
+        return {
+            name: time_interleaved({name: call}, device, repeats, hide_host=True)[name] for name, call in calls.items()
+        }
 
 
-def _stages(
-    t: dict[str, Tensor], width: int, height: int, device: wp.Device
-) -> tuple[dict[str, Callable[[], object]], int]:
+def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) -> dict[str, Callable[[], object]]:
     dtype, vector, matrix = wp.float32, wp.types.vector, wp.types.matrix
     dual = "thermal_opacities" in t
-    # The RGB + thermal frame blends the 3 colours too; any numbers will do for a time.
-    features_t = torch.cat([t["means"], t["features"]], -1).contiguous() if dual else t["features"]
-    count, channels = features_t.shape
-    thermal_channels = t["features"].shape[-1] if dual else 0
+    channels, thermal_channels = blended_channels(t)
+    count = len(t["means"])
 
     def array(tensor: Tensor, kind: type) -> wp.array:
-        made = wrap(tensor.contiguous(), kind)
+        made = wrap(tensor, kind)
         made.requires_grad = True
         return made
 
@@ -60,11 +67,32 @@ def _stages(
         None,
         opacities,
         thermal,
-        array(t["viewmats"], matrix((4, 4), dtype)),
-        array(t["Ks"], matrix((3, 3), dtype)),
+        wrap(t["viewmats"], matrix((4, 4), dtype)),
+        wrap(t["Ks"], matrix((3, 3), dtype)),
     )
-    features = array(features_t, vector(channels, dtype))
     settings = ProjectionSettings(width=width, height=height, num_gaussians=count, num_cameras=1, num_images=1)
+    projected = allocate_projected(count, dtype, device, True)
+    calls: dict[str, Callable[[], object]] = {}
+    adjoints: dict[str, Callable[[], object]] = {}
+
+    project_tape = wp.Tape()
+    project(gaussians, settings, projected, project_tape)
+    calls["projection"] = lambda: project(gaussians, settings, projected)
+    adjoints["projection adjoint"] = project_tape.backward
+
+    parts = [t["features"]] if "features" in t else []
+    if "sh" in t:
+        colors = wp.empty(count, dtype=vector(3, dtype), device=device, requires_grad=True)
+        position = torch.linalg.inv(t["viewmats"].double())[:, :3, 3].contiguous()
+        coefficients = [array(part, vector(3, dtype)) for part in (t["sh"][:, :1], t["sh"][:, 1:])]
+        arguments = (3, gaussians.means, wrap(position, wp.vec3d), *coefficients, projected.radii, colors, count, 1)
+        color_tape = wp.Tape()
+        sh_colors(*arguments, tape=color_tape)
+        colors.grad.fill_(0.01)
+        calls["colors"] = lambda: sh_colors(*arguments)
+        adjoints["colors adjoint"] = color_tape.backward
+        parts.insert(0, wp.to_torch(colors, requires_grad=False))
+    features = array(torch.cat(parts, -1), vector(channels, dtype))
 
     def image(kind: type, requires_grad: bool = True) -> wp.array:
         return wp.zeros((height, width), dtype=kind, device=device, requires_grad=requires_grad)
@@ -73,23 +101,18 @@ def _stages(
     if dual:
         blended.thermal_render = image(vector(thermal_channels, dtype))
         blended.thermal_transmittance, blended.thermal_last_pairs = image(dtype), image(wp.int32, False)
-    projected = allocate_projected(count, dtype, device, True)
-    project_tape, blend_tape = wp.Tape(), wp.Tape()
-    project(gaussians, settings, projected, project_tape)
 
     def binning():
         return bin_tiles(projected, opacities, thermal, scalar_view(features), settings, 16, by_slot=not device.is_cuda)
 
-    bins = binning()
+    bins, blend_tape = binning(), wp.Tape()
     blend(projected, opacities, thermal, features, bins, settings, blended, blend_tape)
     for output in (blended.render, blended.transmittance, blended.thermal_render, blended.thermal_transmittance):
         if output is not None:
-            output.grad.fill_(0.01)
-    calls: dict[str, Callable[[], object]] = {
-        "projection": lambda: project(gaussians, settings, projected),
-        "binning": binning,
-        "blending": lambda: blend(projected, opacities, thermal, features, bins, settings, blended),
-        "blending adjoint": blend_tape.backward,
-        "projection adjoint": project_tape.backward,
-    }
-    return calls, bins.num_pairs
+            gradient = wp.to_torch(output.grad)
+            gradient.copy_(torch.randn(gradient.shape, device=gradient.device))
+    calls["binning"] = binning
+    # With a tape, as in training: the forward pass then leaves what the adjoint needs.
+    calls["blending"] = lambda: blend(projected, opacities, thermal, features, bins, settings, blended, wp.Tape())
+    adjoints["blending adjoint"] = blend_tape.backward
+    return calls | dict(reversed(adjoints.items()))

@@ -23,28 +23,6 @@ def run_script(name: str, *options: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_rasterization_benchmark_runs(tmp_path: Path) -> None:
-    """Both CPU cases are checked, timed stage by stage and written to the JSON file."""
-    report = tmp_path / "report.json"
-    options = ["--device", "cpu", "--count", "200", "--sizes", "32x24", "--repeats", "1", "--no-peers"]
-    done = run_script("bench_rasterization.py", *options, "--json", str(report))
-    assert done.returncode == 0, done.stdout + done.stderr
-    written = json.loads(report.read_text())
-    assert [row["case"] for row in written["rows"]] == ["features", "rgbt"]
-    for row in written["rows"]:
-        assert row["forward"]["thermosplat"]["median_ms"] > 0
-        assert row["error_to_float64"]["thermosplat"]["image_mean"] < 1e-6
-        assert set(row["stages"]) == {
-            "projection",
-            "binning",
-            "blending",
-            "blending adjoint",
-            "projection adjoint",
-        }
-    assert written["environment"]["renderers"]["thermosplat"]
-    assert "thermosplat" in done.stdout
-
-
 def test_accuracy_benchmark_runs(tmp_path: Path) -> None:
     """Errors of the chosen scenes are printed and written, those of numbers that are not finite included."""
     report, table = tmp_path / "report.json", tmp_path / "table.md"

@@ -51,6 +51,21 @@ def test_fewer_active_bases_than_coefficients(device: torch.device) -> None:
     assert (inputs["colors"].grad[:, :4] != 0).any()
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_black_may_become_brighter(device: torch.device, dtype: torch.dtype) -> None:
+    """A colour of exactly 0 passes its gradient, as torch.clamp does; one below 0 is drawn black and passes none."""
+    scene = random_scene(n=6, sh_degree=0, backgrounds=False)
+    black = torch.tensor(-0.5, dtype=dtype) / torch.tensor(0.28209479177387814, dtype=dtype)
+    scene["colors"] = black.double().expand(6, 1, 3).clone()
+    scene["colors"][3:] *= 1.1
+    inputs = leaves(scene, device, dtype)
+    image, _, _ = rasterization(**inputs)
+    image.sum().backward()
+    assert (image == 0).all()
+    assert (inputs["colors"].grad[:3] > 0).all()
+    assert (inputs["colors"].grad[3:] == 0).all()
+
+
 @pytest.mark.parametrize("rasterize_mode", RASTERIZE_MODES)
 @pytest.mark.parametrize("render_mode", RENDER_MODES)
 def test_render_modes(device: torch.device, render_mode: str, rasterize_mode: str) -> None:

@@ -125,14 +125,13 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
     dual = thermal_channels > 0
     lanes, rows, columns = layout.lanes, layout.rows, layout.columns
     cuda = lanes > 1
-    pixels = rows * columns
+    threads, pixels = layout.threads, rows * columns
     row_mask = rows - 1  # rows is a power of two: keeps the index provably non-negative, which vectorising needs
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
     vecQ = wp.types.vector(columns, dtype)
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
-    state = wp.types.vector(state_length(channels, thermal_channels), dtype)
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
@@ -175,7 +174,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         thermal_render: wp.array2d(dtype=vecD),
         thermal_transmittance: wp.array2d(dtype=dtype),
         thermal_last_pairs: wp.array2d(dtype=wp.int32),
-        states: wp.array2d(dtype=state),
+        states: wp.array3d(dtype=dtype),
     ):
         tile, thread = wp.tid()
         tile = tile + first_tile
@@ -216,17 +215,16 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         while i < end:
             if segment > 0 and i == boundary * segment:
                 for p in range(pixels):
-                    kept = state()
-                    kept[0] = T[p]
+                    place = p * threads + thread
+                    states[boundary, 0, place] = T[p]
                     for c in range(C):
-                        kept[first_behind + c] = acc[c, p]
+                        states[boundary, first_behind + c, place] = acc[c, p]
                         acc[c, p] = zero
                     if wp.static(dual):
-                        kept[1] = Tt[p]
+                        states[boundary, 1, place] = Tt[p]
                         for c in range(D):
-                            kept[first_behind_t + c] = acc_t[c, p]
+                            states[boundary, first_behind_t + c, place] = acc_t[c, p]
                             acc_t[c, p] = zero
-                    states[boundary, thread * pixels + p] = kept
                 boundary += 1
             alive = int(0)
             for p in range(pixels):
@@ -326,17 +324,16 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         while boundary > first_boundary:
             boundary -= 1
             for p in range(pixels):
-                kept = states[boundary, thread * pixels + p]
+                place = p * threads + thread
                 for c in range(C):
-                    before = kept[first_behind + c]
-                    kept[first_behind + c] = acc[c, p]
+                    before = states[boundary, first_behind + c, place]
+                    states[boundary, first_behind + c, place] = acc[c, p]
                     acc[c, p] += before
                 if wp.static(dual):
                     for c in range(D):
-                        before = kept[first_behind_t + c]
-                        kept[first_behind_t + c] = acc_t[c, p]
+                        before = states[boundary, first_behind_t + c, place]
+                        states[boundary, first_behind_t + c, place] = acc_t[c, p]
                         acc_t[c, p] += before
-                states[boundary, thread * pixels + p] = kept
 
         for r in range(rows):
             for q in range(columns):

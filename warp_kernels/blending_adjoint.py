@@ -16,7 +16,7 @@ import functools
 import warp as wp
 
 from warp_kernels.blend_layout import BlendLayout
-from warp_kernels.blending import BATCH, alpha_functions, state_length
+from warp_kernels.blending import BATCH, alpha_functions
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.gradient_records import feature_offset, record_length
 from warp_kernels.lanes import (
@@ -54,7 +54,7 @@ def blend_adjoint_kernel(
     dual = thermal_channels > 0
     lanes, rows, columns = layout.lanes, layout.rows, layout.columns
     cuda = lanes > 1
-    pixels = rows * columns
+    threads, pixels = layout.threads, rows * columns
     row_mask = rows - 1
     length = record_length(channels, thermal_channels, absgrad)
     first_feature = feature_offset(thermal_channels)
@@ -64,7 +64,6 @@ def blend_adjoint_kernel(
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     record = wp.types.vector(length, dtype)
-    state = wp.types.vector(state_length(channels, thermal_channels), dtype)
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
     warps = layout.warps
@@ -111,7 +110,7 @@ def blend_adjoint_kernel(
         slots: wp.array(dtype=wp.int32),
         tile_offsets: wp.array(dtype=wp.int32),
         segment: int,
-        states: wp.array2d(dtype=state),
+        states: wp.array3d(dtype=dtype),
         transmittance: wp.array2d(dtype=dtype),
         last_pairs: wp.array2d(dtype=wp.int32),
         thermal_transmittance: wp.array2d(dtype=dtype),
@@ -185,13 +184,12 @@ def blend_adjoint_kernel(
                     v = v_render[line, x]
                     for c in range(C):
                         v_pixel[c, p] = v[c]
-                    goes_on = last[p] >= end  # so the pixel was not finished at the boundary, and left a state there
-                    kept = state()
-                    if goes_on:
-                        kept = states[end // segment, thread * pixels + p]
-                        T[p] = kept[0]
+                    place = p * threads + thread
+                    # where the pixel was not finished at the boundary, it left a state there
+                    if last[p] >= end:
+                        T[p] = states[end // segment, 0, place]
                         for c in range(C):
-                            S[p] += kept[first_behind + c] * v[c]
+                            S[p] += states[end // segment, first_behind + c, place] * v[c]
                     if wp.static(dual):
                         Tt[p] = thermal_transmittance[line, x]
                         St[p] = v_thermal_transmittance[line, x] * Tt[p]
@@ -201,11 +199,9 @@ def blend_adjoint_kernel(
                         for c in range(D):
                             v_pixel_t[c, p] = vt[c]
                         if last_t[p] >= end:
-                            if not goes_on:
-                                kept = states[end // segment, thread * pixels + p]
-                            Tt[p] = kept[1]
+                            Tt[p] = states[end // segment, 1, place]
                             for c in range(D):
-                                St[p] += kept[first_behind_t + c] * vt[c]
+                                St[p] += states[end // segment, first_behind_t + c, place] * vt[c]
 
         i = wp.min(int(warp_max(newest)), end - 1)
         while i >= begin:

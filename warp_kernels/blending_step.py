@@ -78,8 +78,8 @@ def blend(
         layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype, bins.num_pairs, num_tiles)
     segment = layout.segment if tape is not None else 0
     num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
-    state = wp.types.vector(state_length(channels, thermal_channels), dtype)
-    states = wp.empty((num_states, bins.tile_size**2), dtype=state, device=device)
+    length = state_length(channels, thermal_channels)
+    states = wp.empty((num_states, length, bins.tile_size**2), dtype=dtype, device=device)
 
     nothing = wp.empty((0, 0), dtype=wp.types.vector(max(thermal_channels, 1), dtype), device=device)
     thermal_render = blended.thermal_render if dual else nothing

@@ -171,7 +171,7 @@ def color_kernel(dtype: type) -> wp.Kernel:
             for c in range(3):
                 # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
                 if color[c] < dtype(0.0):
-                    color[c] = dtype(0.0)
+                    color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
         colors[index] = color
 
     return sh_colors_kernel
@@ -226,7 +226,8 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                 v = v_colors[index]
                 color = colors[index]
                 for c in range(3):
-                    if color[c] <= dtype(0.0):
+                    # A colour that was clamped is -0; one that is 0 by itself, an initial black, must be able to grow.
+                    if dtype(1.0) / color[c] < dtype(0.0):
                         v[c] = dtype(0.0)
                 v_basis = vec16()
                 v_basis[0] = wp.dot(sh0[row, 0], v)

@@ -26,7 +26,7 @@ PAD = 16
 OPERAND = tl.float16
 """Type that inputs of matrix products are rounded to."""
 
-BLOCK_FORWARD, WARPS_FORWARD, BLOCK_BACKWARD, WARPS_BACKWARD = 64, 4, 64, 8
+BLOCK_FORWARD, BLOCK_BACKWARD, WARPS = 64, 64, 4
 """Pixels a program holds at a time, and its warps; see benchmarks/notes.md."""
 
 
@@ -97,7 +97,7 @@ class _Branch(torch.autograd.Function):
             BLOCK=BLOCK_FORWARD,
             PADDED=PAD,
             OPERAND=OPERAND,
-            num_warps=WARPS_FORWARD,
+            num_warps=WARPS,
         )
         ctx.save_for_backward(features, image, *parameters)
         return image
@@ -132,7 +132,7 @@ class _Branch(torch.autograd.Function):
             PADDED=PAD,
             OPERAND=OPERAND,
             TURNS=triton.cdiv(blocks, programs),
-            num_warps=WARPS_BACKWARD,
+            num_warps=WARPS,
             num_stages=1,
         )
         sums = partial.sum(0).split(sizes)
