@@ -1,7 +1,7 @@
 """How much quality does a scene keep with a share of its Gaussians?
 
     python benchmarks/bench_budget.py DATA [--config thermosplat] [--max-steps 7000] [--fine-tune 1000]
-        [--budgets 0.01 0.05 0.25 1.0] [--out results/budget] [--run FOLDER]
+        [--budgets 0.01 0.05 0.25 1.0] [--prune-by weights] [--out results/budget] [--run FOLDER]
 
 Trains DATA once (or takes a finished run), then for every budget removes the Gaussians that contribute least to the
 training views, fine-tunes what is left with its number fixed, drops the thermal offsets and spherical harmonics that do
@@ -43,7 +43,9 @@ COLUMNS = {
 }
 
 
-def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, fine_tune: int) -> dict[str, Any]:
+def measured(
+    run: RunDirectory, capture: Capture, out: Path, budget: float, fine_tune: int, *, squared: bool
+) -> dict[str, Any]:
     """Prunes a finished run to a share of its Gaussians, fine-tunes and evaluates it."""
     checkpoint = newest_checkpoint(run)
     before = load_config(run.config_yaml)
@@ -60,7 +62,7 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, fine
     frames = [trainer.frames[index] for index in range(len(trainer.frames))]
     state, settings = trainer.state, AutoBudgetConfig()
     if budget < 1.0:
-        shares = contributions(trainer.model, frames)
+        shares = contributions(trainer.model, frames, squared=squared)
         removed = {name: least(values, round((1.0 - budget) * len(values))) for name, values in shares.items()}
         prune_sets(state.gaussian_sets, state.optimizers, removed)
         for name, gaussians in state.gaussian_sets.items():
@@ -148,6 +150,7 @@ def main() -> None:
     parser.add_argument("--data-factor", type=int, default=1)
     parser.add_argument("--fine-tune", type=int, default=1000, metavar="STEPS", help="steps after pruning")
     parser.add_argument("--budgets", type=float, nargs="+", default=list(BUDGETS), metavar="SHARE")
+    parser.add_argument("--prune-by", choices=("weights", "squares"), default="squares")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--out", type=Path, default=Path("results/budget"))
     parser.add_argument("--run", help="a finished run of DATA to take in place of training one")
@@ -160,7 +163,8 @@ def main() -> None:
     rows = []
     for budget in sorted(options.budgets):
         folder = options.out / f"budget_{round(1000 * budget):04d}"
-        rows.append(measured(run, capture, folder, budget, options.fine_tune))
+        squared = options.prune_by == "squares"
+        rows.append(measured(run, capture, folder, budget, options.fine_tune, squared=squared))
         (options.out / "budget.json").write_text(json.dumps({"scene": capture.name, "rows": rows}, indent=2))
     (options.out / "budget.md").write_text(table(rows))
     print(table(rows))

@@ -6,7 +6,7 @@ A checkpoint is a plain dict of tensors and built-in types (``torch.load(..., we
     step           int, training steps done
     config         dict, the resolved configuration (``config_files.to_dict``)
     sh_degree      int, highest spherical-harmonics degree in use
-    model          {"gaussian_sets": {name: state_dict}, "decoders": state_dict | None, "thermal_channels": int}
+    model          {"gaussian_sets": {name: packed state_dict}, "decoders": state_dict | None, "thermal_channels": int}
     thermal_scale  dict (``ThermalScale.state_dict``) | None
     training       dict, optimizer and densification state (``training.trainer``)
 """

@@ -233,9 +233,12 @@ class AutoBudgetConfig:
 
     prune_at: tuple[float, ...] = (0.6, 0.75)
     """Shares of the run after which the Gaussians of least contribution are removed. Growth ends with the first."""
-    prune_share: float = 0.02
-    """Share of all blending weights, over the training views and both spectra, of what is removed each time. Open
-    choice: the faintest half of the Gaussians often has no more."""
+    prune_share: float = 0.005
+    """Share of all contributions, over the training views and both spectra, of what is removed each time. Open choice:
+    the faintest half of the Gaussians often has no more."""
+    prune_by: Literal["weights", "squares"] = "squares"
+    """What a contribution is: the sum of a Gaussian's blending weights over all pixels, or of their squares, which
+    spares those that have some pixels to themselves (open choice)."""
     offset_shrinkage: float = 0.02
     """λ: soft threshold of the thermal opacity offsets after a step, as a multiple of their learning rate."""
     offset_tolerance: float = 0.02

@@ -69,6 +69,19 @@ def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
     assert not trainer.state.growing
 
 
+def test_a_full_budget_ends_growth(tmp_path: Path) -> None:
+    """With MCMC nothing is added once the budget is reached: the validation views come back."""
+    config = budget_config()
+    densification = dataclasses.replace(config.densification, strategy="mcmc", max_gaussians=63)
+    config = dataclasses.replace(config, densification=densification)
+    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
+    advance(trainer, 3)
+    assert trainer.state.growing
+    advance(trainer, 4)  # 60 and 5%
+    assert trainer.model.num_gaussians == 63
+    assert not trainer.state.growing
+
+
 def test_no_validation_views_where_there_are_too_few(tmp_path: Path) -> None:
     """Of four training frames none is withheld."""
     trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), 5))

@@ -7,6 +7,7 @@ import torch
 
 from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.model import SceneModel
+from thermosplat.rasterizer import rasterization
 from thermosplat.training.contributions import contributions, least, negligible, prune_sets
 from thermosplat.training.optimizers import gaussian_optimizers
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model
@@ -16,8 +17,6 @@ SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling
 
 def drawn(model: SceneModel, name: str, chosen: int, capture: Any) -> tuple[float, float]:
     """Sum of the image, by its alpha, that leaves when one Gaussian's colour is black: rendered the long way."""
-    from thermosplat.rasterizer import rasterization
-
     gaussians, frame = model.gaussians(name), toy_frame(capture)
     sums = []
     for opacities, view in ((gaussians.opacities, frame.rgb), (gaussians.thermal_opacities, frame.thermal)):
@@ -41,6 +40,25 @@ def test_shares_of_blending_weights(aligned: bool) -> None:
     everyone = torch.tensor([drawn(model, "shared", i, capture) for i in range(len(shares))])
     expected = (everyone / everyone.sum(dim=0)).mean(dim=1)
     torch.testing.assert_close(shares, expected.to(shares.dtype), rtol=1e-3, atol=1e-6)
+
+
+def test_shares_of_squared_weights() -> None:
+    """Estimated over many views, shares of squared weights are those of squared images of each Gaussian alone."""
+    capture = toy_capture()
+    model = toy_model(toy_config(), capture)
+    frame = toy_frame(capture)
+    gaussians = model.gaussians("shared")
+    estimated = contributions(model, [frame] * 300, squared=True)["shared"]
+    images = []
+    for opacities in (gaussians.opacities, gaussians.thermal_opacities):
+        everyone, _, _ = rasterization(
+            *(gaussians.means, gaussians.quats, gaussians.scales, opacities, torch.eye(len(gaussians))),
+            *(frame.rgb.viewmat[None], frame.rgb.K[None], frame.rgb.width, frame.rgb.height),
+        )
+        images.append(everyone.detach().square().sum(dim=(0, 1, 2)))
+    expected = torch.stack([image / image.sum() for image in images]).mean(dim=0)
+    torch.testing.assert_close(estimated, expected, rtol=0.3, atol=1e-4)
+    assert estimated.sum().item() == pytest.approx(1.0, abs=1e-5)
 
 
 def test_separate_sets_have_shares_of_their_own() -> None:

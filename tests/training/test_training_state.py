@@ -44,3 +44,17 @@ def test_gradients_are_named_by_set_and_parameter(tmp_path: Path) -> None:
     assert listed == len(list(state.model.parameters()))
     state.clear_gradients()
     assert all(parameter.grad is None for parameter in state.model.parameters())
+
+
+def test_checkpoints_of_the_first_version_load(tmp_path: Path) -> None:
+    """They know nothing of budgets: growth goes on."""
+    config, capture = toy_run_config(), many_frames(toy_capture())
+    trainer = toy_trainer(tmp_path, config, capture)
+    trainer._train_step()
+    checkpoint = trainer.state.checkpoint(config, 0, None)
+    for key in ("growing", "offsets_dropped", "best_validation", "exposures"):
+        del checkpoint["training"][key]
+    trainer.state.growing = False
+    trainer.state.load(checkpoint)
+    assert trainer.state.growing
+    assert not trainer.state.offsets_dropped

@@ -53,7 +53,11 @@ class AutoBudget:
 
     def acts_at(self, step: int) -> bool:
         """Whether something may change after this step."""
-        return step in self._prune_steps or self._validates_at(step)
+        return self.prunes_at(step) or self._validates_at(step) or self._growth_is_over(step)
+
+    def prunes_at(self, step: int) -> bool:
+        """Whether Gaussians are removed after this step, and captured steps no longer fit."""
+        return step in self._prune_steps
 
     def after_step(self, step: int, sh_degree: int) -> None:
         """Validate, stop growth or prune, where this step is the one to do so.
@@ -64,7 +68,9 @@ class AutoBudget:
         """
         if self._validates_at(step):
             self._validate(step, sh_degree)
-        if step in self._prune_steps:
+        if self._growth_is_over(step):
+            self._stop_growing()
+        if self.prunes_at(step):
             self._stop_growing()
             self._prune()
         if step == max(self._prune_steps, default=0):
@@ -81,6 +87,14 @@ class AutoBudget:
     def _validates_at(self, step: int) -> bool:
         settings, started = self.settings, self.config.densification.start_step
         return bool(self.validation) and self.state.growing and step > started and step % settings.validate_every == 0
+
+    def _growth_is_over(self, step: int) -> bool:
+        """Whether density control adds nothing any more although nobody has stopped it."""
+        state = self.state
+        if not state.growing:
+            return False
+        full = (strategy.is_full(state.gaussian_sets[name]) for name, strategy in state.strategies.items())
+        return step >= self.config.densification.stop_step or all(full)
 
     @torch.no_grad()
     def _validate(self, step: int, sh_degree: int) -> None:
@@ -106,7 +120,8 @@ class AutoBudget:
 
     def _prune(self) -> None:
         state = self.state
-        shares: dict[str, Tensor] = contributions(state.model, self._all_frames())
+        squared = self.settings.prune_by == "squares"
+        shares: dict[str, Tensor] = contributions(state.model, self._all_frames(), squared=squared)
         removed = {name: negligible(values, self.settings.prune_share) for name, values in shares.items()}
         prune_sets(state.gaussian_sets, state.optimizers, removed)
         for name, strategy in state.strategies.items():

@@ -3,6 +3,10 @@
 A render is A = Σ_i a_i w_i with blending weights w_i (equation 1), so the gradient of the sum of all pixels with
 respect to a_i is the sum of the Gaussian's weights over the image: one backward pass a view gives those of all
 Gaussians, exactly. With two opacities every Gaussian has a weight in either spectrum.
+
+The sum of squared weights says how much the squared error grows where a Gaussian is missing: a few pixels that are its
+own count for more than a trace in many. With random signs s_p = ±1 on the pixels the gradient of Σ s_p A_p is
+Σ s_p w_p, whose square has the expected value Σ w_p² (Hutchinson 1990); each colour channel of each view is a sample.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,28 +21,30 @@ from thermosplat.rasterizer import rasterization, rasterization_rgbt
 from thermosplat.training.gaussian_ops import Optimizers, prune
 
 
-def contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
+def contributions(model: SceneModel, frames: Iterable[FrameTensors], *, squared: bool = False) -> dict[str, Tensor]:
     """Each Gaussian's share of all blending weights of its spectra.
 
     Args:
         model: The scene.
         frames: The training frames.
+        squared: Sum squared weights, estimated with the same signs at every call.
 
     Returns:
         By name of the set, shape [N]: the sum of its weights over all pixels of all frames, divided by that of all
         Gaussians; in a set that renders both spectra the mean of both shares. They add up to 1.
     """
+    signs = torch.Generator().manual_seed(0) if squared else None
     weights = {name: torch.zeros(2, len(model.gaussians(name)), device=_device(model)) for name in model.gaussian_sets}
     for frame in frames:
         rgb = frame.rgb if model.config.rgb else None
         thermal = frame.thermal if model.config.thermal else None
         if frame.aligned and rgb is not None and thermal is not None and "shared" in model.gaussian_sets:
-            weights["shared"] += _weights_of_both(model, rgb)
+            weights["shared"] += _weights_of_both(model, rgb, signs)
             continue
         for row, (spectrum, view) in enumerate((("rgb", rgb), ("thermal", thermal))):
             if view is not None:
                 name = spectrum if spectrum in model.gaussian_sets else "shared"
-                weights[name][row] += _weights(model, name, view, thermal=spectrum == "thermal")
+                weights[name][row] += _weights(model, name, view, signs, thermal=spectrum == "thermal")
     return {name: _shares(both) for name, both in weights.items()}
 
 
@@ -78,7 +84,7 @@ def prune_sets(
 
 
 @torch.enable_grad()
-def _weights_of_both(model: SceneModel, view: ViewTensors) -> Tensor:
+def _weights_of_both(model: SceneModel, view: ViewTensors, signs: torch.Generator | None) -> Tensor:
     """Summed weights at α and at α_t, shape [2, N], by one traversal."""
     gaussians = model.gaussians("shared")
     # as many channels as training blends, so that its compiled kernels serve
@@ -97,13 +103,15 @@ def _weights_of_both(model: SceneModel, view: ViewTensors) -> Tensor:
     thermal = output.render_thermal_features
     if thermal is None:
         thermal = output.render_features
-    total = output.render_colors[..., 0].sum() + thermal[..., 0].sum()
-    by_color, by_feature = torch.autograd.grad(total, (colors, features))
-    return torch.stack([by_color[:, 0], by_feature[:, 0]])
+    total = _sum(output.render_colors, signs) + _sum(thermal, signs)
+    gradients = torch.autograd.grad(total, (colors, features))
+    return torch.stack([_summed_weights(gradient, squared=signs is not None) for gradient in gradients])
 
 
 @torch.enable_grad()
-def _weights(model: SceneModel, name: str, view: ViewTensors, *, thermal: bool) -> Tensor:
+def _weights(
+    model: SceneModel, name: str, view: ViewTensors, signs: torch.Generator | None, *, thermal: bool
+) -> Tensor:
     """Summed weights of one spectrum in one view, shape [N]."""
     gaussians = model.gaussians(name)
     colors = _ones(gaussians, 3)
@@ -118,7 +126,21 @@ def _weights(model: SceneModel, name: str, view: ViewTensors, *, thermal: bool) 
         packed=False,
         rasterize_mode=model.config.rasterize_mode,
     )
-    return torch.autograd.grad(image[..., 0].sum(), colors)[0][:, 0]
+    return _summed_weights(torch.autograd.grad(_sum(image, signs), colors)[0], squared=signs is not None)
+
+
+def _sum(image: Tensor, signs: torch.Generator | None) -> Tensor:
+    """Sum over the first three channels of an image [1, H, W, C], with random signs where they are asked for."""
+    image = image[..., :3]
+    if signs is None:
+        return image.sum()
+    return (image * (2 * torch.randint(2, image.shape, generator=signs, dtype=torch.int8) - 1).to(image)).sum()
+
+
+def _summed_weights(gradient: Tensor, *, squared: bool) -> Tensor:
+    """Sums of weights or of their squares [N], of the gradient of ``_sum`` [N, C]."""
+    gradient = gradient[:, :3]
+    return (gradient.square() if squared else gradient).mean(dim=1)
 
 
 def _ones(gaussians: Gaussians, channels: int) -> Tensor:

@@ -96,6 +96,10 @@ class DefaultStrategy:
         done = self._schedule_step(step)
         return self.growing and self.is_active(step) and done > 0 and done % self.config.reset_every == 0
 
+    def is_full(self, gaussians: Gaussians) -> bool:
+        """Whether nothing will be added any more: here never, since what is pruned makes room."""
+        return False
+
     def _schedule_step(self, step: int) -> int:
         """Steps of the set's training before this one."""
         return step - 1 - (0 if self.span is None else self.span.start)

@@ -39,6 +39,10 @@ class McmcStrategy(DefaultStrategy):
         """Never: what the images do not need fades by ``loss.opacity_reg``."""
         return False
 
+    def is_full(self, gaussians: Gaussians) -> bool:
+        """Whether the budget is reached: from then on Gaussians only move."""
+        return len(gaussians) >= (self.config.max_gaussians or 0)
+
     def step_pre_backward(self, infos: list[dict[str, Any]]) -> None:
         """Keep gradients, where they say what is doubled."""
         if self._by_gradient:

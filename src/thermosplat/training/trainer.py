@@ -194,13 +194,13 @@ class Trainer:
                 if self.captured is not None:
                     self.captured.look()
             refining = {n: s for n, s in state.strategies.items() if s.refines_at(step) or s.resets_at(step)}
-            budgeting = self.budget is not None and self.budget.acts_at(step)
-            if self.captured is not None and (refining or budgeting):
+            pruning = self.budget is not None and self.budget.prunes_at(step)
+            if self.captured is not None and (refining or pruning):
                 self.captured.forget()
             for name, strategy in refining.items():
                 random = random_stream(config.seed, "split", step)
                 strategy.refine(state.gaussian_sets[name], state.optimizers[name], step, random)
-            if self.budget is not None and budgeting:
+            if self.budget is not None and self.budget.acts_at(step):
                 self.budget.after_step(step, kind.sh_degree)
             if config.model.thermal_start == "rgb" and step == state.spans["thermal"].start:
                 self._start_thermal_from_rgb()

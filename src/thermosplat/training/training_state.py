@@ -167,8 +167,9 @@ class TrainingState:
             strategy.load_state_dict(training["strategies"][name])
         if self.exposures is not None:
             self.exposures.load_state_dict(training["exposures"])
-        self.growing, self.offsets_dropped = training["growing"], training["offsets_dropped"]
-        self.best_validation = training["best_validation"]
+        self.growing = training.get("growing", True)  # checkpoints of 0.1.0 have none of these three
+        self.offsets_dropped = training.get("offsets_dropped", False)
+        self.best_validation = training.get("best_validation", self.best_validation)
         self.step = checkpoint["step"]
         self.seconds = Seconds(**training["seconds"])
 
