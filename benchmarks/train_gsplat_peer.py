@@ -1,6 +1,6 @@
 """What does 3DGS reach when gsplat itself trains it? Its rasterizer, DefaultStrategy and published constants.
 
-    python benchmarks/train_gsplat_peer.py DATA [--modality rgb thermal] [--max-steps 7000] [--scene-scale S] [--json F]
+    python benchmarks/train_gsplat_peer.py DATA [--modality rgb thermal] [--max-steps 7000] [--seed 42] [--json F]
 
 Each modality alone, on this project's loader, split and metrics, so that only renderer and training differ from
 ``thermosplat-train DATA --config 3dgs``. Needs CUDA and gsplat. The schedule is gsplat's examples/simple_trainer.py.
@@ -43,9 +43,9 @@ def initial_parameters(points, colors, device) -> torch.nn.ParameterDict:
     return torch.nn.ParameterDict({k: torch.nn.Parameter(v.to(device)) for k, v in parameters.items()})
 
 
-def train(capture, modality: str, max_steps: int, scene_scale: float, device: torch.device) -> dict:
+def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int, device: torch.device) -> dict:
     """Trains one modality; returns held-out PSNR, SSIM, count and seconds."""
-    torch.manual_seed(42)
+    torch.manual_seed(seed)
     views = [
         [getattr(frame_tensors(frame, capture.thermal_scale, device), modality) for frame in frames]
         for frames in (capture.train, capture.test)
@@ -94,6 +94,7 @@ def train(capture, modality: str, max_steps: int, scene_scale: float, device: to
         "num_gaussians": len(params["means"]),
         "seconds": seconds,
         "scene_scale": scene_scale,
+        "seed": seed,
         "steps": max_steps,
     }
 
@@ -105,13 +106,15 @@ def main() -> None:
     parser.add_argument("--modality", nargs="+", default=["rgb", "thermal"])
     parser.add_argument("--max-steps", type=int, default=7000)
     parser.add_argument("--scene-scale", type=float, default=math.nan, help="default: as gsplat, 1.1 x camera radius")
+    parser.add_argument("--seed", type=int, default=42)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     capture = load_capture(args.data)
     scale = capture.scene_extent if math.isnan(args.scene_scale) else args.scene_scale
     rows = []
     for modality in args.modality:
-        rows.append({"capture": capture.name} | train(capture, modality, args.max_steps, scale, torch.device("cuda")))
+        result = train(capture, modality, args.max_steps, scale, args.seed, torch.device("cuda"))
+        rows.append({"capture": capture.name} | result)
         print(rows[-1], flush=True)
         if args.json:
             args.json.write_text(json.dumps(rows, indent=1))

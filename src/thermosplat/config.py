@@ -153,8 +153,9 @@ class OptimizerConfig:
     """Thermal SH degrees 1 to 3 in a shared set without features. ThermalGaussian, MMOne: as the visible ones."""
     features_lr: float = 5e-3
     """Latent features. Open choice: MS-Splatting's."""
-    features_lr_final: float = 5e-3
-    """Latent features at the last step (exponential decay). Open choice: MS-Splatting's constant rate."""
+    features_lr_final: float = 5e-4
+    """Latent features at the last step (exponential decay). Open choice: as the decoders'; at a constant rate features
+    go on fitting the noise of the training views (docs/results.md)."""
     thermal_opacity_offsets_lr: float = 5e-2
     """Thermal opacity offsets. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
     thermal_opacities_lr: float = 5e-2

@@ -24,12 +24,13 @@ CONFIG = OptimizerConfig()
         ("quats", 0.7, 1e-3),
         ("sh0", 0.7, 2.5e-3),
         ("shN", 0.7, 2.5e-3 / 20),
-        ("features", 0.7, 5e-3),
+        ("features", 0.0, 5e-3),
+        ("features", 1.0, 5e-4),
         ("thermal_opacity_offsets", 0.7, 5e-2),
     ],
 )
 def test_published_rates(name: str, progress: float, expected: float) -> None:
-    """Means and decoders decay exponentially, means in units of the scene; everything else is constant."""
+    """Means, features and decoders decay exponentially, means in units of the scene; everything else is constant."""
     assert learning_rate(name, CONFIG, progress, scene_extent=3.0) == pytest.approx(expected)
 
 
