@@ -52,13 +52,13 @@ def measure_peaks(device: torch.device) -> Peaks:
     product = torch.empty_like(left)
     precision = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")
-    copy_s = _seconds(lambda: target.copy_(source), device)
-    matmul_s = _seconds(lambda: torch.mm(left, right, out=product), device)
+    copy_s = seconds(lambda: target.copy_(source), device)
+    matmul_s = seconds(lambda: torch.mm(left, right, out=product), device)
     torch.set_float32_matmul_precision(precision)
     return Peaks(2 * source.numel() * source.element_size() / copy_s, size**3 / matmul_s)
 
 
-def _seconds(call: Callable[[], object], device: torch.device) -> float:
+def seconds(call: Callable[[], object], device: torch.device) -> float:
     """Shortest of a dozen times of a call that takes milliseconds: a peak is what is reached undisturbed."""
     times = []
     for _ in range(12):

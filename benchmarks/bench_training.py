@@ -1,0 +1,233 @@
+"""How fast is training, where does a step go, beside whom, and how much memory does it take?
+
+    python benchmarks/bench_training.py DATA --parts whole peers step memory --json training.json \\
+        --markdown training.md --time-limit 300 -- --densification.max-gaussians 300000
+    python benchmarks/bench_training.py sample --device cpu --parts whole -- --config demo
+
+What follows ``--`` are flags of thermosplat-train: they hold for every part. Files are rewritten after every row.
+README.md says what each part measures.
+"""
+
+import argparse
+import functools
+import json
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import torch
+from floors import Peaks, measure_peaks
+from step_floors import tensor_core_peak
+from training_peers import compare_steps, warm_checkpoint
+from training_sizes import capture_rows, memory_fit, profiled_row, synthetic_row
+from training_tables import markdown
+from training_whole import whole_runs
+
+from thermosplat.checkpoint import write_atomically
+from thermosplat.cli.arguments import parse_train_arguments
+from thermosplat.cli.warp_start import start_warp
+from thermosplat.config import TrainConfig
+from thermosplat.datasets import load_capture
+from thermosplat.datasets.capture import Capture
+from thermosplat.devices import choose_device
+from thermosplat.errors import UserError
+from thermosplat.run_directory import environment, finite_or_null
+
+PARTS = ("whole", "peers", "step", "memory")
+SIZES, COUNTS = ("640x480", "1280x1024"), (100_000, 300_000, 1_000_000)
+
+
+def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
+    """The script's own options, and the flags of thermosplat-train after ``--``."""
+    flags: list[str] = []
+    if "--" in words:
+        words, flags = words[: words.index("--")], words[words.index("--") + 1 :]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", help="folder of a capture, or sample")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[42], help="of the whole runs")
+    parser.add_argument("--plain", action="store_true", help="also --no-graph --no-compile: whole runs and steps")
+    parser.add_argument("--deterministic", action="store_true", help="also whole runs with --deterministic")
+    parser.add_argument("--warm-steps", type=int, default=2000, help="train so far before peers and steps are timed")
+    parser.add_argument("--window", type=int, default=None, help="steps a measurement (40 on CUDA, 3 on the CPU)")
+    parser.add_argument("--rounds", type=int, default=None, help="measurements of each (9 on CUDA, 3 on the CPU)")
+    parser.add_argument("--sizes", nargs="+", default=SIZES, help="WIDTHxHEIGHT of the random scenes")
+    parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="Gaussians of the random scenes")
+    parser.add_argument("--time-limit", type=float, default=float("inf"), help="start nothing after so long [s]")
+    parser.add_argument("--json", type=Path, default=None, help="file to write")
+    parser.add_argument("--markdown", type=Path, default=None, help="file to write the tables to")
+    return parser.parse_args(words), flags
+
+
+class Benchmark:
+    """One run of the script: what was asked for, and the report that grows.
+
+    Args:
+        options: The script's own.
+        flags: Those of thermosplat-train, without DATA.
+    """
+
+    def __init__(self, options: argparse.Namespace, flags: list[str]) -> None:
+        self.options = options
+        self.device = choose_device(options.device)
+        on_cuda = self.device.type == "cuda"
+        self.window = options.window or (40 if on_cuda else 3)
+        self.rounds = options.rounds or (9 if on_cuda else 3)
+        self.command = [options.data, *flags, "--device", str(self.device)]
+        self.config: TrainConfig = parse_train_arguments(self.command)
+        self.started = time.perf_counter()
+        self.report: dict[str, Any] = {
+            "command": " ".join(["python", "benchmarks/bench_training.py", *sys.argv[1:]]),
+            "date": time.strftime("%Y-%m-%d"),
+            "environment": environment(self.device),
+            "config": self.config.config,
+            "stopped": [],
+            "errors": {},
+        }
+
+    @property
+    def remaining_s(self) -> float:
+        """Of the time limit [s]."""
+        return self.options.time_limit - (time.perf_counter() - self.started)
+
+    def save(self) -> None:
+        """Replaces the files, so that they are whole at any time."""
+        for path, text in (
+            (self.options.json, lambda: json.dumps(finite_or_null(self.report), indent=1) + "\n"),
+            (self.options.markdown, lambda: markdown(self.report)),
+        ):
+            if path is not None:
+                write_atomically(path, lambda temporary, text=text: temporary.write_text(text(), encoding="utf-8"))
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Around one part: what goes wrong in it is reported, and the next part goes on."""
+        try:
+            yield
+        except Exception as error:  # out of memory, say, must not lose the other parts
+            traceback.print_exc()
+            self.report["errors"][name] = f"{type(error).__name__}: {error}".splitlines()[0]
+        self.save()
+
+    def late(self, what: str) -> bool:
+        """Whether the time limit is over; then that is noted."""
+        if self.remaining_s > 0:
+            return False
+        self.report["stopped"].append(what)
+        print(f"the time limit came before: {what}", flush=True)
+        return True
+
+    @functools.cached_property
+    def capture(self) -> Capture:
+        """The capture, read as the command reads it."""
+        config = self.config
+        options = {"data_factor": config.data_factor, "test_every": config.test_every, "thermal": config.thermal}
+        return load_capture(config.data, **options)
+
+    @functools.cached_property
+    def checkpoint(self) -> dict[str, Any]:
+        """The state after the warm-up steps."""
+        return warm_checkpoint(replace(self.config, budget="fixed"), self.capture, self.options.warm_steps)
+
+    @functools.cached_property
+    def row(self) -> Callable[..., dict[str, Any]]:
+        """``profiled_row`` with this machine's peaks."""
+        peaks, tensor_cores = measure_peaks(self.device), tensor_core_peak(self.device)
+        self.report["peaks"] = peaks._asdict() | {"tensor_core_fma_per_s": tensor_cores}
+        settings = {"tensor_core_fma_per_s": tensor_cores, "window": self.window, "rounds": self.rounds}
+        return functools.partial(profiled_row, peaks=Peaks(*peaks), **settings)
+
+    def whole(self) -> None:
+        """Part 1."""
+        options = self.options
+        rows = self.report["whole"] = []
+        with tempfile.TemporaryDirectory() as folder:
+            kinds = {"plain": options.plain, "deterministic": options.deterministic}
+            for row in whole_runs(self.command, options.seeds, Path(folder), self.remaining_s, **kinds):
+                rows.append(row)
+                print({key: value for key, value in row.items() if key not in ("metrics", "memory")}, flush=True)
+                self.save()
+
+    def peers(self) -> None:
+        """Part 2."""
+        if not self.late("peers"):
+            found = compare_steps(
+                self.config, self.capture, self.checkpoint, self.device, self.window, self.rounds
+            )
+            self.report["peers"] = found
+            for name, times in found["peers"].items():
+                print(f"{times['steps_per_s']:8.1f} steps/s {times['median_ms']:8.2f} ms  {name}", flush=True)
+            for name, reason in found["left_out"].items():
+                print(f"left out: {name}: {reason}", flush=True)
+
+    def step(self) -> None:
+        """Part 3, on the capture."""
+        if not self.late("step on the capture"):
+            rows = capture_rows(self.config, self.capture, self.checkpoint, self.options.plain, self.row)
+            self.report["step"] = rows
+            for row in rows:
+                print_row(row)
+
+    def sizes(self) -> None:
+        """Part 3 on random Gaussians, and part 4."""
+        rows = self.report["sizes"] = []
+        for size in self.options.sizes:
+            width, height = (int(number) for number in size.lower().split("x"))
+            for count in self.options.counts:
+                name = f"{count:,} Gaussians at {size}"
+                if self.late(name):
+                    return
+                with self.part(name):
+                    row = self.row if "step" in self.options.parts else None
+                    rows.append(synthetic_row(self.config, count, (width, height), row))
+                    print_row(rows[-1])
+        if "memory" in self.options.parts:
+            self.report["memory"] = memory_fit(rows)
+            print("memory:", self.report["memory"] or "not measured (needs CUDA and three sizes)", flush=True)
+
+
+def print_row(row: dict[str, Any]) -> None:
+    """One line a step, then its parts."""
+    line = f"{row['name']:<24} {row['size']:>10} {row['num_gaussians']:>9,} Gaussians"
+    if "median_ms" in row:
+        line += f" {row['median_ms']:8.2f} ms, kernels {row['kernels_ms']:.2f}, floor {row['floor_ms']:.2f}"
+    if row.get("memory_mib") is not None:
+        line += f", {row['memory_mib']:,.0f} MiB"
+    print(line, flush=True)
+    for part, found in row.get("parts", {}).items():
+        if found["ms"] is not None:
+            floor = f"{found['times_floor']:8.1f}x its floor" if "times_floor" in found else ""
+            print(f"    {part:<20} {found['ms']:8.3f} ms {floor}", flush=True)
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs the parts asked for; returns 1 if something failed."""
+    options, flags = arguments(sys.argv[1:] if words is None else words)
+    start_warp()
+    try:
+        benchmark = Benchmark(options, flags)
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 2
+    for name, measure in (("whole", benchmark.whole), ("peers", benchmark.peers), ("step", benchmark.step)):
+        if name in options.parts:
+            with benchmark.part(name):
+                measure()
+    if {"step", "memory"} & set(options.parts):
+        with benchmark.part("sizes"):
+            benchmark.sizes()
+    report = benchmark.report
+    failed = any("error" in row and "time limit" not in row["error"] for row in report.get("whole", []))
+    return int(failed or bool(report["errors"]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,70 @@
+"""Which part of a training step a profiled kernel, or on the CPU an operator, belongs to."""
+
+from typing import Any
+
+import torch
+from frozen_training import run_steps
+from torch.profiler import ProfilerActivity, profile
+
+from thermosplat.training.trainer import Trainer
+
+PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("image losses", ("image_loss_", "_ImageLoss", "conv2d", "convolution")),
+    ("projection adjoint", ("project_adjoint", "finish_camera_gradients", "ProjectBackward")),
+    ("projection", ("project_", "Project")),
+    ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "ShColorsBackward")),
+    ("SH", ("sh_colors", "ShColors")),
+    ("blending adjoint", ("blend_adjoint", "distribute_", "strand_sums", "BlendBackward")),
+    ("blending", ("blend_", "Blend")),
+    ("binning", ("count_tiles", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan")),
+    ("optimizer", ("adam", "Adam")),
+    (
+        "decoders",
+        (
+            *("forward_kernel", "backward_kernel", "square_weights", "narrow_weights", "gemm", "triton", "_Branch"),
+            *("cutlass", "xmma", "aten::mm", "addmm", "silu"),
+        ),
+    ),
+)
+"""Parts and what their kernels' names contain; the first that fits. The rest is "rest"."""
+
+REST = "rest"
+
+
+def part_of(kernel: str) -> str:
+    """The part that a kernel of that name belongs to."""
+    return next((part for part, words in PARTS if any(word in kernel for word in words)), REST)
+
+
+def profiled_steps(trainer: Trainer, steps: int) -> list[dict[str, Any]]:
+    """Kernels (on the CPU operators) of so many steps, the costliest first.
+
+    Returns:
+        For each ``name``, ``part``, and a step's ``microseconds`` and ``calls``.
+    """
+    on_cuda = trainer.device.type == "cuda"
+    with profile(activities=[ProfilerActivity.CUDA if on_cuda else ProfilerActivity.CPU]) as recorded:
+        run_steps(trainer, steps)
+    kernels = []
+    for event in recorded.key_averages():
+        total = event.self_device_time_total if on_cuda else event.self_cpu_time_total
+        if total > 0:
+            kernel = {"name": event.key, "part": part_of(event.key)}
+            kernels.append(kernel | {"microseconds": total / steps, "calls": event.count / steps})
+    return sorted(kernels, key=lambda kernel: -kernel["microseconds"])
+
+
+def part_times(kernels: list[dict[str, Any]]) -> dict[str, float]:
+    """Milliseconds a step of each part, in the order of a step as far as kernels have one."""
+    names = ["projection", "SH", "binning", "blending", "decoders", "image losses"]
+    names += ["blending adjoint", "SH adjoint", "projection adjoint", "optimizer", REST]
+    times = dict.fromkeys(names, 0.0)
+    for kernel in kernels:
+        times[kernel["part"]] += kernel["microseconds"] / 1e3
+    return {name: milliseconds for name, milliseconds in times.items() if milliseconds > 0}
+
+
+def host_gap_ms(milliseconds: float, kernels: list[dict[str, Any]]) -> float | None:
+    """What of a step the GPU idles, as far as kernels run one after another [ms]; None without CUDA kernels."""
+    on_cuda = torch.cuda.is_available() and kernels and not any(kernel["name"].startswith("aten::") for kernel in kernels)
+    return max(0.0, milliseconds - sum(kernel["microseconds"] for kernel in kernels) / 1e3) if on_cuda else None

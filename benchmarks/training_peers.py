@@ -1,0 +1,215 @@
+"""Steps per second of our training step beside gsplat's, on the same Gaussians, in interleaved windows."""
+
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from frozen_training import frozen_trainer, quiet_trainer, run_steps, wait, warm_up
+from gsplat_rgbt import gsplat_rasterization
+from timing import summary
+from torch import Tensor
+
+from thermosplat.config import TrainConfig
+from thermosplat.config_files import load_config
+from thermosplat.datasets.capture import Capture
+from thermosplat.gaussians import Gaussians
+from thermosplat.losses import image_loss
+from thermosplat.training.trainer import Trainer
+from thermosplat.training.training_step import StepKind
+
+OURS, TWICE, GSPLAT_RGB = "thermosplat", "the same on gsplat's rasterizer, called twice", "gsplat, RGB alone"
+OURS_3DGS, OURS_RGB = "thermosplat --config 3dgs", "thermosplat --config 3dgs, RGB alone"
+AGREEMENT = 1e-3
+"""Largest relative difference of a loss on one view between the two rasterizers."""
+
+Steps = Callable[[int], object]
+
+
+def warm_checkpoint(config: TrainConfig, capture: Capture, steps: int) -> dict[str, Any]:
+    """The state after so many steps of training, densification included."""
+    with tempfile.TemporaryDirectory() as folder:
+        trainer = quiet_trainer(config, capture, Path(folder) / "run")
+        run_steps(trainer, steps)
+        return trainer.state.checkpoint(config, trainer.sh_degree, capture.thermal_scale)
+
+
+def compare_steps(
+    config: TrainConfig, capture: Capture, checkpoint: dict[str, Any], device: torch.device, window: int, rounds: int
+) -> dict[str, Any]:
+    """Times every peer that can run here.
+
+    Args:
+        config: Of the run that ``checkpoint`` is the state of.
+        capture: What it was trained on.
+        checkpoint: From ``warm_checkpoint``.
+        device: Where to train.
+        window: Steps in a measurement.
+        rounds: Measurements of each, in turns.
+
+    Returns:
+        ``num_gaussians``; ``peers``: for each name median and spread of the milliseconds a step and ``steps_per_s``;
+        ``agreement``; ``left_out``: why others are not there.
+    """
+    result: dict[str, Any] = {"window": window, "rounds": rounds, "left_out": {}}
+    peers: dict[str, Steps] = {}
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+
+        def trainer(name: str, config: TrainConfig, **start: Any) -> Trainer:
+            made = frozen_trainer(config, capture, Path(folder) / name, **start)
+            stack.callback(made.logger.close)
+            return made
+
+        ours = trainer("ours", config, checkpoint=checkpoint)
+        result["num_gaussians"] = ours.model.num_gaussians
+        warm_up(ours)
+        peers[OURS] = lambda count: run_steps(ours, count)
+        if device.type != "cuda":
+            result["left_out"]["gsplat"] = "its kernels and its training need CUDA; on the CPU only our own step is timed"
+        else:
+            source = next(iter(ours.state.gaussian_sets.values()))
+            try:
+                twice = trainer("twice", replace(config, graph=False), checkpoint=checkpoint)
+                _add_gsplat(peers, result, ours, twice, source, capture)
+            except ImportError as error:
+                result["left_out"]["gsplat"] = f"not importable ({error})"
+            for name, thermal in ((OURS_3DGS, True), (OURS_RGB, False)):
+                plain = _plain_config(config, thermal)
+                separate = trainer(f"3dgs_{thermal}", plain, gaussians=source)
+                warm_up(separate)
+                peers[name] = lambda count, separate=separate: run_steps(separate, count)
+        times: dict[str, list[float]] = {name: [] for name in peers}
+        for _ in range(rounds):
+            for name, steps in peers.items():
+                seconds = steps(window)
+                assert isinstance(seconds, float)
+                times[name].append(1e3 * seconds / window)
+    result["peers"] = {
+        name: summary(found) | {"steps_per_s": 1e3 / summary(found)["median_ms"]} for name, found in times.items()
+    }
+    for found in result["peers"].values():
+        found["times_ours"] = found["median_ms"] / result["peers"][OURS]["median_ms"]
+    return result
+
+
+def _plain_config(config: TrainConfig, thermal: bool) -> TrainConfig:
+    """The preset 3dgs with what of ``config`` is not the method."""
+    preset = load_config("3dgs")
+    return replace(
+        preset,
+        device=config.device,
+        sh_degree=config.sh_degree,
+        seed=config.seed,
+        graph=config.graph,
+        compile=config.compile,
+        model=replace(preset.model, thermal=thermal),
+    )
+
+
+def _add_gsplat(
+    peers: dict[str, Steps], result: dict[str, Any], ours: Trainer, twice: Trainer, source: Gaussians, capture: Capture
+) -> None:
+    """Adds gsplat's two steps; the one of our model only if its losses agree with ours.
+
+    Raises:
+        ImportError: gsplat is not there, or cannot be compiled.
+    """
+    import gsplat
+
+    def swapped() -> Any:
+        return gsplat_rasterization(gsplat.rasterization, gsplat.spherical_harmonics)
+
+    result["agreement"] = agreement(ours, twice, swapped)
+    if result["agreement"]["largest"] <= AGREEMENT:
+        with swapped():
+            warm_up(twice)
+
+        def run_twice(count: int) -> float:
+            with swapped():
+                return run_steps(twice, count)
+
+        peers[TWICE] = run_twice
+    else:
+        result["left_out"][TWICE] = f"its losses differ by {result['agreement']['largest']:.1e} from ours"
+    alone = _GsplatRgb(source, capture, ours)
+    alone.run(3)
+    peers[GSPLAT_RGB] = alone.run
+
+
+def agreement(ours: Trainer, other: Trainer, swapped: Callable[[], Any] = nullcontext) -> dict[str, Any]:
+    """How far losses and gradients of the first frame are apart between two trainers of the same Gaussians.
+
+    Args:
+        ours: The first.
+        other: The second.
+        swapped: Opened around the second.
+
+    Returns:
+        ``losses``: relative differences by term, ``largest`` of them, and of ``gradients`` that of each parameter's
+        norm of the difference to the norm.
+    """
+    losses, gradients = _losses(ours)
+    with swapped():
+        other_losses, other_gradients = _losses(other)
+    apart = {name: abs(other_losses[name] - value) / abs(value) for name, value in losses.items()}
+    slopes = {
+        name: float((other_gradients[name] - value).norm() / value.norm().clamp(min=1e-30))
+        for name, value in gradients.items()
+    }
+    return {"losses": apart, "largest": max(apart.values()), "gradients": slopes}
+
+
+def _losses(trainer: Trainer) -> tuple[dict[str, float], dict[str, Tensor]]:
+    """Loss terms of the first frame, and gradients by parameter; the state stays as it is."""
+    kind = StepKind(trainer.config.sh_degree, densifying=False)
+    done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+    gradients = {name: p.grad.clone() for name, p in trainer.model.named_parameters() if p.grad is not None}
+    trainer.state.clear_gradients()
+    return {name: float(loss) for name, loss in done.losses.items()}, gradients
+
+
+class _GsplatRgb:
+    """gsplat's RGB-only step of train_gsplat_peer.py at our Gaussians; densification and rates off, as in ours.
+
+    The image loss is our fused kernel, which stands in for the fused one that gsplat's trainer takes from elsewhere.
+    """
+
+    def __init__(self, source: Gaussians, capture: Capture, ours: Trainer) -> None:
+        from train_gsplat_peer import published_optimizers, render
+
+        self.render, self.device, self.degree = render, ours.device, ours.config.sh_degree
+        values = {
+            "means": source.means,
+            "scales": source.log_scales,
+            "quats": source.quats,
+            "opacities": source.logit_opacities,
+            "sh0": source.sh0,
+            "shN": source.shN,
+        }
+        copies = {name: torch.nn.Parameter(value.detach().clone()) for name, value in values.items()}
+        self.params = torch.nn.ParameterDict(copies)
+        self.optimizers = published_optimizers(self.params, capture.scene_extent)
+        for optimizer in self.optimizers.values():
+            for group in optimizer.param_groups:
+                group["lr"] = 0.0
+        frames = [ours.frames[index] for index in range(len(ours.frames))]
+        self.views = [frame.rgb for frame in frames if frame.rgb is not None]
+
+    def run(self, count: int) -> float:
+        """Does so many steps; seconds until the device has done them."""
+        from time import perf_counter
+
+        wait(self.device)
+        started = perf_counter()
+        for step in range(count):
+            view = self.views[step % len(self.views)]
+            image, _, _ = self.render(self.params, view, self.degree)
+            image_loss(image[0], view.image, 0.2).backward()
+            for optimizer in self.optimizers.values():
+                optimizer.step()
+                optimizer.zero_grad(set_to_none=True)
+        wait(self.device)
+        return perf_counter() - started

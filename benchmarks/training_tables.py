@@ -1,0 +1,133 @@
+"""The report of bench_training.py as Markdown, for docs/results.md."""
+
+from collections.abc import Iterator
+from typing import Any
+
+Row = dict[str, Any]
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """All tables of a report.
+
+    Args:
+        report: as written to the JSON file; parts that are not there are left out.
+    """
+    machine = report["environment"]
+    packages = machine["packages"]
+    versions = ", ".join(f"{name} {packages[name]}" for name in ("torch", "gsplat") if packages.get(name))
+    lines = [f"{report['date']}, {machine['device']}, {versions}. `{report['command']}`"]
+    if peaks := report.get("peaks"):
+        lines.append(
+            f"Measured peaks: {peaks['bytes_per_s'] / 1e9:,.0f} GB/s; multiply-adds a second {peaks['fma_per_s']:.2e} in "
+            f"float32, {peaks['tensor_core_fma_per_s']:.2e} on tensor cores."
+        )
+    steps = [*report.get("step", []), *(row for row in report.get("sizes", []) if "parts" in row)]
+    parts = [
+        ("Whole runs", _whole(report.get("whole", []))),
+        ("Memory over a whole run", _growth(report.get("whole", []))),
+        ("Steps per second on the same Gaussians", _peers(report.get("peers"))),
+        ("A step [ms]", _steps(steps)),
+        ("Where a step goes: ms (times its floor)", _parts(steps)),
+        ("Peak memory", _memory(report)),
+        ("Not measured", _failures(report)),
+    ]
+    for title, table in parts:
+        body = list(table)
+        if body:
+            lines += ["", f"**{title}**", "", *body]
+    return "\n".join(lines) + "\n"
+
+
+def _table(head: list[str], body: list[list[str]]) -> Iterator[str]:
+    if body:
+        yield f"| {' | '.join(head)} |"
+        yield "|" + "---|" * len(head)
+        yield from (f"| {' | '.join(cells)} |" for cells in body)
+
+
+def _whole(rows: list[Row]) -> Iterator[str]:
+    head = ["run", "seed", "s to metrics.json", "first step [s]", "ms a step", "Gaussians", "PSNR RGB", "PSNR thermal"]
+    body = []
+    for row in rows:
+        if "error" not in row:
+            cells = [row["kind"], str(row["seed"]), f"{row['seconds']:.1f}", f"{row['first_step_s']:.1f}"]
+            cells += [f"{row['ms_a_step']:.2f}{_cost(row)}", f"{row['num_gaussians']:,}"]
+            body.append(cells + [_psnr(row, modality) for modality in ("rgb", "thermal")])
+    yield from _table(head, body)
+    for row in rows:
+        if "same_bits_twice" in row:
+            yield f"\n{row['kind']}, seed {row['seed']}: the same bits in two runs: {row['same_bits_twice']}."
+
+
+def _cost(row: Row) -> str:
+    return f" ({row['times_default']:.2f}x)" if "times_default" in row else ""
+
+
+def _psnr(row: Row, modality: str) -> str:
+    if modality not in row["psnr"]:
+        return "-"
+    apart = row.get("psnr_from_default", {}).get(modality)
+    return f"{row['psnr'][modality]:.2f}" + ("" if apart is None else f" ({apart:+.3f})")
+
+
+def _growth(rows: list[Row]) -> Iterator[str]:
+    body = []
+    for row in rows:
+        if "error" not in row:
+            cells = [f"{found['memory_bytes'] / 2**20:,.0f} MiB, {found['num_gaussians']:,}" for found in row["memory"]]
+            body.append([f"{row['kind']}, seed {row['seed']}", *cells])
+    yield from _table(["run", "peak, Gaussians at 30% of the steps", "50%", "100%"], body)
+
+
+def _peers(found: Row | None) -> Iterator[str]:
+    if found is None:
+        return
+    body = [
+        [name, f"{row['steps_per_s']:.1f}", f"{row['median_ms']:.2f}", f"{row['times_ours']:.2f}x"]
+        for name, row in found["peers"].items()
+    ]
+    count = f"{found['num_gaussians']:,} Gaussians"
+    yield from _table([count, "steps/s", "ms a step", "of ours"], body)
+
+
+def _steps(rows: list[Row]) -> Iterator[str]:
+    body = []
+    for row in rows:
+        gap = "-" if row["host_gap_ms"] is None else f"{row['host_gap_ms']:.2f}"
+        cells = [row["name"], row["size"], f"{row['num_gaussians']:,}", f"{row['pairs']:,.0f}"]
+        body.append([*cells, f"{row['median_ms']:.2f}", f"{row['kernels_ms']:.2f}", gap, f"{row['floor_ms']:.2f}"])
+    yield from _table(["scene", "size", "Gaussians", "pairs", "step", "kernels", "idle", "floors"], body)
+
+
+def _parts(rows: list[Row]) -> Iterator[str]:
+    names = list(dict.fromkeys(part for row in rows for part in row["parts"]))
+    body = [[f"{row['name']} {row['size']}", *(_part(row["parts"].get(name)) for name in names)] for row in rows]
+    yield from _table(["scene", *names], body)
+
+
+def _part(found: Row | None) -> str:
+    if found is None or (found["ms"] is None and "floor_ms" not in found):
+        return "-"
+    if found["ms"] is None:
+        return f"- (floor {found['floor_ms']:.3f})"
+    return f"{found['ms']:.3f}" + (f" ({found['times_floor']:.1f}x)" if "times_floor" in found else "")
+
+
+def _memory(report: dict[str, Any]) -> Iterator[str]:
+    rows = [row for row in report.get("sizes", []) if row.get("memory_mib") is not None]
+    body = [[f"{row['num_gaussians']:,}", row["size"], f"{row['memory_mib']:,.0f}"] for row in rows]
+    yield from _table(["Gaussians", "size", "peak [MiB]"], body)
+    if fit := report.get("memory"):
+        yield (
+            f"\nLeast squares: {fit['bytes_a_gaussian']:,.0f} bytes a Gaussian, {fit['bytes_a_pixel']:,.0f} a pixel, "
+            f"{fit['bytes_besides'] / 2**20:,.0f} MiB besides; worst residual {fit['worst_mib']:,.0f} MiB."
+        )
+
+
+def _failures(report: dict[str, Any]) -> Iterator[str]:
+    for row in report.get("whole", []):
+        if "error" in row:
+            yield f"- {row['kind']}, seed {row['seed']}: {row['error'].splitlines()[-1]}"
+    yield from (f"- {name}: {why}" for name, why in (report.get("peers") or {}).get("left_out", {}).items())
+    yield from (f"- {name}: {why}" for name, why in report["errors"].items())
+    yield from (f"- {name}: the time limit" for name in report["stopped"])
