@@ -17,7 +17,7 @@ from benchmark_scenes import synthetic_scene
 from rich.console import Console
 
 from thermosplat.cameras import Camera
-from thermosplat.config import OptimizerConfig, TrainConfig
+from thermosplat.config import OptimizerConfig, ScheduleConfig, TrainConfig
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.gaussians import Gaussians
 from thermosplat.radiometry import ThermalScale
@@ -25,6 +25,10 @@ from thermosplat.run_directory import RunDirectory
 from thermosplat.training.gaussian_ops import become_copy
 from thermosplat.training.run_logger import RunLogger
 from thermosplat.training.trainer import Trainer
+
+
+ENDLESS = 1_000_000_000
+"""Steps of a run that is never finished."""
 
 
 def quiet_trainer(
@@ -44,6 +48,10 @@ def frozen(config: TrainConfig) -> TrainConfig:
     rates = {field.name: 0.0 for field in fields(OptimizerConfig) if field.name.endswith("_lr")}
     return replace(
         config,
+        max_steps=ENDLESS,
+        eval_steps=(),
+        save_steps=(),
+        schedule=ScheduleConfig(),
         sh_degree_interval=1,
         budget="fixed",
         optimizer=replace(config.optimizer, **rates),

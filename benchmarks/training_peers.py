@@ -31,6 +31,7 @@ Steps = Callable[[int], object]
 
 def warm_checkpoint(config: TrainConfig, capture: Capture, steps: int) -> dict[str, Any]:
     """The state after so many steps of training, densification included."""
+    config = replace(config, max_steps=max(config.max_steps, steps))
     with tempfile.TemporaryDirectory() as folder:
         trainer = quiet_trainer(config, capture, Path(folder) / "run")
         run_steps(trainer, steps)

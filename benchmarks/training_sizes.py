@@ -110,6 +110,8 @@ def synthetic_row(
         device = torch.device("cuda") if config.device != "cpu" and torch.cuda.is_available() else torch.device("cpu")
         _release()
         memory = peak_memory(train, device)
+        if not made:  # on the CPU nothing is measured, nor called
+            train()
         found: dict[str, Any] = {"name": f"random {count:,}", "size": f"{size[0]}x{size[1]}"}
         found |= {"num_gaussians": count, "pixels": size[0] * size[1], "memory_mib": memory}
         if row is not None:

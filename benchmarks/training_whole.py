@@ -1,6 +1,7 @@
 """Whole training runs by the command's own entry, each in a process of its own: seconds, quality, memory over time."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -73,7 +74,7 @@ def _run(arguments: Sequence[str], out: Path, limit_s: float) -> dict[str, Any]:
             capture_output=True,
             text=True,
             check=False,
-            timeout=limit_s,
+            timeout=None if math.isinf(limit_s) else limit_s,
         )
     except subprocess.TimeoutExpired:
         return {"error": "stopped: the time limit"}
