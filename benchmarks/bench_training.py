@@ -24,11 +24,13 @@ from typing import Any
 import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
 import torch
 from floors import Peaks, measure_peaks
+from frozen_training import Frames
 from step_floors import tensor_core_peak
-from training_peers import compare_steps, warm_checkpoint
+from training_peers import compare_steps
 from training_sizes import capture_rows, memory_fit, profiled_row, synthetic_row
 from training_tables import markdown
 from training_whole import whole_runs
+from warm_training import warm_training
 
 from thermosplat.checkpoint import write_atomically
 from thermosplat.cli.arguments import parse_train_arguments
@@ -54,13 +56,16 @@ def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--device", default="auto")
     parser.add_argument("--seeds", type=int, nargs="+", default=[42], help="of the whole runs")
-    parser.add_argument("--plain", action="store_true", help="also --no-graph --no-compile: whole runs and steps")
+    parser.add_argument(
+        "--plain", action="store_true", help="on CUDA also --no-graph --no-compile: whole runs and steps"
+    )
     parser.add_argument("--deterministic", action="store_true", help="also whole runs with --deterministic")
     parser.add_argument("--warm-steps", type=int, default=2000, help="train so far before peers and steps are timed")
     parser.add_argument("--window", type=int, default=None, help="steps a measurement (40 on CUDA, 3 on the CPU)")
     parser.add_argument("--rounds", type=int, default=None, help="measurements of each (9 on CUDA, 3 on the CPU)")
     parser.add_argument("--sizes", nargs="+", default=SIZES, help="WIDTHxHEIGHT of the random scenes")
     parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="Gaussians of the random scenes")
+    parser.add_argument("--kernels", type=int, default=0, help="print so many kernels of a step by name")
     parser.add_argument("--time-limit", type=float, default=float("inf"), help="start nothing after so long [s]")
     parser.add_argument("--json", type=Path, default=None, help="file to write")
     parser.add_argument("--markdown", type=Path, default=None, help="file to write the tables to")
@@ -83,7 +88,9 @@ class Benchmark:
         self.rounds = options.rounds or (9 if on_cuda else 3)
         self.command = [options.data, *flags, "--device", str(self.device)]
         self.config: TrainConfig = parse_train_arguments(self.command)
+        self.frames: Frames = {}
         self.started = time.perf_counter()
+        self.plain = options.plain and on_cuda  # on the CPU there is neither graph nor compilation
         self.report: dict[str, Any] = {
             "command": " ".join(["python", "benchmarks/bench_training.py", *sys.argv[1:]]),
             "date": time.strftime("%Y-%m-%d"),
@@ -135,7 +142,11 @@ class Benchmark:
     @functools.cached_property
     def checkpoint(self) -> dict[str, Any]:
         """The state after the warm-up steps."""
-        return warm_checkpoint(replace(self.config, budget="fixed"), self.capture, self.options.warm_steps)
+        config = replace(self.config, budget="fixed")
+        checkpoint, self.report["densification"] = warm_training(
+            config, self.capture, self.options.warm_steps, self.frames
+        )
+        return checkpoint
 
     @functools.cached_property
     def row(self) -> Callable[..., dict[str, Any]]:
@@ -150,7 +161,7 @@ class Benchmark:
         options = self.options
         rows = self.report["whole"] = []
         with tempfile.TemporaryDirectory() as folder:
-            kinds = {"plain": options.plain, "deterministic": options.deterministic}
+            kinds = {"plain": self.plain, "deterministic": options.deterministic}
             for row in whole_runs(self.command, options.seeds, Path(folder), self.remaining_s, **kinds):
                 rows.append(row)
                 print({key: value for key, value in row.items() if key not in ("metrics", "memory")}, flush=True)
@@ -159,9 +170,8 @@ class Benchmark:
     def peers(self) -> None:
         """Part 2."""
         if not self.late("peers"):
-            found = compare_steps(
-                self.config, self.capture, self.checkpoint, self.device, self.window, self.rounds
-            )
+            start = (self.config, self.capture, self.checkpoint, self.frames)
+            found = compare_steps(*start, self.device, self.window, self.rounds)
             self.report["peers"] = found
             for name, times in found["peers"].items():
                 print(f"{times['steps_per_s']:8.1f} steps/s {times['median_ms']:8.2f} ms  {name}", flush=True)
@@ -171,10 +181,11 @@ class Benchmark:
     def step(self) -> None:
         """Part 3, on the capture."""
         if not self.late("step on the capture"):
-            rows = capture_rows(self.config, self.capture, self.checkpoint, self.options.plain, self.row)
+            rows = capture_rows(self.config, self.capture, self.checkpoint, self.frames, self.plain, self.row)
             self.report["step"] = rows
             for row in rows:
-                print_row(row)
+                print_row(row, self.options.kernels)
+            print("densification:", self.report["densification"] or "not seen in the warm-up steps", flush=True)
 
     def sizes(self) -> None:
         """Part 3 on random Gaussians, and part 4."""
@@ -188,14 +199,14 @@ class Benchmark:
                 with self.part(name):
                     row = self.row if "step" in self.options.parts else None
                     rows.append(synthetic_row(self.config, count, (width, height), row))
-                    print_row(rows[-1])
+                    print_row(rows[-1], self.options.kernels)
         if "memory" in self.options.parts:
             self.report["memory"] = memory_fit(rows)
             print("memory:", self.report["memory"] or "not measured (needs CUDA and three sizes)", flush=True)
 
 
-def print_row(row: dict[str, Any]) -> None:
-    """One line a step, then its parts."""
+def print_row(row: dict[str, Any], kernels: int) -> None:
+    """One line a step, then its parts, and its costliest kernels by name."""
     line = f"{row['name']:<24} {row['size']:>10} {row['num_gaussians']:>9,} Gaussians"
     if "median_ms" in row:
         line += f" {row['median_ms']:8.2f} ms, kernels {row['kernels_ms']:.2f}, floor {row['floor_ms']:.2f}"
@@ -206,6 +217,9 @@ def print_row(row: dict[str, Any]) -> None:
         if found["ms"] is not None:
             floor = f"{found['times_floor']:8.1f}x its floor" if "times_floor" in found else ""
             print(f"    {part:<20} {found['ms']:8.3f} ms {floor}", flush=True)
+    for kernel in row.get("kernels", [])[:kernels]:
+        times = f"{kernel['microseconds']:9.1f} µs {kernel['calls']:6.1f}"
+        print(f"    {times}  {kernel['part']:<20} {kernel['name'][:90]}", flush=True)
 
 
 def main(words: list[str] | None = None) -> int:

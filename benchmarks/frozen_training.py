@@ -5,6 +5,7 @@ learning rates are 0: a step computes and writes everything a step does, and the
 """
 
 import copy
+import functools
 import io
 import time
 from dataclasses import fields, replace
@@ -19,6 +20,7 @@ from rich.console import Console
 from thermosplat.cameras import Camera
 from thermosplat.config import OptimizerConfig, ScheduleConfig, TrainConfig
 from thermosplat.datasets.capture import Capture, Frame, View
+from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.gaussians import Gaussians
 from thermosplat.radiometry import ThermalScale
 from thermosplat.run_directory import RunDirectory
@@ -27,16 +29,33 @@ from thermosplat.training.run_logger import RunLogger
 from thermosplat.training.trainer import Trainer
 
 
+Frames = dict[int, FrameTensors]
+"""Training frames on the device, by number."""
+
 ENDLESS = 1_000_000_000
 """Steps of a run that is never finished."""
 
 
 def quiet_trainer(
-    config: TrainConfig, capture: Capture, folder: Path, checkpoint: dict[str, Any] | None = None
+    config: TrainConfig,
+    capture: Capture,
+    folder: Path,
+    checkpoint: dict[str, Any] | None = None,
+    frames: Frames | None = None,
 ) -> Trainer:
-    """A trainer that prints nothing; its metrics.jsonl goes to ``folder``."""
+    """A trainer that prints nothing.
+
+    Args:
+        config: The whole configuration.
+        capture: Frames to learn from.
+        folder: Where metrics.jsonl goes; it must not hold a run.
+        checkpoint: ``TrainingState.checkpoint``; None starts from the capture's points.
+        frames: Frames of the capture that others have put on the device already; the trainer adds those it needs.
+    """
     run = RunDirectory.create(folder)
     trainer = Trainer(config, capture, run, checkpoint=checkpoint)
+    if frames is not None and len(trainer.frames.frames) == len(capture.train):  # else they have other numbers
+        trainer.frames._cache = frames
     console = Console(file=io.StringIO())
     options = {"max_steps": config.max_steps, "log_every": config.log_every, "device": trainer.device}
     trainer.logger = RunLogger(run, **options, tensorboard=False, console=console)
@@ -66,6 +85,7 @@ def frozen_trainer(
     *,
     gaussians: Gaussians | None = None,
     checkpoint: dict[str, Any] | None = None,
+    frames: Frames | None = None,
 ) -> Trainer:
     """A trainer under ``frozen(config)``.
 
@@ -75,8 +95,9 @@ def frozen_trainer(
         folder: Where metrics.jsonl goes; it must not hold a run.
         gaussians: What every set of Gaussians becomes a copy of; None: the checkpoint's, or the capture's points.
         checkpoint: ``TrainingState.checkpoint``; it is copied.
+        frames: As in ``quiet_trainer``.
     """
-    trainer = quiet_trainer(frozen(config), capture, folder, copy.deepcopy(checkpoint))
+    trainer = quiet_trainer(frozen(config), capture, folder, copy.deepcopy(checkpoint), frames)
     if gaussians is not None:
         source = copy.deepcopy(gaussians).to(trainer.device)  # the caller's stays where it is
         for name, owned in trainer.state.gaussian_sets.items():
@@ -86,18 +107,22 @@ def frozen_trainer(
     return trainer
 
 
-def run_steps(trainer: Trainer, count: int) -> float:
-    """Does so many steps; seconds until the device has done them."""
-    wait(trainer.device)
+def run_steps(trainer: Trainer, count: int, *, waiting: bool = True) -> float:
+    """Does so many steps; seconds until the device has done them, or without ``waiting`` until they are launched."""
+    if waiting:
+        wait(trainer.device)
     started = time.perf_counter()
     for _ in range(count):
         trainer._train_step()
-    wait(trainer.device)
+    if waiting:
+        wait(trainer.device)
     return time.perf_counter() - started
 
 
 def warm_up(trainer: Trainer) -> None:
-    """Compiles kernels, and on CUDA lets every frame be measured and the step be captured."""
+    """Puts all frames on the device, compiles kernels, and on CUDA lets the step be captured."""
+    for index in range(len(trainer.frames)):
+        trainer.frames[index]
     run_steps(trainer, len(trainer.frames) + 5 if trainer.captured is not None else 3)
 
 
@@ -107,6 +132,7 @@ def wait(device: torch.device) -> None:
         torch.cuda.synchronize(device)
 
 
+@functools.lru_cache(maxsize=1)
 def synthetic_capture(width: int, height: int) -> Capture:
     """Two frames of noise in both spectra from the camera of ``synthetic_scene``, of one pose and size [px]."""
     K = synthetic_scene(4).intrinsics(width, height).tolist()

@@ -39,7 +39,8 @@ def gsplat_rasterization(rasterization: Call, spherical_harmonics: Call) -> Iter
             """Colours [N, X] as the one camera sees them; gsplat cannot join SH and plain channels in one call."""
             if degree is None:
                 return values
-            directions = means - torch.linalg.inv(camera[0])[0, :3, 3]
+            viewmat = camera[0][0]
+            directions = means + viewmat[:3, :3].T @ viewmat[:3, 3]
             return (spherical_harmonics(degree, directions, _joined(values)) + 0.5).clamp(min=0.0)
 
         columns = [evaluated(values, degree) for values, degree in zip((colors, features), degrees, strict=True)]

@@ -46,7 +46,9 @@ def tensor_core_peak(device: torch.device) -> float:
 
 
 @torch.no_grad()
-def step_floors(trainer: Trainer, peaks: Peaks, tensor_core_fma_per_s: float) -> tuple[dict[str, Floor], dict[str, Any]]:
+def step_floors(
+    trainer: Trainer, peaks: Peaks, tensor_core_fma_per_s: float
+) -> tuple[dict[str, Floor], dict[str, Any]]:
     """Floors of every part of a step, as the mean over some frames.
 
     Args:

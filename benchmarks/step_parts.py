@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import torch
 from frozen_training import run_steps
 from torch.profiler import ProfilerActivity, profile
 
@@ -62,9 +61,3 @@ def part_times(kernels: list[dict[str, Any]]) -> dict[str, float]:
     for kernel in kernels:
         times[kernel["part"]] += kernel["microseconds"] / 1e3
     return {name: milliseconds for name, milliseconds in times.items() if milliseconds > 0}
-
-
-def host_gap_ms(milliseconds: float, kernels: list[dict[str, Any]]) -> float | None:
-    """What of a step the GPU idles, as far as kernels run one after another [ms]; None without CUDA kernels."""
-    on_cuda = torch.cuda.is_available() and kernels and not any(kernel["name"].startswith("aten::") for kernel in kernels)
-    return max(0.0, milliseconds - sum(kernel["microseconds"] for kernel in kernels) / 1e3) if on_cuda else None

@@ -1,6 +1,7 @@
 """Steps per second of our training step beside gsplat's, on the same Gaussians, in interleaved windows."""
 
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
@@ -8,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from frozen_training import frozen_trainer, quiet_trainer, run_steps, wait, warm_up
+from frozen_training import Frames, frozen_trainer, run_steps, wait, warm_up
 from gsplat_rgbt import gsplat_rasterization
 from timing import summary
 from torch import Tensor
@@ -26,27 +27,26 @@ OURS_3DGS, OURS_RGB = "thermosplat --config 3dgs", "thermosplat --config 3dgs, R
 AGREEMENT = 1e-3
 """Largest relative difference of a loss on one view between the two rasterizers."""
 
-Steps = Callable[[int], object]
-
-
-def warm_checkpoint(config: TrainConfig, capture: Capture, steps: int) -> dict[str, Any]:
-    """The state after so many steps of training, densification included."""
-    config = replace(config, max_steps=max(config.max_steps, steps))
-    with tempfile.TemporaryDirectory() as folder:
-        trainer = quiet_trainer(config, capture, Path(folder) / "run")
-        run_steps(trainer, steps)
-        return trainer.state.checkpoint(config, trainer.sh_degree, capture.thermal_scale)
+Steps = Callable[[int], float]
+"""Does so many steps; seconds until the device has done them."""
 
 
 def compare_steps(
-    config: TrainConfig, capture: Capture, checkpoint: dict[str, Any], device: torch.device, window: int, rounds: int
+    config: TrainConfig,
+    capture: Capture,
+    checkpoint: dict[str, Any],
+    frames: Frames,
+    device: torch.device,
+    window: int,
+    rounds: int,
 ) -> dict[str, Any]:
     """Times every peer that can run here.
 
     Args:
         config: Of the run that ``checkpoint`` is the state of.
         capture: What it was trained on.
-        checkpoint: From ``warm_checkpoint``.
+        checkpoint: From ``warm_training``.
+        frames: As in ``quiet_trainer``.
         device: Where to train.
         window: Steps in a measurement.
         rounds: Measurements of each, in turns.
@@ -60,7 +60,7 @@ def compare_steps(
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
 
         def trainer(name: str, config: TrainConfig, **start: Any) -> Trainer:
-            made = frozen_trainer(config, capture, Path(folder) / name, **start)
+            made = frozen_trainer(config, capture, Path(folder) / name, frames=frames, **start)
             stack.callback(made.logger.close)
             return made
 
@@ -69,7 +69,9 @@ def compare_steps(
         warm_up(ours)
         peers[OURS] = lambda count: run_steps(ours, count)
         if device.type != "cuda":
-            result["left_out"]["gsplat"] = "its kernels and its training need CUDA; on the CPU only our own step is timed"
+            result["left_out"]["gsplat"] = (
+                "its kernels and its training need CUDA; on the CPU only our own step is timed"
+            )
         else:
             source = next(iter(ours.state.gaussian_sets.values()))
             try:
@@ -85,9 +87,7 @@ def compare_steps(
         times: dict[str, list[float]] = {name: [] for name in peers}
         for _ in range(rounds):
             for name, steps in peers.items():
-                seconds = steps(window)
-                assert isinstance(seconds, float)
-                times[name].append(1e3 * seconds / window)
+                times[name].append(1e3 * steps(window) / window)
     result["peers"] = {
         name: summary(found) | {"steps_per_s": 1e3 / summary(found)["median_ms"]} for name, found in times.items()
     }
@@ -169,7 +169,7 @@ def _losses(trainer: Trainer) -> tuple[dict[str, float], dict[str, Tensor]]:
     done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
     gradients = {name: p.grad.clone() for name, p in trainer.model.named_parameters() if p.grad is not None}
     trainer.state.clear_gradients()
-    return {name: float(loss) for name, loss in done.losses.items()}, gradients
+    return {name: float(loss.detach()) for name, loss in done.losses.items()}, gradients
 
 
 class _GsplatRgb:
@@ -201,10 +201,8 @@ class _GsplatRgb:
 
     def run(self, count: int) -> float:
         """Does so many steps; seconds until the device has done them."""
-        from time import perf_counter
-
         wait(self.device)
-        started = perf_counter()
+        started = time.perf_counter()
         for step in range(count):
             view = self.views[step % len(self.views)]
             image, _, _ = self.render(self.params, view, self.degree)
@@ -213,4 +211,4 @@ class _GsplatRgb:
                 optimizer.step()
                 optimizer.zero_grad(set_to_none=True)
         wait(self.device)
-        return perf_counter() - started
+        return time.perf_counter() - started

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 from floors import Peaks
-from frozen_training import frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians, warm_up
+from frozen_training import Frames, frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians, warm_up
 from gpu_memory import peak_memory
 from step_floors import step_floors
-from step_parts import host_gap_ms, part_times, profiled_steps
+from step_parts import part_times, profiled_steps
 from timing import summary
 
 from thermosplat.config import TrainConfig
@@ -47,14 +47,16 @@ def profiled_row(
         if parts[part]["ms"] is not None:
             parts[part]["times_floor"] = parts[part]["ms"] / floor["floor_ms"]
     times = summary(milliseconds)
+    kernels_ms = sum(kernel["microseconds"] for kernel in kernels) / 1e3
+    idle_ms = max(0.0, times["median_ms"] - kernels_ms) if trainer.device.type == "cuda" else None
     return {
         "name": name,
         "size": f"{view.width}x{view.height}",
         "pixels": view.width * view.height,
         "num_gaussians": trainer.model.num_gaussians,
         **times,
-        "kernels_ms": sum(kernel["microseconds"] for kernel in kernels) / 1e3,
-        "host_gap_ms": host_gap_ms(times["median_ms"], kernels),
+        "kernels_ms": kernels_ms,
+        "host_gap_ms": idle_ms,
         "floor_ms": sum(floor["floor_ms"] for floor in floors.values()),
         "parts": parts,
         **work,
@@ -63,14 +65,20 @@ def profiled_row(
 
 
 def capture_rows(
-    config: TrainConfig, capture: Capture, checkpoint: dict[str, Any], plain: bool, row: Callable[..., dict[str, Any]]
+    config: TrainConfig,
+    capture: Capture,
+    checkpoint: dict[str, Any],
+    frames: Frames,
+    plain: bool,
+    row: Callable[..., dict[str, Any]],
 ) -> list[dict[str, Any]]:
-    """The step on a capture, from ``warm_checkpoint``'s state; with ``plain`` also launched line by line.
+    """The step on a capture, from ``warm_training``'s state; with ``plain`` also launched line by line.
 
     Args:
         config: The whole configuration.
         capture: The capture.
         checkpoint: Where to start.
+        frames: As in ``quiet_trainer``.
         plain: Also without graph and compilation.
         row: ``profiled_row`` of a trainer and a name.
     """
@@ -80,7 +88,7 @@ def capture_rows(
     rows = []
     for name, kind in kinds.items():
         with tempfile.TemporaryDirectory() as folder:
-            trainer = frozen_trainer(kind, capture, Path(folder) / "run", checkpoint=checkpoint)
+            trainer = frozen_trainer(kind, capture, Path(folder) / "run", checkpoint=checkpoint, frames=frames)
             warm_up(trainer)
             rows.append(row(trainer, name))
     return rows
@@ -109,11 +117,14 @@ def synthetic_row(
 
         device = torch.device("cuda") if config.device != "cpu" and torch.cuda.is_available() else torch.device("cpu")
         _release()
+        reserved = torch.cuda.memory_reserved(device) if device.type == "cuda" else 0
         memory = peak_memory(train, device)
         if not made:  # on the CPU nothing is measured, nor called
             train()
         found: dict[str, Any] = {"name": f"random {count:,}", "size": f"{size[0]}x{size[1]}"}
         found |= {"num_gaussians": count, "pixels": size[0] * size[1], "memory_mib": memory}
+        if device.type == "cuda":
+            found["reserved_mib"] = round((torch.cuda.memory_reserved(device) - reserved) / 2**20, 1)
         if row is not None:
             found |= row(made[0], found["name"])
         made.clear()

@@ -28,6 +28,7 @@ def markdown(report: dict[str, Any]) -> str:
         ("Steps per second on the same Gaussians", _peers(report.get("peers"))),
         ("A step [ms]", _steps(steps)),
         ("Where a step goes: ms (times its floor)", _parts(steps)),
+        ("Densification", _densification(report.get("densification"))),
         ("Peak memory", _memory(report)),
         ("Not measured", _failures(report)),
     ]
@@ -46,11 +47,20 @@ def _table(head: list[str], body: list[list[str]]) -> Iterator[str]:
 
 
 def _whole(rows: list[Row]) -> Iterator[str]:
-    head = ["run", "seed", "s to metrics.json", "first step [s]", "ms a step", "Gaussians", "PSNR RGB", "PSNR thermal"]
+    head = [
+        "run",
+        "seed",
+        "s to metrics.json",
+        "without the first step",
+        "ms a step",
+        "Gaussians",
+        "PSNR RGB",
+        "PSNR thermal",
+    ]
     body = []
     for row in rows:
         if "error" not in row:
-            cells = [row["kind"], str(row["seed"]), f"{row['seconds']:.1f}", f"{row['first_step_s']:.1f}"]
+            cells = [row["kind"], str(row["seed"]), f"{row['seconds']:.1f}", f"{row['seconds_without_first_step']:.1f}"]
             cells += [f"{row['ms_a_step']:.2f}{_cost(row)}", f"{row['num_gaussians']:,}"]
             body.append(cells + [_psnr(row, modality) for modality in ("rgb", "thermal")])
     yield from _table(head, body)
@@ -113,10 +123,21 @@ def _part(found: Row | None) -> str:
     return f"{found['ms']:.3f}" + (f" ({found['times_floor']:.1f}x)" if "times_floor" in found else "")
 
 
+def _densification(found: Row | None) -> Iterator[str]:
+    if found is not None:
+        yield (
+            f"A refinement adds {found['refinement_ms']:.1f} ms (median of {found['timed']}) every {found['every']} steps: "
+            f"{found['ms_a_step']:.3f} ms a step while there are any."
+        )
+
+
 def _memory(report: dict[str, Any]) -> Iterator[str]:
     rows = [row for row in report.get("sizes", []) if row.get("memory_mib") is not None]
-    body = [[f"{row['num_gaussians']:,}", row["size"], f"{row['memory_mib']:,.0f}"] for row in rows]
-    yield from _table(["Gaussians", "size", "peak [MiB]"], body)
+    body = [
+        [f"{row['num_gaussians']:,}", row["size"], f"{row['memory_mib']:,.0f}", f"{row['reserved_mib']:,.0f}"]
+        for row in rows
+    ]
+    yield from _table(["Gaussians", "size", "peak [MiB]", "reserved with graph [MiB]"], body)
     if fit := report.get("memory"):
         yield (
             f"\nLeast squares: {fit['bytes_a_gaussian']:,.0f} bytes a Gaussian, {fit['bytes_a_pixel']:,.0f} a pixel, "

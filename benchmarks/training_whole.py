@@ -54,7 +54,9 @@ def whole_runs(
                 row["times_default"] = row["ms_a_step"] / default["ms_a_step"]
             if kind == "deterministic" and seed == seeds[0] and "error" not in row:
                 again = folder / f"{out.name}_again"
-                second = _run([*command, *flags, "--seed", str(seed)], again, remaining_s - time.perf_counter() + started)
+                second = _run(
+                    [*command, *flags, "--seed", str(seed)], again, remaining_s - time.perf_counter() + started
+                )
                 row["same_bits_twice"] = second["error"] if "error" in second else _same_model(out, again)
             yield row
 

@@ -1,0 +1,162 @@
+"""bench_training.py runs, on a capture far too small to measure anything, and what it measures with is right."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from reference_projection import spherical_harmonics
+from test_benchmarks import REPOSITORY, run_script
+from thermosplat import rasterization
+from thermosplat.config_files import load_config
+
+PARTS = {"projection", "SH", "blending", "decoders", "image losses", "blending adjoint", "optimizer", "rest"}
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """A report of all parts, and the tables."""
+    folder = tmp_path_factory.mktemp("bench")
+    options = ["sample", "--device", "cpu", "--warm-steps", "2", "--window", "1", "--rounds", "2"]
+    options += ["--sizes", "48x36", "--counts", "400", "--kernels", "2"]
+    files = ["--json", str(folder / "report.json"), "--markdown", str(folder / "report.md")]
+    flags = ["--config", "demo", "--data-factor", "8", "--max-steps", "3", "--log-every", "1"]
+    done = run_script("bench_training.py", *options, *files, "--", *flags)
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = json.loads((folder / "report.json").read_text())
+    return written | {"stdout": done.stdout, "tables": (folder / "report.md").read_text()}
+
+
+def test_whole_runs_are_timed_and_judged(report: dict[str, Any]) -> None:
+    """A run has its seconds, steps, quality, and memory at shares of its steps."""
+    (row,) = report["whole"]
+    assert row["kind"] == "default" and row["seed"] == 42 and row["steps"] == 3
+    assert row["seconds"] >= row["train_s"] >= row["first_step_s"] > 0
+    assert row["seconds_without_first_step"] == pytest.approx(row["seconds"] - row["first_step_s"])
+    assert set(row["psnr"]) == {"rgb", "thermal"}
+    assert all(5 < value < 40 for value in row["psnr"].values())
+    assert [found["step"] for found in row["memory"]] == [1, 2, 3]
+
+
+def test_peers_that_cannot_run_are_named(report: dict[str, Any]) -> None:
+    """On the CPU our own step is timed alone, and the report says so."""
+    (name,) = report["peers"]["peers"]
+    assert name == "thermosplat"
+    assert report["peers"]["peers"][name]["steps_per_s"] > 0
+    assert "CUDA" in report["peers"]["left_out"]["gsplat"]
+
+
+def test_steps_have_parts_with_floors(report: dict[str, Any]) -> None:
+    """Parts add up to the profiled kernels, and each but the rest has a floor below its time."""
+    for row in (*report["step"], *report["sizes"]):
+        assert PARTS <= set(row["parts"])
+        assert sum(part["ms"] or 0 for part in row["parts"].values()) == pytest.approx(row["kernels_ms"])
+        assert sum(part.get("floor_ms", 0) for part in row["parts"].values()) == pytest.approx(row["floor_ms"])
+        for name, part in row["parts"].items():
+            assert (part.get("floor_ms", 0) > 0) == (name != "rest")
+    assert report["sizes"][0]["num_gaussians"] == 400
+    assert report["memory"] is None
+    assert report["errors"] == {}
+
+
+def test_tables_hold_what_was_measured(report: dict[str, Any]) -> None:
+    """Every part that was measured is in the Markdown file."""
+    for title in ("Whole runs", "Steps per second", "Where a step goes", "random 400 48x36", "left", "µs"):
+        assert title in report["tables"] + report["stdout"]
+
+
+def test_nothing_starts_after_the_time_limit(tmp_path: Path) -> None:
+    """The report says what was left out."""
+    from bench_training import main
+
+    path = tmp_path / "report.json"
+    assert main(["sample", "--device", "cpu", "--time-limit", "0", "--json", str(path)]) == 0
+    written = json.loads(path.read_text())
+    assert written["whole"] == [{"kind": "default", "seed": 42, "error": "not started: the time limit"}]
+    assert written["stopped"] == ["peers", "step on the capture", "100,000 Gaussians at 640x480"]
+
+
+def _plain_sh(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
+    """As ``gsplat.spherical_harmonics``."""
+    basis = spherical_harmonics(normalize(directions, dim=-1), degree)
+    return torch.einsum("nk,nkc->nc", basis, coefficients[:, : basis.shape[-1]])
+
+
+@pytest.mark.parametrize("kind", ["features", "two spectra of SH", "separate sets"])
+def test_adapter_renders_what_the_model_asks_for(kind: str, tmp_path: Path) -> None:
+    """With a rasterizer of gsplat's signature called twice, losses and gradients are those of the one traversal."""
+    from frozen_training import frozen_trainer, synthetic_capture, synthetic_gaussians
+    from gsplat_rgbt import gsplat_rasterization
+    from training_peers import agreement
+
+    config = replace(load_config("3dgs" if kind == "separate sets" else "thermosplat"), device="cpu")
+    config = replace(config, background=(0.2, 0.4, 0.6))
+    if kind == "two spectra of SH":
+        config = replace(config, model=replace(config.model, feature_dim=0))
+    capture, gaussians = synthetic_capture(40, 30), synthetic_gaussians(200, 8, 3)
+    ours, other = (frozen_trainer(config, capture, tmp_path / name, gaussians=gaussians) for name in ("a", "b"))
+    calls: list[int] = []
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
+        return rasterization(*arguments, **options)
+
+    found = agreement(ours, other, lambda: gsplat_rasterization(counted, _plain_sh))
+    assert len(calls) == 2
+    assert found["largest"] < 1e-5
+    assert max(found["gradients"].values()) < 1e-4
+
+
+def test_frozen_steps_repeat_the_same_work(tmp_path: Path) -> None:
+    """Steps leave Gaussians, their number and the decoders as they are."""
+    from frozen_training import frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians
+
+    config = replace(load_config("thermosplat"), device="cpu")
+    gaussians = synthetic_gaussians(150, 8, 3)
+    trainer = frozen_trainer(config, synthetic_capture(32, 24), tmp_path / "run", gaussians=gaussians)
+    before = {name: value.detach().clone() for name, value in trainer.model.named_parameters()}
+    run_steps(trainer, 2)
+    assert trainer.sh_degree == 3
+    assert trainer.model.num_gaussians == 150
+    assert all(torch.equal(before[name], value) for name, value in trainer.model.named_parameters())
+    moments = trainer.state.optimizers["shared"]["shN"].state_dict()["state"][0]["exp_avg"]
+    assert moments.abs().max() > 0
+
+
+def test_every_kernel_of_the_step_has_a_part() -> None:
+    """The names in warp_kernels/ and of the fused decoders are known; a stranger's kernel is the rest."""
+    from step_parts import part_of
+
+    names: list[str] = []
+    for path in (REPOSITORY / "warp_kernels").glob("*.py"):
+        names += re.findall(r'name\s*=\s*f?"([a-z_]+)', path.read_text())
+    names += ["tile_ranges_kernel", "camera_position_adjoint_kernel", "square_weights_kernel", "forward_kernel"]
+    assert len(names) > 15
+    assert {name for name in names if part_of(name) == "rest"} == set()
+    assert part_of("image_loss_blur_columns_adjoint_float32_ab12_cuda_kernel_forward") == "image losses"
+    assert part_of("blend_adjoint_11_8_float32_8x4_ab12_cuda_kernel_forward") == "blending adjoint"
+    assert part_of("project_pinhole_quats_float32_ab12_cuda_kernel_forward") == "projection"
+    assert part_of("adam_update_ab12_cuda_kernel_forward") == "optimizer"
+    assert part_of("void at::native::vectorized_elementwise_kernel<4, at::native::FillFunctor>") == "rest"
+
+
+def test_memory_fit_finds_the_slopes() -> None:
+    """Bytes that are linear in Gaussians and pixels are found again; too few sizes give nothing."""
+    from training_sizes import memory_fit
+
+    sizes = [(n, p) for n in (100_000, 300_000) for p in (640 * 480, 1280 * 1024)]
+    rows: list[dict[str, Any]] = [
+        {"num_gaussians": n, "pixels": p, "memory_mib": (1100 * n + 300 * p + 2**24) / 2**20} for n, p in sizes
+    ]
+    fit = memory_fit(rows)
+    assert fit is not None
+    assert (fit["bytes_a_gaussian"], fit["bytes_a_pixel"]) == (pytest.approx(1100), pytest.approx(300))
+    assert fit["bytes_besides"] == pytest.approx(2**24)
+    assert fit["worst_mib"] < 1e-3
+    assert memory_fit(rows[:2]) is None
