@@ -22,8 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
-import torch
-from floors import Peaks, measure_peaks
+from floors import measure_peaks
 from frozen_training import Frames
 from step_floors import tensor_core_peak
 from training_peers import compare_steps
@@ -56,9 +55,7 @@ def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--device", default="auto")
     parser.add_argument("--seeds", type=int, nargs="+", default=[42], help="of the whole runs")
-    parser.add_argument(
-        "--plain", action="store_true", help="on CUDA also --no-graph --no-compile: whole runs and steps"
-    )
+    parser.add_argument("--plain", action="store_true", help="on CUDA also --no-graph --no-compile")
     parser.add_argument("--deterministic", action="store_true", help="also whole runs with --deterministic")
     parser.add_argument("--warm-steps", type=int, default=2000, help="train so far before peers and steps are timed")
     parser.add_argument("--window", type=int, default=None, help="steps a measurement (40 on CUDA, 3 on the CPU)")
@@ -112,7 +109,7 @@ class Benchmark:
             (self.options.markdown, lambda: markdown(self.report)),
         ):
             if path is not None:
-                write_atomically(path, lambda temporary, text=text: temporary.write_text(text(), encoding="utf-8"))
+                write_atomically(path, functools.partial(_write, text=text()))
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
@@ -136,8 +133,9 @@ class Benchmark:
     def capture(self) -> Capture:
         """The capture, read as the command reads it."""
         config = self.config
-        options = {"data_factor": config.data_factor, "test_every": config.test_every, "thermal": config.thermal}
-        return load_capture(config.data, **options)
+        return load_capture(
+            config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
+        )
 
     @functools.cached_property
     def checkpoint(self) -> dict[str, Any]:
@@ -153,8 +151,9 @@ class Benchmark:
         """``profiled_row`` with this machine's peaks."""
         peaks, tensor_cores = measure_peaks(self.device), tensor_core_peak(self.device)
         self.report["peaks"] = peaks._asdict() | {"tensor_core_fma_per_s": tensor_cores}
-        settings = {"tensor_core_fma_per_s": tensor_cores, "window": self.window, "rounds": self.rounds}
-        return functools.partial(profiled_row, peaks=Peaks(*peaks), **settings)
+        return functools.partial(
+            profiled_row, peaks=peaks, tensor_core_fma_per_s=tensor_cores, window=self.window, rounds=self.rounds
+        )
 
     def whole(self) -> None:
         """Part 1."""
@@ -203,6 +202,10 @@ class Benchmark:
         if "memory" in self.options.parts:
             self.report["memory"] = memory_fit(rows)
             print("memory:", self.report["memory"] or "not measured (needs CUDA and three sizes)", flush=True)
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
 
 
 def print_row(row: dict[str, Any], kernels: int) -> None:

@@ -28,7 +28,6 @@ from thermosplat.training.gaussian_ops import become_copy
 from thermosplat.training.run_logger import RunLogger
 from thermosplat.training.trainer import Trainer
 
-
 Frames = dict[int, FrameTensors]
 """Training frames on the device, by number."""
 
@@ -57,8 +56,14 @@ def quiet_trainer(
     if frames is not None and len(trainer.frames.frames) == len(capture.train):  # else they have other numbers
         trainer.frames._cache = frames
     console = Console(file=io.StringIO())
-    options = {"max_steps": config.max_steps, "log_every": config.log_every, "device": trainer.device}
-    trainer.logger = RunLogger(run, **options, tensorboard=False, console=console)
+    trainer.logger = RunLogger(
+        run,
+        max_steps=config.max_steps,
+        log_every=config.log_every,
+        device=trainer.device,
+        tensorboard=False,
+        console=console,
+    )
     return trainer
 
 

@@ -35,7 +35,7 @@ def gsplat_rasterization(rasterization: Call, spherical_harmonics: Call) -> Iter
         backgrounds = options.pop("backgrounds")
         degrees = options.pop("sh_degree"), options.pop("features_sh_degree")
 
-        def evaluated(values: Colors, degree: int | None) -> Tensor:
+        def evaluated(values: Any, degree: int | None) -> Tensor:
             """Colours [N, X] as the one camera sees them; gsplat cannot join SH and plain channels in one call."""
             if degree is None:
                 return values

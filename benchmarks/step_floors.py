@@ -1,13 +1,16 @@
 """The floor of each part of a training step: bytes over the measured bandwidth, or operations over the measured peak.
 
 The rasterizer's parts are those of floors.py. The others, in float32, for a Gaussian with F stored numbers (68 in the
-method with degree 3), d features, decoders of width H, and images of c channels in all (RGB + thermal):
+method with degree 3), d features, and images of c channels in all (RGB + thermal):
 
 | part | bytes | multiply-adds |
 |---|---|---|
-| optimizer | 28 F a Gaussian: gradient, parameter and both moments read, the latter three written | |
-| decoders | a pixel: forward 4 (2 d + c); backward 4 (2 d + 2 c + 2 d): features, images and their gradients read, the features' written | 3 a weight and pixel, on tensor cores |
-| image losses | 20 a pixel and channel of each term: forward render and target; backward both again, the gradient written | |
+| optimizer | 28 F a Gaussian: gradient, parameter and moments read, the latter three written | |
+| decoders | a pixel: forward 4 (2 d + c), backward 4 (4 d + 2 c) | 3 a weight and pixel, on tensor cores |
+| image losses | 20 a value: forward render and target, backward both again and the gradient | |
+
+Of the decoders, features are read and images written; then features, images and their gradients are read, and the
+features' gradients written. A value of the losses is one channel of a pixel in one of the terms.
 
 The decoders' weights themselves fit a cache. What fused kernels keep between forward and backward is not counted: a
 better one computes it again. ``rest`` (activations, sums, copies of the frame, losses on Gaussians) has no floor.

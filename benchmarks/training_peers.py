@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +68,9 @@ def compare_steps(
         ours = trainer("ours", config, checkpoint=checkpoint)
         result["num_gaussians"] = ours.model.num_gaussians
         warm_up(ours)
-        peers[OURS] = lambda count: run_steps(ours, count)
+        peers[OURS] = partial(run_steps, ours)
         if device.type != "cuda":
-            result["left_out"]["gsplat"] = (
-                "its kernels and its training need CUDA; on the CPU only our own step is timed"
-            )
+            result["left_out"]["gsplat"] = "its kernels need CUDA; on the CPU only our own step is timed"
         else:
             source = next(iter(ours.state.gaussian_sets.values()))
             try:
@@ -83,7 +82,7 @@ def compare_steps(
                 plain = _plain_config(config, thermal)
                 separate = trainer(f"3dgs_{thermal}", plain, gaussians=source)
                 warm_up(separate)
-                peers[name] = lambda count, separate=separate: run_steps(separate, count)
+                peers[name] = partial(run_steps, separate)
         times: dict[str, list[float]] = {name: [] for name in peers}
         for _ in range(rounds):
             for name, steps in peers.items():
@@ -196,17 +195,17 @@ class _GsplatRgb:
         for optimizer in self.optimizers.values():
             for group in optimizer.param_groups:
                 group["lr"] = 0.0
-        frames = [ours.frames[index] for index in range(len(ours.frames))]
-        self.views = [frame.rgb for frame in frames if frame.rgb is not None]
+        views = [ours.frames[index].rgb for index in range(len(ours.frames))]
+        self.pairs = [(view, view.image) for view in views if view is not None and view.image is not None]
 
     def run(self, count: int) -> float:
         """Does so many steps; seconds until the device has done them."""
         wait(self.device)
         started = time.perf_counter()
         for step in range(count):
-            view = self.views[step % len(self.views)]
+            view, target = self.pairs[step % len(self.pairs)]
             image, _, _ = self.render(self.params, view, self.degree)
-            image_loss(image[0], view.image, 0.2).backward()
+            image_loss(image[0], target, 0.2).backward()
             for optimizer in self.optimizers.values():
                 optimizer.step()
                 optimizer.zero_grad(set_to_none=True)

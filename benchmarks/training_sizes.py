@@ -145,8 +145,8 @@ def memory_fit(rows: list[dict[str, Any]]) -> dict[str, Any] | None:
         rows: With ``memory_mib``, ``num_gaussians`` and ``pixels``.
 
     Returns:
-        ``bytes_a_gaussian``, ``bytes_a_pixel``, ``bytes_besides``, and ``worst_mib``, the largest residual; None without
-        three sizes that were measured, or where they leave one of the three unknown.
+        ``bytes_a_gaussian``, ``bytes_a_pixel``, ``bytes_besides``, and ``worst_mib``, the largest residual; None where
+        the sizes that were measured leave one of the three unknown.
     """
     measured = [row for row in rows if row.get("memory_mib") is not None]
     matrix = np.array([[row["num_gaussians"], row["pixels"], 1.0] for row in measured])

@@ -18,8 +18,8 @@ def markdown(report: dict[str, Any]) -> str:
     lines = [f"{report['date']}, {machine['device']}, {versions}. `{report['command']}`"]
     if peaks := report.get("peaks"):
         lines.append(
-            f"Measured peaks: {peaks['bytes_per_s'] / 1e9:,.0f} GB/s; multiply-adds a second {peaks['fma_per_s']:.2e} in "
-            f"float32, {peaks['tensor_core_fma_per_s']:.2e} on tensor cores."
+            f"Measured peaks: {peaks['bytes_per_s'] / 1e9:,.0f} GB/s; multiply-adds a second "
+            f"{peaks['fma_per_s']:.2e} in float32, {peaks['tensor_core_fma_per_s']:.2e} on tensor cores."
         )
     steps = [*report.get("step", []), *(row for row in report.get("sizes", []) if "parts" in row)]
     parts = [
@@ -126,8 +126,8 @@ def _part(found: Row | None) -> str:
 def _densification(found: Row | None) -> Iterator[str]:
     if found is not None:
         yield (
-            f"A refinement adds {found['refinement_ms']:.1f} ms (median of {found['timed']}) every {found['every']} steps: "
-            f"{found['ms_a_step']:.3f} ms a step while there are any."
+            f"A refinement adds {found['refinement_ms']:.1f} ms (median of {found['timed']}) every "
+            f"{found['every']} steps: {found['ms_a_step']:.3f} ms a step while there are any."
         )
 
 

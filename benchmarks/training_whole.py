@@ -43,8 +43,9 @@ def whole_runs(
         default: dict[str, Any] = {}
         for kind, flags in kinds:
             out = folder / f"{kind.replace(' ', '_')}_{seed}"
-            row = {"kind": kind, "seed": seed}
-            row |= _run([*command, *flags, "--seed", str(seed)], out, remaining_s - (time.perf_counter() - started))
+            arguments = [*command, *flags, "--seed", str(seed)]
+            row: dict[str, Any] = {"kind": kind, "seed": seed}
+            row |= _run(arguments, out, remaining_s - (time.perf_counter() - started))
             if kind == "default":
                 default = row
             elif "error" not in row and "error" not in default:
@@ -54,9 +55,7 @@ def whole_runs(
                 row["times_default"] = row["ms_a_step"] / default["ms_a_step"]
             if kind == "deterministic" and seed == seeds[0] and "error" not in row:
                 again = folder / f"{out.name}_again"
-                second = _run(
-                    [*command, *flags, "--seed", str(seed)], again, remaining_s - time.perf_counter() + started
-                )
+                second = _run(arguments, again, remaining_s - (time.perf_counter() - started))
                 row["same_bits_twice"] = second["error"] if "error" in second else _same_model(out, again)
             yield row
 
