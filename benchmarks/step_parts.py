@@ -21,7 +21,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
         "decoders",
         (
             *("forward_kernel", "backward_kernel", "square_weights", "narrow_weights", "gemm", "triton", "_Branch"),
-            *("cutlass", "xmma", "aten::mm", "addmm", "silu"),
+            *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu"),
         ),
     ),
 )

@@ -2,8 +2,10 @@
 
 import json
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -111,6 +113,52 @@ def test_adapter_renders_what_the_model_asks_for(kind: str, tmp_path: Path) -> N
     assert len(calls) == 2
     assert found["largest"] < 1e-5
     assert max(found["gradients"].values()) < 1e-4
+
+
+def test_peers_take_turns_on_the_same_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is timed beside gsplat on CUDA, here with our rasterizer under gsplat's name."""
+    from frozen_training import synthetic_capture
+    from training_peers import AGREEMENT, GSPLAT_RGB, OURS, OURS_3DGS, OURS_BY_LINE, OURS_RGB, TWICE, compare_steps
+    from warm_training import warm_training
+
+    gsplat, strategy = ModuleType("gsplat"), ModuleType("gsplat.strategy")
+    monkeypatch.setattr(gsplat, "rasterization", rasterization, raising=False)
+    monkeypatch.setattr(gsplat, "spherical_harmonics", _plain_sh, raising=False)
+    monkeypatch.setattr(strategy, "DefaultStrategy", object, raising=False)
+    monkeypatch.setitem(sys.modules, "gsplat", gsplat)
+    monkeypatch.setitem(sys.modules, "gsplat.strategy", strategy)
+    monkeypatch.setitem(sys.modules, "train_gsplat_peer", None)  # so that it goes when the test ends
+    del sys.modules["train_gsplat_peer"]
+    config, capture = replace(load_config("thermosplat"), device="cpu"), synthetic_capture(40, 30)
+    checkpoint, refinements = warm_training(config, capture, 1, {})
+    assert refinements is None
+    as_cuda: Any = SimpleNamespace(type="cuda")
+    found = compare_steps(config, capture, checkpoint, {}, as_cuda, window=1, rounds=2)
+    assert list(found["peers"]) == [OURS, OURS_BY_LINE, TWICE, GSPLAT_RGB, OURS_3DGS, OURS_RGB]
+    assert found["left_out"] == {}
+    assert found["num_gaussians"] == 100
+    assert found["agreement"]["largest"] < AGREEMENT
+    assert all(peer["repeats"] == 2 and peer["median_ms"] > 0 for peer in found["peers"].values())
+    assert found["peers"][OURS]["times_ours"] == 1.0
+
+    monkeypatch.setattr(gsplat, "spherical_harmonics", lambda *given: _plain_sh(*given) + 0.1)
+    found = compare_steps(config, capture, checkpoint, {}, as_cuda, window=1, rounds=1)
+    assert TWICE not in found["peers"]
+    assert "differ" in found["left_out"][TWICE]
+
+
+def test_refinements_are_timed_beside_usual_steps() -> None:
+    """A warm-up with refinements says what one adds."""
+    from frozen_training import synthetic_capture
+    from warm_training import warm_training
+
+    config = replace(load_config("thermosplat"), device="cpu")
+    config = replace(config, densification=replace(config.densification, start_step=1, every=8))
+    checkpoint, refinements = warm_training(config, synthetic_capture(40, 30), 24, {})
+    assert checkpoint["step"] == 24
+    assert refinements is not None
+    assert (refinements["timed"], refinements["every"]) == (2, 8)
+    assert refinements["ms_a_step"] == pytest.approx(refinements["refinement_ms"] / 8)
 
 
 def test_frozen_steps_repeat_the_same_work(tmp_path: Path) -> None:
