@@ -23,6 +23,7 @@ from thermosplat.devices import choose_device, device_name
 from thermosplat.errors import UserError
 from thermosplat.evaluation import evaluate
 from thermosplat.export.scene import export_scene
+from thermosplat.labelled_regions import write_regions
 from thermosplat.lpips import Lpips, find_lpips
 from thermosplat.model import SceneModel
 from thermosplat.pair_capacity import PairCapacity
@@ -157,6 +158,7 @@ class Trainer:
                 self.budget.finish(self.sh_degree)
             self._save()  # before the evaluation, so that nothing which goes wrong there costs the training
             metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+            write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
             state.seconds.wall = time.perf_counter() - started
             return self._finish(metrics)
         except KeyboardInterrupt:
