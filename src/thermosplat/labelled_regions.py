@@ -47,9 +47,9 @@ COLUMNS = (
     Column("thermal PSNR [dB]", "thermal", "psnr", "{:.2f}"),
     Column("MAE [°C]", "thermal", "mae_celsius", "{:.3f}"),
     Column("RGB depth error", "rgb", "depth_error", "{:.4f}"),
-    Column("relative", "rgb", "depth_error_relative", "{:.2%}"),
+    Column("RGB depth error, relative", "rgb", "depth_error_relative", "{:.2%}"),
     Column("thermal depth error", "thermal", "depth_error", "{:.4f}"),
-    Column("relative", "thermal", "depth_error_relative", "{:.2%}"),
+    Column("thermal depth error, relative", "thermal", "depth_error_relative", "{:.2%}"),
 )
 
 Regions = dict[str, dict[str, Any]]
