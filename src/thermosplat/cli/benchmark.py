@@ -113,7 +113,7 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
             raise
     if left:
         print(f"Time is up: {len(left)} of {len(cells)} cells not begun. The same command goes on.", flush=True)
-    if len(missing) < len(cells) or len(failed) + len(left) < len(jobs) or not jobs:
+    if finished or len(failed) + len(left) < len(jobs) or not jobs:
         for table in write_report(matrix.out, merged):
             print(f"\n{table.title}\n\n{table.markdown()}", end="")
         print(f"\nResults in {matrix.out}: results.json, per_view.csv, tables.md, .csv, .tex and sheets/")
