@@ -37,7 +37,7 @@ def test_finished_cells_are_not_missing(tmp_path: Path) -> None:
 
 
 def test_longest_cells_come_first(tmp_path: Path) -> None:
-    """By the time of a step where a cell of the method is finished, else by the mean of all; equal ones stay in order."""
+    """By the time of a step of the method's finished cells, else of all; equal ones stay in order."""
     of = matrix(tmp_path)
     left = [Cell("desk", method, 42) for method in METHODS]
     slow = finished(of, Cell("lab", "mmone", 42), minutes=9.0)
