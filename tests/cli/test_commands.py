@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from importlib.resources import files
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,6 @@ import numpy as np
 import pytest
 import torch
 
-from thermosplat import cli as cli_folder
 from thermosplat.cli import evaluate, export, render, train
 from thermosplat.config_files import load_config
 from thermosplat.training.trainer import Trainer
@@ -200,7 +200,7 @@ def test_regions_of_a_capture_with_ground_truth(run: Run, finished: Path, tmp_pa
     """Training leaves regions.json, thermosplat-eval makes it again and prints it; other captures have no such file."""
     assert not (finished / "regions.json").exists()
     capture, folder = tmp_path / "with_truth", tmp_path / "run"
-    shutil.copytree(Path(cli_folder.__file__).parents[1] / "sample", capture)
+    shutil.copytree(str(files("thermosplat") / "sample"), capture)
     (capture / "ground_truth").mkdir()
     depth, label = np.full((150, 200), 2.0, np.float32), np.zeros((150, 200), np.uint8)
     label[:, 100:] = 1
