@@ -158,9 +158,10 @@ class Trainer:
                 self.budget.finish(self.sh_degree)
             self._save()  # before the evaluation, so that nothing which goes wrong there costs the training
             metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
-            write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
             state.seconds.wall = time.perf_counter() - started
-            return self._finish(metrics)
+            finished = self._finish(metrics)
+            write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
+            return finished
         except KeyboardInterrupt:
             with deferred_interrupts(redeliver=False):
                 self._stop_if_not_finite()
