@@ -61,7 +61,7 @@ def margins_table(results: Results) -> Table:
                 if any(found):
                     texts = ["-" if one is None else signed.format(one.value) for one in found]
                     paper = _paper_margin(duel, modality, metric)
-                    best = found[-1].rival if found[-1] is not None and len(duel.rivals) > 1 else "-"
+                    best = found[-1].rival if found[-1] is not None and duel.over == BEST_BASELINE else "-"
                     texts += [best, "-" if paper is None else signed.format(paper)]
                     rows.append((modality, label, duel.method, duel.over, *texts))
     title = (
