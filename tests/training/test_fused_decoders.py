@@ -57,7 +57,7 @@ def worst_difference(hidden: int, dim: int, thermal_channels: int, device: torch
 
 
 def all_finite(device: torch.device) -> bool:
-    """Whether images and gradients stay finite beyond the largest float16: a pixel's features, one modulated channel."""
+    """Whether all stays finite where features of a pixel, or one modulated channel, exceed the largest float16."""
     from thermosplat.training.fused_decoders import FusedDecoders
 
     generator = torch.Generator().manual_seed(0)
