@@ -43,6 +43,30 @@ def initial_parameters(points, colors, device) -> torch.nn.ParameterDict:
     return torch.nn.ParameterDict({k: torch.nn.Parameter(v.to(device)) for k, v in parameters.items()})
 
 
+def adam_optimizers(params, scene_scale: float) -> dict[str, torch.optim.Adam]:
+    """gsplat's rates: one fused Adam a parameter."""
+    rates = {
+        "means": 1.6e-4 * scene_scale, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3,
+        "shN": 2.5e-3 / 20,
+    }  # fmt: skip
+    return {k: torch.optim.Adam([params[k]], lr=lr, eps=1e-15, fused=True) for k, lr in rates.items()}
+
+
+def rendered(rasterization, params, view, degree: int, **options) -> tuple:
+    """Image [1, H, W, 3], alphas and info of a view, by gsplat's function."""
+    return rasterization(
+        params["means"], params["quats"], params["scales"].exp(), params["opacities"].sigmoid(),
+        torch.cat([params["sh0"], params["shN"]], 1), view.viewmat[None], view.K[None], view.width, view.height,
+        sh_degree=degree, **options,
+    )  # fmt: skip
+
+
+def image_loss(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """3DGS's: 0.8 L1 + 0.2 (1 - SSIM) of images [H, W, 3]."""
+    similarity = ssim_map(image.permute(2, 0, 1), target.permute(2, 0, 1)).mean()
+    return 0.8 * (image - target).abs().mean() + 0.2 * (1 - similarity)
+
+
 def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int, device: torch.device) -> dict:
     """Trains one modality; returns held-out PSNR, SSIM, count and seconds."""
     torch.manual_seed(seed)
@@ -51,22 +75,14 @@ def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int,
         for frames in (capture.train, capture.test)
     ]
     params = initial_parameters(capture.points, capture.point_colors, device)
-    rates = {
-        "means": 1.6e-4 * scene_scale, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3,
-        "shN": 2.5e-3 / 20,
-    }  # fmt: skip
-    optimizers = {k: torch.optim.Adam([params[k]], lr=lr, eps=1e-15, fused=True) for k, lr in rates.items()}
+    optimizers = adam_optimizers(params, scene_scale)
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimizers["means"], 0.01 ** (1 / max_steps))
     strategy = DefaultStrategy()
     strategy.check_sanity(params, optimizers)
     state = strategy.initialize_state(scene_scale=scene_scale)
 
     def render(view, degree):
-        return rasterization(
-            params["means"], params["quats"], params["scales"].exp(), params["opacities"].sigmoid(),
-            torch.cat([params["sh0"], params["shN"]], 1), view.viewmat[None], view.K[None], view.width, view.height,
-            sh_degree=degree, packed=False,
-        )  # fmt: skip
+        return rendered(rasterization, params, view, degree, packed=False)
 
     order, started = [], time.perf_counter()
     for step in range(max_steps):
@@ -75,9 +91,7 @@ def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int,
         view = views[0][order.pop()]
         image, _, info = render(view, min(step // 1000, 3))
         strategy.step_pre_backward(params, optimizers, state, step, info)
-        similarity = ssim_map(image[0].permute(2, 0, 1), view.image.permute(2, 0, 1)).mean()
-        loss = 0.8 * (image[0] - view.image).abs().mean() + 0.2 * (1 - similarity)
-        loss.backward()
+        image_loss(image[0], view.image).backward()
         for optimizer in optimizers.values():
             optimizer.step()
             optimizer.zero_grad(set_to_none=True)
