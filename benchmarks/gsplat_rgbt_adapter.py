@@ -1,8 +1,8 @@
 """The same model and losses on gsplat's rasterizer, as its user would write them: a step launched line by line.
 
-gsplat blends any number of channels at one opacity, so a frame of both spectra takes two calls: colours and features at α,
-then the features at α_t. Decoders and losses are PyTorch's and kornia's in float32, and each parameter has torch's fused
-Adam, as in gsplat's own trainer.
+gsplat blends any number of channels at one opacity, so a frame of both spectra takes two calls: colours and features at
+α, then the features at α_t. Decoders and losses are PyTorch's and kornia's in float32, and each parameter has torch's
+fused Adam, as in gsplat's own trainer.
 """
 
 import sys

@@ -38,7 +38,7 @@ def random_capture(width: int, height: int) -> Capture:
     frames = tuple(Frame(name, view("rgb", name), view("thermal", name)) for name in map(str, range(FRAMES)))
     points = random.uniform(1, 2, (16, 3)).astype(np.float32)
     colors = random.integers(0, 256, (16, 3), dtype=np.uint8)
-    return Capture(f"random {width}x{height}", Path("random"), "colmap", frames, (), points, colors, scale)
+    return Capture("random", Path("random"), "colmap", frames, (), points, colors, scale)
 
 
 def random_gaussians(count: int, *, feature_dim: int, sh_degree: int) -> Gaussians:

@@ -1,7 +1,7 @@
 """Trainers whose steps repeat the same work, so that steps can be timed, compared and profiled.
 
-All learning rates are 0, no Gaussian comes or goes, and all degrees of the spherical harmonics are in use: a step reads,
-computes and writes what a step of a run does, and the next one finds the same Gaussians.
+All learning rates are 0, no Gaussian comes or goes, and all degrees of the spherical harmonics are in use: a step
+reads, computes and writes what a step of a run does, and the next one finds the same Gaussians.
 """
 
 import time

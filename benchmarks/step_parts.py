@@ -46,8 +46,8 @@ def part_times(trainer: Trainer, repeats: int) -> dict[str, PartTime]:
     """Times every part of a trainer's step on its next frame.
 
     Args:
-        trainer: Warm, from ``steady_trainer`` with ``densifying``; one set of Gaussians that both spectra share, decoded
-            features, and one camera for both spectra.
+        trainer: Warm, from ``steady_trainer`` with ``densifying``; one set of Gaussians that both spectra share,
+            decoded features, and one camera for both spectra.
         repeats: Measurements of each.
 
     Raises:
@@ -145,9 +145,9 @@ def _updates(trainer: Trainer, frame: FrameTensors, repeats: int) -> dict[str, P
         "optimizer": lambda: [step_unless(blocked, optimizers) for optimizers in state.optimizers.values()],
         "densification": lambda: state.strategies["shared"].observe(done.rendered.infos["shared"], blocked),
     }
-    times = {name: PartTime(_median(trainer, call, repeats)) for name, call in calls.items()}
+    times = _medians(trainer, calls, repeats)
     state.clear_gradients()
-    return times
+    return {name: PartTime(milliseconds) for name, milliseconds in times.items()}
 
 
 def _differentiable(
@@ -165,21 +165,25 @@ def _differentiable(
         def both() -> tuple[Tensor | None, ...]:
             return torch.autograd.grad(forward(), leaves, upstream, allow_unused=True)
 
-        forward_ms = _median(trainer, forward, repeats)
-        return PartTime(forward_ms, _median(trainer, both, repeats) - forward_ms)
+        times = _medians(trainer, {"forward": forward, "both": both}, repeats)
+    return PartTime(times["forward"], times["both"] - times["forward"])
 
 
-def _median(trainer: Trainer, call: Callable[[], object], repeats: int) -> float:
+def _medians(trainer: Trainer, calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Milliseconds of calls that take turns."""
     device = trainer.device
     if device.type != "cuda":
-        return time_interleaved({"part": call}, device, repeats)["part"]["median_ms"]
-    for _ in range(2):  # loads kernels and picks algorithms, which cannot be captured
-        call()
+        times = time_interleaved(calls, device, repeats)
+        return {name: time["median_ms"] for name, time in times.items()}
+    graphs, pool = {name: torch.cuda.CUDAGraph() for name in calls}, torch.cuda.MemPool()
+    for name, call in calls.items():
+        for _ in range(2):  # loads kernels and picks algorithms, which cannot be captured
+            call()
+        wait(device)
+        with captured_in(graphs[name], pool.id):
+            call()
+    times = time_interleaved({name: graph.replay for name, graph in graphs.items()}, device, repeats, hide_host=True)
     wait(device)
-    graph, pool = torch.cuda.CUDAGraph(), torch.cuda.MemPool()
-    with captured_in(graph, pool.id):
-        call()
-    times = time_interleaved({"part": graph.replay}, device, repeats, hide_host=True)
-    wait(device)
-    graph.reset()  # before its pool
-    return times["part"]["median_ms"]
+    for graph in graphs.values():
+        graph.reset()  # before their pool
+    return {name: time["median_ms"] for name, time in times.items()}

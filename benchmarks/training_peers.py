@@ -67,8 +67,8 @@ def compare_steps(
         with_plain: Also time thermosplat's loop with ``--no-graph --no-compile``.
 
     Returns:
-        ``losses`` (each term ours, gsplat's, and their largest relative difference), ``disagreement`` (what is beyond the
-        tolerance, or None), and ``steps``: milliseconds, steps a second and the ratio to ours of every contestant.
+        ``losses`` (each term ours, gsplat's, and their largest relative difference), ``disagreement`` (what is beyond
+        the tolerance, or None), and ``steps``: milliseconds, steps a second and the ratio to ours of every contestant.
 
     Raises:
         UserError: The configuration or the capture is of another kind.

@@ -1,6 +1,7 @@
-"""One case of ``bench_training.py --parts step``: where a step's time and memory go, and how far that is from the floor."""
+"""One case of ``bench_training.py --parts step``: where a step's time and memory go, and how far from the floor."""
 
 import gc
+import traceback
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -63,7 +64,7 @@ def step_case(
         ``in_step_ms`` (kernels of the step by the part that their names tell), ``kernels``, and ``memory``.
     """
     device = choose_device(config.device)
-    held = _start_memory(device)
+    before = _start_memory(device)
     with TemporaryDirectory() as folder:
         trainer = steady_trainer(
             steady_config(config, densifying=True),
@@ -74,31 +75,36 @@ def step_case(
         )
         warm_up(trainer)
         step_ms = float(np.median([1e3 * run_steps(trainer, steps) / steps for _ in range(WINDOWS)]))
-        memory = _memory(device, held)
+        memory = _memory(device, before)
         kernels = step_kernels(trainer)
-        frame = trainer.schedule.tensors(trainer.state.step)
-        parts = _parts(trainer, peaks, repeats)
-        view = frame.rgb or frame.thermal
+        parts, error = _parts(trainer, peaks, repeats)
+        view = capture.train[0].rgb or capture.train[0].thermal
         case = {
             "scene": capture.name,
-            "width": view.width if view else 0,
-            "height": view.height if view else 0,
+            "width": view.camera.width if view else 0,
+            "height": view.camera.height if view else 0,
             "gaussians": trainer.model.num_gaussians,
             "step_ms": step_ms,
             **_totals(step_ms, parts, kernels, device),
             "parts": parts,
             "memory": memory,
             "kernels": kernels[:KERNELS],
+            **error,
         }
         if trainer.captured is not None:
             trainer.captured.forget()
     return case
 
 
-def _parts(trainer: Trainer, peaks: DevicePeaks, repeats: int) -> dict[str, dict[str, Any]]:
-    times = part_times(trainer, repeats)
-    floors = step_floors(trainer, trainer.schedule.tensors(trainer.state.step), peaks)
-    return {
+def _parts(trainer: Trainer, peaks: DevicePeaks, repeats: int) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
+    """Times and floors of the parts; where they cannot be had, none and why: the step as a whole counts more."""
+    try:
+        times = part_times(trainer, repeats)
+        floors = step_floors(trainer, trainer.schedule.tensors(trainer.state.step), peaks)
+    except Exception as error:
+        traceback.print_exc()
+        return {}, {"parts_error": " ".join(f"{type(error).__name__}: {error}".split())[:300]}
+    parts = {
         name: {
             "forward_ms": time.forward_ms,
             "backward_ms": time.backward_ms,
@@ -108,6 +114,7 @@ def _parts(trainer: Trainer, peaks: DevicePeaks, repeats: int) -> dict[str, dict
         }
         for name, time in times.items()
     }
+    return parts, {}
 
 
 def _totals(
@@ -116,7 +123,11 @@ def _totals(
     """What the parts leave over, of the kernels and of the step."""
     parts_ms = sum(part["total_ms"] for part in parts.values())
     floor_ms = sum(part["floor"]["floor_ms"] for part in parts.values())
-    totals: dict[str, Any] = {"parts_ms": parts_ms, "floor_ms": floor_ms, "times_floor": step_ms / floor_ms}
+    totals: dict[str, Any] = {
+        "parts_ms": parts_ms,
+        "floor_ms": floor_ms,
+        "times_floor": step_ms / floor_ms if parts else None,
+    }
     if device.type != "cuda":
         return totals | {"kernels_ms": None, "host_gap_ms": None, "rest_ms": step_ms - parts_ms, "in_step_ms": {}}
     kernels_ms = sum(kernel["microseconds"] for kernel in kernels) / 1e3
@@ -128,24 +139,24 @@ def _totals(
     }
 
 
-def _start_memory(device: torch.device) -> int:
-    """Bytes that are in use before the case; the peak counts from here."""
+def _start_memory(device: torch.device) -> dict[str, int]:
+    """Bytes that are in use, and that torch holds, before the case; its peaks count from here."""
     gc.collect()
     if device.type != "cuda":
-        return 0
+        return {}
     torch.cuda.synchronize(device)
     torch.cuda.empty_cache()
     torch.cuda.reset_peak_memory_stats(device)
-    return torch.cuda.memory_allocated(device)
+    return {"allocated": torch.cuda.memory_allocated(device), "reserved": torch.cuda.memory_reserved(device)}
 
 
-def _memory(device: torch.device, held: int) -> dict[str, int] | None:
-    """Most bytes in use since, and most that torch held for it, its graphs' pools included; None on the CPU."""
+def _memory(device: torch.device, before: dict[str, int]) -> dict[str, int] | None:
+    """Most bytes in use since, and most that torch held, its graphs' pools included; None on the CPU."""
     if device.type != "cuda":
         return None
     return {
-        "allocated_bytes": torch.cuda.max_memory_allocated(device) - held,
-        "reserved_bytes": torch.cuda.max_memory_reserved(device),
+        "allocated_bytes": torch.cuda.max_memory_allocated(device) - before["allocated"],
+        "reserved_bytes": torch.cuda.max_memory_reserved(device) - before["reserved"],
     }
 
 

@@ -6,8 +6,8 @@ What is counted, N Gaussians of F floats in all, W·H pixels, C channels of an i
 - Decoders: the features read and the images written, and backward the same again, images' gradients read, features'
   gradients written; activations need not leave the chip. Multiply-adds of every linear layer of either branch, and
   backward twice as many. Their peak is float16's matrix products for the precisions "tf32" and "bfloat16".
-- An image loss: both images read; backward both again, and the gradient written. Multiply-adds a pixel and channel: five
-  moments through 11 taps along two axes (110) and 20 around them; backward three maps (66) and 20.
+- An image loss: both images read; backward both again, and the gradient written. Multiply-adds a pixel and channel:
+  five moments through 11 taps along two axes (110) and 20 around them; backward three maps (66) and 20.
 - Smoothness: the image read; backward read again, and the gradient written.
 - Finite check: all gradients read.
 - Optimizer (Adam): parameter, gradient and two moments read, three of them written: 28 bytes a float.
@@ -129,7 +129,7 @@ def decoder_fmas(decoders: nn.Module | None) -> int:
     """Multiply-adds of one pixel in both branches, forward.
 
     Args:
-        decoders: ``Decoders``, whose shared layers each branch passes through, or ``SpectrumDecoders``, whose it does not.
+        decoders: ``Decoders``, whose shared layers both branches pass, or ``SpectrumDecoders``, which share none.
     """
     if decoders is None:
         return 0
