@@ -47,21 +47,6 @@ def test_accuracy_benchmark_names_its_cases() -> None:
     assert "needles of 500 px" in done.stderr
 
 
-def test_training_step_profile_runs(tmp_path: Path) -> None:
-    """A short training on the packaged sample is timed, and its operators are listed, the costliest first."""
-    report = tmp_path / "profile.json"
-    options = ["sample", "--config", "demo", "--device", "cpu", "--data-factor", "8", "--steps", "2"]
-    done = run_script("profile_training_step.py", *options, "--output", str(report))
-    assert done.returncode == 0, done.stdout + done.stderr
-    written = json.loads(report.read_text())
-    assert written["milliseconds"] > 0
-    assert written["num_gaussians"] > 1000
-    times = [kernel["microseconds"] for kernel in written["kernels"]]
-    assert times == sorted(times, reverse=True)
-    assert 0.2 * written["milliseconds"] < sum(times) / 1e3 < 20 * written["milliseconds"]
-    assert "ms a step" in done.stdout
-
-
 def test_budget_benchmark_runs(tmp_path: Path) -> None:
     """A short training is pruned to each budget and measured; fewer Gaussians take fewer bytes."""
     options = ["sample", "--config", "demo", "--device", "cpu", "--data-factor", "8", "--max-steps", "3"]
