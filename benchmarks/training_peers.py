@@ -30,8 +30,8 @@ TWO_CALLS, GSPLAT_RGB = "gsplat called twice", "gsplat, RGB alone"
 COMPARED_FRAMES = 3
 LOSS_TOLERANCE, TIMED_TOLERANCE = 2e-3, 2e-2
 """Largest relative difference of a loss term between the rasterizers, with the decoders in float32 on both sides, and
-as timed. The rasterizers decide differently in single pixels; the decoders of the timed steps round the inputs of matrix
-products to 10 bits (--decoder-precision tf32), which smoothness, a sum of small differences, feels most."""
+as timed. The rasterizers decide differently in single pixels; the decoders of the timed steps round the inputs of
+matrix products to 10 bits (--decoder-precision tf32), which smoothness, a sum of small differences, feels most."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,9 @@ def compare_steps(
         with_plain: Also time thermosplat's loop with ``--no-graph --no-compile``.
 
     Returns:
-        ``losses`` (each term ours and gsplat's, and their largest relative difference with plain decoders and as timed),
-        ``disagreement`` (what is beyond the tolerances, or None), and ``steps``: milliseconds, steps a second and the
-        ratio to ours of every contestant.
+        ``losses`` (each term ours and gsplat's, and their largest relative difference with plain decoders and as
+        timed), ``disagreement`` (what is beyond the tolerances, or None), and ``steps``: milliseconds, steps a second
+        and the ratio to ours of every contestant.
 
     Raises:
         UserError: The configuration or the capture is of another kind.

@@ -133,8 +133,8 @@ def _peers(part: Report) -> list[str]:
             for key in ("relative_difference", "timed_relative_difference")
         )
         verdict = part["disagreement"] or (
-            f"losses agree: they differ by at most {worst:.1e} of themselves with decoders in float32 on both sides, and "
-            f"by {timed:.1e} as timed"
+            f"losses agree: they differ by at most {worst:.1e} of themselves with decoders in float32 on both sides, "
+            f"and by {timed:.1e} as timed"
         )
         lines += ["", f"On the same views {verdict}."]
     return lines
