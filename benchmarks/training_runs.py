@@ -18,7 +18,7 @@ import torch
 from thermosplat.checkpoint import load_checkpoint
 from thermosplat.run_directory import RunDirectory
 
-COMMAND = "import sys; from thermosplat.cli.train import main; sys.exit(main())"
+COMMAND = Path(__file__).with_name("clocked_training.py")
 
 VARIANTS = {"default": (), "plain": ("--no-graph", "--no-compile"), "deterministic": ("--deterministic",)}
 """Flags of each way to run the same training."""
@@ -43,17 +43,20 @@ def training_run(
 
     Returns:
         ``seconds`` from the command to metrics.json and, of these, ``first_step_seconds`` (in which kernels are
-        compiled where the cache has none), ``train_seconds`` and ``step_ms`` of the other steps; the held-out PSNR of
+        compiled where the cache has none) and ``late_compile_seconds``; ``compiled_seconds`` without either;
+        ``train_seconds`` and, likewise without either, ``step_ms``; the held-out PSNR of
         either spectrum, Gaussians, steps, ``memory`` over the steps, and ``model_hash`` of the trained parameters.
         ``error`` in place of all that where the command failed.
     """
-    command = [sys.executable, "-c", COMMAND, data, *flags, "--result-dir", str(folder), "--overwrite"]
+    clock = folder.with_name(f"{folder.name}_compilation.json")
+    command = [sys.executable, str(COMMAND), str(clock), data, *flags, "--result-dir", str(folder), "--overwrite"]
     environment = dict(os.environ)
     if cores is not None:
         environment["OMP_NUM_THREADS"] = str(cores)
     if kernel_cache is not None:
         environment["WARP_CACHE_PATH"] = str(kernel_cache)
     shutil.rmtree(folder, ignore_errors=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
     started, started_at = time.perf_counter(), time.time()
     with _on_cores(cores):
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
@@ -62,13 +65,17 @@ def training_run(
         return {"error": f"exit code {done.returncode}: {' '.join((done.stderr or done.stdout).split())[-600:]}"}
     run = RunDirectory.open(folder)
     metrics = json.loads(run.metrics_json.read_text(encoding="utf-8"))
-    first = metrics["first_step_seconds"]
+    compilation = json.loads(clock.read_text(encoding="utf-8"))
+    seconds, first = run.metrics_json.stat().st_mtime - started_at, metrics["first_step_seconds"]
+    late = compilation["late_compile_seconds"]
     return {
-        "seconds": run.metrics_json.stat().st_mtime - started_at,
+        "seconds": seconds,
         "process_seconds": process_seconds,
         "first_step_seconds": first,
+        **compilation,
+        "compiled_seconds": seconds - first - late,
         "train_seconds": metrics["train_seconds"],
-        "step_ms": 1e3 * (metrics["train_seconds"] - first) / max(metrics["steps"] - 1, 1),
+        "step_ms": 1e3 * (metrics["train_seconds"] - first - late) / max(metrics["steps"] - 1, 1),
         "steps": metrics["steps"],
         "num_gaussians": metrics["num_gaussians"],
         "rgb_psnr": (metrics["rgb"] or {}).get("psnr"),

@@ -212,6 +212,8 @@ def test_whole_training_and_steps_side_by_side(tmp_path: Path, capsys: pytest.Ca
     (run,) = written["whole"]["runs"]
     assert run["steps"] == 3
     assert 0 < run["first_step_seconds"] < run["train_seconds"] < run["seconds"] < run["process_seconds"] + 1
+    assert run["compiled_seconds"] == run["seconds"] - run["first_step_seconds"] - run["late_compile_seconds"]
+    assert 0 <= run["late_compile_seconds"] <= run["compile_seconds"]
     assert min(run["rgb_psnr"], run["thermal_psnr"]) > 5
     assert written["peers"]["gaussians"] == run["num_gaussians"]
     assert set(written["peers"]["steps"]) == {"thermosplat", "thermosplat 3dgs, RGB alone"}
