@@ -1,40 +1,34 @@
-"""How long does a training take, where does a step go, and what would gsplat's rasterizer make of it?
+"""How fast is training, where does a step go, beside whom, and how much memory does it take?
 
-    python benchmarks/bench_training.py DATA --json training.json --markdown training.md -- --max-steps 7000
-    python benchmarks/bench_training.py sample --device cpu --json training.json
+    python benchmarks/bench_training.py DATA --parts whole peers step memory --json training.json \\
+        --markdown training.md --time-limit 300 -- --densification.max-gaussians 300000
+    python benchmarks/bench_training.py sample --device cpu --parts whole -- --config demo
 
-Flags behind -- go to thermosplat-train. Parts (--parts), in this order:
-
-whole   DATA trained by thermosplat-train in a process of its own: seconds to metrics.json, held-out PSNR, memory.
-peers   Steps from one checkpoint in windows that take turns: ours, gsplat called twice, gsplat and ours on RGB alone.
-step    Where a step goes, part by part, with the floor of each, on DATA and on random Gaussians; memory.
-sample  thermosplat-train sample on the CPU, with nothing compiled before.
-
-The files are rewritten after every measurement. README.md says what is measured, and how.
+What follows ``--`` are flags of thermosplat-train: they hold for every part. Files are rewritten after every row.
+README.md says what each part measures.
 """
 
 import argparse
+import functools
 import json
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
-import torch
-from device_peaks import DevicePeaks, measure_peaks
-from gsplat_rgbt_adapter import find_gsplat
-from steady_training import quiet_trainer, run_steps
-from training_bench_arguments import parse
+from device_peaks import measure_peaks
+from frozen_training import Frames
 from training_peers import compare_steps
-from training_runs import differences, training_run, whole_runs
-from training_step_case import memory_model, random_case, step_case
-from training_tables import lines_of, markdown
+from training_sizes import capture_rows, memory_fit, profiled_row, synthetic_row
+from training_tables import markdown
+from training_whole import whole_runs
+from warm_training import warm_training
 
 from thermosplat.checkpoint import write_atomically
 from thermosplat.cli.arguments import parse_train_arguments
@@ -43,211 +37,210 @@ from thermosplat.config import TrainConfig
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.devices import choose_device
-from thermosplat.run_directory import RunDirectory, environment, finite_or_null
-from thermosplat.training.resuming import check_resumable, newest_checkpoint
+from thermosplat.errors import UserError
+from thermosplat.run_directory import environment, finite_or_null
+
+PARTS = ("whole", "peers", "step", "memory")
+SIZES, COUNTS = ("640x480", "1280x1024"), (100_000, 300_000, 1_000_000)
 
 
-class TimeIsUp(Exception):
-    """The time limit came; the message says before what."""
+def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
+    """The script's own options, and the flags of thermosplat-train after ``--``."""
+    flags: list[str] = []
+    if "--" in words:
+        words, flags = words[: words.index("--")], words[words.index("--") + 1 :]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", help="folder of a capture, or sample")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[42], help="of the whole runs")
+    parser.add_argument("--plain", action="store_true", help="on CUDA also --no-graph --no-compile")
+    parser.add_argument("--deterministic", action="store_true", help="also whole runs with --deterministic")
+    parser.add_argument("--warm-steps", type=int, default=2000, help="train so far before peers and steps are timed")
+    parser.add_argument("--window", type=int, default=None, help="steps a measurement (40 on CUDA, 3 on the CPU)")
+    parser.add_argument("--rounds", type=int, default=None, help="measurements of each (9 on CUDA, 3 on the CPU)")
+    parser.add_argument("--sizes", nargs="+", default=SIZES, help="WIDTHxHEIGHT of the random scenes")
+    parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="Gaussians of the random scenes")
+    parser.add_argument("--kernels", type=int, default=0, help="print so many kernels of a step by name")
+    parser.add_argument("--time-limit", type=float, default=float("inf"), help="start nothing after so long [s]")
+    parser.add_argument("--json", type=Path, default=None, help="file to write")
+    parser.add_argument("--markdown", type=Path, default=None, help="file to write the tables to")
+    return parser.parse_args(words), flags
 
 
-class TrainingBenchmark:
-    """One run of the benchmark.
+class Benchmark:
+    """One run of the script: what was asked for, and the report that grows.
 
     Args:
-        options: Command line.
-        folder: Where trainings go.
+        options: The script's own.
+        flags: Those of thermosplat-train, without DATA.
     """
 
-    def __init__(self, options: argparse.Namespace, folder: Path) -> None:
+    def __init__(self, options: argparse.Namespace, flags: list[str]) -> None:
         self.options = options
-        self.folder = folder
         self.device = choose_device(options.device)
-        self.report: dict[str, Any] = {"environment": self._environment()}
-        self._started = time.perf_counter()
-
-    def run(self) -> int:
-        """Measures part after part; returns 1 if any failed or found a disagreement."""
-        parts: dict[str, Callable[[], None]] = {
-            "whole": self.whole,
-            "peers": self.peers,
-            "step": self.step,
-            "sample": self.sample,
+        on_cuda = self.device.type == "cuda"
+        self.window = options.window or (40 if on_cuda else 3)
+        self.rounds = options.rounds or (9 if on_cuda else 3)
+        self.command = [options.data, *flags, "--device", str(self.device)]
+        self.config: TrainConfig = parse_train_arguments(self.command)
+        self.frames: Frames = {}
+        self.started = time.perf_counter()
+        self.plain = options.plain and on_cuda  # on the CPU there is neither graph nor compilation
+        self.report: dict[str, Any] = {
+            "command": " ".join(["python", "benchmarks/bench_training.py", *sys.argv[1:]]),
+            "date": time.strftime("%Y-%m-%d"),
+            "environment": environment(self.device),
+            "config": self.config.config,
+            "stopped": [],
+            "errors": {},
         }
-        failed = False
-        for name in (name for name in parts if name in self.options.parts and "stopped" not in self.report):
-            try:
-                parts[name]()
-            except TimeIsUp as limit:
-                self.report["stopped"] = str(limit)
-                print(limit, flush=True)
-            except Exception as error:  # a part that fails must not lose the others
-                traceback.print_exc()
-                self.report.setdefault(name, {})["error"] = f"{type(error).__name__}: {error}"
-                failed = True
-            finally:
-                self.write()
-            if name in self.report:
-                print("\n".join(lines_of(self.report, name)) + "\n", flush=True)
-        disagreement = self.report.get("peers", {}).get("disagreement")
-        made = [run for part in ("whole", "sample") for run in self.report.get(part, {}).get("runs", [])]
-        made += self.report.get("step", {}).get("cases", [])
-        failed |= any("error" in one or "parts_error" in one for one in made)
-        return int(failed or disagreement is not None)
-
-    def whole(self) -> None:
-        """DATA by the command."""
-        options, part = self.options, self.report.setdefault("whole", {"runs": []})
-        variants = ["default", *(name for name in ("plain", "deterministic") if getattr(options, name))]
-        flags = [*self._flags, "--device", options.device]
-        runs = whole_runs(options.data, flags, options.seeds, variants, self.folder)
-        for run in self._in_time(runs, "a training of DATA"):
-            part["runs"].append(run)
-            part["differences"] = differences(part["runs"])
-            self.write()
-
-    def peers(self) -> None:
-        """Steps side by side."""
-        options = self.options
-        self._check_time("the steps side by side")
-        gsplat = None if options.no_gsplat else find_gsplat(self.device, options.oracle)
-        self.report["peers"] = compare_steps(
-            self.config,
-            self.capture,
-            self.checkpoint,
-            gsplat,
-            rounds=options.windows,
-            window=options.window,
-            with_plain=options.plain,
-        )
-
-    def step(self) -> None:
-        """Where a step goes."""
-        options = self.options
-        part = self.report.setdefault("step", {"cases": [], "memory_model": None})
-        if not options.no_data_case:
-            self._check_time("a step on DATA")
-            times = (options.step_window, options.repeats)
-            case = step_case(self.config, self.capture, self.peaks, *times, checkpoint=self.checkpoint)
-            self._note_case(case)
-        random_cases = []
-        for size in options.sizes:
-            width, height = (int(number) for number in size.lower().split("x"))
-            for count in options.counts:
-                self._check_time(f"a step on {count:,} random Gaussians at {size}")
-                case = random_case(
-                    self.config, (width, height), count, self.peaks, options.step_window, options.repeats
-                )
-                random_cases.append(case)
-                part["memory_model"] = memory_model(random_cases)
-                self._note_case(case)
-
-    def sample(self) -> None:
-        """The packaged capture on the CPU."""
-        options = self.options
-        self._check_time("thermosplat-train sample")
-        cache = None if options.warm_cache else self.folder / "kernels"
-        flags = [*self.options.flags, "--device", "cpu"]
-        run = training_run("sample", flags, self.folder / "sample", cores=options.cores, kernel_cache=cache)
-        run |= {"cores": options.cores, "kernel_cache": "warm" if options.warm_cache else "empty"}
-        self.report["sample"] = {"runs": [run]}
-
-    # ---- what the parts share ----------------------------------------------------------------------------------------
 
     @property
-    def _flags(self) -> list[str]:
-        """What thermosplat-train is told in every part but ``sample``."""
-        preset = [] if self.options.config is None else ["--config", self.options.config]
-        return [*preset, *self.options.flags]
+    def remaining_s(self) -> float:
+        """Of the time limit [s]."""
+        return self.options.time_limit - (time.perf_counter() - self.started)
 
-    @cached_property
-    def config(self) -> TrainConfig:
-        """The configuration of these flags."""
-        return parse_train_arguments([self.options.data, *self._flags, "--device", self.options.device])
-
-    @cached_property
-    def capture(self) -> Capture:
-        """DATA."""
-        config = self.config
-        options = {"data_factor": config.data_factor, "test_every": config.test_every, "thermal": config.thermal}
-        return load_capture(config.data, **options)
-
-    @cached_property
-    def peaks(self) -> DevicePeaks:
-        """Measured when they are first needed."""
-        peaks = measure_peaks(self.device)
-        self.report["peaks"] = peaks._asdict()
-        return peaks
-
-    @cached_property
-    def checkpoint(self) -> dict[str, Any]:
-        """Trained Gaussians: of --run, or of the first whole training of this run, or of a short training."""
-        run = self.options.run or next(
-            (run["folder"] for run in self.report.get("whole", {}).get("runs", []) if "error" not in run), None
-        )
-        if run is not None:
-            directory = RunDirectory.open(run)
-            checkpoint = newest_checkpoint(directory)
-            check_resumable(checkpoint, self.config, directory)
-            return checkpoint
-        trainer = quiet_trainer(self.config, self.capture, self.folder / "start")
-        run_steps(trainer, self.options.start_steps)
-        trainer._save()
-        return newest_checkpoint(trainer.run)
-
-    def _in_time(self, runs: Iterator[dict[str, Any]], what: str) -> Iterator[dict[str, Any]]:
-        while True:
-            self._check_time(what)
-            run = next(runs, None)
-            if run is None:
-                return
-            yield run
-
-    def _check_time(self, what: str) -> None:
-        limit = self.options.time_limit
-        if limit is not None and time.perf_counter() - self._started > limit:
-            raise TimeIsUp(f"The time limit of {limit:g} s came before {what}.")
-
-    def _note_case(self, case: dict[str, Any]) -> None:
-        self.report["step"]["cases"].append(case)
-        self.write()
-        if self.device.type == "cuda":
-            torch.cuda.empty_cache()
-
-    def write(self) -> None:
+    def save(self) -> None:
         """Replaces the files, so that they are whole at any time."""
-        self.report["seconds"] = time.perf_counter() - self._started
-        report = finite_or_null(self.report)
         for path, text in (
-            (self.options.json, json.dumps(report, indent=1) + "\n"),
-            (self.options.markdown, markdown(report)),
+            (self.options.json, lambda: json.dumps(finite_or_null(self.report), indent=1) + "\n"),
+            (self.options.markdown, lambda: markdown(self.report)),
         ):
             if path is not None:
-                write_atomically(path, lambda temporary, text=text: temporary.write_text(text, encoding="utf-8"))
+                write_atomically(path, functools.partial(_write, text=text()))
 
-    def _environment(self) -> dict[str, Any]:
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Around one part: what goes wrong in it is reported, and the next part goes on."""
         try:
-            gsplat = version("gsplat")
-        except PackageNotFoundError:
-            gsplat = None
-        return {
-            "command": " ".join(["python", "benchmarks/bench_training.py", *self.options.words]),
-            "date": time.strftime("%Y-%m-%d"),
-            **environment(self.device),
-            "gsplat": gsplat,
-        }
+            yield
+        except Exception as error:  # out of memory, say, must not lose the other parts
+            traceback.print_exc()
+            self.report["errors"][name] = f"{type(error).__name__}: {error}".splitlines()[0]
+        self.save()
+
+    def late(self, what: str) -> bool:
+        """Whether the time limit is over; then that is noted."""
+        if self.remaining_s > 0:
+            return False
+        self.report["stopped"].append(what)
+        print(f"the time limit came before: {what}", flush=True)
+        return True
+
+    @functools.cached_property
+    def capture(self) -> Capture:
+        """The capture, read as the command reads it."""
+        config = self.config
+        return load_capture(
+            config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
+        )
+
+    @functools.cached_property
+    def checkpoint(self) -> dict[str, Any]:
+        """The state after the warm-up steps."""
+        config = replace(self.config, budget="fixed")
+        checkpoint, self.report["densification"] = warm_training(
+            config, self.capture, self.options.warm_steps, self.frames
+        )
+        return checkpoint
+
+    @functools.cached_property
+    def row(self) -> Callable[..., dict[str, Any]]:
+        """``profiled_row`` with this machine's peaks."""
+        peaks = measure_peaks(self.device)
+        self.report["peaks"] = peaks._asdict()
+        return functools.partial(profiled_row, peaks=peaks, window=self.window, rounds=self.rounds)
+
+    def whole(self) -> None:
+        """Part 1."""
+        options = self.options
+        rows = self.report["whole"] = []
+        with tempfile.TemporaryDirectory() as folder:
+            kinds = {"plain": self.plain, "deterministic": options.deterministic}
+            for row in whole_runs(self.command, options.seeds, Path(folder), self.remaining_s, **kinds):
+                rows.append(row)
+                print({key: value for key, value in row.items() if key not in ("metrics", "memory")}, flush=True)
+                self.save()
+
+    def peers(self) -> None:
+        """Part 2."""
+        if not self.late("peers"):
+            start = (self.config, self.capture, self.checkpoint, self.frames)
+            found = compare_steps(*start, self.device, self.window, self.rounds)
+            self.report["peers"] = found
+            for name, times in found["peers"].items():
+                print(f"{times['steps_per_s']:8.1f} steps/s {times['median_ms']:8.2f} ms  {name}", flush=True)
+            for name, reason in found["left_out"].items():
+                print(f"left out: {name}: {reason}", flush=True)
+
+    def step(self) -> None:
+        """Part 3, on the capture."""
+        if not self.late("step on the capture"):
+            rows = capture_rows(self.config, self.capture, self.checkpoint, self.frames, self.plain, self.row)
+            self.report["step"] = rows
+            for row in rows:
+                print_row(row, self.options.kernels)
+            print("densification:", self.report["densification"] or "not seen in the warm-up steps", flush=True)
+
+    def sizes(self) -> None:
+        """Part 3 on random Gaussians, and part 4."""
+        rows = self.report["sizes"] = []
+        for size in self.options.sizes:
+            width, height = (int(number) for number in size.lower().split("x"))
+            for count in self.options.counts:
+                name = f"{count:,} Gaussians at {size}"
+                if self.late(name):
+                    return
+                with self.part(name):
+                    row = self.row if "step" in self.options.parts else None
+                    rows.append(synthetic_row(self.config, count, (width, height), row))
+                    print_row(rows[-1], self.options.kernels)
+        if "memory" in self.options.parts:
+            self.report["memory"] = memory_fit(rows)
+            print("memory:", self.report["memory"] or "not measured (needs CUDA and three sizes)", flush=True)
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def print_row(row: dict[str, Any], kernels: int) -> None:
+    """One line a step, then its parts, and its costliest kernels by name."""
+    line = f"{row['name']:<24} {row['size']:>10} {row['num_gaussians']:>9,} Gaussians"
+    if "median_ms" in row:
+        line += f" {row['median_ms']:8.2f} ms, kernels {row['kernels_ms']:.2f}, floor {row['floor_ms']:.2f}"
+    if row.get("memory_mib") is not None:
+        line += f", {row['memory_mib']:,.0f} MiB"
+    print(line, flush=True)
+    for part, found in row.get("parts", {}).items():
+        if found["ms"] is not None:
+            floor = f"{found['times_floor']:8.1f}x its floor" if "times_floor" in found else ""
+            print(f"    {part:<20} {found['ms']:8.3f} ms {floor}", flush=True)
+    for kernel in row.get("kernels", [])[:kernels]:
+        times = f"{kernel['microseconds']:9.1f} µs {kernel['calls']:6.1f}"
+        print(f"    {times}  {kernel['part']:<20} {kernel['name'][:90]}", flush=True)
 
 
 def main(words: list[str] | None = None) -> int:
-    """Runs the parts asked for; returns 1 if any failed or found a disagreement.
-
-    Args:
-        words: Command line; None: the process's own.
-    """
-    options = parse(__doc__ or "", words)
+    """Runs the parts asked for; returns 1 if something failed."""
+    options, flags = arguments(sys.argv[1:] if words is None else words)
     start_warp()
-    with TemporaryDirectory() as temporary:
-        return TrainingBenchmark(options, options.out or Path(temporary)).run()
+    try:
+        benchmark = Benchmark(options, flags)
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 2
+    for name, measure in (("whole", benchmark.whole), ("peers", benchmark.peers), ("step", benchmark.step)):
+        if name in options.parts:
+            with benchmark.part(name):
+                measure()
+    if {"step", "memory"} & set(options.parts):
+        with benchmark.part("sizes"):
+            benchmark.sizes()
+    report = benchmark.report
+    failed = any("error" in row and "time limit" not in row["error"] for row in report.get("whole", []))
+    return int(failed or bool(report["errors"]))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,11 @@ class DevicePeaks(NamedTuple):
     flops_tf32: float
     flops_fp16: float
 
+    @property
+    def fma_per_s(self) -> float:
+        """float32 multiply-adds a second."""
+        return self.flops_fp32 / 2
+
 
 def measure_peaks(device: torch.device) -> DevicePeaks:
     """Copies 1 GiB (64 MiB on the CPU), and multiplies square matrices of 8192 (1024) rows in each precision.

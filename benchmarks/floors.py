@@ -62,7 +62,6 @@ def stage_floors(
     passes = math.ceil(max(1, tiles.bit_length()) / 8)
     outputs = (4 * (first + second) + 8 * (2 if second else 1)) * pixels  # colours, transmittances, last pairs
     geometry = MEAN + QUAT + SCALES
-    operations_per_s = peaks.flops_fp32 / 2  # multiply-adds
     dual = bool(second)
     per_channel = fragments.drawn * first + fragments.thermal * second
     amounts = {
@@ -97,8 +96,8 @@ def stage_floors(
         stage: {
             "bytes": moved,
             "operations": done,
-            "floor_ms": 1e3 * max(moved / peaks.bytes_per_s, done / operations_per_s),
-            "bound": "bytes" if moved / peaks.bytes_per_s > done / operations_per_s else "operations",
+            "floor_ms": 1e3 * max(moved / peaks.bytes_per_s, done / peaks.fma_per_s),
+            "bound": "bytes" if moved / peaks.bytes_per_s > done / peaks.fma_per_s else "operations",
         }
         for stage, (moved, done) in amounts.items()
     }

@@ -16,12 +16,13 @@ import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
 import torch
 from gsplat import rasterization
 from gsplat.strategy import DefaultStrategy
+from torch import Tensor
 
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.frame_tensors import frame_tensors
+from thermosplat.datasets.frame_tensors import ViewTensors, frame_tensors
+from thermosplat.losses import image_loss
 from thermosplat.metrics import psnr, ssim
 from thermosplat.neighbor_distances import neighbor_distances
-from thermosplat.ssim import ssim_map
 
 SH_C0 = 0.28209479177387814
 
@@ -43,8 +44,8 @@ def initial_parameters(points, colors, device) -> torch.nn.ParameterDict:
     return torch.nn.ParameterDict({k: torch.nn.Parameter(v.to(device)) for k, v in parameters.items()})
 
 
-def adam_optimizers(params, scene_scale: float) -> dict[str, torch.optim.Adam]:
-    """gsplat's rates: one fused Adam a parameter."""
+def published_optimizers(params: torch.nn.ParameterDict, scene_scale: float) -> dict[str, torch.optim.Adam]:
+    """One fused Adam a parameter, at the rates of gsplat's examples/simple_trainer.py."""
     rates = {
         "means": 1.6e-4 * scene_scale, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3,
         "shN": 2.5e-3 / 20,
@@ -52,19 +53,13 @@ def adam_optimizers(params, scene_scale: float) -> dict[str, torch.optim.Adam]:
     return {k: torch.optim.Adam([params[k]], lr=lr, eps=1e-15, fused=True) for k, lr in rates.items()}
 
 
-def rendered(rasterization, params, view, degree: int, **options) -> tuple:
-    """Image [1, H, W, 3], alphas and info of a view, by gsplat's function."""
+def render(params: torch.nn.ParameterDict, view: ViewTensors, degree: int) -> tuple[Tensor, Tensor, dict]:
+    """gsplat's image [1, H, W, 3], accumulated opacity and dictionary of a view, at an active SH degree."""
     return rasterization(
         params["means"], params["quats"], params["scales"].exp(), params["opacities"].sigmoid(),
         torch.cat([params["sh0"], params["shN"]], 1), view.viewmat[None], view.K[None], view.width, view.height,
-        sh_degree=degree, **options,
+        sh_degree=degree, packed=False,
     )  # fmt: skip
-
-
-def image_loss(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """3DGS's: 0.8 L1 + 0.2 (1 - SSIM) of images [H, W, 3]."""
-    similarity = ssim_map(image.permute(2, 0, 1), target.permute(2, 0, 1)).mean()
-    return 0.8 * (image - target).abs().mean() + 0.2 * (1 - similarity)
 
 
 def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int, device: torch.device) -> dict:
@@ -75,23 +70,21 @@ def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int,
         for frames in (capture.train, capture.test)
     ]
     params = initial_parameters(capture.points, capture.point_colors, device)
-    optimizers = adam_optimizers(params, scene_scale)
+    optimizers = published_optimizers(params, scene_scale)
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimizers["means"], 0.01 ** (1 / max_steps))
     strategy = DefaultStrategy()
     strategy.check_sanity(params, optimizers)
     state = strategy.initialize_state(scene_scale=scene_scale)
-
-    def render(view, degree):
-        return rendered(rasterization, params, view, degree, packed=False)
 
     order, started = [], time.perf_counter()
     for step in range(max_steps):
         if not order:
             order = torch.randperm(len(views[0])).tolist()
         view = views[0][order.pop()]
-        image, _, info = render(view, min(step // 1000, 3))
+        image, _, info = render(params, view, min(step // 1000, 3))
         strategy.step_pre_backward(params, optimizers, state, step, info)
-        image_loss(image[0], view.image).backward()
+        loss = image_loss(image[0], view.image, 0.2)
+        loss.backward()
         for optimizer in optimizers.values():
             optimizer.step()
             optimizer.zero_grad(set_to_none=True)
@@ -100,7 +93,7 @@ def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int,
     torch.cuda.synchronize()
     seconds = time.perf_counter() - started
     with torch.no_grad():
-        pairs = [(render(view, 3)[0][0], view.image) for view in views[1]]
+        pairs = [(render(params, view, 3)[0][0], view.image) for view in views[1]]
     return {
         "modality": modality,
         "psnr": sum(psnr(*pair) for pair in pairs) / len(pairs),

@@ -1,276 +1,231 @@
-"""Training steps side by side on one capture and one fixed set of Gaussians, in windows that take turns."""
+"""Steps per second of our training step beside gsplat's, on the same Gaussians, in interleaved windows."""
 
+import tempfile
+import time
+import traceback
 from collections.abc import Callable
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
-from itertools import cycle
+from contextlib import ExitStack, nullcontext
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from time import perf_counter
 from typing import Any
 
-import numpy as np
 import torch
-from gsplat_rgbt_adapter import Gsplat, GsplatTraining
-from steady_training import run_steps, steady_config, steady_trainer, wait, warm_up
+from frozen_training import Frames, frozen_trainer, run_steps, wait, warm_up
+from gsplat_rgbt import gsplat_rasterization
+from timing import summary
+from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.config_files import load_config
 from thermosplat.datasets.capture import Capture
-from thermosplat.datasets.frame_tensors import FrameTensors
-from thermosplat.errors import UserError
 from thermosplat.gaussians import Gaussians
-from thermosplat.model import SceneModel
+from thermosplat.losses import image_loss
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
 
-OURS, PLAIN, OURS_RGB = "thermosplat", "thermosplat, plain loop", "thermosplat 3dgs, RGB alone"
-TWO_CALLS, GSPLAT_RGB = "gsplat called twice", "gsplat, RGB alone"
+OURS, OURS_BY_LINE = "thermosplat", "thermosplat --no-graph"
+TWICE, GSPLAT_RGB = "the same on gsplat's rasterizer, called twice", "gsplat, RGB alone"
+OURS_3DGS, OURS_RGB = "thermosplat --config 3dgs", "thermosplat --config 3dgs, RGB alone"
+AGREEMENT = 1e-3
+"""Largest relative difference of a loss on one view between the two rasterizers."""
 
-COMPARED_FRAMES = 3
-LOSS_TOLERANCE, TIMED_TOLERANCE = 2e-3, 2e-2
-"""Largest relative difference of a loss term between the rasterizers, with the decoders in float32 on both sides, and
-as timed. The rasterizers decide differently in single pixels; the decoders of the timed steps round the inputs of
-matrix products to 10 bits (--decoder-precision tf32), which smoothness, a sum of small differences, feels most."""
-
-
-@dataclass(frozen=True)
-class Contestant:
-    """Something that does training steps.
-
-    Attributes:
-        run: does so many steps and returns the seconds until the device has done them.
-        losses: loss terms of a frame; None where they are not those of the others.
-        plain_losses: with plain decoders in float32, where the steps have others.
-    """
-
-    run: Callable[[int], float]
-    losses: Callable[[FrameTensors], dict[str, float]] | None = None
-    plain_losses: Callable[[FrameTensors], dict[str, float]] | None = None
+Steps = Callable[[int], float]
+"""Does so many steps; seconds until the device has done them."""
 
 
 def compare_steps(
     config: TrainConfig,
     capture: Capture,
     checkpoint: dict[str, Any],
-    gsplat: Gsplat | None,
-    *,
-    rounds: int,
+    frames: Frames,
+    device: torch.device,
     window: int,
-    with_plain: bool,
+    rounds: int,
 ) -> dict[str, Any]:
-    """Checks that losses agree, then times windows of steps in turns.
+    """Times every peer that can run here.
 
     Args:
-        config: The whole configuration: one set of Gaussians with decoded features.
-        capture: Frames; RGB and thermal views of one camera.
-        checkpoint: Of that configuration: the Gaussians.
-        gsplat: The peer; None: thermosplat alone.
-        rounds: Windows of each.
-        window: Steps of a window.
-        with_plain: Also time thermosplat's loop with ``--no-graph --no-compile``.
+        config: Of the run that ``checkpoint`` is the state of.
+        capture: What it was trained on.
+        checkpoint: From ``warm_training``.
+        frames: As in ``quiet_trainer``.
+        device: Where to train.
+        window: Steps in a measurement.
+        rounds: Measurements of each, in turns.
 
     Returns:
-        ``losses`` (each term ours and gsplat's, and their largest relative difference with plain decoders and as
-        timed), ``disagreement`` (what is beyond the tolerances, or None), and ``steps``: milliseconds, steps a second
-        and the ratio to ours of every contestant.
-
-    Raises:
-        UserError: The configuration or the capture is of another kind.
+        ``num_gaussians``; ``peers``: for each name median and spread of the milliseconds a step and ``steps_per_s``;
+        ``agreement``; ``left_out``: why others are not there.
     """
-    with TemporaryDirectory() as folder:
-        config = steady_config(config, densifying=False)
-        ours = steady_trainer(config, capture, Path(folder) / "ours", checkpoint=checkpoint)
-        frames = [ours.frames[index] for index in range(len(ours.frames))]
-        if ours.model.decoders is None or not all(frame.aligned for frame in frames):
-            raise UserError(
-                "Steps are compared for one set of Gaussians with decoded features and one camera for both spectra.",
-                "Take --config thermosplat and an aligned capture, or leave out --parts peers.",
-            )
-        contestants = _contestants(ours, frames, Path(folder), checkpoint, gsplat, with_plain)
-        for contestant in contestants.values():
-            contestant.run(2)
-        losses = _compared_losses(contestants, frames[:COMPARED_FRAMES])
-        seconds: dict[str, list[float]] = {name: [] for name in contestants}
+    result: dict[str, Any] = {"window": window, "rounds": rounds, "left_out": {}}
+    peers: dict[str, Steps] = {}
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+
+        def trainer(name: str, config: TrainConfig, **start: Any) -> Trainer:
+            made = frozen_trainer(config, capture, Path(folder) / name, frames=frames, **start)
+            stack.callback(made.logger.close)
+            return made
+
+        ours = trainer("ours", config, checkpoint=checkpoint)
+        result["num_gaussians"] = ours.model.num_gaussians
+        warm_up(ours)
+        peers[OURS] = partial(run_steps, ours)
+        if device.type != "cuda":
+            result["left_out"]["gsplat"] = "its kernels need CUDA; on the CPU only our own step is timed"
+        else:
+            source = next(iter(ours.state.gaussian_sets.values()))
+            by_line = trainer("by_line", replace(config, graph=False), checkpoint=checkpoint)
+            warm_up(by_line)
+            peers[OURS_BY_LINE] = partial(run_steps, by_line)
+            try:
+                _add_gsplat(peers, result, ours, by_line, source, capture)
+            except Exception as error:  # not installed, not compiled here, or out of memory: the others are timed
+                traceback.print_exc()
+                result["left_out"]["gsplat"] = f"{type(error).__name__}: {error}".splitlines()[0]
+            for name, thermal in ((OURS_3DGS, True), (OURS_RGB, False)):
+                plain = _plain_config(config, thermal)
+                separate = trainer(f"3dgs_{thermal}", plain, gaussians=source)
+                warm_up(separate)
+                peers[name] = partial(run_steps, separate)
+        times: dict[str, list[float]] = {name: [] for name in peers}
         for _ in range(rounds):
-            for name, contestant in contestants.items():
-                seconds[name].append(contestant.run(window))
-    view = frames[0].rgb
-    return {
-        "capture": capture.name,
-        "gaussians": ours.model.num_gaussians,
-        "size": f"{view.width}x{view.height}" if view else "",
-        "frames": len(frames),
-        "window": window,
-        "gsplat": None if gsplat is None else gsplat.description,
-        "losses": losses,
-        "disagreement": disagreement(losses),
-        "steps": _summaries(seconds, window),
+            for name, steps in peers.items():
+                times[name].append(1e3 * steps(window) / window)
+    result["peers"] = {
+        name: summary(found) | {"steps_per_s": 1e3 / summary(found)["median_ms"]} for name, found in times.items()
     }
+    for found in result["peers"].values():
+        found["times_ours"] = found["median_ms"] / result["peers"][OURS]["median_ms"]
+    return result
 
 
-def _contestants(
-    ours: Trainer,
-    frames: list[FrameTensors],
-    folder: Path,
-    checkpoint: dict[str, Any],
-    gsplat: Gsplat | None,
-    with_plain: bool,
-) -> dict[str, Contestant]:
-    """Everyone, warm."""
-    config, capture, device = ours.config, ours.capture, ours.device
-    contestants = {OURS: _trained_by(ours)}
-    if with_plain:
-        plain = replace(config, graph=False, compile=False)
-        contestants[PLAIN] = _trained_by(steady_trainer(plain, capture, folder / "plain", checkpoint=checkpoint))
-    gaussians = ours.model.gaussians("shared")
-    if gsplat is not None:
-        model = SceneModel.from_checkpoint(checkpoint, device)
-        training = GsplatTraining(model, config, ours.sh_degree, gsplat)
-        contestants[TWO_CALLS] = Contestant(
-            _in_windows(training.step, frames, device),
-            lambda frame: {name: loss.item() for name, loss in training.losses(frame).items()},
-        )
-        contestants[GSPLAT_RGB] = Contestant(
-            _in_windows(_gsplat_rgb_step(gaussians, gsplat, ours.sh_degree), frames, device)
-        )
-    contestants[OURS_RGB] = _trained_by(
-        steady_trainer(_rgb_config(config), capture, folder / "rgb", gaussians=_plain_copy(gaussians))
-    )
-    return contestants
-
-
-def _trained_by(trainer: Trainer) -> Contestant:
-    """A trainer's own steps, logging and all."""
-    warm_up(trainer)
-
-    def losses(frame: FrameTensors) -> dict[str, float]:
-        kind = StepKind(trainer.sh_degree, densifying=False)
-        done = trainer.device_step.gradients(frame, kind, fixed_capacity=False)
-        trainer.state.clear_gradients()
-        return {name: loss.item() for name, loss in done.losses.items()}
-
-    def plain_losses(frame: FrameTensors) -> dict[str, float]:
-        fast, trainer.device_step.decoding = trainer.device_step.decoding, nullcontext
-        try:
-            return losses(frame)
-        finally:
-            trainer.device_step.decoding = fast
-
-    return Contestant(lambda count: run_steps(trainer, count), losses, plain_losses)
-
-
-def _in_windows(
-    step: Callable[[FrameTensors], object], frames: list[FrameTensors], device: torch.device
-) -> Callable[[int], float]:
-    order = cycle(frames)
-
-    def run(count: int) -> float:
-        wait(device)
-        started = perf_counter()
-        for _ in range(count):
-            step(next(order))
-        wait(device)
-        return perf_counter() - started
-
-    return run
-
-
-def _rgb_config(config: TrainConfig) -> TrainConfig:
-    """The 3dgs preset on RGB images alone, run like ``config``."""
+def _plain_config(config: TrainConfig, thermal: bool) -> TrainConfig:
+    """The preset 3dgs with what of ``config`` is not the method."""
     preset = load_config("3dgs")
-    rgb = replace(
+    return replace(
         preset,
-        model=replace(preset.model, thermal=False),
-        sh_degree=config.sh_degree,
         device=config.device,
+        sh_degree=config.sh_degree,
+        seed=config.seed,
         graph=config.graph,
         compile=config.compile,
-        log_every=config.log_every,
-    )
-    return steady_config(rgb, densifying=False)
-
-
-def _plain_copy(gaussians: Gaussians) -> Gaussians:
-    """Without what only the thermal spectrum has."""
-    names = ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")
-    return Gaussians({name: getattr(gaussians, name) for name in names})
-
-
-def _gsplat_rgb_step(gaussians: Gaussians, gsplat: Gsplat, sh_degree: int) -> Callable[[FrameTensors], None]:
-    """gsplat's RGB training as in train_gsplat_peer.py, without its density control; the rates are 0."""
-    from train_gsplat_peer import adam_optimizers, image_loss, rendered
-
-    stored = {"scales": "log_scales", "opacities": "logit_opacities"}
-    names = ("means", "scales", "quats", "opacities", "sh0", "shN")
-    values = {name: getattr(gaussians, stored.get(name, name)).detach().clone() for name in names}
-    params = torch.nn.ParameterDict({name: torch.nn.Parameter(value) for name, value in values.items()})
-    optimizers = adam_optimizers(params, scene_scale=0.0)
-    for optimizer in optimizers.values():
-        optimizer.param_groups[0]["lr"] = 0.0
-
-    def step(frame: FrameTensors) -> None:
-        view = frame.rgb
-        image, _, _ = rendered(gsplat.rasterization, params, view, sh_degree, **gsplat.options)
-        image_loss(image[0], view.image).backward()
-        for optimizer in optimizers.values():
-            optimizer.step()
-            optimizer.zero_grad(set_to_none=True)
-
-    return step
-
-
-def _compared_losses(contestants: dict[str, Contestant], frames: list[FrameTensors]) -> dict[str, dict[str, float]]:
-    """Each loss term ours and gsplat's, means over frames, and the largest relative difference of a frame."""
-    if TWO_CALLS not in contestants:
-        return {}
-    ours = contestants[OURS]
-    timed, plain, theirs = (
-        [made(frame) for frame in frames]
-        for made in (ours.losses, ours.plain_losses, contestants[TWO_CALLS].losses)
-        if made is not None
+        model=replace(preset.model, thermal=thermal),
     )
 
-    def apart(some: list[dict[str, float]], name: str) -> float:
-        pairs = zip(some, theirs, strict=True)
-        return float(np.max([abs(one[name] - other[name]) / abs(other[name]) for one, other in pairs]))
 
-    return {
-        name: {
-            "thermosplat": float(np.mean([losses[name] for losses in timed])),
-            "gsplat": float(np.mean([losses[name] for losses in theirs])),
-            "relative_difference": apart(plain, name),
-            "timed_relative_difference": apart(timed, name),
-        }
-        for name in timed[0]
-    }
-
-
-def disagreement(losses: dict[str, dict[str, float]]) -> str | None:
-    """What of the losses differs by more than the tolerance, if anything.
+def _add_gsplat(
+    peers: dict[str, Steps],
+    result: dict[str, Any],
+    ours: Trainer,
+    by_line: Trainer,
+    source: Gaussians,
+    capture: Capture,
+) -> None:
+    """Adds gsplat's two steps; the one of our model only if its losses agree with ours.
 
     Args:
-        losses: From :func:`compare_steps`.
+        peers: Gets them.
+        result: Gets ``agreement``, and the reason in ``left_out`` if it is not close enough.
+        ours: Warm.
+        by_line: The same without a graph.
+        source: The Gaussians of gsplat's own step.
+        capture: Says how large the scene is.
+
+    Raises:
+        ImportError: gsplat is not there.
     """
-    tolerances = {"relative_difference": LOSS_TOLERANCE, "timed_relative_difference": TIMED_TOLERANCE}
-    apart = [
-        f"{name} {terms[key]:.1e}"
-        for name, terms in losses.items()
-        for key, tolerance in tolerances.items()
-        if not terms[key] <= tolerance
-    ]
-    return f"losses differ: {', '.join(apart)}" if apart else None
+    import gsplat
+
+    def swapped() -> Any:
+        return gsplat_rasterization(gsplat.rasterization, gsplat.spherical_harmonics)
+
+    result["agreement"] = agreement(ours, by_line, swapped)
+    if result["agreement"]["largest"] <= AGREEMENT:
+        with swapped():
+            warm_up(by_line)
+
+        def run_twice(count: int) -> float:
+            with swapped():
+                return run_steps(by_line, count)
+
+        peers[TWICE] = run_twice
+    else:
+        result["left_out"][TWICE] = f"its losses differ by {result['agreement']['largest']:.1e} from ours"
+    alone = _GsplatRgb(source, capture, ours)
+    alone.run(3)
+    peers[GSPLAT_RGB] = alone.run
 
 
-def _summaries(seconds: dict[str, list[float]], window: int) -> dict[str, dict[str, float]]:
-    medians = {name: float(np.median(times)) / window for name, times in seconds.items()}
-    return {
-        name: {
-            "milliseconds": 1e3 * medians[name],
-            "fastest_ms": 1e3 * min(times) / window,
-            "slowest_ms": 1e3 * max(times) / window,
-            "steps_per_second": 1.0 / medians[name],
-            "times_ours": medians[name] / medians[OURS],
-        }
-        for name, times in seconds.items()
+def agreement(ours: Trainer, other: Trainer, swapped: Callable[[], Any] = nullcontext) -> dict[str, Any]:
+    """How far losses and gradients of the first frame are apart between two trainers of the same Gaussians.
+
+    Args:
+        ours: The first.
+        other: The second.
+        swapped: Opened around the second.
+
+    Returns:
+        ``losses``: relative differences by term, ``largest`` of them, and of ``gradients`` that of each parameter's
+        norm of the difference to the norm.
+    """
+    losses, gradients = _losses(ours)
+    with swapped():
+        other_losses, other_gradients = _losses(other)
+    apart = {name: abs(other_losses[name] - value) / abs(value) for name, value in losses.items()}
+    slopes = {
+        name: float((other_gradients[name] - value).norm() / value.norm().clamp(min=1e-30))
+        for name, value in gradients.items()
     }
+    return {"losses": apart, "largest": max(apart.values()), "gradients": slopes}
+
+
+def _losses(trainer: Trainer) -> tuple[dict[str, float], dict[str, Tensor]]:
+    """Loss terms of the first frame, and gradients by parameter; the state stays as it is."""
+    kind = StepKind(trainer.config.sh_degree, densifying=False)
+    done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+    gradients = {name: p.grad.clone() for name, p in trainer.model.named_parameters() if p.grad is not None}
+    trainer.state.clear_gradients()
+    return {name: float(loss.detach()) for name, loss in done.losses.items()}, gradients
+
+
+class _GsplatRgb:
+    """gsplat's RGB-only step of train_gsplat_peer.py at our Gaussians; densification and rates off, as in ours.
+
+    The image loss is our fused kernel, which stands in for the fused one that gsplat's trainer takes from elsewhere.
+    """
+
+    def __init__(self, source: Gaussians, capture: Capture, ours: Trainer) -> None:
+        from train_gsplat_peer import published_optimizers, render
+
+        self.render, self.device, self.degree = render, ours.device, ours.config.sh_degree
+        values = {
+            "means": source.means,
+            "scales": source.log_scales,
+            "quats": source.quats,
+            "opacities": source.logit_opacities,
+            "sh0": source.sh0,
+            "shN": source.shN,
+        }
+        copies = {name: torch.nn.Parameter(value.detach().clone()) for name, value in values.items()}
+        self.params = torch.nn.ParameterDict(copies)
+        self.optimizers = published_optimizers(self.params, capture.scene_extent)
+        for optimizer in self.optimizers.values():
+            for group in optimizer.param_groups:
+                group["lr"] = 0.0
+        views = [ours.frames[index].rgb for index in range(len(ours.frames))]
+        self.pairs = [(view, view.image) for view in views if view is not None and view.image is not None]
+
+    def run(self, count: int) -> float:
+        """Does so many steps; seconds until the device has done them."""
+        wait(self.device)
+        started = time.perf_counter()
+        for step in range(count):
+            view, target = self.pairs[step % len(self.pairs)]
+            image, _, _ = self.render(self.params, view, self.degree)
+            image_loss(image[0], target, 0.2).backward()
+            for optimizer in self.optimizers.values():
+                optimizer.step()
+                optimizer.zero_grad(set_to_none=True)
+        wait(self.device)
+        return time.perf_counter() - started

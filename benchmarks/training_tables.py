@@ -1,216 +1,154 @@
-"""What bench_training.py measured, as lines of Markdown tables, which read well on a terminal too."""
+"""The report of bench_training.py as Markdown, for docs/results.md."""
 
+from collections.abc import Iterator
 from typing import Any
 
-Report = dict[str, Any]
-
-KERNELS = 12
-"""Lines of the table of a case's kernels; the JSON file has more."""
+Row = dict[str, Any]
 
 
-def markdown(report: Report) -> str:
-    """All tables, with what the numbers depend on.
+def markdown(report: dict[str, Any]) -> str:
+    """All tables of a report.
 
     Args:
-        report: As bench_training.py writes it to JSON.
+        report: as written to the JSON file; parts that are not there are left out.
     """
-    environment = report["environment"]
-    packages = environment["packages"]
-    lines = [
-        f"{environment['date']}, {environment['device']}, torch {packages['torch']}, Warp {packages['warp-lang']}, "
-        f"kornia {packages['kornia']}, gsplat {environment['gsplat'] or 'not installed'}. `{environment['command']}`"
-    ]
+    machine = report["environment"]
+    packages = machine["packages"]
+    versions = ", ".join(f"{name} {packages[name]}" for name in ("torch", "gsplat") if packages.get(name))
+    lines = [f"{report['date']}, {machine['device']}, {versions}. `{report['command']}`"]
     if peaks := report.get("peaks"):
         lines.append(
             f"Measured peaks: {peaks['bytes_per_s'] / 1e9:,.0f} GB/s; float32 {peaks['flops_fp32'] / 1e12:,.1f}, TF32 "
             f"{peaks['flops_tf32'] / 1e12:,.1f}, float16 {peaks['flops_fp16'] / 1e12:,.1f} TFLOP/s."
         )
-    if stopped := report.get("stopped"):
-        lines.append(f"Not complete: {stopped}")
-    for name in TABLES:
-        if name in report:
-            lines += ["", *lines_of(report, name)]
+    steps = [*report.get("step", []), *(row for row in report.get("sizes", []) if "parts" in row)]
+    parts = [
+        ("Whole runs", _whole(report.get("whole", []))),
+        ("Memory over a whole run", _growth(report.get("whole", []))),
+        ("Steps per second on the same Gaussians", _peers(report.get("peers"))),
+        ("A step [ms]", _steps(steps)),
+        ("Where a step goes: ms (times its floor)", _parts(steps)),
+        ("Densification", _densification(report.get("densification"))),
+        ("Peak memory", _memory(report)),
+        ("Not measured", _failures(report)),
+    ]
+    for title, table in parts:
+        body = list(table)
+        if body:
+            lines += ["", f"**{title}**", "", *body]
     return "\n".join(lines) + "\n"
 
 
-def lines_of(report: Report, name: str) -> list[str]:
-    """The lines of one part.
-
-    Args:
-        report: The report, which has that part.
-        name: A key of ``TABLES``.
-    """
-    title, table = TABLES[name]
-    part = report[name]
-    if "error" in part:
-        return [f"### {title}", "", f"Failed: {part['error']}"]
-    return [f"### {title}", "", *table(part)]
+def _table(head: list[str], body: list[list[str]]) -> Iterator[str]:
+    if body:
+        yield f"| {' | '.join(head)} |"
+        yield "|" + "---|" * len(head)
+        yield from (f"| {' | '.join(cells)} |" for cells in body)
 
 
-def _table(head: list[str], rows: list[list[str]]) -> list[str]:
-    return [_row(head), "|" + "---|" * len(head), *map(_row, rows)]
-
-
-def _row(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:,.{digits}f}"
-
-
-def _runs(part: Report) -> list[str]:
-    head = ["training", "seed", "seconds", "first step", "late compilation", "without both", "ms a step", "steps"]
-    head += ["Gaussians", "RGB PSNR", "thermal PSNR", "peak MiB", "late growth MiB"]
-    rows = []
-    for run in part["runs"]:
-        names = [run.get("variant", "sample"), str(run.get("seed", "-"))]
-        if "error" in run:
-            rows.append([*names, f"failed: {run['error']}", *["-"] * (len(head) - 3)])
-            continue
-        samples, grown = run["memory"]["samples"], run["memory"]["late_growth_bytes"]
-        rows.append(
-            [
-                *names,
-                _number(run["seconds"], 1),
-                _number(run["first_step_seconds"], 1),
-                _number(run["late_compile_seconds"], 1),
-                _number(run["compiled_seconds"], 1),
-                _number(run["step_ms"], 2),
-                f"{run['steps']:,}",
-                f"{run['num_gaussians']:,}",
-                _number(run["rgb_psnr"], 2),
-                _number(run["thermal_psnr"], 2),
-                _number(samples[-1]["memory_bytes"] / 2**20 if samples else None, 0),
-                _number(None if grown is None else grown / 2**20, 1),
-            ]
-        )
-    return _table(head, rows)
-
-
-def _whole(part: Report) -> list[str]:
-    lines = _runs(part)
-    found = part.get("differences", {"to_plain": {}, "deterministic_equal": None})
-    for seed, apart in found["to_plain"].items():
-        lines += [
-            "",
-            f"Seed {seed}: PSNR minus the plain loop's: RGB {_signed(apart['rgb_psnr'])} dB, thermal "
-            f"{_signed(apart['thermal_psnr'])} dB.",
-        ]
-    if (equal := found["deterministic_equal"]) is not None:
-        lines += ["", f"Two trainings with --deterministic end with {'the same' if equal else 'other'} bits."]
-    return lines
-
-
-def _signed(value: float | None) -> str:
-    return "-" if value is None else f"{value:+.3f}"
-
-
-def _sample(part: Report) -> list[str]:
-    (run,) = part["runs"]
-    return [*_runs(part), "", f"On {run['cores']} cores; kernel cache {run['kernel_cache']} at the start."]
-
-
-def _peers(part: Report) -> list[str]:
-    rows = [
-        [
-            name,
-            _number(times["milliseconds"], 2),
-            _number(times["steps_per_second"], 1),
-            f"{times['times_ours']:.2f}",
-            f"{times['fastest_ms']:.2f} to {times['slowest_ms']:.2f}",
-        ]
-        for name, times in part["steps"].items()
+def _whole(rows: list[Row]) -> Iterator[str]:
+    head = [
+        "run",
+        "seed",
+        "s to metrics.json",
+        "without the first step",
+        "ms a step",
+        "Gaussians",
+        "PSNR RGB",
+        "PSNR thermal",
     ]
-    lines = [
-        f"{part['capture']}, {part['size']}, {part['gaussians']:,} Gaussians; windows of {part['window']} steps in "
-        f"turns; peer: {part['gsplat'] or 'none'}.",
-        "",
-        *_table(["training step", "ms", "steps/s", "time over ours", "windows, ms"], rows),
-    ]
-    if part["losses"]:
-        worst, timed = (
-            max(terms[key] for terms in part["losses"].values())
-            for key in ("relative_difference", "timed_relative_difference")
-        )
-        verdict = part["disagreement"] or (
-            f"losses agree: they differ by at most {worst:.1e} of themselves with decoders in float32 on both sides, "
-            f"and by {timed:.1e} as timed"
-        )
-        lines += ["", f"On the same views {verdict}."]
-    return lines
+    body = []
+    for row in rows:
+        if "error" not in row:
+            cells = [row["kind"], str(row["seed"]), f"{row['seconds']:.1f}", f"{row['seconds_without_first_step']:.1f}"]
+            cells += [f"{row['ms_a_step']:.2f}{_cost(row)}", f"{row['num_gaussians']:,}"]
+            body.append(cells + [_psnr(row, modality) for modality in ("rgb", "thermal")])
+    yield from _table(head, body)
+    for row in rows:
+        if "same_bits_twice" in row:
+            yield f"\n{row['kind']}, seed {row['seed']}: the same bits in two runs: {row['same_bits_twice']}."
 
 
-def _step(part: Report) -> list[str]:
-    cases = part["cases"]
-    if not cases:
-        return ["Nothing measured."]
-    head = ["ms (times its floor)"]
-    head += [_name(case) for case in cases]
-    rows = []
-    for name in dict.fromkeys(name for case in cases for name in case["parts"]):
-        both = any(case["parts"][name]["backward_ms"] is not None for case in cases if name in case["parts"])
-        for direction in ("forward", "backward") if both else ("forward",):
-            label = f"{name}, {direction}" if both else name
-            rows.append([label, *(_part_cell(case["parts"].get(name), direction) for case in cases)])
-    if errors := [case["parts_error"] for case in cases if "parts_error" in case]:
-        rows.append([f"failed: {errors[0]}", *["-"] * len(cases)])
-    rows.append(["rest", *(_number(case["rest_ms"], 3) for case in cases)])
-    rows.append(["host gaps", *(_number(case["host_gap_ms"], 3) for case in cases)])
-    rows.append(["step", *(_step_cell(case) for case in cases)])
-    rows.append(["floor", *(_number(case["floor_ms"], 3) for case in cases)])
-    rows.append(["peak MiB", *(_mebibytes(case, "allocated_bytes") for case in cases)])
-    rows.append(["held MiB, with graphs", *(_mebibytes(case, "reserved_bytes") for case in cases)])
-    lines = _table(head, rows)
-    if fit := part["memory_model"]:
-        lines += [
-            "",
-            f"Peak memory: {fit['bytes_per_gaussian']:,.0f} bytes a Gaussian, {fit['bytes_per_pixel']:,.0f} bytes a "
-            f"pixel and {fit['bytes_besides'] / 2**20:,.0f} MiB, to {fit['largest_relative_error']:.1%}.",
-        ]
-    return [*lines, *_kernels(cases)]
+def _cost(row: Row) -> str:
+    return f" ({row['times_default']:.2f}x)" if "times_default" in row else ""
 
 
-def _part_cell(part: Report | None, direction: str) -> str:
-    if part is None:
+def _psnr(row: Row, modality: str) -> str:
+    if modality not in row["psnr"]:
         return "-"
-    took, floor = part[f"{direction}_ms"], part["floor"][f"{direction}_ms"]
-    return f"{took:.3f} ({took / floor:.1f})"
+    apart = row.get("psnr_from_default", {}).get(modality)
+    return f"{row['psnr'][modality]:.2f}" + ("" if apart is None else f" ({apart:+.3f})")
 
 
-def _step_cell(case: Report) -> str:
-    floor = f" ({case['times_floor']:.1f})" if case["times_floor"] is not None else ""
-    return f"{case['step_ms']:.3f}{floor}"
+def _growth(rows: list[Row]) -> Iterator[str]:
+    body = []
+    for row in rows:
+        if "error" not in row:
+            cells = [f"{found['memory_bytes'] / 2**20:,.0f} MiB, {found['num_gaussians']:,}" for found in row["memory"]]
+            body.append([f"{row['kind']}, seed {row['seed']}", *cells])
+    yield from _table(["run", "peak, Gaussians at 30% of the steps", "50%", "100%"], body)
 
 
-def _mebibytes(case: Report, name: str) -> str:
-    return "-" if case["memory"] is None else _number(case["memory"][name] / 2**20, 0)
+def _peers(found: Row | None) -> Iterator[str]:
+    if found is None:
+        return
+    body = [
+        [name, f"{row['steps_per_s']:.1f}", f"{row['median_ms']:.2f}", f"{row['times_ours']:.2f}x"]
+        for name, row in found["peers"].items()
+    ]
+    count = f"{found['num_gaussians']:,} Gaussians"
+    yield from _table([count, "steps/s", "ms a step", "of ours"], body)
 
 
-def _kernels(cases: list[Report]) -> list[str]:
-    """Kernels of the step as it runs, by the part that their names tell."""
-    names = list(dict.fromkeys(name for case in cases for name in case["in_step_ms"]))
-    if not names:
-        return []
-    rows = [[name, *(_number(case["in_step_ms"].get(name), 3) for case in cases)] for name in names]
-    lines = ["", *_table(["kernels in the step, ms", *map(_name, cases)], rows)]
-    for case in cases:
-        lines += ["", f"Costliest kernels, {_name(case)}:", ""]
-        kernels = [
-            [f"{kernel['microseconds']:.1f}", f"{kernel['calls']:.1f}", f"`{kernel['name'][:90]}`"]
-            for kernel in case["kernels"][:KERNELS]
-        ]
-        lines += _table(["µs a step", "calls", "kernel"], kernels)
-    return lines
+def _steps(rows: list[Row]) -> Iterator[str]:
+    body = []
+    for row in rows:
+        gap = "-" if row["host_gap_ms"] is None else f"{row['host_gap_ms']:.2f}"
+        cells = [row["name"], row["size"], f"{row['num_gaussians']:,}", f"{row['pairs']:,.0f}"]
+        body.append([*cells, f"{row['median_ms']:.2f}", f"{row['kernels_ms']:.2f}", gap, f"{row['floor_ms']:.2f}"])
+    yield from _table(["scene", "size", "Gaussians", "pairs", "step", "kernels", "idle", "floors"], body)
 
 
-def _name(case: Report) -> str:
-    return f"{case['scene']} {case['width']}x{case['height']}, {case['gaussians']:,}"
+def _parts(rows: list[Row]) -> Iterator[str]:
+    names = list(dict.fromkeys(part for row in rows for part in row["parts"]))
+    body = [[f"{row['name']} {row['size']}", *(_part(row["parts"].get(name)) for name in names)] for row in rows]
+    yield from _table(["scene", *names], body)
 
 
-TABLES = {
-    "whole": ("Whole trainings", _whole),
-    "peers": ("Steps side by side", _peers),
-    "step": ("Where a step goes", _step),
-    "sample": ("thermosplat-train sample on the CPU", _sample),
-}
+def _part(found: Row | None) -> str:
+    if found is None or (found["ms"] is None and "floor_ms" not in found):
+        return "-"
+    if found["ms"] is None:
+        return f"- (floor {found['floor_ms']:.3f})"
+    return f"{found['ms']:.3f}" + (f" ({found['times_floor']:.1f}x)" if "times_floor" in found else "")
+
+
+def _densification(found: Row | None) -> Iterator[str]:
+    if found is not None:
+        yield (
+            f"A refinement adds {found['refinement_ms']:.1f} ms (median of {found['timed']}) every "
+            f"{found['every']} steps: {found['ms_a_step']:.3f} ms a step while there are any."
+        )
+
+
+def _memory(report: dict[str, Any]) -> Iterator[str]:
+    rows = [row for row in report.get("sizes", []) if row.get("memory_mib") is not None]
+    body = [
+        [f"{row['num_gaussians']:,}", row["size"], f"{row['memory_mib']:,.0f}", f"{row['reserved_mib']:,.0f}"]
+        for row in rows
+    ]
+    yield from _table(["Gaussians", "size", "peak [MiB]", "reserved with graph [MiB]"], body)
+    if fit := report.get("memory"):
+        yield (
+            f"\nLeast squares: {fit['bytes_a_gaussian']:,.0f} bytes a Gaussian, {fit['bytes_a_pixel']:,.0f} a pixel, "
+            f"{fit['bytes_besides'] / 2**20:,.0f} MiB besides; worst residual {fit['worst_mib']:,.0f} MiB."
+        )
+
+
+def _failures(report: dict[str, Any]) -> Iterator[str]:
+    for row in report.get("whole", []):
+        if "error" in row:
+            yield f"- {row['kind']}, seed {row['seed']}: {row['error'].splitlines()[-1]}"
+    yield from (f"- {name}: {why}" for name, why in (report.get("peers") or {}).get("left_out", {}).items())
+    yield from (f"- {name}: {why}" for name, why in report["errors"].items())
+    yield from (f"- {name}: the time limit" for name in report["stopped"])

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from warp_kernels.launching import launch
+from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins, binning_kernels, tile_ranges_kernel
 
@@ -81,12 +81,11 @@ def bin_tiles(
     num_pairs = 0
     if entries > 0:
         wp.utils.radix_sort_pairs(depth_keys, order, entries)
-        wp.launch(
+        launch_again(
             gather_kernel,
-            dim=entries,
-            inputs=[order, tiles_per_gaussian, pair_ends],
-            device=device,
-            record_tape=False,
+            entries,
+            [order, tiles_per_gaussian, pair_ends],
+            device,
         )
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
         num_pairs = int(pair_ends[entries - 1 :].numpy()[0]) if capacity is None else capacity
@@ -139,12 +138,11 @@ def bin_tiles(
             device,
         )
         wp.utils.radix_sort_pairs(keys, values, num_pairs, 0, max(1, num_tiles.bit_length()))
-    wp.launch(
+    launch_again(
         tile_ranges_kernel,
-        dim=num_pairs + 1,
-        inputs=[num_pairs, num_tiles, by_slot, pair_ends, keys, values, owners, tile_offsets, gaussian_ids],
-        device=device,
-        record_tape=False,
+        num_pairs + 1,
+        [num_pairs, num_tiles, by_slot, pair_ends, keys, values, owners, tile_offsets, gaussian_ids],
+        device,
     )
     return TileBins(
         gaussian_ids=gaussian_ids,

@@ -9,7 +9,7 @@ from warp_kernels.blending import blend_kernel, state_length
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.gradient_records import distribute_kernel, record_length
-from warp_kernels.launching import launch_tiles
+from warp_kernels.launching import launch_again, launch_tiles
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tape_recording import gradient_of, record_adjoint
 from warp_kernels.tile_binning import TileBins
@@ -145,10 +145,10 @@ def blend(
             ],
             device,
         )
-        wp.launch(
+        launch_again(
             distribute_kernel(channels, thermal_channels, dtype, absolute is not None, per_pair),
-            dim=len(features),
-            inputs=[
+            len(features),
+            [
                 bins.order,
                 bins.pair_ends,
                 bins.tiles_per_gaussian,
@@ -161,8 +161,7 @@ def blend(
                 gradient_of(features),
                 absolute if absolute is not None else projected.means2d,
             ],
-            device=device,
-            record_tape=False,
+            device,
         )
 
     inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_kernels.launching import launch
+from warp_kernels.launching import launch, launch_again
 from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sums
 from warp_kernels.tape_recording import gradient_of, record_adjoint
@@ -54,12 +54,11 @@ def sh_colors(
             device,
         )
         if camera_positions.grad is not None:
-            wp.launch(
+            launch_again(
                 camera_position_adjoint_kernel,
-                dim=len(camera_positions),
-                inputs=[strand_sums(v_offsets, len(camera_positions)), camera_positions.grad],
-                device=device,
-                record_tape=False,
+                len(camera_positions),
+                [strand_sums(v_offsets, len(camera_positions)), camera_positions.grad],
+                device,
             )
 
     record_adjoint(tape, adjoint, means, camera_positions, sh0, shN, colors)

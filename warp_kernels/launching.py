@@ -5,6 +5,7 @@ others. Kernels launched here take the range's first index as their first argume
 """
 
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -55,6 +56,50 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device) 
     _launch_range(kernel, count, MIN_CHUNK, None, inputs, device)
 
 
+def launch_again(
+    kernel: wp.Kernel, dim: int | tuple[int, int], inputs: list[Any], device: wp.Device, block: int | None = None
+) -> None:
+    """Launches a kernel without recording it on a tape, from the second time on by Warp's recorded launch.
+
+    ``wp.launch`` looks everything up and checks every argument at each call, which takes the host as long as ten small
+    kernels take a GPU. A recorded launch keeps what it found; only the numbers are exchanged.
+
+    Args:
+        kernel: not generic.
+        dim: number of threads.
+        inputs: arrays, ints, floats and bools, of the same types at each call; outputs included.
+        device: where to run.
+        block: threads a block; None for Warp's default.
+    """
+    if dim == 0:
+        return
+    recorded = _commands.by_kernel
+    key = (kernel, device.alias, block)
+    command = recorded.get(key)
+    if command is None:
+        command = wp.launch(
+            kernel, dim, inputs, device=device, record_tape=False, record_cmd=True, block_dim=block or 256
+        )
+        command.fwd_args = None  # else the first call's arrays would live as long as the command
+        recorded[key] = command
+    else:
+        command.set_dim(dim)
+        for index, value in enumerate(inputs):
+            ctype = value.__ctype__() if isinstance(value, wp.array) else value
+            command.set_param_at_index_from_ctype(index, ctype)
+    command.launch()
+
+
+class _Commands(threading.local):
+    """Recorded launches of this thread, whose arguments no other thread may exchange before the launch."""
+
+    def __init__(self) -> None:
+        self.by_kernel: dict[tuple[wp.Kernel, str, int | None], wp.Launch] = {}
+
+
+_commands = _Commands()
+
+
 def launch_tiles(kernel: wp.Kernel, num_tiles: int, threads: int, inputs: list[Any], device: wp.Device) -> None:
     """Launches a blending kernel, one block of ``threads`` threads a tile, without recording it on a tape.
 
@@ -76,7 +121,7 @@ def _launch_range(
 
     def run(first: int, end: int) -> None:
         dim = end - first if block is None else (end - first, block)
-        wp.launch(kernel, dim=dim, inputs=[first, *inputs], device=device, record_tape=False, block_dim=block or 256)
+        launch_again(kernel, dim, [first, *inputs], device, block)
 
     if device.is_cuda or _num_threads == 1 or count < 2 * min_chunk:
         run(0, count)

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_kernels.launching import launch
+from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings, projection_kernel
 from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
 from warp_kernels.strand_sums import strand_sums
@@ -94,16 +94,15 @@ def project(
             device,
         )
         if to_cameras:
-            wp.launch(
+            launch_again(
                 camera_finish_kernel(dtype),
-                dim=len(gaussians.viewmats),
-                inputs=[
+                len(gaussians.viewmats),
+                [
                     strand_sums(v_cameras, settings.num_images),
                     gradient_of(gaussians.viewmats),
                     gradient_of(gaussians.Ks),
                 ],
-                device=device,
-                record_tape=False,
+                device,
             )
 
     g, p = gaussians, projected

@@ -164,10 +164,11 @@ def color_kernel(dtype: type) -> wp.Kernel:
             row = wp.where(per_image, index, gaussian)
             unit, _ = direction(means[gaussian], camera_positions[image])
             b = basis(unit, degree)
-            color = vec3(dtype(0.5), dtype(0.5), dtype(0.5))
-            color = color + b[0] * sh0[row, 0]
+            color = b[0] * sh0[row, 0]
             for k in range(1, (degree + 1) * (degree + 1)):
                 color = color + b[k] * shN[row, k - 1]
+            # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
+            color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
             for c in range(3):
                 # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
                 if color[c] < dtype(0.0):

@@ -4,6 +4,8 @@ import functools
 
 import warp as wp
 
+from warp_kernels.launching import launch_again
+
 STRANDS = 256
 """Partial sums per image."""
 
@@ -53,11 +55,10 @@ def strand_sums(records: wp.array, images: int) -> wp.array:
     """
     length, dtype = records.dtype._length_, records.dtype._wp_scalar_type_
     sums = wp.empty(images * STRANDS, dtype=wp.types.vector(length, wp.float64), device=records.device)
-    wp.launch(
+    launch_again(
         strand_sum_kernel(dtype, length),
-        dim=images * STRANDS,
-        inputs=[len(records) // images, records, sums],
-        device=records.device,
-        record_tape=False,
+        images * STRANDS,
+        [len(records) // images, records, sums],
+        records.device,
     )
     return sums

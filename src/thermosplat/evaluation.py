@@ -28,6 +28,48 @@ LARGEST_ERROR = 0.25  # of the value range 0 to 1, at the bright end of error ma
 LARGEST_ERROR_CELSIUS = 0.1  # of the temperature range, where there are degrees
 
 
+@dataclass(frozen=True, eq=False)
+class RenderedView:
+    """One modality of one frame: its render, clamped to [0, 1], and what it should have been."""
+
+    modality: Modality
+    image: Tensor
+    """[H, W, C]."""
+    target: Tensor
+    """[H, W, C]."""
+    scale: ThermalScale | None
+    """Thermal only."""
+    celsius: Tensor | None
+    """[H, W]; thermal only, where there are degrees."""
+
+
+def rendered_views(
+    model: SceneModel, frame: Frame, scale: ThermalScale | None, sh_degree: int, device: torch.device | str
+) -> Iterator[RenderedView]:
+    """Render a frame; yields its modalities that are both modelled and photographed.
+
+    Args:
+        model: The scene.
+        frame: The frame.
+        scale: The capture's thermal scale; None where there is no thermal view.
+        sh_degree: Highest SH degree in use.
+        device: Where the model is.
+    """
+    tensors = frame_tensors(frame, scale, device)
+    rendered = model.render(tensors.rgb, tensors.thermal, sh_degree=sh_degree)
+    views: tuple[tuple[Modality, Tensor | None, ViewTensors | None], ...] = (
+        ("rgb", rendered.rgb, tensors.rgb),
+        ("thermal", rendered.thermal, tensors.thermal),
+    )
+    for modality, image, view in views:
+        if image is not None and view is not None and view.image is not None:
+            thermal_scale = scale if modality == "thermal" else None
+            has_degrees = thermal_scale is not None and thermal_scale.range_celsius is not None
+            yield RenderedView(
+                modality, image.clamp(0, 1), view.image, thermal_scale, view.celsius if has_degrees else None
+            )
+
+
 @torch.no_grad()
 def evaluate(
     model: SceneModel,
@@ -58,7 +100,7 @@ def evaluate(
     scale = capture.thermal_scale
     rows: list[dict[str, Any]] = []
     for frame in capture.test:
-        results = list(_results(model, frame, scale, sh_degree, device))
+        results = list(rendered_views(model, frame, scale, sh_degree, device))
         numbers = [_numbers(result, lpips) for result in results]
         rows += [{"frame": frame.name, "modality": r.modality, **values} for r, values in zip(results, numbers)]
         if strips_dir is not None and results:
@@ -88,7 +130,7 @@ def frame_comparisons(
     """
     return {
         result.modality: _comparison(result, _finite(psnr(result.image, result.target)))
-        for result in _results(model, frame, scale, sh_degree, device)
+        for result in rendered_views(model, frame, scale, sh_degree, device)
     }
 
 
@@ -97,35 +139,7 @@ def file_stem(frame_name: str) -> str:
     return frame_name.replace("/", "_")
 
 
-@dataclass(frozen=True, eq=False)
-class _Result:
-    """One modality of one frame: its render, clamped to [0, 1], and what it should have been."""
-
-    modality: Modality
-    image: Tensor
-    target: Tensor
-    scale: ThermalScale | None  # thermal only
-    celsius: Tensor | None  # thermal only, where there are degrees
-
-
-def _results(
-    model: SceneModel, frame: Frame, scale: ThermalScale | None, sh_degree: int, device: torch.device | str
-) -> Iterator[_Result]:
-    """Render a frame; yields its modalities that are both modelled and photographed."""
-    tensors = frame_tensors(frame, scale, device)
-    rendered = model.render(tensors.rgb, tensors.thermal, sh_degree=sh_degree)
-    views: tuple[tuple[Modality, Tensor | None, ViewTensors | None], ...] = (
-        ("rgb", rendered.rgb, tensors.rgb),
-        ("thermal", rendered.thermal, tensors.thermal),
-    )
-    for modality, image, view in views:
-        if image is not None and view is not None and view.image is not None:
-            thermal_scale = scale if modality == "thermal" else None
-            has_degrees = thermal_scale is not None and thermal_scale.range_celsius is not None
-            yield _Result(modality, image.clamp(0, 1), view.image, thermal_scale, view.celsius if has_degrees else None)
-
-
-def _numbers(result: _Result, lpips: Lpips | None) -> dict[str, float | None]:
+def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | None]:
     numbers: dict[str, float | None] = {
         "psnr": psnr(result.image, result.target),
         "ssim": ssim(result.image, result.target),
@@ -144,7 +158,7 @@ def _finite(number: float | None) -> float | None:
     return number if number is not None and math.isfinite(number) else None
 
 
-def _comparison(result: _Result, decibels: float | None) -> Comparison:
+def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
     render, truth = result.image.cpu().numpy(), result.target.cpu().numpy()
     score = "exact" if decibels is None else f"{decibels:.2f} dB"
     error = np.abs(render - truth).mean(axis=-1)

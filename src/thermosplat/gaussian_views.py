@@ -71,6 +71,33 @@ def see(
     return image[0], alpha[0], info
 
 
+def see_depth(gaussians: Gaussians, opacities: Tensor, view: "ViewTensors", rendering: Rendering) -> Tensor:
+    """Expected z-depth Σ w z / Σ w [world units], [H, W]; 0 where nothing is drawn.
+
+    Args:
+        gaussians: The set.
+        opacities: Either opacity of the set, [N].
+        view: Camera and pose.
+        rendering: How.
+    """
+    depth, _, _ = rasterization(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales,
+        opacities,
+        opacities[:, None],  # not drawn
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        packed=False,
+        render_mode="ED",
+        rasterize_mode=rendering.rasterize_mode,
+        deterministic=rendering.deterministic,
+    )
+    return depth[0, ..., 0]
+
+
 def see_both(
     gaussians: Gaussians,
     thermal_opacities: Tensor | None,

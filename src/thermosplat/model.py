@@ -9,7 +9,7 @@ Three kinds of model, by ``ModelConfig.gaussian_sets`` and ``ModelConfig.feature
 - "separate": one set a spectrum, each rendered from its spherical harmonics, without features (two independent 3DGS).
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor, nn
@@ -18,7 +18,7 @@ from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.config_checks import check_config
 from thermosplat.config_files import from_dict
 from thermosplat.decoders import Decoders
-from thermosplat.gaussian_views import Rendering, see, see_both
+from thermosplat.gaussian_views import Rendering, see, see_both, see_depth
 from thermosplat.gaussians import Gaussians
 from thermosplat.initial_gaussians import initial_gaussians
 from thermosplat.packed_parameters import num_bytes, pack, unpack
@@ -151,6 +151,18 @@ class SceneModel(nn.Module):
             info["modality"] = "thermal"
             rendered.infos["shared"].append(info)
         return rendered
+
+    def render_depth(self, modality: Literal["rgb", "thermal"], view: "ViewTensors") -> Tensor:
+        """What a spectrum sees as far away: expected depth along z [world units], [H, W]; 0 where it sees nothing.
+
+        Args:
+            modality: "rgb" weighs the Gaussians with α, "thermal" with α_t; with separate sets, its own set.
+            view: Camera and pose.
+        """
+        gaussians = self.gaussians(modality if modality in self.gaussian_sets else "shared")
+        opacities = gaussians.opacities if modality == "rgb" else gaussians.thermal_opacities
+        how = Rendering(0, False, self.config.rasterize_mode, None)
+        return see_depth(gaussians, opacities, view, how)
 
     def _common_view(
         self, rgb: "ViewTensors | None", thermal: "ViewTensors | None", aligned: bool | None

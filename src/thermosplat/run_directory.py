@@ -4,7 +4,8 @@ ckpts/step_030000.pt   checkpoints           config.yaml       the resolved conf
 stats/                 metrics per step      environment.json  versions, device and threads
 renders/               PNG strips            metrics.jsonl     one line per log interval and evaluation
 ply/                   exported Gaussians    metrics.json      the final numbers
-videos/                camera paths          tb/               TensorBoard events
+videos/                camera paths          regions.json      errors by region, where there is ground truth
+tb/                    TensorBoard events
 """
 
 import importlib.metadata
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
 
 _FOLDERS = ("ckpts", "stats", "renders", "ply", "videos", "tb")
-_FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "environment.json")
+_FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "regions.json", "environment.json")
 _CHECKPOINT_NAME = re.compile(r"step_(\d+)\.pt")
 _PACKAGES = ("torch", "warp-lang", "numpy", "kornia", "pycolmap", "opencv-contrib-python-headless")
 
@@ -144,6 +145,11 @@ class RunDirectory:
     def metrics_json(self) -> Path:
         """The final numbers."""
         return self.path / "metrics.json"
+
+    @property
+    def regions_json(self) -> Path:
+        """The errors by region; not there where the capture has no ground truth."""
+        return self.path / "regions.json"
 
     @property
     def metrics_jsonl(self) -> Path:

@@ -1,233 +1,210 @@
-"""The training benchmark runs on something far too small to measure anything, and its arithmetic is what it claims."""
+"""bench_training.py runs, on a capture far too small to measure anything, and what it measures with is right."""
 
 import json
+import re
+import sys
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
-from bench_training import main
-from device_peaks import DevicePeaks
-from gsplat_rgbt_adapter import Gsplat, GsplatTraining
-from random_training_scene import random_capture, random_gaussians
-from steady_training import run_steps, steady_config, steady_trainer
-from step_kernels import milliseconds_by_part, part_of
-from step_parts import LOSSES
 from torch import Tensor
-from training_peers import disagreement
-from training_runs import differences, memory_growth
-from training_step_case import memory_model, random_case
-from training_step_floors import decoder_fmas
-from training_tables import markdown
+from torch.nn.functional import normalize
 
 from reference_projection import spherical_harmonics
+from test_benchmarks import REPOSITORY, run_script
 from thermosplat import rasterization
-from thermosplat.config import DecoderConfig, TrainConfig
-from thermosplat.decoders import Decoders
-from thermosplat.run_directory import RunDirectory
-from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
+from thermosplat.config_files import load_config
 
-CONFIG = TrainConfig(device="cpu", sh_degree=2)
-PARTS = {
-    "rasterization",
-    "decoders",
-    "finite check",
-    "optimizer",
-    "densification",
-    *(f"loss {name}" for name in LOSSES),
-}
+PARTS = {"projection", "SH", "blending", "decoders", "image losses", "blending adjoint", "optimizer", "rest"}
 
 
-@pytest.fixture
-def trainer(tmp_path: Path) -> Trainer:
-    """A trainer on noise, ready to step."""
-    gaussians = random_gaussians(300, feature_dim=8, sh_degree=2)
-    config = steady_config(CONFIG, densifying=True)
-    return steady_trainer(config, random_capture(32, 24), tmp_path / "run", gaussians=gaussians)
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """A report of all parts, and the tables."""
+    folder = tmp_path_factory.mktemp("bench")
+    options = ["sample", "--device", "cpu", "--warm-steps", "2", "--window", "1", "--rounds", "2"]
+    options += ["--sizes", "48x36", "--counts", "400", "--kernels", "2"]
+    files = ["--json", str(folder / "report.json"), "--markdown", str(folder / "report.md")]
+    flags = ["--config", "demo", "--data-factor", "8", "--max-steps", "3", "--log-every", "1"]
+    done = run_script("bench_training.py", *options, *files, "--", *flags)
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = json.loads((folder / "report.json").read_text())
+    return written | {"stdout": done.stdout, "tables": (folder / "report.md").read_text()}
 
 
-def test_steady_steps_find_the_same_gaussians(trainer: Trainer) -> None:
-    """Steps change neither Gaussians nor decoders, use all degrees, and note gradients for density control."""
-    before = {name: value.clone() for name, value in trainer.model.state_dict().items()}
-    run_steps(trainer, 3)
-    assert trainer.sh_degree == 2
-    assert all(torch.equal(value, before[name]) for name, value in trainer.model.state_dict().items())
-    assert trainer.state.strategies["shared"].observations.max() == 3
-    assert trainer.state.optimizers["shared"]["means"].state[trainer.model.gaussians("shared").means]["exp_avg"].any()
+def test_whole_runs_are_timed_and_judged(report: dict[str, Any]) -> None:
+    """A run has its seconds, steps, quality, and memory at shares of its steps."""
+    (row,) = report["whole"]
+    assert (row["kind"], row["seed"], row["steps"]) == ("default", 42, 3)
+    assert row["seconds"] >= row["train_s"] >= row["first_step_s"] > 0
+    assert row["seconds_without_first_step"] == pytest.approx(row["seconds"] - row["first_step_s"])
+    assert set(row["psnr"]) == {"rgb", "thermal"}
+    assert all(5 < value < 40 for value in row["psnr"].values())
+    assert [found["step"] for found in row["memory"]] == [1, 2, 3]
 
 
-def test_two_calls_of_a_rasterizer_give_the_same_losses_and_gradients(trainer: Trainer) -> None:
-    """The adapter around a function of gsplat's signature (ours) does what one traversal of both spectra does."""
-
-    def harmonics(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
-        basis = spherical_harmonics(torch.nn.functional.normalize(directions, dim=-1), degree)
-        return (basis[..., None] * coefficients[:, : basis.shape[-1]]).sum(1)
-
-    frame = trainer.frames[0]
-    done = trainer.device_step.gradients(frame, StepKind(2, densifying=False), fixed_capacity=False)
-    gaussians = trainer.model.gaussians("shared")
-    expected = {name: parameter.grad.clone() for name, parameter in gaussians.named_parameters()}
-    trainer.state.clear_gradients()
-    training = GsplatTraining(trainer.model, trainer.config, 2, Gsplat("ours", rasterization, harmonics, {}))
-    losses = training.losses(frame)
-    assert losses.keys() == done.losses.keys()
-    for name, loss in losses.items():
-        torch.testing.assert_close(loss, done.losses[name], rtol=1e-5, atol=1e-7)
-    torch.stack(list(losses.values())).sum().backward()
-    for name, parameter in gaussians.named_parameters():
-        error = (parameter.grad - expected[name]).norm() / expected[name].norm()
-        assert error < 1e-4, name
-    before = gaussians.means.detach().clone()
-    training.step(frame)
-    assert torch.equal(gaussians.means, before)
-    assert gaussians.means.grad is None
+def test_peers_that_cannot_run_are_named(report: dict[str, Any]) -> None:
+    """On the CPU our own step is timed alone, and the report says so."""
+    (name,) = report["peers"]["peers"]
+    assert name == "thermosplat"
+    assert report["peers"]["peers"][name]["steps_per_s"] > 0
+    assert "CUDA" in report["peers"]["left_out"]["gsplat"]
 
 
-def test_every_part_of_a_step_has_a_time_and_a_floor() -> None:
-    """Parts, floors and operators of a step on random Gaussians."""
-    peaks = DevicePeaks(1e10, 1e11, 1e11, 1e11)
-    case = random_case(CONFIG, (32, 24), 200, peaks, steps=1, repeats=1)
-    assert "parts_error" not in case
-    assert set(case["parts"]) == PARTS
-    assert all(part["forward_ms"] > 0 and part["floor"]["floor_ms"] > 0 for part in case["parts"].values())
-    assert case["floor_ms"] == pytest.approx(sum(part["floor"]["floor_ms"] for part in case["parts"].values()))
-    # mean, rotation, scales, opacity, 9 spherical harmonics, features and thermal offset: 47 floats of 28 bytes
-    assert case["parts"]["optimizer"]["floor"]["floor_ms"] == pytest.approx(1e3 * 200 * 47 * 28 / 1e10)
-    assert case["parts"]["rasterization"]["floor"]["pairs"] > 200
-    assert (case["gaussians"], case["width"], case["height"]) == (200, 32, 24)
-    times = [kernel["microseconds"] for kernel in case["kernels"]]
-    assert times == sorted(times, reverse=True)
+def test_steps_have_parts_with_floors(report: dict[str, Any]) -> None:
+    """Parts add up to the profiled kernels, and each but the rest has a floor below its time."""
+    for row in (*report["step"], *report["sizes"]):
+        assert set(row["parts"]) >= PARTS
+        assert sum(part["ms"] or 0 for part in row["parts"].values()) == pytest.approx(row["kernels_ms"])
+        assert sum(part.get("floor_ms", 0) for part in row["parts"].values()) == pytest.approx(row["floor_ms"])
+        for name, part in row["parts"].items():
+            assert (part.get("floor_ms", 0) > 0) == (name != "rest")
+    assert report["sizes"][0]["num_gaussians"] == 400
+    assert report["memory"] is None
+    assert report["errors"] == {}
 
 
-def test_decoder_operations_are_counted_by_branch() -> None:
-    """Shared layers and the prior are passed twice, modulation and heads once."""
-    decoders = Decoders(DecoderConfig(hidden_dim=4, hidden_layers=2), feature_dim=8, thermal_channels=1)
-    assert decoder_fmas(decoders) == 2 * (8 * 4 + 4 * 4 + 4 * 4) + 4 * 8 + 4 * 3 + 4 * 1
-    plain = Decoders(DecoderConfig(hidden_dim=4, hidden_layers=1, modulation=False), feature_dim=8, thermal_channels=1)
-    assert decoder_fmas(plain) == 2 * 8 * 4 + 4 * 4 + 4 * 3 + 4 * 1
+def test_tables_hold_what_was_measured(report: dict[str, Any]) -> None:
+    """Every part that was measured is in the Markdown file."""
+    for title in ("Whole runs", "Steps per second", "Where a step goes", "random 400 48x36", "left", "µs"):
+        assert title in report["tables"] + report["stdout"]
 
 
-@pytest.mark.parametrize(
-    ("name", "part"),
-    [
-        ("project_pinhole_quats_float32_1f00_cuda_kernel_forward", "rasterization forward"),
-        ("project_adjoint_pinhole_quats_float32_1f00_cuda_kernel_forward", "rasterization backward"),
-        ("blend_11_8_float32_8x4_1f00_cuda_kernel_forward", "rasterization forward"),
-        ("blend_adjoint_11_8_float32_8x4_1f00_cuda_kernel_forward", "rasterization backward"),
-        (
-            "void cub::CUB_300001_SM_900::detail::radix_sort::DeviceRadixSortOnesweepKernel<...>",
-            "rasterization forward",
-        ),
-        ("image_loss_blur_columns_adjoint_float32_1f00_cuda_kernel_forward", "image losses"),
-        ("forward_kernel", "decoders"),
-        ("adam_update_1f00_cuda_kernel_forward", "optimizer"),
-        ("Memcpy DtoD (Device -> Device)", "copies"),
-        ("void at::native::vectorized_elementwise_kernel<4, ...>", "others"),
-    ],
-)
-def test_kernels_are_told_by_their_names(name: str, part: str) -> None:
-    """A forward kernel is not taken for its adjoint, nor the other way round."""
-    assert part_of(name) == part
-    assert milliseconds_by_part([{"name": name, "microseconds": 1500.0}] * 2) == {part: 3.0}
+def test_nothing_starts_after_the_time_limit(tmp_path: Path) -> None:
+    """The report says what was left out."""
+    from bench_training import main
+
+    path = tmp_path / "report.json"
+    assert main(["sample", "--device", "cpu", "--time-limit", "0", "--json", str(path)]) == 0
+    written = json.loads(path.read_text())
+    assert written["whole"] == [{"kind": "default", "seed": 42, "error": "not started: the time limit"}]
+    assert written["stopped"] == ["peers", "step on the capture", "100,000 Gaussians at 640x480"]
 
 
-def test_memory_is_divided_between_gaussians_and_pixels() -> None:
-    """The fit finds the bytes that peaks were made of; too few cases have none."""
-    cases = [
-        {"gaussians": n, "width": w, "height": 100, "memory": {"allocated_bytes": 2000 * n + 700 * w * 100 + 5_000_000}}
-        for n in (10_000, 50_000)
-        for w in (200, 600)
+def _plain_sh(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
+    """As ``gsplat.spherical_harmonics``."""
+    basis = spherical_harmonics(normalize(directions, dim=-1), degree)
+    return torch.einsum("nk,nkc->nc", basis, coefficients[:, : basis.shape[-1]])
+
+
+@pytest.mark.parametrize("kind", ["features", "two spectra of SH", "separate sets"])
+def test_adapter_renders_what_the_model_asks_for(kind: str, tmp_path: Path) -> None:
+    """With a rasterizer of gsplat's signature called twice, losses and gradients are those of the one traversal."""
+    from frozen_training import frozen_trainer, synthetic_capture, synthetic_gaussians
+    from gsplat_rgbt import gsplat_rasterization
+    from training_peers import agreement
+
+    config = replace(load_config("3dgs" if kind == "separate sets" else "thermosplat"), device="cpu")
+    config = replace(config, background=(0.2, 0.4, 0.6))
+    if kind == "two spectra of SH":
+        config = replace(config, model=replace(config.model, feature_dim=0))
+    capture, gaussians = synthetic_capture(40, 30), synthetic_gaussians(200, 8, 3)
+    ours, other = (frozen_trainer(config, capture, tmp_path / name, gaussians=gaussians) for name in ("a", "b"))
+    calls: list[int] = []
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
+        return rasterization(*arguments, **options)
+
+    found = agreement(ours, other, lambda: gsplat_rasterization(counted, _plain_sh))
+    assert len(calls) == 2
+    assert found["largest"] < 1e-5
+    assert max(found["gradients"].values()) < 1e-4
+
+
+def test_peers_take_turns_on_the_same_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is timed beside gsplat on CUDA, here with our rasterizer under gsplat's name."""
+    from frozen_training import synthetic_capture
+    from training_peers import AGREEMENT, GSPLAT_RGB, OURS, OURS_3DGS, OURS_BY_LINE, OURS_RGB, TWICE, compare_steps
+    from warm_training import warm_training
+
+    gsplat, strategy = ModuleType("gsplat"), ModuleType("gsplat.strategy")
+    monkeypatch.setattr(gsplat, "rasterization", rasterization, raising=False)
+    monkeypatch.setattr(gsplat, "spherical_harmonics", _plain_sh, raising=False)
+    monkeypatch.setattr(strategy, "DefaultStrategy", object, raising=False)
+    monkeypatch.setitem(sys.modules, "gsplat", gsplat)
+    monkeypatch.setitem(sys.modules, "gsplat.strategy", strategy)
+    monkeypatch.setitem(sys.modules, "train_gsplat_peer", None)  # so that it goes when the test ends
+    del sys.modules["train_gsplat_peer"]
+    config, capture = replace(load_config("thermosplat"), device="cpu"), synthetic_capture(40, 30)
+    checkpoint, refinements = warm_training(config, capture, 1, {})
+    assert refinements is None
+    as_cuda: Any = SimpleNamespace(type="cuda")
+    found = compare_steps(config, capture, checkpoint, {}, as_cuda, window=1, rounds=2)
+    assert list(found["peers"]) == [OURS, OURS_BY_LINE, TWICE, GSPLAT_RGB, OURS_3DGS, OURS_RGB]
+    assert found["left_out"] == {}
+    assert found["num_gaussians"] == 100
+    assert found["agreement"]["largest"] < AGREEMENT
+    assert all(peer["repeats"] == 2 and peer["median_ms"] > 0 for peer in found["peers"].values())
+    assert found["peers"][OURS]["times_ours"] == 1.0
+
+    monkeypatch.setattr(gsplat, "spherical_harmonics", lambda *given: _plain_sh(*given) + 0.1)
+    found = compare_steps(config, capture, checkpoint, {}, as_cuda, window=1, rounds=1)
+    assert TWICE not in found["peers"]
+    assert "differ" in found["left_out"][TWICE]
+
+
+def test_refinements_are_timed_beside_usual_steps() -> None:
+    """A warm-up with refinements says what one adds."""
+    from frozen_training import synthetic_capture
+    from warm_training import warm_training
+
+    config = replace(load_config("thermosplat"), device="cpu")
+    config = replace(config, densification=replace(config.densification, start_step=1, every=8))
+    checkpoint, refinements = warm_training(config, synthetic_capture(40, 30), 24, {})
+    assert checkpoint["step"] == 24
+    assert refinements is not None
+    assert (refinements["timed"], refinements["every"]) == (2, 8)
+    assert refinements["ms_a_step"] == pytest.approx(refinements["refinement_ms"] / 8)
+
+
+def test_frozen_steps_repeat_the_same_work(tmp_path: Path) -> None:
+    """Steps leave Gaussians, their number and the decoders as they are."""
+    from frozen_training import frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians
+
+    config = replace(load_config("thermosplat"), device="cpu")
+    gaussians = synthetic_gaussians(150, 8, 3)
+    trainer = frozen_trainer(config, synthetic_capture(32, 24), tmp_path / "run", gaussians=gaussians)
+    before = {name: value.detach().clone() for name, value in trainer.model.named_parameters()}
+    run_steps(trainer, 2)
+    assert trainer.sh_degree == 3
+    assert trainer.model.num_gaussians == 150
+    assert all(torch.equal(before[name], value) for name, value in trainer.model.named_parameters())
+    moments = trainer.state.optimizers["shared"]["shN"].state_dict()["state"][0]["exp_avg"]
+    assert moments.abs().max() > 0
+
+
+def test_every_kernel_of_the_step_has_a_part() -> None:
+    """The names in warp_kernels/ and of the fused decoders are known; a stranger's kernel is the rest."""
+    from step_parts import part_of
+
+    names: list[str] = []
+    for path in (REPOSITORY / "warp_kernels").glob("*.py"):
+        names += re.findall(r'name\s*=\s*f?"([a-z_]+)', path.read_text())
+    names += ["tile_ranges_kernel", "camera_position_adjoint_kernel", "square_weights_kernel", "forward_kernel"]
+    assert len(names) > 15
+    assert {name for name in names if part_of(name) == "rest"} == set()
+    assert part_of("image_loss_blur_columns_adjoint_float32_ab12_cuda_kernel_forward") == "image losses"
+    assert part_of("blend_adjoint_11_8_float32_8x4_ab12_cuda_kernel_forward") == "blending adjoint"
+    assert part_of("project_pinhole_quats_float32_ab12_cuda_kernel_forward") == "projection"
+    assert part_of("adam_update_ab12_cuda_kernel_forward") == "optimizer"
+    assert part_of("void at::native::vectorized_elementwise_kernel<4, at::native::FillFunctor>") == "rest"
+
+
+def test_memory_fit_finds_the_slopes() -> None:
+    """Bytes that are linear in Gaussians and pixels are found again; too few sizes give nothing."""
+    from training_sizes import memory_fit
+
+    sizes = [(n, p) for n in (100_000, 300_000) for p in (640 * 480, 1280 * 1024)]
+    rows: list[dict[str, Any]] = [
+        {"num_gaussians": n, "pixels": p, "memory_mib": (1100 * n + 300 * p + 2**24) / 2**20} for n, p in sizes
     ]
-    fit = memory_model(cases)
+    fit = memory_fit(rows)
     assert fit is not None
-    found = [fit[name] for name in ("bytes_per_gaussian", "bytes_per_pixel", "bytes_besides")]
-    assert found == pytest.approx([2000, 700, 5_000_000])
-    assert fit["largest_relative_error"] < 1e-9
-    assert memory_model(cases[:3]) is None
-    assert memory_model([case | {"memory": None} for case in cases]) is None
-
-
-def test_memory_growth_starts_where_gaussians_stopped_to_come(tmp_path: Path) -> None:
-    """Growth with the number of Gaussians is none; a later rise is."""
-    run = RunDirectory.create(tmp_path / "run")
-    rows = [(100, 10, 50), (200, 20, 80), (300, 30, 90), (400, 30, 95), (500, 30, 95), (600, 30, 99)]
-    lines = [dict(zip(("step", "num_gaussians", "memory_bytes"), row)) for row in rows]
-    run.metrics_jsonl.write_text("".join(json.dumps(line) + "\n" for line in [*lines, {"step": 600, "evaluation": {}}]))
-    growth = memory_growth(run)
-    assert growth["late_from_step"] == 400
-    assert growth["late_growth_bytes"] == 4
-    assert [sample["step"] for sample in growth["samples"]] == [100, 200, 300, 400, 500, 600]
-
-
-def test_variants_are_compared_by_seed() -> None:
-    """PSNR differences to the plain loop of the same seed, and bits of both deterministic runs."""
-
-    def run(variant: str, seed: int, psnr: float, bits: str = "") -> dict[str, Any]:
-        return {"variant": variant, "seed": seed, "rgb_psnr": psnr, "thermal_psnr": None, "model_hash": bits}
-
-    runs = [
-        run("default", 1, 20.5),
-        run("plain", 1, 20.25),
-        run("default", 2, 21.0),
-        {"variant": "plain", "error": "x"},
-    ]
-    thermal = [row | {"thermal_psnr": 30.0} for row in runs[:2]]
-    assert differences(runs)["to_plain"] == {"1": {"rgb_psnr": 0.25, "thermal_psnr": None}}
-    assert differences(thermal)["to_plain"]["1"]["thermal_psnr"] == 0.0
-    assert differences(runs)["deterministic_equal"] is None
-    twice = [run("deterministic", 1, 20.0, "a"), run("deterministic", 1, 20.0, "b")]
-    assert differences(twice)["deterministic_equal"] is False
-
-
-def test_losses_that_differ_are_named() -> None:
-    """A term beyond the tolerance, or not a number, is a disagreement."""
-    agreeing = {"rgb": {"relative_difference": 1e-5, "timed_relative_difference": 1e-2}}
-    assert disagreement(agreeing) is None
-    apart = disagreement(agreeing | {"thermal": agreeing["rgb"] | {"relative_difference": float("nan")}})
-    assert apart is not None
-    assert "thermal" in apart
-    assert "rgb" not in apart
-
-
-def test_whole_training_and_steps_side_by_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A training by the command is timed and its Gaussians are taken for the steps; the files hold both."""
-    report, table = tmp_path / "report.json", tmp_path / "report.md"
-    words = [
-        "sample",
-        "--config",
-        "demo",
-        "--device",
-        "cpu",
-        "--parts",
-        "whole",
-        "peers",
-        "--seeds",
-        "3",
-        "--no-gsplat",
-    ]
-    words += ["--windows", "1", "--window", "1", "--json", str(report), "--markdown", str(table)]
-    assert main([*words, "--", "--max-steps", "3", "--data-factor", "8", "--log-every", "1"]) == 0
-    written = json.loads(report.read_text())
-    (run,) = written["whole"]["runs"]
-    assert run["steps"] == 3
-    assert 0 < run["first_step_seconds"] < run["train_seconds"] < run["seconds"] < run["process_seconds"] + 1
-    assert run["compiled_seconds"] == run["seconds"] - run["first_step_seconds"] - run["late_compile_seconds"]
-    assert 0 <= run["late_compile_seconds"] <= run["compile_seconds"]
-    assert min(run["rgb_psnr"], run["thermal_psnr"]) > 5
-    assert written["peers"]["gaussians"] == run["num_gaussians"]
-    assert set(written["peers"]["steps"]) == {"thermosplat", "thermosplat 3dgs, RGB alone"}
-    assert written["peers"]["steps"]["thermosplat"]["times_ours"] == 1
-    assert "Whole trainings" in capsys.readouterr().out
-    assert table.read_text() == markdown(written)
-
-
-def test_time_limit_and_failures_leave_a_whole_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """After the limit nothing is started; a training that fails is a row, and the exit code."""
-    report = tmp_path / "report.json"
-    words = ["sample", "--device", "cpu", "--json", str(report)]
-    assert main([*words, "--time-limit", "0"]) == 0
-    assert "came before the steps side by side" in json.loads(report.read_text())["stopped"]
-    assert "time limit" in capsys.readouterr().out
-    assert main([*words, "--parts", "whole", "--", "--max-steps", "0"]) == 1
-    assert "max-steps" in json.loads(report.read_text())["whole"]["runs"][0]["error"]
+    assert (fit["bytes_a_gaussian"], fit["bytes_a_pixel"]) == (pytest.approx(1100), pytest.approx(300))
+    assert fit["bytes_besides"] == pytest.approx(2**24)
+    assert fit["worst_mib"] < 1e-3
+    assert memory_fit(rows[:2]) is None

@@ -64,6 +64,25 @@ def test_matrix_is_made_once_and_merged(run: Run, tmp_path: Path) -> None:
     assert "max_steps=3, now 4" in printed
 
 
+def test_failed_cell_stops_no_other_and_time_runs_out(run: Run, tmp_path: Path) -> None:
+    """A broken scene before a good one: the good one is made. With no time at all nothing is begun, nothing lost."""
+    (tmp_path / "empty").mkdir()
+    out = tmp_path / "matrix"
+    words = [tmp_path / "empty", "sample", "--methods", "3dgs", "--max-steps", 2, "--data-factor", 4, "--out", out]
+    code, printed = run(*words, "--devices", "cpu", "--time-limit", 0)
+    assert code == 0
+    assert "2 of 2 cells not begun" in printed
+    assert not list(out.rglob("cell.log"))
+    code, printed = run(*words, "--devices", "cpu")
+    assert code == 2
+    assert "1 of 2 cells failed: empty / 3dgs / seed 42" in printed
+    assert "sample / 3dgs / seed 42: finished" in printed
+    assert "| rgb | PSNR | 3dgs |" in printed
+    code, printed = run(*words[1:], "--out", tmp_path / "third", "--merge", out)
+    assert code == 0
+    assert "starts on" not in printed  # what was merged is finished
+
+
 def test_failed_cell_is_named(run: Run, tmp_path: Path) -> None:
     """A cell that cannot be trained ends the command with code 2 and its log; nothing else is lost."""
     (tmp_path / "empty").mkdir()

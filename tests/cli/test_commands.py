@@ -3,7 +3,9 @@
 import dataclasses
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterator
+from importlib.resources import files
 from pathlib import Path
 
 import cv2
@@ -192,6 +194,30 @@ def test_eval_agrees_with_training(run: Run, finished: Path) -> None:
         assert f"{trained[modality]['psnr']:.2f}" in printed
     assert "PSNR [dB]" in printed
     assert list((finished / "renders" / f"eval_{STEPS:06d}").glob("*.png"))
+
+
+def test_regions_of_a_capture_with_ground_truth(run: Run, finished: Path, tmp_path: Path) -> None:
+    """Training leaves regions.json, thermosplat-eval makes it again and prints it; other captures have no such file."""
+    assert not (finished / "regions.json").exists()
+    capture, folder = tmp_path / "with_truth", tmp_path / "run"
+    shutil.copytree(str(files("thermosplat") / "sample"), capture)
+    (capture / "ground_truth").mkdir()
+    depth, label = np.full((150, 200), 2.0, np.float32), np.zeros((150, 200), np.uint8)
+    label[:, 100:] = 1
+    for image in (capture / "rgb").rglob("*.jpg"):
+        np.savez(capture / "ground_truth" / image.stem, depth_rgb=depth, depth_thermal=depth, label=label)
+    assert run(train.main, capture, *QUICK, "--max-steps", 2, "--result-dir", folder)[0] == 0
+    trained = json.loads((folder / "regions.json").read_text())
+    assert trained["steps"] == 2
+    assert list(trained["regions"]) == ["all", "glass", "unlabelled"]
+    (folder / "regions.json").unlink()
+    code, printed = run(evaluate.main, folder, "--device", "cpu")
+    assert code == 0
+    assert "glass" in printed
+    again = json.loads((folder / "regions.json").read_text())
+    for region, numbers in trained["regions"].items():
+        for modality in ("rgb", "thermal"):
+            assert again["regions"][region][modality] == pytest.approx(numbers[modality], rel=1e-5)
 
 
 def test_capture_that_moved(run: Run, finished: Path, tmp_path: Path) -> None:

@@ -47,6 +47,24 @@ def test_jobs_are_dealt_to_the_devices(tmp_path: Path, monkeypatch: pytest.Monke
         assert (tmp_path / f"{title}.log").read_text() == f"device {expected}\n"
 
 
+def test_nothing_starts_after_the_time_limit(tmp_path: Path) -> None:
+    """What runs then runs to its end; what has not begun is returned."""
+    jobs = [job(tmp_path, name, "import time; time.sleep(1); print('whole')") for name in ("first", "second", "third")]
+    ended = []
+    left = run_jobs(
+        jobs,
+        ["cpu", "cuda:0"],
+        started=lambda *_: None,
+        done=lambda job, device, code: ended.append((job.title, code)),
+        time_limit=0.5,
+    )
+    assert left == jobs[2:]
+    assert sorted(ended) == [("first", 0), ("second", 0)]
+    assert [job.log.read_text() for job in jobs[:2]] == ["whole\n", "whole\n"]
+    assert not jobs[2].log.exists()
+    assert run_jobs(jobs, ["cpu"], started=lambda *_: None, done=lambda *_: None, time_limit=0.0) == jobs
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_reaches_the_jobs_and_waits_for_them(tmp_path: Path, number: signal.Signals) -> None:
     """Ctrl-C and SIGTERM let every process save before this one ends; nothing new is started."""

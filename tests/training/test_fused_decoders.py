@@ -18,7 +18,7 @@ SHAPES = [(64, 8, 3), (32, 5, 1), (16, 16, 3)]
 INTERPRETED = """
 import torch
 import triton.language as tl
-from test_fused_decoders import SHAPES, worst_difference
+from test_fused_decoders import SHAPES, all_finite, worst_difference
 from thermosplat.training import fused_decoders
 
 for operand, tolerance in ((tl.float32, 1e-5), (tl.float16, 1e-2)):
@@ -26,6 +26,7 @@ for operand, tolerance in ((tl.float32, 1e-5), (tl.float16, 1e-2)):
     for shape in SHAPES:
         found = worst_difference(*shape, torch.device("cpu"))
         assert found < tolerance, (operand, shape, found)
+assert all_finite(torch.device("cpu"))
 """
 
 
@@ -55,6 +56,21 @@ def worst_difference(hidden: int, dim: int, thermal_channels: int, device: torch
     return max(float((a - b).norm() / a.norm()) for a, b in zip(plain, fused, strict=True))
 
 
+def all_finite(device: torch.device) -> bool:
+    """Whether images and gradients stay finite where a pixel's activations exceed the largest float16."""
+    from thermosplat.training.fused_decoders import FusedDecoders
+
+    generator = torch.Generator().manual_seed(0)
+    decoders = Decoders(DecoderConfig(), 8, 3).to(device)
+    features = [torch.randn(9, 9, 8, generator=generator) for _ in range(2)]
+    for size, image in zip((1e6, 1e9), features, strict=True):
+        image[4, 4] = size
+    leaves = [image.to(device).requires_grad_() for image in features]
+    images = FusedDecoders(decoders).both(*leaves)
+    gradients = torch.autograd.grad(sum(image.sum() for image in images), [*leaves, *decoders.parameters()])
+    return all(bool(torch.isfinite(tensor).all()) for tensor in (*images, *gradients))
+
+
 def test_in_tritons_interpreter() -> None:
     """Without a GPU: exact with float32 operands, to 10 bits of mantissa with float16 ones."""
     pytest.importorskip("triton", reason="Triton is not installed (it comes with PyTorch for CUDA)")
@@ -71,6 +87,7 @@ def test_on_cuda(shape: tuple[int, int, int]) -> None:
     if not torch.cuda.is_available():
         pytest.skip("needs a CUDA device; torch finds none")
     assert worst_difference(*shape, torch.device("cuda")) < 1e-2
+    assert all_finite(torch.device("cuda"))
 
 
 @pytest.mark.cuda

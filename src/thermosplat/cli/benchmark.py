@@ -45,6 +45,8 @@ class BenchmarkArguments:
     """Divide the images' width and height by this."""
     max_gaussians: int | None = None
     """Growth of every set of Gaussians stops at this count. None: as each method has it."""
+    time_limit: float | None = None
+    """Seconds after which no further cell starts; those in work are finished. The same command then goes on."""
     save_every: int = 5000
     """Steps between checkpoints, from which a cell goes on after a crash; 0: only when interrupted, and at the end."""
     keep_checkpoints: bool = True
@@ -74,13 +76,19 @@ def main(argv: list[str] | None = None) -> int:
 def _benchmark(arguments: BenchmarkArguments) -> int:
     from thermosplat.method_matrix.processes import Job, choose_devices, run_jobs
     from thermosplat.method_matrix.report import write_report
+    from thermosplat.method_matrix.results import Results
 
     matrix, merged = _matrix(arguments), [Path(folder) for folder in arguments.merge]
     if not matrix.scenes and not merged and not matrix.out.is_dir():
         raise UserError("No scene given.", "Name captures: thermosplat-benchmark data/Dimsum data/Truck --out FOLDER.")
-    cells, missing = matrix.cells(), matrix.missing()
+    finished = Results.collect(matrix.out, merged).cells
+    cells, missing = matrix.cells(), matrix.missing(finished)
+    devices = choose_devices(arguments.devices) if missing else []
+    if len(devices) > 1:  # one device takes as long in any order, and scene by scene its tables are complete earlier
+        missing = matrix.longest_first(missing, finished)
     jobs = [matrix.job(cell) for cell in missing]
     failed: list[str] = []
+    left: list[Job] = []
 
     def started(job: Job, device: str) -> None:
         print(f"{job.title}: starts on {device}, log in {job.log}", flush=True)
@@ -91,19 +99,26 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
             print(f"{job.title}: failed", flush=True)
         else:
             print(f"{job.title}: finished", flush=True)
-            write_report(matrix.out, merged)  # at once: the machine may go before the matrix is complete
+            try:
+                write_report(matrix.out, merged)  # at once: the machine may go before the matrix is complete
+            except UserError as error:  # said again at the end; the other cells go on
+                print(f"The tables cannot be written now: {error}", flush=True)
 
     if jobs:
         print(f"{len(cells)} cells, {len(cells) - len(jobs)} of them finished.", flush=True)
         try:
-            run_jobs(jobs, choose_devices(arguments.devices), started=started, done=done)
+            left = run_jobs(jobs, devices, started=started, done=done, time_limit=arguments.time_limit)
         except KeyboardInterrupt:
             print("Stopped; what was begun is saved. The same command goes on.", flush=True)
             raise
-    if len(failed) < len(jobs) or not jobs:
+    if left:
+        print(f"Time is up: {len(left)} of {len(cells)} cells not begun. The same command goes on.", flush=True)
+    if finished or len(failed) + len(left) < len(jobs) or not jobs:
         for table in write_report(matrix.out, merged):
             print(f"\n{table.title}\n\n{table.markdown()}", end="")
         print(f"\nResults in {matrix.out}: results.json, per_view.csv, tables.md, .csv, .tex and sheets/")
+        if (matrix.out / "regions.md").is_file():
+            print("Errors by region: regions.md, .csv and .tex there")
     if failed:
         message = f"{len(failed)} of {len(cells)} cells failed: {'; '.join(failed)}."
         raise UserError(message, "The same command tries them again.")
@@ -111,7 +126,13 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
 
 
 def _matrix(arguments: BenchmarkArguments) -> Matrix:
-    for name, least in (("max_steps", 1), ("data_factor", 1), ("save_every", 0), ("max_gaussians", 1)):
+    for name, least in (
+        ("max_steps", 1),
+        ("data_factor", 1),
+        ("save_every", 0),
+        ("max_gaussians", 1),
+        ("time_limit", 0),
+    ):
         value = getattr(arguments, name)
         if value is not None and value < least:
             raise UserError(f"--{name.replace('_', '-')} must be at least {least}, found {value}.")

@@ -11,6 +11,7 @@ from thermosplat.cli.run_arguments import RunOnCaptureArguments
 
 if TYPE_CHECKING:
     from thermosplat.cli.loaded_run import LoadedRun
+    from thermosplat.labelled_regions import Regions
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ def _evaluate(arguments: EvalArguments) -> int:
 
     from thermosplat.cli.loaded_run import load_run
     from thermosplat.evaluation import evaluate
+    from thermosplat.labelled_regions import write_regions
     from thermosplat.lpips import find_lpips
 
     console = Console(highlight=False, soft_wrap=True)
@@ -63,6 +65,10 @@ def _evaluate(arguments: EvalArguments) -> int:
     numbers = run.stats / f"eval_{loaded.step:06d}.json"
     run.write_json(numbers, {**metrics, "steps": loaded.step})
     _print_metrics(console, loaded, metrics)
+    regions = write_regions(run, loaded.model, capture, loaded.step, loaded.sh_degree, loaded.device)
+    if regions is not None:
+        _print_regions(console, regions)
+        console.print(f"By region {run.regions_json}", markup=False)
     console.print(f"Numbers {numbers}, per view {table}, pictures {strips}", markup=False)
     return 0
 
@@ -77,6 +83,20 @@ def _print_metrics(console: Any, loaded: "LoadedRun", metrics: dict[str, Any]) -
         if numbers is not None:
             columns = (("psnr", ".2f"), ("ssim", ".4f"), ("lpips", ".4f"), ("mae_celsius", ".2f"))
             table.add_row(label, *(_cell(numbers.get(column), form) for column, form in columns))
+    console.print(table)
+
+
+def _print_regions(console: Any, regions: "Regions") -> None:
+    from rich.table import Table
+
+    from thermosplat.labelled_regions import COLUMNS
+
+    headings = [column.heading.replace("[", r"\[") for column in COLUMNS]
+    table = Table("region", "pixels", *headings, title="held-out views by region", title_justify="left")
+    for name, numbers in regions.items():
+        values = [column.value(numbers) for column in COLUMNS]
+        texts = ["-" if value is None else column.form.format(value) for column, value in zip(COLUMNS, values)]
+        table.add_row(name, f"{numbers['pixels']:,}", *texts)
     console.print(table)
 
 

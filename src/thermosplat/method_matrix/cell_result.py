@@ -1,13 +1,16 @@
 """What a finished cell says of itself: cell.json in its run folder."""
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from thermosplat.checkpoint import write_atomically
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import Cell
+
+if TYPE_CHECKING:
+    from thermosplat.labelled_regions import Regions
 
 FILE_NAME = "cell.json"
 FORMAT = 1
@@ -49,6 +52,8 @@ class CellResult:
     """What was computed (``cells.settings``)."""
     per_view: list[dict[str, Any]]
     """Metrics of every held-out view: "frame", "modality" and the metrics."""
+    regions: "Regions | None" = None
+    """Errors by region (``labelled_regions.region_errors``); None where the capture has no ground truth."""
 
     @property
     def cell(self) -> Cell:
@@ -62,12 +67,29 @@ def write_cell(folder: Path, result: CellResult) -> None:
 
 
 def read_cell(path: Path) -> CellResult:
-    """Read a cell.json.
+    """Read a cell.json, and the regions.json beside it, which thermosplat-eval may have added later.
 
     Raises:
         UserError: It is damaged or of another version.
     """
-    return result_from(read_json(path), path)
+    result = result_from(read_json(path), path)
+    return result if result.regions is not None else replace(result, regions=read_regions(path.parent, result.steps))
+
+
+def read_regions(folder: Path, steps: int) -> "Regions | None":
+    """The errors by region in a cell's run folder; None where there are none, or of a model after other steps.
+
+    Raises:
+        UserError: The file is damaged.
+    """
+    path = folder / "regions.json"
+    if not path.is_file():
+        return None
+    values = read_json(path)
+    if not isinstance(values, dict) or not {"steps", "regions"} <= values.keys():
+        raise UserError(f"{path} holds no errors by region.", "Delete it, or make it again with thermosplat-eval.")
+    regions: "Regions" = values["regions"]
+    return regions if values["steps"] == steps else None
 
 
 def result_from(values: Any, path: Path) -> CellResult:
@@ -81,12 +103,13 @@ def result_from(values: Any, path: Path) -> CellResult:
         UserError: Something is missing, or it is of another version.
     """
     names = {field.name for field in fields(CellResult)}
-    if not isinstance(values, dict) or values.get("format") != FORMAT or not names <= values.keys():
+    required = {field.name for field in fields(CellResult) if field.default is MISSING}
+    if not isinstance(values, dict) or values.get("format") != FORMAT or not required <= values.keys():
         raise UserError(
             f"{path} does not hold a cell's result as this version writes it.",
             "Delete it; thermosplat-benchmark then makes that cell again.",
         )
-    return CellResult(**{name: values[name] for name in names})
+    return CellResult(**{name: values[name] for name in names & values.keys()})
 
 
 def read_json(path: Path) -> Any:

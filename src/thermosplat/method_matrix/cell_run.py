@@ -10,7 +10,7 @@ import torch
 from thermosplat.config import TrainConfig
 from thermosplat.config_files import load_config
 from thermosplat.datasets import load_capture
-from thermosplat.method_matrix.cell_result import CellResult, write_cell
+from thermosplat.method_matrix.cell_result import CellResult, read_regions, write_cell
 from thermosplat.method_matrix.cells import Cell, difference, settings
 from thermosplat.method_matrix.panels import write_panels
 from thermosplat.method_matrix.render_speed import frames_per_second
@@ -58,6 +58,7 @@ def make_cell(cell: Cell, config: TrainConfig, folder: Path, *, keep_checkpoint:
         lpips_net=metrics["lpips_net"],
         settings=settings(config),
         per_view=_per_view(trainer.run.stats / "per_view.csv"),
+        regions=read_regions(folder, metrics["steps"]),
     )
     write_cell(folder, result)  # from here on the cell is finished
     _drop_checkpoints(trainer.run, keep_last=keep_checkpoint)

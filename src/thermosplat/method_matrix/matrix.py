@@ -1,13 +1,15 @@
 """A matrix on disk: which of its cells are finished, and the processes that make the others."""
 
+import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from thermosplat.config import TrainConfig
 from thermosplat.config_files import to_yaml
 from thermosplat.errors import UserError
-from thermosplat.method_matrix.cell_result import FILE_NAME, read_cell, write_text
+from thermosplat.method_matrix.cell_result import CellResult, write_text
 from thermosplat.method_matrix.cells import Cell, Scene, cell_config, difference, settings
 from thermosplat.method_matrix.processes import Job, python_command
 
@@ -60,21 +62,44 @@ class Matrix:
             lpips_weights=self.lpips_weights,
         )
 
-    def missing(self) -> list[Cell]:
+    def missing(self, finished: Mapping[Cell, CellResult]) -> list[Cell]:
         """The cells that are not finished.
+
+        Args:
+            finished: The cells that are, here or on another machine.
 
         Raises:
             UserError: If one is finished with other settings.
         """
         missing = []
         for cell in self.cells():
-            path = cell.folder(self.out) / FILE_NAME
-            if not path.is_file():
+            if cell not in finished:
                 missing.append(cell)
-            elif differing := difference(read_cell(path).settings, settings(self.config(cell))):
-                message = f"{cell} is finished in {path.parent} with {differing}."
-                raise UserError(message, "Give another --out, or delete that folder.")
+            elif differing := difference(finished[cell].settings, settings(self.config(cell))):
+                message = f"{cell} is finished with {differing}."
+                raise UserError(message, f"Give another --out, or delete {cell.folder(self.out)} or what was merged.")
         return missing
+
+    def longest_first(self, cells: Sequence[Cell], finished: Mapping[Cell, CellResult]) -> list[Cell]:
+        """Cells by the time that their training may take, so that no device is left with a long one at the end.
+
+        A step is taken to last as long as those of the method's finished cells, or of all finished ones where it has
+        none. Cells of equal length keep their order.
+
+        Args:
+            cells: The cells.
+            finished: The cells whose times are known.
+        """
+        times: dict[str, list[float]] = {}
+        for cell, result in finished.items():
+            times.setdefault(cell.method, []).append(result.train_minutes / result.steps)
+        of_any = statistics.fmean(chain.from_iterable(times.values())) if times else 1.0
+
+        def expected(cell: Cell) -> float:
+            of_method = times.get(cell.method)
+            return self.config(cell).max_steps * (statistics.fmean(of_method) if of_method else of_any)
+
+        return sorted(cells, key=expected, reverse=True)
 
     def job(self, cell: Cell) -> Job:
         """The process that makes a cell; writes the configuration that it reads."""

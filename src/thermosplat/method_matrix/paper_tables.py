@@ -4,14 +4,14 @@ A number is the mean over the seeds, with ± their standard deviation where ther
 for a method that has them all.
 """
 
-import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 from thermosplat.config_files import preset_paths
 from thermosplat.datasets.capture import Modality
 from thermosplat.method_matrix.cell_result import CellResult
 from thermosplat.method_matrix.paper_numbers import paper_mean, paper_scene, paper_value
 from thermosplat.method_matrix.results import Results
+from thermosplat.method_matrix.table_entries import entry, known, means_over_scenes
 from thermosplat.method_matrix.tables import Table
 
 MODALITIES: tuple[Modality, ...] = ("rgb", "thermal")
@@ -50,12 +50,12 @@ def quality_table(results: Results) -> Table:
             for method in methods:
                 ours = [_values(results, scene, method, modality, metric) for scene in scenes]
                 if any(ours):
-                    entries = [_entry(values, form) for values in ours]
-                    rows.append((modality, label, method, *entries, _entry(_means(ours), form)))
+                    entries = [entry(values, form) for values in ours]
+                    rows.append((modality, label, method, *entries, entry(means_over_scenes(ours), form)))
                 paper = [paper_value(method, modality, metric, scene) for scene in scenes]
                 paper.append(paper_mean(method, modality, metric, scenes))
                 if any(value is not None for value in paper):
-                    rows.append((modality, label, f"{method} (paper)", *(_entry(_listed(v), form) for v in paper)))
+                    rows.append((modality, label, f"{method} (paper)", *(entry(_listed(v), form) for v in paper)))
     title = f"Table 1. Held-out views, PSNR in dB.{_lpips_note(results)}{_paper_note(scenes)}"
     return Table("table1", title, ("modality", "metric", "method", *scenes, "mean"), tuple(rows), labels=3)
 
@@ -66,11 +66,14 @@ def ablation_table(results: Results, methods: Sequence[str]) -> Table:
     columns = [(modality, metric) for modality in MODALITIES for metric in METRICS]
     rows: list[tuple[str, ...]] = []
     for method in methods:
-        ours = [_means([_values(results, s, method, modality, metric) for s in scenes]) for modality, metric in columns]
-        rows.append((method, *(_entry(values, METRICS[metric][1]) for values, (_, metric) in zip(ours, columns))))
+        ours = [
+            means_over_scenes([_values(results, s, method, modality, metric) for s in scenes])
+            for modality, metric in columns
+        ]
+        rows.append((method, *(entry(values, METRICS[metric][1]) for values, (_, metric) in zip(ours, columns))))
         paper = [paper_mean(method, modality, metric, scenes) for modality, metric in columns]
         if any(value is not None for value in paper):
-            texts = [_entry(_listed(value), METRICS[metric][1]) for value, (_, metric) in zip(paper, columns)]
+            texts = [entry(_listed(value), METRICS[metric][1]) for value, (_, metric) in zip(paper, columns)]
             rows.append((f"{method} (paper)", *texts))
     headings = [f"{modality} {METRICS[metric][0]}" for modality, metric in columns]
     title = f"Table 2. Ablations, means over {len(scenes)} scene{'s' if len(scenes) > 1 else ''}.{_lpips_note(results)}"
@@ -92,7 +95,7 @@ def cost_table(results: Results) -> Table:
         for method in results.methods():
             cells = results.of(scene, method)
             if cells:
-                texts = [_entry(_known(map(read, cells)), form) for read, form in columns.values()]
+                texts = [entry(known(map(read, cells)), form) for read, form in columns.values()]
                 rows.append((scene, method, *texts, ", ".join(dict.fromkeys(cell.device for cell in cells))))
     title = "Cost of training, and of rendering held-out frames in all their spectra."
     return Table("cost", title, ("scene", "method", *columns, "device"), tuple(rows), labels=2)
@@ -101,30 +104,11 @@ def cost_table(results: Results) -> Table:
 def _values(results: Results, scene: str, method: str, modality: Modality, metric: str) -> list[float]:
     """A metric of every seed that has it."""
     cells = results.of(scene, method)
-    return _known((getattr(cell, modality) or {}).get(metric) for cell in cells)
-
-
-def _means(by_scene: list[list[float]]) -> list[float]:
-    """Mean over the scenes for each seed; none where a scene lacks seeds that another has."""
-    counts = {len(values) for values in by_scene}
-    if len(counts) != 1 or not by_scene[0]:
-        return []
-    return [statistics.fmean(of_seed) for of_seed in zip(*by_scene)]
-
-
-def _entry(values: list[float], form: str) -> str:
-    if not values:
-        return "-"
-    text = form.format(statistics.fmean(values))
-    return text if len(values) < 2 else f"{text} ± {form.format(statistics.stdev(values))}"
+    return known((getattr(cell, modality) or {}).get(metric) for cell in cells)
 
 
 def _listed(value: float | None) -> list[float]:
     return [] if value is None else [value]
-
-
-def _known(values: Iterable[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
 
 
 def _gibibytes(size: int | None) -> float | None:

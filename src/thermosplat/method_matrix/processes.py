@@ -65,22 +65,30 @@ def run_jobs(
     *,
     started: Callable[[Job, str], None],
     done: Callable[[Job, str, int], None],
-) -> None:
-    """Run all jobs.
+    time_limit: float | None = None,
+) -> list[Job]:
+    """Run all jobs, whatever becomes of each.
 
     Args:
         jobs: The jobs, in order.
         devices: "cpu" or "cuda:<index>", each of which takes one job at a time.
         started: Called with a job and its device when it starts.
         done: Called with a finished job, its device and its exit code.
+        time_limit: Seconds from now after which no job starts; those that run then run to their end.
+
+    Returns:
+        The jobs that were not started.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C or SIGTERM, when all processes have ended.
     """
-    waiting, running = list(jobs), dict[str, _Running]()
+    waiting, running, began = list(jobs), dict[str, _Running](), time.monotonic()
+    left: list[Job] = []
     with _terminated_like_interrupted():
         try:
             while waiting or running:
+                if time_limit is not None and time.monotonic() - began >= time_limit:
+                    left, waiting = left + waiting, []
                 for device in devices:
                     if device not in running and waiting:
                         job = waiting.pop(0)
@@ -98,6 +106,7 @@ def run_jobs(
             for current in running.values():
                 current.process.wait()
             raise
+    return left
 
 
 def device_environment(device: str) -> dict[str, str]:

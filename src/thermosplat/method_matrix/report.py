@@ -5,9 +5,10 @@ from pathlib import Path
 
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.paper_tables import all_tables
+from thermosplat.method_matrix.region_table import region_table
 from thermosplat.method_matrix.results import Results
 from thermosplat.method_matrix.sheets import write_sheets
-from thermosplat.method_matrix.tables import Table, write_tables
+from thermosplat.method_matrix.tables import Table, write_own_table, write_tables
 
 
 def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:
@@ -18,7 +19,7 @@ def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:
         merged: Folders with cells that were made elsewhere.
 
     Returns:
-        The tables.
+        The tables of tables.md.
 
     Raises:
         UserError: There is no finished cell, or what is there does not fit together.
@@ -31,6 +32,9 @@ def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:
     results.write(out)
     tables = all_tables(results)
     write_tables(out, tables)
+    regions = region_table(results)
+    if regions is not None:
+        write_own_table(out, regions)
     for scene in results.scenes():
         first_seed = {cell.method: folder for cell, folder in reversed(results.folders.items()) if cell.scene == scene}
         write_sheets(out, scene, {method: first_seed[method] for method in results.methods() if method in first_seed})

@@ -58,8 +58,23 @@ def write_tables(out: Path, tables: list[Table]) -> None:
     text = "\n".join(f"{table.title}\n\n{table.markdown()}" for table in tables)
     write_text(out / "tables.md", text)
     for table in tables:
-        write_text(out / f"{table.name}.csv", table.csv())
-        write_text(out / f"{table.name}.tex", table.latex())
+        _write_table(out, table)
+
+
+def write_own_table(out: Path, table: Table) -> None:
+    """Write a table that is too long for tables.md: its own .md, .csv and .tex file; all atomically.
+
+    Args:
+        out: Folder for the files.
+        table: The table.
+    """
+    write_text(out / f"{table.name}.md", f"{table.title}\n\n{table.markdown()}")
+    _write_table(out, table)
+
+
+def _write_table(out: Path, table: Table) -> None:
+    write_text(out / f"{table.name}.csv", table.csv())
+    write_text(out / f"{table.name}.tex", table.latex())
 
 
 def _escaped(text: str) -> str:

@@ -88,9 +88,8 @@ class CapturedSteps:
         if not self._graphs:
             self.step.capacity.measure()
         if self.step.state.noise.device.type == "cuda":
-            graph.register_generator_state(
-                self.step.state.noise
-            )  # each replay then draws from where the step starts it
+            # each replay then draws from where the step starts it
+            graph.register_generator_state(self.step.state.noise)
         with captured_in(graph, self._pool.id):
             values = self.step.update(static, kind, self.step.gradients(static, kind, fixed_capacity=True))
         return _Captured(graph, static, values)

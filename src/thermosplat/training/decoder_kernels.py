@@ -8,12 +8,20 @@ have the shapes of ``torch.nn.Linear``; MODULATED tells the RGB branch (prior, m
 import triton
 import triton.language as tl
 
+LARGEST = tl.constexpr(65504.0)  # of float16
+
+
+@triton.jit
+def _rounded(x, OPERAND: tl.constexpr):
+    """x as an operand. Beyond float16 it is the largest there is, not infinite, which times 0 would be NaN."""
+    return tl.clamp(x, -LARGEST, LARGEST, propagate_nan=tl.PropagateNan.ALL).to(OPERAND)
+
 
 @triton.jit
 def _weight(weight, rows, columns, IN: tl.constexpr, OUT: tl.constexpr, OPERAND: tl.constexpr):
     """Wᵀ [IN, OUT], padded with zeros to len(rows) x len(columns)."""
     inside = (rows[:, None] < IN) & (columns[None, :] < OUT)
-    return tl.load(weight + columns[None, :] * IN + rows[:, None], mask=inside, other=0.0).to(OPERAND)
+    return _rounded(tl.load(weight + columns[None, :] * IN + rows[:, None], mask=inside, other=0.0), OPERAND)
 
 
 @triton.jit
@@ -24,13 +32,7 @@ def _bias(bias, columns, OUT: tl.constexpr):
 @triton.jit
 def _product(x, y):
     """x y, summed in float32; the inputs are rounded to y's type."""
-    return tl.dot(x.to(y.dtype), y, input_precision="ieee")
-
-
-@triton.jit
-def _add_outer(total, x, v, OPERAND: tl.constexpr):
-    """Adds xᵀ v: the transposed gradient to a weight."""
-    return tl.dot(tl.trans(x.to(OPERAND)), v.to(OPERAND), total, input_precision="ieee")
+    return tl.dot(_rounded(x, y.dtype), y, input_precision="ieee")
 
 
 @triton.jit
@@ -75,7 +77,7 @@ def forward_kernel(
 def _keep(factors, slot, pixel, wide, num_pixels, value, H: tl.constexpr):
     """Stores a factor [BLOCK, H] of a weight's gradient."""
     place = (slot * num_pixels.to(tl.int64) + pixel[:, None]) * H + wide[None, :]
-    tl.store(factors + place, value.to(factors.dtype.element_ty), mask=pixel[:, None] < num_pixels)
+    tl.store(factors + place, _rounded(value, factors.dtype.element_ty), mask=pixel[:, None] < num_pixels)
 
 
 @triton.jit
@@ -160,7 +162,8 @@ def square_weights_kernel(
     for turn in range(TURNS):
         pixel = (turn * tl.num_programs(0) + program).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
         v = _kept(factors, second, pixel, wide, num_pixels, H)
-        total = _add_outer(total, _kept(factors, first, pixel, wide, num_pixels, H), v, OPERAND)
+        x = _kept(factors, first, pixel, wide, num_pixels, H)
+        total = tl.dot(tl.trans(x), v, total, input_precision="ieee")
         bias += tl.sum(v.to(tl.float32), 0)
     factor = tl.load(scale)
     out = partial + program.to(tl.int64) * num_parameters + (D + 1) * H  # in the order of the parameters
@@ -190,11 +193,11 @@ def narrow_weights_kernel(
         given = (pixel[:, None] < num_pixels) & (narrow[None, :] < D)
         x = tl.load(features + pixel[:, None] * stride + narrow[None, :], mask=given, other=0.0)
         v = _kept(factors, 1, pixel, wide, num_pixels, H)
-        v_w1 = _add_outer(v_w1, x, v, OPERAND)
+        v_w1 = tl.dot(tl.trans(_rounded(x, OPERAND)), v, v_w1, input_precision="ieee")
         v_b1 += tl.sum(v.to(tl.float32), 0)
         v = _before_sigmoid(image, v_image, scale, pixel, narrow, num_pixels, C)
         top = _kept(factors, 8 if MODULATED else 4, pixel, wide, num_pixels, H)
-        v_wh = _add_outer(v_wh, top, v, OPERAND)
+        v_wh = tl.dot(tl.trans(top), _rounded(v, OPERAND), v_wh, input_precision="ieee")
         v_bh += tl.sum(v, 0)
     factor = tl.load(scale)
     out = partial + program.to(tl.int64) * num_parameters

@@ -23,6 +23,7 @@ from thermosplat.devices import choose_device, device_name
 from thermosplat.errors import UserError
 from thermosplat.evaluation import evaluate
 from thermosplat.export.scene import export_scene
+from thermosplat.labelled_regions import write_regions
 from thermosplat.lpips import Lpips, find_lpips
 from thermosplat.model import SceneModel
 from thermosplat.pair_capacity import PairCapacity
@@ -158,7 +159,9 @@ class Trainer:
             self._save()  # before the evaluation, so that nothing which goes wrong there costs the training
             metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
             state.seconds.wall = time.perf_counter() - started
-            return self._finish(metrics)
+            finished = self._finish(metrics)
+            write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
+            return finished
         except KeyboardInterrupt:
             with deferred_interrupts(redeliver=False):
                 self._stop_if_not_finite()

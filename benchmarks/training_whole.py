@@ -1,0 +1,129 @@
+"""Whole training runs by the command's own entry, each in a process of its own: seconds, quality, memory over time."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import thermosplat
+import warp_kernels
+from thermosplat.checkpoint import load_checkpoint
+from thermosplat.run_directory import RunDirectory
+
+ENTRY = "import sys; from thermosplat.cli.train import main; sys.exit(main())"
+PLAIN = ("--no-graph", "--no-compile")
+MEMORY_SHARES = (0.3, 0.5, 1.0)
+"""Shares of the steps at which the peak memory so far is taken; Gaussians are added in the first half of a run."""
+
+
+def whole_runs(
+    command: Sequence[str], seeds: Sequence[int], folder: Path, remaining_s: float, *, plain: bool, deterministic: bool
+) -> Iterator[dict[str, Any]]:
+    """Trains, and yields a row for each run as soon as it is done.
+
+    Args:
+        command: Arguments of thermosplat-train, the capture first.
+        seeds: One run of each kind for each.
+        folder: Where the runs go.
+        remaining_s: What is still running after so long is stopped, and nothing more is started [s].
+        plain: Also run with ``--no-graph --no-compile``.
+        deterministic: Also run with ``--deterministic``, with the first seed twice, and compare the two models.
+    """
+    kinds: list[tuple[str, tuple[str, ...]]] = [("default", ())]
+    kinds += [("plain loop", PLAIN)] * plain + [("deterministic", ("--deterministic",))] * deterministic
+    started = time.perf_counter()
+    for seed in seeds:
+        default: dict[str, Any] = {}
+        for kind, flags in kinds:
+            out = folder / f"{kind.replace(' ', '_')}_{seed}"
+            arguments = [*command, *flags, "--seed", str(seed)]
+            row: dict[str, Any] = {"kind": kind, "seed": seed}
+            row |= _run(arguments, out, remaining_s - (time.perf_counter() - started))
+            if kind == "default":
+                default = row
+            elif "error" not in row and "error" not in default:
+                row["psnr_from_default"] = {
+                    modality: row["psnr"][modality] - value for modality, value in default["psnr"].items()
+                }
+                row["times_default"] = row["ms_a_step"] / default["ms_a_step"]
+            if kind == "deterministic" and seed == seeds[0] and "error" not in row:
+                again = folder / f"{out.name}_again"
+                second = _run(arguments, again, remaining_s - (time.perf_counter() - started))
+                row["same_bits_twice"] = second["error"] if "error" in second else _same_model(out, again)
+            yield row
+
+
+def _run(arguments: Sequence[str], out: Path, limit_s: float) -> dict[str, Any]:
+    """One run; its row holds ``error`` where it failed or did not end in time."""
+    if limit_s <= 0:
+        return {"error": "not started: the time limit"}
+    words = [*arguments, "--result-dir", str(out), "--overwrite"]
+    roots = [str(Path(str(module.__file__)).parents[1]) for module in (thermosplat, warp_kernels)]
+    path = os.pathsep.join([*roots, *filter(None, [os.environ.get("PYTHONPATH")])])
+    begun, started = time.time(), time.perf_counter()
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", ENTRY, *words],
+            env=os.environ | {"PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=None if math.isinf(limit_s) else limit_s,
+        )
+    except subprocess.TimeoutExpired:
+        return {"error": "stopped: the time limit"}
+    seconds = time.perf_counter() - started
+    run = RunDirectory(out)
+    if done.returncode != 0:
+        return {"error": (done.stderr or done.stdout).strip()[-500:]}
+    return {"process_s": seconds} | _row(run, run.metrics_json.stat().st_mtime - begun)
+
+
+def _row(run: RunDirectory, seconds: float) -> dict[str, Any]:
+    metrics = json.loads(run.metrics_json.read_text(encoding="utf-8"))
+    steps, first_s = metrics["steps"], metrics["first_step_seconds"]
+    evaluated = {modality: metrics[modality] for modality in ("rgb", "thermal") if metrics[modality]}
+    return {
+        "seconds": seconds,
+        "first_step_s": first_s,
+        "seconds_without_first_step": seconds - first_s,
+        "train_s": metrics["train_seconds"],
+        "ms_a_step": 1e3 * (metrics["train_seconds"] - first_s) / max(steps - 1, 1),
+        "steps": steps,
+        "num_gaussians": metrics["num_gaussians"],
+        "psnr": {modality: values["psnr"] for modality, values in evaluated.items()},
+        "metrics": evaluated,
+        "memory": _memory(run, steps),
+    }
+
+
+def _memory(run: RunDirectory, steps: int) -> list[dict[str, Any]]:
+    """Peak memory so far and Gaussians at shares of the run, from metrics.jsonl."""
+    lines = [json.loads(line) for line in run.metrics_jsonl.read_text(encoding="utf-8").splitlines()]
+    logged = [line for line in lines if "memory_bytes" in line]
+    found = []
+    for share in MEMORY_SHARES:
+        line = next(line for line in logged if line["step"] >= share * steps)
+        found.append({key: line[key] for key in ("step", "memory_bytes", "num_gaussians")})
+    return found
+
+
+def _same_model(first: Path, second: Path) -> bool:
+    """Whether two runs ended with the same bits in Gaussians and decoders."""
+    paths = [RunDirectory(folder).latest_checkpoint() for folder in (first, second)]
+    return _equal(*(load_checkpoint(path)["model"] if path is not None else None for path in paths))
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, torch.Tensor):
+        return isinstance(b, torch.Tensor) and a.dtype == b.dtype and torch.equal(a, b)
+    if isinstance(a, dict):
+        return isinstance(b, dict) and a.keys() == b.keys() and all(_equal(a[key], b[key]) for key in a)
+    return bool(a == b)

@@ -1,0 +1,66 @@
+"""Depths and labels beside a rendered capture."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.ground_truth import read_ground_truth
+from thermosplat.errors import UserError
+from toy_scene import HEIGHT, WIDTH, toy_capture
+
+
+def with_truth(root: Path, height: int = HEIGHT, width: int = WIDTH, **arrays: np.ndarray) -> Capture:
+    """The toy capture with ground truth of its frame, numbered pixel by pixel."""
+    numbered = np.arange(height * width, dtype=np.float32).reshape(height, width)
+    values = {"depth_rgb": numbered, "depth_thermal": 2 * numbered, "label": numbered.astype(np.uint8) % 6}
+    (root / "ground_truth").mkdir(exist_ok=True)
+    np.savez(root / "ground_truth" / "a.npz", **{**values, **arrays})
+    return dataclasses.replace(toy_capture(), root=root)
+
+
+def test_arrays_of_the_images_size(tmp_path: Path) -> None:
+    """What the file holds, unchanged, each depth under its spectrum."""
+    capture = with_truth(tmp_path)
+    truth = read_ground_truth(capture, capture.train[0])
+    expected = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    assert np.array_equal(truth.depths["rgb"], expected)
+    assert np.array_equal(truth.depths["thermal"], 2 * expected)
+    assert np.array_equal(truth.label, expected % 256 % 6)
+
+
+def test_shrunk_images_take_the_nearest_pixel(tmp_path: Path) -> None:
+    """Images a third of the size: the middle pixel of each block of three by three, nothing mixed."""
+    capture = with_truth(tmp_path, 3 * HEIGHT, 3 * WIDTH)
+    truth = read_ground_truth(capture, capture.train[0])
+    numbered = np.arange(9 * HEIGHT * WIDTH).reshape(3 * HEIGHT, 3 * WIDTH)
+    assert np.array_equal(truth.depths["rgb"], numbered[1::3, 1::3])
+    assert np.array_equal(truth.label, (numbered % 256 % 6)[1::3, 1::3])
+
+
+def test_frames_without_ground_truth(tmp_path: Path) -> None:
+    """No file, or views of two cameras: nothing. One spectrum alone: what the file holds."""
+    assert read_ground_truth(toy_capture(), toy_capture().train[0]) is None
+    capture = with_truth(tmp_path)
+    assert read_ground_truth(capture, toy_capture(aligned=False).train[0]) is None
+    for alone in (toy_capture(rgb=False), toy_capture(thermal=False)):
+        assert read_ground_truth(capture, alone.train[0]) is not None
+
+
+def test_files_that_cannot_be_used(tmp_path: Path) -> None:
+    """Another aspect, an unknown label, a missing array and a damaged file are each named."""
+    wide = with_truth(tmp_path, HEIGHT, 2 * WIDTH)
+    with pytest.raises(UserError, match=r"depth_rgb has shape .*another aspect"):
+        read_ground_truth(wide, wide.train[0])
+    strange = with_truth(tmp_path, label=np.full((HEIGHT, WIDTH), 9))
+    with pytest.raises(UserError, match=r"label has \[9\]"):
+        read_ground_truth(strange, strange.train[0])
+    path = tmp_path / "ground_truth" / "a.npz"
+    np.savez(path, label=np.zeros((HEIGHT, WIDTH)))
+    with pytest.raises(UserError, match="does not hold the arrays"):
+        read_ground_truth(strange, strange.train[0])
+    path.write_bytes(b"no archive")
+    with pytest.raises(UserError, match="does not hold the arrays"):
+        read_ground_truth(strange, strange.train[0])

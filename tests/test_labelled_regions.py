@@ -1,0 +1,169 @@
+"""Errors by region: which pixels count, what is measured of them, and from which Gaussians the depth comes."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from thermosplat.datasets.capture import Capture
+from thermosplat.labelled_regions import region_errors, write_regions
+from thermosplat.rendered_frame import RenderedFrame
+from thermosplat.run_directory import RunDirectory
+from toy_scene import HEIGHT, WIDTH, toy_capture, toy_config, toy_frame, toy_model
+
+LEFT, MIDDLE, RIGHT = np.s_[:, :8], np.s_[:, 8:16], np.s_[:, 16:]
+GLASS, PLASTIC = 1, 4
+
+
+def capture_with_truth(root: Path, kind: str = "scalar") -> Capture:
+    """The toy frame held out: glass on the left (4 for RGB, 2 for thermal), plastic in the middle, sky on the right."""
+    label = np.zeros((HEIGHT, WIDTH), np.uint8)
+    label[LEFT], label[MIDDLE] = GLASS, PLASTIC
+    depth_rgb = np.full((HEIGHT, WIDTH), 4.0, np.float32)
+    depth_thermal = depth_rgb.copy()
+    depth_thermal[LEFT] = 2.0
+    depth_thermal[MIDDLE] = 4.1  # less than 5% away: the same surface
+    depth_rgb[RIGHT] = depth_thermal[RIGHT] = 0.0
+    (root / "ground_truth").mkdir()
+    np.savez(root / "ground_truth" / "a.npz", depth_rgb=depth_rgb, depth_thermal=depth_thermal, label=label)
+    capture = toy_capture(thermal_kind=kind)
+    return dataclasses.replace(capture, root=root, test=capture.train)
+
+
+class FixedRender:
+    """A model whose images and depths are known beforehand."""
+
+    num_gaussians = 0
+
+    def __init__(self, rgb: torch.Tensor, thermal: torch.Tensor | None, depths: dict[str, torch.Tensor]) -> None:
+        self.rgb, self.thermal, self.depths = rgb, thermal, depths
+
+    def render(self, rgb: Any, thermal: Any, *, sh_degree: int) -> RenderedFrame:
+        return RenderedFrame(rgb=self.rgb, thermal=self.thermal)
+
+    def render_depth(self, modality: str, view: Any) -> torch.Tensor:
+        return self.depths[modality]
+
+
+def images(capture: Capture) -> tuple[torch.Tensor, torch.Tensor]:
+    """The held-out frame's images."""
+    frame = toy_frame(capture)
+    return frame.rgb.image.clone(), frame.thermal.image.clone()
+
+
+def measured(model: Any, capture: Capture) -> dict[str, Any]:
+    regions = region_errors(model, capture, sh_degree=1, device="cpu")
+    assert regions is not None
+    return regions
+
+
+def test_every_region_is_judged_by_its_own_pixels(tmp_path: Path) -> None:
+    """An error in one region shows there and in the whole, not in the others; sky has no depth."""
+    capture = capture_with_truth(tmp_path)
+    rgb, thermal = images(capture)
+    rgb[LEFT] = (rgb[LEFT] - 0.1).where(rgb[LEFT] > 0.5, rgb[LEFT] + 0.1)
+    thermal[MIDDLE] = (thermal[MIDDLE] - 0.2).where(thermal[MIDDLE] > 0.5, thermal[MIDDLE] + 0.2)
+    depth = torch.full((HEIGHT, WIDTH), 4.0)
+    regions = measured(FixedRender(rgb, thermal, {"rgb": depth + 0.2, "thermal": depth}), capture)
+
+    pixels = HEIGHT * 8
+    assert {name: numbers["pixels"] for name, numbers in regions.items()} == {
+        "all": 3 * pixels,
+        "surfaces differ": pixels,
+        "glass": pixels,
+        "plastic": pixels,
+        "unlabelled": pixels,
+    }
+    assert regions["glass"]["rgb"]["psnr"] == pytest.approx(20.0, abs=1e-3)
+    assert regions["all"]["rgb"]["psnr"] == pytest.approx(20.0 + 10 * math.log10(3), abs=1e-3)
+    assert regions["plastic"]["rgb"]["psnr"] is None  # met exactly
+    assert regions["plastic"]["thermal"]["mae_celsius"] == pytest.approx(0.2 * 20, abs=1e-3)
+    assert regions["glass"]["thermal"]["mae_celsius"] == pytest.approx(0.0, abs=1e-4)
+
+    assert regions["glass"]["rgb"]["depth_error"] == pytest.approx(0.2)
+    assert regions["glass"]["rgb"]["depth_error_relative"] == pytest.approx(0.05)
+    assert regions["surfaces differ"]["thermal"]["depth_error"] == pytest.approx(2.0)
+    assert regions["surfaces differ"]["thermal"]["depth_error_relative"] == pytest.approx(1.0)
+    assert regions["plastic"]["thermal"]["depth_error"] == pytest.approx(0.1, abs=1e-6)
+    assert regions["unlabelled"]["rgb"]["depth_error"] is None
+    assert regions["unlabelled"]["rgb"]["psnr"] is None
+
+
+def test_pixels_of_all_views_count_alike(tmp_path: Path) -> None:
+    """A region's number is that of its pixels in all views together, not the mean of the views' numbers."""
+    capture = capture_with_truth(tmp_path)
+    other = np.load(tmp_path / "ground_truth" / "a.npz")
+    label = np.zeros_like(other["label"])
+    label[0, 0] = GLASS
+    np.savez(tmp_path / "ground_truth" / "b.npz", **{**other, "label": label})
+    frame = capture.test[0]
+    second = dataclasses.replace(
+        frame,
+        rgb=dataclasses.replace(frame.rgb, name="b", image=np.full_like(frame.rgb.image, 255)),
+    )
+    capture = dataclasses.replace(capture, test=(frame, second))
+    rgb, thermal = images(capture)
+    depth = torch.full((HEIGHT, WIDTH), 4.0)
+    glass = measured(FixedRender(rgb, thermal, {"rgb": depth, "thermal": depth}), capture)["glass"]
+    squared = (rgb[0, 0] - 1.0).square().mean().item() / (HEIGHT * 8 + 1)  # the first view is met exactly
+    assert glass["pixels"] == HEIGHT * 8 + 1
+    assert glass["rgb"]["psnr"] == pytest.approx(-10 * math.log10(squared), rel=1e-5)
+
+
+def test_no_degrees_and_no_thermal(tmp_path: Path) -> None:
+    """Without a temperature range there is no error in °C; a spectrum that is not modelled is null."""
+    capture = capture_with_truth(tmp_path, kind="color")
+    rgb, thermal = images(capture)
+    depths = {"rgb": torch.ones(HEIGHT, WIDTH), "thermal": torch.ones(HEIGHT, WIDTH)}
+    no_range = dataclasses.replace(
+        capture, thermal_scale=dataclasses.replace(capture.thermal_scale, range_celsius=None)
+    )
+    assert measured(FixedRender(rgb, thermal, depths), no_range)["glass"]["thermal"]["mae_celsius"] is None
+    assert measured(FixedRender(rgb, None, depths), capture)["glass"]["thermal"] is None
+
+
+@pytest.mark.parametrize("gaussian_sets", ["shared", "separate"])
+def test_depth_of_either_spectrum(gaussian_sets: str) -> None:
+    """RGB's depth is weighed with α, thermal's with α_t; two sets have a depth each."""
+    capture = toy_capture()
+    separate = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
+    model = toy_model(toy_config(**(separate if gaussian_sets == "separate" else {})), capture).eval()
+    view = toy_frame(capture).rgb
+    names = ("rgb", "thermal") if gaussian_sets == "separate" else ("shared", "shared")
+    with torch.no_grad():
+        # two opaque walls: what is before the other one is seen, as far as it is opaque to the spectrum
+        for name in dict.fromkeys(names):
+            gaussians = model.gaussians(name)
+            near = torch.arange(len(gaussians)) % 2 == 0
+            gaussians.means[:, 2] = torch.where(near, -2.0, 2.0)
+            gaussians.log_scales[:, :2] = 2.0
+            gaussians.log_scales[:, 2] = -6.0
+            gaussians.quats[:] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+            gaussians.logit_opacities[:] = 8.0
+        if gaussian_sets == "shared":
+            model.gaussians("shared").thermal_opacity_offsets[:] = torch.where(near, -40.0, 0.0)
+        else:
+            model.gaussians("thermal").means[:, 2] = 2.0
+        rgb, thermal = model.render_depth("rgb", view), model.render_depth("thermal", view)
+    assert rgb.shape == thermal.shape == (HEIGHT, WIDTH)
+    torch.testing.assert_close(rgb, torch.full_like(rgb, 2.0), rtol=1e-2, atol=0)  # the camera stands at z = -4
+    torch.testing.assert_close(thermal, torch.full_like(thermal, 6.0), rtol=1e-2, atol=0)
+
+
+def test_file_of_a_real_model(tmp_path: Path) -> None:
+    """A real model leaves regions.json with what is returned; without ground truth no file and no numbers."""
+    capture = capture_with_truth(tmp_path)
+    model, run = toy_model(toy_config(), capture), RunDirectory(tmp_path / "run")
+    run.path.mkdir()
+    assert write_regions(run, model, toy_capture(), 7, 1, "cpu") is None
+    assert not run.regions_json.exists()
+    regions = write_regions(run, model, capture, 7, 1, "cpu")
+    assert json.loads(run.regions_json.read_text()) == {"steps": 7, "regions": regions}
+    assert regions["glass"]["thermal"]["depth_error"] > 0
+    RunDirectory.create(run.path, overwrite=True)
+    assert not run.regions_json.exists()
