@@ -27,7 +27,7 @@ from frozen_training import Frames
 from training_peers import compare_steps
 from training_sizes import capture_rows, memory_fit, profiled_row, synthetic_row
 from training_tables import markdown
-from training_whole import whole_runs
+from training_whole import sample_run, whole_runs
 from warm_training import warm_training
 
 from thermosplat.checkpoint import write_atomically
@@ -40,7 +40,7 @@ from thermosplat.devices import choose_device
 from thermosplat.errors import UserError
 from thermosplat.run_directory import environment, finite_or_null
 
-PARTS = ("whole", "peers", "step", "memory")
+PARTS = ("whole", "peers", "step", "memory", "sample")
 SIZES, COUNTS = ("640x480", "1280x1024"), (100_000, 300_000, 1_000_000)
 
 
@@ -51,11 +51,13 @@ def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
         words, flags = words[: words.index("--")], words[words.index("--") + 1 :]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", help="folder of a capture, or sample")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS[:4]), help="default all but sample")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--seeds", type=int, nargs="+", default=[42], help="of the whole runs")
     parser.add_argument("--plain", action="store_true", help="on CUDA also --no-graph --no-compile")
     parser.add_argument("--deterministic", action="store_true", help="also whole runs with --deterministic")
+    parser.add_argument("--cores", type=int, default=2, help="of the CPU that the part sample may use")
+    parser.add_argument("--warm-cache", action="store_true", help="the part sample: with the kernels compiled before")
     parser.add_argument("--warm-steps", type=int, default=2000, help="train so far before peers and steps are timed")
     parser.add_argument("--window", type=int, default=None, help="steps a measurement (40 on CUDA, 3 on the CPU)")
     parser.add_argument("--rounds", type=int, default=None, help="measurements of each (9 on CUDA, 3 on the CPU)")
@@ -78,6 +80,7 @@ class Benchmark:
 
     def __init__(self, options: argparse.Namespace, flags: list[str]) -> None:
         self.options = options
+        self.flags = flags
         self.device = choose_device(options.device)
         on_cuda = self.device.type == "cuda"
         self.window = options.window or (40 if on_cuda else 3)
@@ -163,6 +166,16 @@ class Benchmark:
                 print({key: value for key, value in row.items() if key not in ("metrics", "memory")}, flush=True)
                 self.save()
 
+    def sample(self) -> None:
+        """The packaged capture on the CPU."""
+        options = self.options
+        if not self.late("sample"):
+            with tempfile.TemporaryDirectory() as folder:
+                limits = {"cores": options.cores, "cold": not options.warm_cache}
+                row = sample_run(self.flags, Path(folder), self.remaining_s, **limits)
+            self.report["sample"] = row
+            print({key: value for key, value in row.items() if key not in ("metrics", "memory")}, flush=True)
+
     def peers(self) -> None:
         """Part 2."""
         if not self.late("peers"):
@@ -238,8 +251,12 @@ def main(words: list[str] | None = None) -> int:
     if {"step", "memory"} & set(options.parts):
         with benchmark.part("sizes"):
             benchmark.sizes()
+    if "sample" in options.parts:
+        with benchmark.part("sample"):
+            benchmark.sample()
     report = benchmark.report
-    failed = any("error" in row and "time limit" not in row["error"] for row in report.get("whole", []))
+    runs = [*report.get("whole", []), report.get("sample", {})]
+    failed = any("error" in row and "time limit" not in row["error"] for row in runs)
     return int(failed or bool(report["errors"]))
 
 

@@ -24,6 +24,7 @@ def markdown(report: dict[str, Any]) -> str:
     steps = [*report.get("step", []), *(row for row in report.get("sizes", []) if "parts" in row)]
     parts = [
         ("Whole runs", _whole(report.get("whole", []))),
+        ("The sample on the CPU", _sample(report.get("sample"))),
         ("Memory over a whole run", _growth(report.get("whole", []))),
         ("Steps per second on the same Gaussians", _peers(report.get("peers"))),
         ("A step [ms]", _steps(steps)),
@@ -51,7 +52,8 @@ def _whole(rows: list[Row]) -> Iterator[str]:
         "run",
         "seed",
         "s to metrics.json",
-        "without the first step",
+        "of these first step, later compilation",
+        "without both",
         "ms a step",
         "Gaussians",
         "PSNR RGB",
@@ -60,13 +62,23 @@ def _whole(rows: list[Row]) -> Iterator[str]:
     body = []
     for row in rows:
         if "error" not in row:
-            cells = [row["kind"], str(row["seed"]), f"{row['seconds']:.1f}", f"{row['seconds_without_first_step']:.1f}"]
+            cells = [row["kind"], str(row.get("seed", "-")), f"{row['seconds']:.1f}"]
+            cells += [f"{row['first_step_s']:.1f}, {row['late_compile_s']:.1f}"]
+            cells += [f"{row['seconds_without_compilation']:.1f}"]
             cells += [f"{row['ms_a_step']:.2f}{_cost(row)}", f"{row['num_gaussians']:,}"]
             body.append(cells + [_psnr(row, modality) for modality in ("rgb", "thermal")])
     yield from _table(head, body)
     for row in rows:
         if "same_bits_twice" in row:
             yield f"\n{row['kind']}, seed {row['seed']}: the same bits in two runs: {row['same_bits_twice']}."
+
+
+def _sample(row: Row | None) -> Iterator[str]:
+    if row is None:
+        return
+    yield from _whole([row])
+    cache = "an empty" if row["cold"] else "the user's"
+    yield f"\n`thermosplat-train sample` on {row['cores']} cores, with {cache} cache of compiled kernels."
 
 
 def _cost(row: Row) -> str:
@@ -146,9 +158,9 @@ def _memory(report: dict[str, Any]) -> Iterator[str]:
 
 
 def _failures(report: dict[str, Any]) -> Iterator[str]:
-    for row in report.get("whole", []):
+    for row in (*report.get("whole", []), *filter(None, [report.get("sample")])):
         if "error" in row:
-            yield f"- {row['kind']}, seed {row['seed']}: {row['error'].splitlines()[-1]}"
+            yield f"- {row['kind']}, seed {row.get('seed', '-')}: {row['error'].splitlines()[-1]}"
     yield from (f"- {name}: {why}" for name, why in (report.get("peers") or {}).get("left_out", {}).items())
     yield from (f"- {name}: {why}" for name, why in report["errors"].items())
     yield from (f"- {name}: the time limit" for name in report["stopped"])

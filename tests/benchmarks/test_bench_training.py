@@ -40,7 +40,9 @@ def test_whole_runs_are_timed_and_judged(report: dict[str, Any]) -> None:
     (row,) = report["whole"]
     assert (row["kind"], row["seed"], row["steps"]) == ("default", 42, 3)
     assert row["seconds"] >= row["train_s"] >= row["first_step_s"] > 0
-    assert row["seconds_without_first_step"] == pytest.approx(row["seconds"] - row["first_step_s"])
+    assert 0 <= row["late_compile_s"] <= row["compile_s"]
+    apart = row["first_step_s"] + row["late_compile_s"]
+    assert row["seconds_without_compilation"] == pytest.approx(row["seconds"] - apart)
     assert set(row["psnr"]) == {"rgb", "thermal"}
     assert all(5 < value < 40 for value in row["psnr"].values())
     assert [found["step"] for found in row["memory"]] == [1, 2, 3]
@@ -118,7 +120,17 @@ def test_adapter_renders_what_the_model_asks_for(kind: str, tmp_path: Path) -> N
 def test_peers_take_turns_on_the_same_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is timed beside gsplat on CUDA, here with our rasterizer under gsplat's name."""
     from frozen_training import synthetic_capture
-    from training_peers import AGREEMENT, GSPLAT_RGB, OURS, OURS_3DGS, OURS_BY_LINE, OURS_RGB, TWICE, compare_steps
+    from training_peers import (
+        AGREEMENT,
+        GSPLAT_RGB,
+        OURS,
+        OURS_3DGS,
+        OURS_BY_LINE,
+        OURS_RGB,
+        TWICE,
+        USER,
+        compare_steps,
+    )
     from warm_training import warm_training
 
     gsplat, strategy = ModuleType("gsplat"), ModuleType("gsplat.strategy")
@@ -134,17 +146,19 @@ def test_peers_take_turns_on_the_same_gaussians(monkeypatch: pytest.MonkeyPatch)
     assert refinements is None
     as_cuda: Any = SimpleNamespace(type="cuda")
     found = compare_steps(config, capture, checkpoint, {}, as_cuda, window=1, rounds=2)
-    assert list(found["peers"]) == [OURS, OURS_BY_LINE, TWICE, GSPLAT_RGB, OURS_3DGS, OURS_RGB]
+    assert list(found["peers"]) == [OURS, OURS_BY_LINE, TWICE, USER, GSPLAT_RGB, OURS_3DGS, OURS_RGB]
     assert found["left_out"] == {}
     assert found["num_gaussians"] == 100
     assert found["agreement"]["largest"] < AGREEMENT
+    assert max(found["user_agreement"].values()) < 1e-5
     assert all(peer["repeats"] == 2 and peer["median_ms"] > 0 for peer in found["peers"].values())
     assert found["peers"][OURS]["times_ours"] == 1.0
 
     monkeypatch.setattr(gsplat, "spherical_harmonics", lambda *given: _plain_sh(*given) + 0.1)
     found = compare_steps(config, capture, checkpoint, {}, as_cuda, window=1, rounds=1)
-    assert TWICE not in found["peers"]
+    assert {TWICE, USER}.isdisjoint(found["peers"])
     assert "differ" in found["left_out"][TWICE]
+    assert "differ" in found["left_out"][USER]
 
 
 def test_refinements_are_timed_beside_usual_steps() -> None:
@@ -208,3 +222,17 @@ def test_memory_fit_finds_the_slopes() -> None:
     assert fit["bytes_besides"] == pytest.approx(2**24)
     assert fit["worst_mib"] < 1e-3
     assert memory_fit(rows[:2]) is None
+
+
+def test_the_sample_is_trained_on_the_cpu(tmp_path: Path) -> None:
+    """Its row says on how many cores, and whether kernels had to be compiled."""
+    from bench_training import main
+
+    path, table = tmp_path / "report.json", tmp_path / "report.md"
+    words = ["sample", "--device", "cpu", "--parts", "sample", "--cores", "1", "--warm-cache", "--json", str(path)]
+    flags = ["--", "--data-factor", "8", "--log-every", "1"]
+    assert main([*words, "--markdown", str(table), *flags, "--max-steps", "2"]) == 0
+    row = json.loads(path.read_text())["sample"]
+    assert (row["cores"], row["cold"], row["steps"]) == (1, False, 2)
+    assert min(row["psnr"].values()) > 5
+    assert "on 1 cores, with the user's cache" in table.read_text()
