@@ -38,7 +38,8 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.devices import choose_device
 from thermosplat.errors import UserError
-from thermosplat.run_directory import environment, finite_or_null
+from thermosplat.run_directory import RunDirectory, environment, finite_or_null
+from thermosplat.training.resuming import check_resumable, newest_checkpoint
 
 PARTS = ("whole", "peers", "step", "memory", "sample")
 SIZES, COUNTS = ("640x480", "1280x1024"), (100_000, 300_000, 1_000_000)
@@ -59,6 +60,7 @@ def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     parser.add_argument("--cores", type=int, default=2, help="of the CPU that the part sample may use")
     parser.add_argument("--warm-cache", action="store_true", help="the part sample: with the kernels compiled before")
     parser.add_argument("--warm-steps", type=int, default=2000, help="train so far before peers and steps are timed")
+    parser.add_argument("--run", default=None, help="take the Gaussians of this result folder of DATA instead")
     parser.add_argument("--window", type=int, default=None, help="steps a measurement (40 on CUDA, 3 on the CPU)")
     parser.add_argument("--rounds", type=int, default=None, help="measurements of each (9 on CUDA, 3 on the CPU)")
     parser.add_argument("--sizes", nargs="+", default=SIZES, help="WIDTHxHEIGHT of the random scenes")
@@ -141,7 +143,13 @@ class Benchmark:
 
     @functools.cached_property
     def checkpoint(self) -> dict[str, Any]:
-        """The state after the warm-up steps."""
+        """The state of ``--run``, or after the warm-up steps."""
+        if self.options.run is not None:
+            run = RunDirectory.open(self.options.run)
+            checkpoint = newest_checkpoint(run)
+            check_resumable(checkpoint, self.config, run)
+            self.report["densification"] = None
+            return checkpoint
         config = replace(self.config, budget="fixed")
         checkpoint, self.report["densification"] = warm_training(
             config, self.capture, self.options.warm_steps, self.frames
@@ -230,6 +238,9 @@ def print_row(row: dict[str, Any], kernels: int) -> None:
         if found["ms"] is not None:
             floor = f"{found['times_floor']:8.1f}x its floor" if "times_floor" in found else ""
             print(f"    {part:<20} {found['ms']:8.3f} ms {floor}", flush=True)
+    for part, found in row.get("alone", {}).items():
+        both = found["forward_ms"] + (found["backward_ms"] or 0.0)
+        print(f"    {part:<25} {both:8.3f} ms {found['times_floor']:8.1f}x its floor, alone", flush=True)
     for kernel in row.get("kernels", [])[:kernels]:
         times = f"{kernel['microseconds']:9.1f} µs {kernel['calls']:6.1f}"
         print(f"    {times}  {kernel['part']:<20} {kernel['name'][:90]}", flush=True)
@@ -256,7 +267,8 @@ def main(words: list[str] | None = None) -> int:
             benchmark.sample()
     report = benchmark.report
     runs = [*report.get("whole", []), report.get("sample", {})]
-    failed = any("error" in row and "time limit" not in row["error"] for row in runs)
+    failed = any("alone_error" in row for row in (*report.get("step", []), *report.get("sizes", [])))
+    failed |= any("error" in row and "time limit" not in row["error"] for row in runs)
     return int(failed or bool(report["errors"]))
 
 

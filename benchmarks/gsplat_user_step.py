@@ -1,4 +1,4 @@
-"""A training step as a user of gsplat would write it: the same model and losses, eager PyTorch around two of its calls."""
+"""A training step as a user of gsplat would write it: our model and losses in eager PyTorch, on two of its calls."""
 
 import copy
 import time
@@ -44,6 +44,11 @@ class GsplatUserStep:
                 frame.rgb, frame.thermal, sh_degree=self.config.sh_degree, aligned=frame.aligned
             )
             return frame_losses(rendered, frame, self.config.loss)
+
+    def loss_values(self) -> dict[str, float]:
+        """Loss terms of the first frame."""
+        with torch.no_grad():
+            return {name: float(loss) for name, loss in self.losses(self.frames[0]).items()}
 
     def run(self, count: int) -> float:
         """Does so many steps; seconds until the device has done them."""

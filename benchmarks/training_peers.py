@@ -160,7 +160,7 @@ def _add_gsplat(
     else:
         result["left_out"][TWICE] = f"its losses differ by {result['agreement']['largest']:.1e} from ours"
     user = GsplatUserStep(ours, swapped)
-    apart = _apart(_losses(ours)[0], {name: float(loss) for name, loss in user.losses(user.frames[0]).items()})
+    apart = _apart(_losses(ours)[0], user.loss_values())
     result["user_agreement"] = apart
     if max(apart.values()) <= USER_AGREEMENT:
         user.run(3)

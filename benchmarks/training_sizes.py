@@ -2,6 +2,7 @@
 
 import gc
 import tempfile
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import torch
 from device_peaks import DevicePeaks
 from frozen_training import Frames, frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians, warm_up
 from gpu_memory import peak_memory
+from parts_alone import parts_alone
 from step_floors import step_floors
 from step_parts import part_times, profiled_steps
 from timing import summary
@@ -43,6 +45,7 @@ def profiled_row(trainer: Trainer, name: str, peaks: DevicePeaks, window: int, r
         parts.setdefault(part, {"ms": None}).update(floor)
         if parts[part]["ms"] is not None:
             parts[part]["times_floor"] = parts[part]["ms"] / floor["floor_ms"]
+    alone, alone_error = _alone(trainer, peaks, rounds)
     times = summary(milliseconds)
     kernels_ms = sum(kernel["microseconds"] for kernel in kernels) / 1e3
     idle_ms = max(0.0, times["median_ms"] - kernels_ms) if trainer.device.type == "cuda" else None
@@ -56,9 +59,20 @@ def profiled_row(trainer: Trainer, name: str, peaks: DevicePeaks, window: int, r
         "host_gap_ms": idle_ms,
         "floor_ms": sum(floor["floor_ms"] for floor in floors.values()),
         "parts": parts,
+        "alone": alone,
+        **alone_error,
         **work,
         "kernels": kernels[:KERNELS],
     }
+
+
+def _alone(trainer: Trainer, peaks: DevicePeaks, repeats: int) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
+    """The parts that are timed alone; where that fails none and why, since the rest of the row counts more."""
+    try:
+        return parts_alone(trainer, peaks, repeats), {}
+    except Exception as error:
+        traceback.print_exc()
+        return {}, {"alone_error": f"{type(error).__name__}: {error}".splitlines()[0]}
 
 
 def capture_rows(

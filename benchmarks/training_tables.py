@@ -29,6 +29,7 @@ def markdown(report: dict[str, Any]) -> str:
         ("Steps per second on the same Gaussians", _peers(report.get("peers"))),
         ("A step [ms]", _steps(steps)),
         ("Where a step goes: ms (times its floor)", _parts(steps)),
+        ("Parts alone, forward + backward: ms (times the floor of both)", _alone(steps)),
         ("Densification", _densification(report.get("densification"))),
         ("Peak memory", _memory(report)),
         ("Not measured", _failures(report)),
@@ -135,6 +136,23 @@ def _part(found: Row | None) -> str:
     return f"{found['ms']:.3f}" + (f" ({found['times_floor']:.1f}x)" if "times_floor" in found else "")
 
 
+def _alone(rows: list[Row]) -> Iterator[str]:
+    names = list(dict.fromkeys(part for row in rows for part in row["alone"]))
+    body = [
+        [f"{row['name']} {row['size']}", *(_alone_part(row["alone"].get(name)) for name in names)]
+        for row in rows
+        if row["alone"]
+    ]
+    yield from _table(["scene", *names], body)
+
+
+def _alone_part(found: Row | None) -> str:
+    if found is None:
+        return "-"
+    backward = "" if found["backward_ms"] is None else f" + {found['backward_ms']:.3f}"
+    return f"{found['forward_ms']:.3f}{backward} ({found['times_floor']:.1f}x)"
+
+
 def _densification(found: Row | None) -> Iterator[str]:
     if found is not None:
         yield (
@@ -162,5 +180,8 @@ def _failures(report: dict[str, Any]) -> Iterator[str]:
         if "error" in row:
             yield f"- {row['kind']}, seed {row.get('seed', '-')}: {row['error'].splitlines()[-1]}"
     yield from (f"- {name}: {why}" for name, why in (report.get("peers") or {}).get("left_out", {}).items())
+    for row in (*report.get("step", []), *report.get("sizes", [])):
+        if "alone_error" in row:
+            yield f"- parts alone of {row['name']} {row['size']}: {row['alone_error']}"
     yield from (f"- {name}: {why}" for name, why in report["errors"].items())
     yield from (f"- {name}: the time limit" for name in report["stopped"])

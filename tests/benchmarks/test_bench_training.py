@@ -17,6 +17,7 @@ from reference_projection import spherical_harmonics
 from test_benchmarks import REPOSITORY, run_script
 from thermosplat import rasterization
 from thermosplat.config_files import load_config
+from thermosplat.training.gaussian_ops import prune
 
 PARTS = {"projection", "SH", "blending", "decoders", "image losses", "blending adjoint", "optimizer", "rest"}
 
@@ -64,6 +65,16 @@ def test_steps_have_parts_with_floors(report: dict[str, Any]) -> None:
         assert sum(part.get("floor_ms", 0) for part in row["parts"].values()) == pytest.approx(row["floor_ms"])
         for name, part in row["parts"].items():
             assert (part.get("floor_ms", 0) > 0) == (name != "rest")
+        terms = {
+            f"loss {term}" for term in ("rgb", "thermal", "features_rgb", "features_thermal", "thermal_smoothness")
+        }
+        assert set(row["alone"]) == terms | {"finite check", "densification bookkeeping"}
+        assert all(part["forward_ms"] > 0 and part["times_floor"] > 0 for part in row["alone"].values())
+    values = 48 * 36 * 3
+    floors = {name: part["floor_ms"] for name, part in report["sizes"][0]["alone"].items()}
+    assert floors["loss rgb"] == pytest.approx(1e3 * 20 * values / report["peaks"]["bytes_per_s"])
+    assert floors["loss features_thermal"] == pytest.approx(floors["loss rgb"] / 3)
+    assert floors["densification bookkeeping"] == pytest.approx(1e3 * 32 * 400 / report["peaks"]["bytes_per_s"])
     assert report["sizes"][0]["num_gaussians"] == 400
     assert report["memory"] is None
     assert report["errors"] == {}
@@ -71,7 +82,15 @@ def test_steps_have_parts_with_floors(report: dict[str, Any]) -> None:
 
 def test_tables_hold_what_was_measured(report: dict[str, Any]) -> None:
     """Every part that was measured is in the Markdown file."""
-    for title in ("Whole runs", "Steps per second", "Where a step goes", "random 400 48x36", "left", "µs"):
+    for title in (
+        "Whole runs",
+        "Steps per second",
+        "Where a step goes",
+        "Parts alone",
+        "random 400 48x36",
+        "left",
+        "µs",
+    ):
         assert title in report["tables"] + report["stdout"]
 
 
@@ -236,3 +255,27 @@ def test_the_sample_is_trained_on_the_cpu(tmp_path: Path) -> None:
     assert (row["cores"], row["cold"], row["steps"]) == (1, False, 2)
     assert min(row["psnr"].values()) > 5
     assert "on 1 cores, with the user's cache" in table.read_text()
+
+
+def test_steps_start_from_a_run(tmp_path: Path) -> None:
+    """With --run its Gaussians are taken, and a run of another model is refused."""
+    from bench_training import main
+    from frozen_training import quiet_trainer, run_steps
+
+    from thermosplat.datasets import load_capture
+
+    capture = load_capture("sample", data_factor=8)
+    trainer = quiet_trainer(replace(load_config("demo"), device="cpu", data_factor=8), capture, tmp_path / "run")
+    run_steps(trainer, 1)
+    chosen = torch.arange(trainer.model.num_gaussians) >= 2000
+    prune(trainer.model.gaussians("shared"), trainer.state.optimizers["shared"], chosen)
+    trainer.state.strategies["shared"].forget(2000)
+    trainer._save()
+    path = tmp_path / "report.json"
+    words = ["sample", "--device", "cpu", "--parts", "peers", "--window", "1", "--rounds", "1", "--json", str(path)]
+    words += ["--run", str(tmp_path / "run"), "--", "--data-factor", "8"]
+    trainer.run.write_config(trainer.config)
+    assert main(words) == 0
+    assert json.loads(path.read_text())["peers"]["num_gaussians"] == 2000
+    assert main([*words, "--sh-degree", "3"]) == 1
+    assert "sh_degree" in json.loads(path.read_text())["errors"]["peers"]
