@@ -27,7 +27,7 @@ def capture_with_truth(root: Path, kind: str = "scalar") -> Capture:
     depth_rgb = np.full((HEIGHT, WIDTH), 4.0, np.float32)
     depth_thermal = depth_rgb.copy()
     depth_thermal[LEFT] = 2.0
-    depth_thermal[MIDDLE] = 4.1  # less than 5% away: the same surface
+    depth_thermal[MIDDLE] = 4.03  # less than 1% away: the same surface
     depth_rgb[RIGHT] = depth_thermal[RIGHT] = 0.0
     (root / "ground_truth").mkdir()
     np.savez(root / "ground_truth" / "a.npz", depth_rgb=depth_rgb, depth_thermal=depth_thermal, label=label)
@@ -89,9 +89,24 @@ def test_every_region_is_judged_by_its_own_pixels(tmp_path: Path) -> None:
     assert regions["glass"]["rgb"]["depth_error_relative"] == pytest.approx(0.05)
     assert regions["surfaces differ"]["thermal"]["depth_error"] == pytest.approx(2.0)
     assert regions["surfaces differ"]["thermal"]["depth_error_relative"] == pytest.approx(1.0)
-    assert regions["plastic"]["thermal"]["depth_error"] == pytest.approx(0.1, abs=1e-6)
+    assert regions["plastic"]["thermal"]["depth_error"] == pytest.approx(0.03, abs=1e-6)
+    assert regions["glass"]["rgb"]["mae"] == pytest.approx(0.1, abs=1e-6)
+    assert regions["plastic"]["thermal"]["mae"] == pytest.approx(0.2, abs=1e-6)
     assert regions["unlabelled"]["rgb"]["depth_error"] is None
     assert regions["unlabelled"]["rgb"]["psnr"] is None
+
+
+def test_depth_is_on_the_right_surface(tmp_path: Path) -> None:
+    """Where RGB sees 4 and thermal 2, a depth of 2.5 is thermal's; what is empty is on neither."""
+    capture = capture_with_truth(tmp_path)
+    depth = torch.full((HEIGHT, WIDTH), 2.5)
+    empty = depth.clone()
+    empty[: HEIGHT // 2] = 0.0
+    regions = measured(FixedRender(*images(capture), {"rgb": depth, "thermal": empty}), capture)
+    assert regions["glass"]["rgb"]["on_own_surface"] == 0.0
+    assert regions["glass"]["thermal"]["on_own_surface"] == 0.5
+    assert regions["plastic"]["rgb"]["on_own_surface"] is None
+    assert regions["all"]["thermal"]["on_own_surface"] == 0.5
 
 
 def test_pixels_of_all_views_count_alike(tmp_path: Path) -> None:

@@ -47,6 +47,21 @@ def error_bytes(error: NDArray[np.floating], largest: float) -> Image8:
     return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_INFERNO)[..., ::-1])
 
 
+def depth_bytes(depth: NDArray[np.floating], nearest: float, farthest: float) -> Image8:
+    """A depth map in the Turbo palette, logarithmic: red is near, blue is far, black is nothing.
+
+    Args:
+        depth: Depths, 0 where nothing is, shape [H, W].
+        nearest: Depth at the palette's red end, > 0.
+        farthest: Depth at its blue end, > ``nearest``.
+    """
+    there = depth > 0
+    shares = np.log(farthest / np.where(there, depth, farthest)) / np.log(farthest / nearest)
+    levels = np.rint(np.clip(shares, 0.0, 1.0) * 255.0).astype(np.uint8)
+    colors = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[..., ::-1]
+    return np.where(there[..., None], colors, 0).astype(np.uint8)
+
+
 def write_png(path: Path, image: Image8) -> None:
     """Write an 8-bit RGB image as PNG; the file appears at once and whole.
 

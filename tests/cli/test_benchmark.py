@@ -68,7 +68,20 @@ def test_failed_cell_stops_no_other_and_time_runs_out(run: Run, tmp_path: Path) 
     """A broken scene before a good one: the good one is made. With no time at all nothing is begun, nothing lost."""
     (tmp_path / "empty").mkdir()
     out = tmp_path / "matrix"
-    words = [tmp_path / "empty", "sample", "--methods", "3dgs", "--max-steps", 2, "--data-factor", 4, "--out", out]
+    words = [
+        tmp_path / "empty",
+        "sample",
+        "--methods",
+        "3dgs",
+        "--max-steps",
+        2,
+        "--data-factor",
+        4,
+        "--set",
+        "3dgs:sh_degree=1",
+        "--out",
+        out,
+    ]
     code, printed = run(*words, "--devices", "cpu", "--time-limit", 0)
     assert code == 0
     assert "2 of 2 cells not begun" in printed
@@ -76,8 +89,11 @@ def test_failed_cell_stops_no_other_and_time_runs_out(run: Run, tmp_path: Path) 
     code, printed = run(*words, "--devices", "cpu")
     assert code == 2
     assert "1 of 2 cells failed: empty / 3dgs / seed 42" in printed
-    assert "sample / 3dgs / seed 42: finished" in printed
+    assert "empty / 3dgs / seed 42: failed (1 of 2)" in printed
+    assert "sample / 3dgs / seed 42: finished (2 of 2)" in printed
     assert "| rgb | PSNR | 3dgs |" in printed
+    (cell,) = json.loads((out / "results.json").read_text())["cells"]
+    assert (cell["scene"], cell["settings"]["sh_degree"]) == ("sample", 1)
     code, printed = run(*words[1:], "--out", tmp_path / "third", "--merge", out)
     assert code == 0
     assert "starts on" not in printed  # what was merged is finished
@@ -102,6 +118,9 @@ def test_failed_cell_is_named(run: Run, tmp_path: Path) -> None:
         (["sample", "--max-steps", "0"], "--max-steps must be at least 1"),
         (["sample", "--seeds", "1", "1"], "--seeds must be different"),
         (["sample", "--device", "cpu"], "--devices"),
+        (["sample", "--gpus", "2", "--devices", "cpu"], "Give one of the two"),
+        (["sample", "--methods", "mmone", "--set", "3dgs:sh_degree=1"], 'no cell of this matrix is called "3dgs"'),
+        (["sample", "--methods", "mmone", "--set", "sh_degre=1"], 'did you mean "sh_degree"'),
         (["--merge", "no/such/results"], "no no/such/results to merge"),
     ],
 )

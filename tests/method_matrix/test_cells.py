@@ -6,7 +6,16 @@ import pytest
 
 from thermosplat.config_files import load_config, preset_paths
 from thermosplat.errors import UserError
-from thermosplat.method_matrix.cells import Cell, Scene, cell_config, difference, parse_methods, parse_scenes, settings
+from thermosplat.method_matrix.cells import (
+    Cell,
+    Scene,
+    cell_config,
+    difference,
+    method_group,
+    parse_methods,
+    parse_scenes,
+    settings,
+)
 
 SAMPLE = Scene("sample", "sample")
 
@@ -45,6 +54,12 @@ def test_shorter_matrix_keeps_proportions() -> None:
     assert [config.max_steps for config in short.values()] == [300, 600]
     assert short["thermalgaussian_mftg"].schedule.thermal_from == 0.5
     assert cell_config("thermalgaussian_mftg", SAMPLE, 1).max_steps == 60_000
+
+
+def test_groups_of_methods() -> None:
+    """By the folder of the preset; a file of the user's is in none."""
+    assert [method_group(name) for name in ("mmone", "mlp_based", "mine")] == ["baselines", "ablations", ""]
+    assert method_group("thermosplat") not in ("baselines", "ablations")
 
 
 def test_held_out_views_are_left_to_the_end() -> None:

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.processes import Job, choose_devices, device_environment, run_jobs
@@ -90,6 +91,16 @@ def test_environment_of_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
     assert device_environment("cpu")["CUDA_VISIBLE_DEVICES"] == ""
 
 
+def test_processes_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each process of several has its part of them, or what the user says."""
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    assert "OMP_NUM_THREADS" not in device_environment("cuda:0")
+    assert device_environment("cuda:0", sharing=4)["OMP_NUM_THREADS"] == "16"
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert device_environment("cuda:0", sharing=4)["OMP_NUM_THREADS"] == "3"
+
+
 def test_devices_of_a_command_line() -> None:
     """The CPU by name; twice the same, or one that is not there, is a user's error."""
     assert choose_devices(["cpu"]) == ["cpu"]
@@ -98,3 +109,14 @@ def test_devices_of_a_command_line() -> None:
         choose_devices(["cpu", "cpu"])
     with pytest.raises(UserError, match="cuda:99"):
         choose_devices(["cuda:99"])
+
+
+def test_a_number_of_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first ones; more than there are, or names beside it, is a user's error."""
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 4)
+    assert choose_devices([], gpus=2) == ["cuda:0", "cuda:1"]
+    assert choose_devices([]) == [f"cuda:{index}" for index in range(4)]
+    with pytest.raises(UserError, match="--gpus 5, but this process sees 4"):
+        choose_devices([], gpus=5)
+    with pytest.raises(UserError, match="--devices names them"):
+        choose_devices(["cpu"], gpus=1)

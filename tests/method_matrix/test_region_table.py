@@ -14,7 +14,7 @@ from thermosplat.method_matrix.tables import Table
 
 def numbers(psnr: float, *, celsius: float | None = 0.5) -> dict[str, Any]:
     """A region's numbers."""
-    depth = {"depth_error": 0.25, "depth_error_relative": 0.125}
+    depth = {"depth_error": 0.25, "depth_error_relative": 0.125, "on_own_surface": 0.5}
     return {
         "pixels": 9,
         "rgb": {"psnr": psnr, **depth},
@@ -47,9 +47,9 @@ def test_rows_are_methods_in_regions() -> None:
         ("glass", "mean", "3dgs"),
         ("poster", "desk", "3dgs"),
     ]
-    assert by_row["glass", "mean", "3dgs"] == ("21.00", "31.00", "0.500", "0.2500", "12.50%", "0.2500", "12.50%")
+    assert by_row["glass", "mean", "3dgs"] == ("21.00", "31.00", "0.500", *("0.2500", "12.50%") * 2, "50.0%", "50.0%")
     assert by_row["glass", "lab", "mmone"][2] == "-"
-    assert len(table.columns) == 3 + 7
+    assert len(table.columns) == 3 + 9
 
 
 def test_seeds_and_spectra_that_were_not_modelled() -> None:
@@ -61,7 +61,7 @@ def test_seeds_and_spectra_that_were_not_modelled() -> None:
         made_cell("lab", "rgb", regions={"all": rgb_only}),
     )
     assert table.rows[0][3] == "20.50 ± 0.71"
-    assert table.rows[1][3:] == ("20.00", "-", "-", "0.2500", "12.50%", "-", "-")
+    assert table.rows[1][3:] == ("20.00", "-", "-", "0.2500", "12.50%", "-", "-", "50.0%", "-")
 
 
 def test_report_has_a_table_of_its_own(tmp_path: Path) -> None:

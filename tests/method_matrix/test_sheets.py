@@ -1,5 +1,6 @@
 """Comparison sheets from the pictures that cells keep."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,8 @@ from thermosplat.model import SceneModel
 from toy_scene import toy_capture, toy_config, toy_model
 
 
-def toy_panels(folder: Path, **config: bool) -> SceneModel:
-    capture = toy_capture()
+def toy_panels(folder: Path, root: Path = Path("toy"), **config: bool) -> SceneModel:
+    capture = dataclasses.replace(toy_capture(), root=root)
     model = toy_model(toy_config(**config), capture)
     held_out = type(capture)(**{**capture.__dict__, "test": capture.train})
     write_panels(folder, model, held_out, sh_degree=1, device="cpu")
@@ -47,11 +48,38 @@ def test_sheet_has_a_row_a_method(tmp_path: Path) -> None:
     sheet = read_png(written[0])
     assert sheet is not None
     panel_height = 20 + round(18 * PANEL_WIDTH / 24)
-    assert sheet.shape == (3 * panel_height + 2 * 4, 4 * PANEL_WIDTH + 3 * 4, 3)
+    assert sheet.shape == (20 + 3 * (panel_height + 4), 4 * PANEL_WIDTH + 3 * 4, 3)
     last_row = sheet[-panel_height:]
     shows = columns_that_show_something(last_row)
     assert shows[:PANEL_WIDTH].any()
     assert not shows[2 * PANEL_WIDTH + 8 :].any()
+
+
+def test_depth_stands_beside_the_images_where_the_true_one_is_known(tmp_path: Path) -> None:
+    """Three pictures a modality: true depths in the first row, the rendered ones in those of the methods."""
+    depth = np.full((18, 24), 4.0, np.float32)
+    depth[:, :4] = 0.0  # sky
+    (tmp_path / "capture" / "ground_truth").mkdir(parents=True)
+    nearer = np.where(depth > 0, 2.0, 0.0).astype(np.float32)
+    truth = {"depth_rgb": depth, "depth_thermal": nearer, "label": np.zeros((18, 24), np.uint8)}
+    np.savez(tmp_path / "capture" / "ground_truth" / "a.npz", **truth)
+    toy_panels(tmp_path / "full", root=tmp_path / "capture")
+    panels = read_panels(tmp_path / "full")
+    rgb, thermal = panels["a", "rgb"], panels["a", "thermal"]
+    assert rgb.depth_range == "2 to 4"
+    assert rgb.true_depth is not None
+    assert thermal.true_depth is not None
+    assert not rgb.true_depth[:, :4].any()
+    blue, red = rgb.true_depth[0, -1].astype(int), thermal.true_depth[0, -1].astype(int)
+    assert blue[2] > blue[0]
+    assert red[0] > red[2]
+    assert rgb.depth is not None
+    assert thermal.depth is not None
+    assert not np.array_equal(rgb.depth, thermal.depth)
+    (written,) = write_sheets(tmp_path, "lab", {"full": tmp_path / "full"})
+    sheet = read_png(written)
+    assert sheet is not None
+    assert sheet.shape[1] == 6 * PANEL_WIDTH + 5 * 4
 
 
 def test_first_middle_and_last_frame_are_shown() -> None:

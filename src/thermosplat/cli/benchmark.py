@@ -14,6 +14,7 @@ from thermosplat.cli.errors import run_command
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
 from thermosplat.method_matrix.matrix import Matrix
+from thermosplat.method_matrix.overrides import parse_overrides
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class BenchmarkArguments:
     Examples:
       thermosplat-benchmark data/Dimsum data/Truck --out results/matrix
       thermosplat-benchmark sample --methods 3dgs thermosplat --max-steps 500 --out results/quick
+      thermosplat-benchmark data/Truck --set 3dgs:densification.max_gaussians=200000 --time-limit 3000
       thermosplat-benchmark --out results/matrix --merge from_another_machine
     """
 
@@ -41,10 +43,15 @@ class BenchmarkArguments:
     """Seeds; with several, tables show mean ± standard deviation."""
     devices: tuple[str, ...] = ()
     """"cpu", "cuda:0", "cuda:1", ...: a process on each. None given: all CUDA devices, or the CPU without any."""
+    gpus: int | None = None
+    """Use so many CUDA devices, a process on each, in place of all."""
     data_factor: int = 1
     """Divide the images' width and height by this."""
     max_gaussians: int | None = None
-    """Growth of every set of Gaussians stops at this count. None: as each method has it."""
+    """Growth of every set of Gaussians stops at this count (some methods have two). None: as each method has it."""
+    overrides: Annotated[tuple[str, ...], tyro.conf.arg(name="set", metavar="[CELLS:]FIELD=VALUE")] = ()
+    """Settings other than the presets', of every cell or of a method, a scene or scene/method:
+    3dgs:densification.max_gaussians=200000."""
     time_limit: float | None = None
     """Seconds after which no further cell starts; those in work are finished. The same command then goes on."""
     save_every: int = 5000
@@ -54,7 +61,7 @@ class BenchmarkArguments:
     lpips_weights: str | None = None
     """Folder or file with LPIPS backbone weights, as for thermosplat-train."""
     merge: tuple[str, ...] = ()
-    """Cells made elsewhere to add to the tables: --out folders, run folders, or results.json files."""
+    """Cells made elsewhere: --out folders, run folders, or results.json files. They count as finished."""
     debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Show the traceback of an error."""
 
@@ -83,22 +90,24 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
         raise UserError("No scene given.", "Name captures: thermosplat-benchmark data/Dimsum data/Truck --out FOLDER.")
     finished = Results.collect(matrix.out, merged).cells
     cells, missing = matrix.cells(), matrix.missing(finished)
-    devices = choose_devices(arguments.devices) if missing else []
+    devices = choose_devices(arguments.devices, arguments.gpus) if missing else []
     if len(devices) > 1:  # one device takes as long in any order, and scene by scene its tables are complete earlier
         missing = matrix.longest_first(missing, finished)
     jobs = [matrix.job(cell) for cell in missing]
     failed: list[str] = []
     left: list[Job] = []
+    ended = len(cells) - len(jobs)
 
     def started(job: Job, device: str) -> None:
         print(f"{job.title}: starts on {device}, log in {job.log}", flush=True)
 
     def done(job: Job, device: str, code: int) -> None:
+        nonlocal ended
+        ended += 1
         if code:
             failed.append(f"{job.title} (exit code {code}, log in {job.log})")
-            print(f"{job.title}: failed", flush=True)
-        else:
-            print(f"{job.title}: finished", flush=True)
+        print(f"{job.title}: {'failed' if code else 'finished'} ({ended} of {len(cells)})", flush=True)
+        if not code:
             try:
                 write_report(matrix.out, merged)  # at once: the machine may go before the matrix is complete
             except UserError as error:  # said again at the end; the other cells go on
@@ -126,27 +135,24 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
 
 
 def _matrix(arguments: BenchmarkArguments) -> Matrix:
-    for name, least in (
-        ("max_steps", 1),
-        ("data_factor", 1),
-        ("save_every", 0),
-        ("max_gaussians", 1),
-        ("time_limit", 0),
-    ):
+    at_least = {"max_steps": 1, "data_factor": 1, "save_every": 0, "max_gaussians": 1, "gpus": 1, "time_limit": 0}
+    for name, least in at_least.items():
         value = getattr(arguments, name)
         if value is not None and value < least:
             raise UserError(f"--{name.replace('_', '-')} must be at least {least}, found {value}.")
     if not arguments.seeds or min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds):
         raise UserError(f"--seeds must be different whole numbers from 0 on, found {list(arguments.seeds)}.")
+    scenes, methods = parse_scenes(arguments.scenes), parse_methods(arguments.methods)
     return Matrix(
         out=Path(arguments.out),
-        scenes=parse_scenes(arguments.scenes),
-        methods=parse_methods(arguments.methods),
+        scenes=scenes,
+        methods=methods,
         seeds=arguments.seeds,
         max_steps=arguments.max_steps,
         save_every=arguments.save_every,
         data_factor=arguments.data_factor,
         max_gaussians=arguments.max_gaussians,
+        overrides=parse_overrides(arguments.overrides, [scene.name for scene in scenes], methods),
         lpips_weights=arguments.lpips_weights,
         keep_checkpoints=arguments.keep_checkpoints,
     )

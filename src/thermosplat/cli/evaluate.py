@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from thermosplat.cli.loaded_run import LoadedRun
     from thermosplat.labelled_regions import Regions
 
+_LABELS = {"rgb": "RGB", "thermal": "thermal"}
+_REGION_COLUMNS = (
+    *(("pixels", "", ""), (r"PSNR \[dB]", "psnr", ".2f"), ("MAE", "mae", ".4f"), ("MAE [°C]", "mae_celsius", ".2f")),
+    *(("depth", "depth_error", ".3f"), ("of it", "depth_error_relative", ".1%"), ("on own", "on_own_surface", ".0%")),
+)
+"""Heading, measure and form."""
+
 
 @dataclass(frozen=True)
 class EvalArguments(RunOnCaptureArguments):
@@ -78,7 +85,7 @@ def _print_metrics(console: Any, loaded: "LoadedRun", metrics: dict[str, Any]) -
 
     title = f"step {loaded.step:,}, {metrics['num_gaussians']:,} Gaussians"
     table = Table("held-out views", r"PSNR \[dB]", "SSIM", "LPIPS", "MAE [°C]", title=title, title_justify="left")
-    for modality, label in (("rgb", "RGB"), ("thermal", "thermal")):
+    for modality, label in _LABELS.items():
         numbers = metrics[modality]
         if numbers is not None:
             columns = (("psnr", ".2f"), ("ssim", ".4f"), ("lpips", ".4f"), ("mae_celsius", ".2f"))
@@ -87,16 +94,22 @@ def _print_metrics(console: Any, loaded: "LoadedRun", metrics: dict[str, Any]) -
 
 
 def _print_regions(console: Any, regions: "Regions") -> None:
+    from rich import box
     from rich.table import Table
 
-    from thermosplat.labelled_regions import COLUMNS
-
-    headings = [column.heading.replace("[", r"\[") for column in COLUMNS]
-    table = Table("region", "pixels", *headings, title="held-out views by region", title_justify="left")
-    for name, numbers in regions.items():
-        values = [column.value(numbers) for column in COLUMNS]
-        texts = ["-" if value is None else column.form.format(value) for column, value in zip(COLUMNS, values)]
-        table.add_row(name, f"{numbers['pixels']:,}", *texts)
+    title = "held-out views by region; depth errors are medians"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column("region", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for heading, _, _ in _REGION_COLUMNS:
+        table.add_column(heading, justify="right")
+    for region, numbers in regions.items():
+        shown, pixels = region, f"{numbers['pixels']:,}"
+        for modality, of_modality in ((name, numbers[name]) for name in ("rgb", "thermal")):
+            if of_modality is not None:
+                texts = [_cell(of_modality.get(measure), form) for _, measure, form in _REGION_COLUMNS[1:]]
+                table.add_row(shown, _LABELS[modality], pixels, *texts)
+                shown = pixels = ""
     console.print(table)
 
 

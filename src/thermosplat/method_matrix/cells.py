@@ -94,6 +94,12 @@ def parse_methods(words: Iterable[str]) -> dict[str, str]:
     return methods
 
 
+def method_group(method: str) -> str:
+    """The folder of presets that a method comes from: "baselines", "ablations", or something else."""
+    path = preset_paths().get(method)
+    return "" if path is None else path.parent.name
+
+
 def cell_config(
     preset: str, scene: Scene, seed: int, *, max_steps: int | None = None, save_every: int = 0, **changes: Any
 ) -> TrainConfig:

@@ -11,6 +11,7 @@ from thermosplat.config_files import to_yaml
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cell_result import CellResult, write_text
 from thermosplat.method_matrix.cells import Cell, Scene, cell_config, difference, settings
+from thermosplat.method_matrix.overrides import Override
 from thermosplat.method_matrix.processes import Job, python_command
 
 CONFIG_FILE = "cell.yaml"
@@ -38,6 +39,8 @@ class Matrix:
     """Divide the images' width and height by this."""
     max_gaussians: int | None = None
     """Growth of every set stops at this count."""
+    overrides: Sequence[Override] = ()
+    """Settings that differ from the presets."""
     lpips_weights: str | None = None
     """Backbone weights of LPIPS."""
     keep_checkpoints: bool = True
@@ -50,8 +53,12 @@ class Matrix:
         ]
 
     def config(self, cell: Cell) -> TrainConfig:
-        """The configuration of a cell."""
-        return cell_config(
+        """The configuration of a cell.
+
+        Raises:
+            UserError: An override does not fit it.
+        """
+        config = cell_config(
             self.methods[cell.method],
             next(scene for scene in self.scenes if scene.name == cell.scene),
             cell.seed,
@@ -61,6 +68,10 @@ class Matrix:
             data_factor=self.data_factor,
             lpips_weights=self.lpips_weights,
         )
+        for override in self.overrides:
+            if override.concerns(cell):
+                config = override.applied(config)
+        return config
 
     def missing(self, finished: Mapping[Cell, CellResult]) -> list[Cell]:
         """The cells that are not finished.

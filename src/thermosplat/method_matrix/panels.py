@@ -1,16 +1,22 @@
-"""The pictures that a cell keeps for the comparison sheets: truth, render and error of a few held-out frames."""
+"""The pictures that a cell keeps for the comparison sheets: truth, render and error of a few held-out frames.
+
+Where the capture brings ground truth, also the true and the rendered depth of each modality.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from thermosplat.datasets.capture import Capture, Frame, Modality
+from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
+from thermosplat.datasets.ground_truth import GroundTruth, read_ground_truth
 from thermosplat.errors import UserError
 from thermosplat.evaluation import file_stem, frame_comparisons
-from thermosplat.image_display import Image8, error_bytes, read_png, write_png
+from thermosplat.image_display import Image8, depth_bytes, error_bytes, read_png, write_png
 from thermosplat.method_matrix.cell_result import read_json, write_json
 from thermosplat.model import SceneModel
 
@@ -34,6 +40,12 @@ class Panels:
     """The render's number, e.g. "24.31 dB"."""
     palette_end: str
     """What the bright end of the error map stands for."""
+    true_depth: Image8 | None = None
+    """Depth of the surface that the modality sees; None without ground truth."""
+    depth: Image8 | None = None
+    """Rendered depth."""
+    depth_range: str = ""
+    """What the ends of the depths' palette stand for, e.g. "0.8 to 4.4"."""
 
 
 def shown_frames(frames: Sequence[Frame]) -> list[Frame]:
@@ -43,6 +55,7 @@ def shown_frames(frames: Sequence[Frame]) -> list[Frame]:
     return [frames[round(index * (len(frames) - 1) / (FRAMES - 1))] for index in range(FRAMES)]
 
 
+@torch.no_grad()
 def write_panels(
     folder: Path, model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device | str
 ) -> None:
@@ -57,6 +70,7 @@ def write_panels(
     """
     index: list[dict[str, Any]] = []
     for frame in shown_frames(capture.test):
+        truth = read_ground_truth(capture, frame)
         comparisons = frame_comparisons(model, frame, capture.thermal_scale, sh_degree=sh_degree, device=device)
         for modality, comparison in comparisons.items():
             stem = f"{file_stem(frame.name)}_{modality}"
@@ -65,9 +79,16 @@ def write_panels(
             error = error_bytes(comparison.error, comparison.largest_error)
             write_png(folder / FOLDER / f"{stem}_error.png", error)
             end = f"{comparison.largest_error:.2g} {comparison.unit}".rstrip()
-            index.append(
-                {"frame": frame.name, "modality": modality, "score": comparison.score, "palette_end": end, "stem": stem}
-            )
+            entry = {
+                **{"frame": frame.name, "modality": modality, "score": comparison.score, "palette_end": end},
+                **{"stem": stem, "depth_range": ""},
+            }
+            if truth is not None and (span := _depth_span(truth)) is not None:
+                depth = model.render_depth(modality, _view(frame, modality, capture, device)).cpu().numpy()
+                write_png(folder / FOLDER / f"{stem}_true_depth.png", depth_bytes(truth.depths[modality], *span))
+                write_png(folder / FOLDER / f"{stem}_depth.png", depth_bytes(depth, *span))
+                entry["depth_range"] = f"{span[0]:.2g} to {span[1]:.2g}"
+            index.append(entry)
     write_json(folder / FOLDER / INDEX, {"panels": index})
 
 
@@ -90,7 +111,27 @@ def read_panels(folder: Path) -> dict[tuple[str, Modality], Panels]:
         )
         key = entry["frame"], entry["modality"]
         panels[key] = Panels(truth, render, error, entry["score"], entry["palette_end"])
+        if entry.get("depth_range"):
+            panels[key] = replace(
+                panels[key],
+                true_depth=_read(folder / FOLDER / f"{entry['stem']}_true_depth.png"),
+                depth=_read(folder / FOLDER / f"{entry['stem']}_depth.png"),
+                depth_range=entry["depth_range"],
+            )
     return panels
+
+
+def _depth_span(truth: GroundTruth) -> tuple[float, float] | None:
+    """Nearest and farthest true depth of both modalities; None where nothing, or only a single depth, is seen."""
+    depths = np.concatenate([depth[depth > 0] for depth in truth.depths.values()])
+    return (float(depths.min()), float(depths.max())) if depths.size and depths.min() < depths.max() else None
+
+
+def _view(frame: Frame, modality: Modality, capture: Capture, device: torch.device | str) -> ViewTensors:
+    view = frame.rgb if modality == "rgb" else frame.thermal
+    if view is None:
+        raise ValueError(f"Frame {frame.name} has no {modality} view.")
+    return view_tensors(view, capture.thermal_scale if modality == "thermal" else None, device)
 
 
 def _read(path: Path) -> Image8:

@@ -22,6 +22,9 @@ METHODS = (
 )
 """Presets in the order of the paper's tables."""
 
+FULL_METHOD = "thermosplat"
+"""The paper's own method, which its ablations are compared with."""
+
 
 class PaperMeans(NamedTuple):
     """PSNR [dB], SSIM and LPIPS, means over the ten scenes."""

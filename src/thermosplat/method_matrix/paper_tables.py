@@ -6,10 +6,10 @@ for a method that has them all.
 
 from collections.abc import Callable, Sequence
 
-from thermosplat.config_files import preset_paths
 from thermosplat.datasets.capture import Modality
 from thermosplat.method_matrix.cell_result import CellResult
-from thermosplat.method_matrix.paper_numbers import paper_mean, paper_scene, paper_value
+from thermosplat.method_matrix.cells import method_group
+from thermosplat.method_matrix.paper_numbers import FULL_METHOD, paper_mean, paper_scene, paper_value
 from thermosplat.method_matrix.results import Results
 from thermosplat.method_matrix.table_entries import entry, known, means_over_scenes
 from thermosplat.method_matrix.tables import Table
@@ -17,7 +17,6 @@ from thermosplat.method_matrix.tables import Table
 MODALITIES: tuple[Modality, ...] = ("rgb", "thermal")
 METRICS = {"psnr": ("PSNR", "{:.2f}"), "ssim": ("SSIM", "{:.3f}"), "lpips": ("LPIPS", "{:.3f}")}
 CELSIUS = {"mae_celsius": ("MAE [°C]", "{:.3f}")}
-FULL_METHOD = "thermosplat"
 
 
 def all_tables(results: Results) -> list[Table]:
@@ -26,7 +25,7 @@ def all_tables(results: Results) -> list[Table]:
     Args:
         results: The finished cells, at least one.
     """
-    ablations = [method for method in results.methods() if is_ablation(method)]
+    ablations = [method for method in results.methods() if method_group(method) == "ablations"]
     tables = [quality_table(results)]
     if ablations:
         methods = [method for method in (*ablations, FULL_METHOD) if method in results.methods()]
@@ -34,21 +33,15 @@ def all_tables(results: Results) -> list[Table]:
     return [*tables, cost_table(results)]
 
 
-def is_ablation(method: str) -> bool:
-    """Whether a method is one of the presets in configs/ablations."""
-    path = preset_paths().get(method)
-    return path is not None and path.parent.name == "ablations"
-
-
 def quality_table(results: Results) -> Table:
     """Methods on scenes: PSNR, SSIM, LPIPS of both modalities, thermal error in °C: the paper's table 1."""
     scenes = results.scenes()
-    methods = [method for method in results.methods() if not is_ablation(method)] or results.methods()
+    methods = [method for method in results.methods() if method_group(method) != "ablations"] or results.methods()
     rows: list[tuple[str, ...]] = []
     for modality in MODALITIES:
         for metric, (label, form) in (METRICS | (CELSIUS if modality == "thermal" else {})).items():
             for method in methods:
-                ours = [_values(results, scene, method, modality, metric) for scene in scenes]
+                ours = [metric_values(results, scene, method, modality, metric) for scene in scenes]
                 if any(ours):
                     entries = [entry(values, form) for values in ours]
                     rows.append((modality, label, method, *entries, entry(means_over_scenes(ours), form)))
@@ -67,7 +60,7 @@ def ablation_table(results: Results, methods: Sequence[str]) -> Table:
     rows: list[tuple[str, ...]] = []
     for method in methods:
         ours = [
-            means_over_scenes([_values(results, s, method, modality, metric) for s in scenes])
+            means_over_scenes([metric_values(results, s, method, modality, metric) for s in scenes])
             for modality, metric in columns
         ]
         rows.append((method, *(entry(values, METRICS[metric][1]) for values, (_, metric) in zip(ours, columns))))
@@ -101,7 +94,7 @@ def cost_table(results: Results) -> Table:
     return Table("cost", title, ("scene", "method", *columns, "device"), tuple(rows), labels=2)
 
 
-def _values(results: Results, scene: str, method: str, modality: Modality, metric: str) -> list[float]:
+def metric_values(results: Results, scene: str, method: str, modality: Modality, metric: str) -> list[float]:
     """A metric of every seed that has it."""
     cells = results.of(scene, method)
     return known((getattr(cell, modality) or {}).get(metric) for cell in cells)

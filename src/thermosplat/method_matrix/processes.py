@@ -38,18 +38,26 @@ class _Running:
     process: "subprocess.Popen[bytes]"
 
 
-def choose_devices(asked: Sequence[str]) -> list[str]:
+def choose_devices(asked: Sequence[str], gpus: int | None = None) -> list[str]:
     """The devices of a command line.
 
     Args:
         asked: "cpu", "cuda" or "cuda:<index>"; none: every CUDA device, or the CPU where there is none.
+        gpus: So many CUDA devices in place of every one.
 
     Raises:
         UserError: A device that is not there, or is named twice.
     """
+    if asked and gpus is not None:
+        raise UserError("--gpus counts devices and --devices names them.", "Give one of the two.")
     if not asked:
         import torch
 
+        if gpus is not None:
+            seen = torch.cuda.device_count()
+            if not 1 <= gpus <= seen:
+                raise UserError(f"--gpus {gpus}, but this process sees {seen} CUDA devices.", "Or leave --gpus out.")
+            return [f"cuda:{index}" for index in range(gpus)]
         return [f"cuda:{index}" for index in range(torch.cuda.device_count())] or ["cpu"]
     from thermosplat.devices import choose_device
 
@@ -92,7 +100,7 @@ def run_jobs(
                 for device in devices:
                     if device not in running and waiting:
                         job = waiting.pop(0)
-                        running[device] = _start(job, device)
+                        running[device] = _start(job, device_environment(device, sharing=len(devices)))
                         started(job, device)
                 time.sleep(POLL_SECONDS)
                 for device, current in list(running.items()):
@@ -109,13 +117,17 @@ def run_jobs(
     return left
 
 
-def device_environment(device: str) -> dict[str, str]:
+def device_environment(device: str, *, sharing: int = 1) -> dict[str, str]:
     """Environment in which the given device is the only one.
 
     Args:
         device: "cpu" or "cuda:<index>"; the index counts among the devices that this process sees.
+        sharing: How many processes run at a time; they get a share of the CPU's cores each, unless OMP_NUM_THREADS
+            says otherwise.
     """
     environment = dict(os.environ)
+    if sharing > 1:
+        environment.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // sharing)))
     if device == "cpu":
         environment["CUDA_VISIBLE_DEVICES"] = ""
     else:
@@ -130,7 +142,7 @@ def python_command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-m", module, *arguments]
 
 
-def _start(job: Job, device: str) -> _Running:
+def _start(job: Job, environment: dict[str, str]) -> _Running:
     job.log.parent.mkdir(parents=True, exist_ok=True)
     with job.log.open("ab") as log:
         process = subprocess.Popen(
@@ -138,7 +150,7 @@ def _start(job: Job, device: str) -> _Running:
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env=device_environment(device),
+            env=environment,
             start_new_session=True,  # Ctrl-C reaches it once, from here
         )
     return _Running(job, process)

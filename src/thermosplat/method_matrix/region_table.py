@@ -32,8 +32,9 @@ def region_table(results: Results) -> Table | None:
     if not rows:
         return None
     title = (
-        "Held-out views by region. PSNR and MAE over all its pixels; depth errors are medians over them, "
-        "in the scene's unit and relative to the true depth."
+        "Held-out views by region. PSNR and MAE over all its pixels; depth errors are medians over them, in the "
+        "scene's unit and relative to the true depth. On own surface: share of the pixels whose depth is nearer to "
+        "what the spectrum sees than to what the other one sees, where the two differ."
     )
     headings = [column.heading for column in COLUMNS]
     return Table("regions", title, ("region", "scene", "method", *headings), tuple(rows), labels=3)

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from thermosplat.errors import UserError
+from thermosplat.method_matrix.margins_table import margins_table
 from thermosplat.method_matrix.paper_tables import all_tables
 from thermosplat.method_matrix.region_table import region_table
 from thermosplat.method_matrix.results import Results
@@ -30,7 +31,8 @@ def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:
         message = f"{out} has no finished cell yet."
         raise UserError(message, "Name scenes to train: thermosplat-benchmark SCENES --out FOLDER.")
     results.write(out)
-    tables = all_tables(results)
+    margins = margins_table(results)
+    tables = [*all_tables(results), *([margins] if margins.rows else [])]
     write_tables(out, tables)
     regions = region_table(results)
     if regions is not None:

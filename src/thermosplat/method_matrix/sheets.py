@@ -1,4 +1,4 @@
-"""Comparison sheets: a picture a frame, a row a method, both modalities with their error maps."""
+"""Comparison sheets: a picture a frame, a row a method, both modalities with their error maps, and depths if known."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from thermosplat.image_display import Image8, write_png
 from thermosplat.method_matrix.panels import Panels, read_panels
 
 PANEL_WIDTH = 320  # [px]
-MODALITIES: tuple[Modality, ...] = ("rgb", "thermal")
+LABELS: dict[Modality, str] = {"rgb": "RGB", "thermal": "thermal"}
 
 
 def write_sheets(out: Path, scene: str, cells: Mapping[str, Path]) -> list[Path]:
@@ -31,30 +31,36 @@ def write_sheets(out: Path, scene: str, cells: Mapping[str, Path]) -> list[Path]
     written = []
     for frame in frames:
         rows = {
-            method: {modality: of_method.get((frame, modality)) for modality in MODALITIES}
+            method: {modality: of_method.get((frame, modality)) for modality in LABELS}
             for method, of_method in panels.items()
         }
         shown = {method: row for method, row in rows.items() if any(row.values())}
         path = out / "sheets" / f"{scene}_{file_stem(frame)}.png"
-        write_png(path, sheet(shown))
+        write_png(path, sheet(shown, f"{scene}, {frame}"))
         written.append(path)
     return written
 
 
-def sheet(rows: Mapping[str, Mapping[Modality, Panels | None]]) -> Image8:
+def sheet(rows: Mapping[str, Mapping[Modality, Panels | None]], title: str = "") -> Image8:
     """The picture of one frame.
 
     Args:
         rows: Pictures by method and modality, at least one; None where a method has no such modality.
+        title: What the sheet shows; stands above it.
 
     Returns:
-        8-bit RGB. First row: ground truth of both modalities; then a row a method: render and error of each.
+        8-bit RGB. First row: ground truth of both modalities; then a row a method: render and error of each, and its
+        depth where the true one is known.
     """
-    first = {modality: _first(rows, modality) for modality in MODALITIES}
+    first = {modality: _first(rows, modality) for modality in LABELS}
     lines = [[_truth(panels, modality) for modality, panels in first.items() if panels is not None]]
     for method, row in rows.items():
-        lines.append([_pair(method, row[modality], panels) for modality, panels in first.items() if panels is not None])
-    return _stacked([_beside(line) for line in lines])
+        lines.append(
+            [_group(method, row[modality], panels) for modality, panels in first.items() if panels is not None]
+        )
+    pictures = [_beside(line) for line in lines]
+    header = titled(title, np.zeros((1, 1, 3), np.uint8), pictures[0].shape[1])[:HEADER_HEIGHT]
+    return _stacked([header, *pictures])
 
 
 def _first(rows: Mapping[str, Mapping[Modality, Panels | None]], modality: Modality) -> Panels | None:
@@ -62,18 +68,27 @@ def _first(rows: Mapping[str, Mapping[Modality, Panels | None]], modality: Modal
 
 
 def _truth(panels: Panels, modality: Modality) -> Image8:
-    left = titled(f"{modality} ground truth", panels.truth, PANEL_WIDTH)
-    return _beside([left, np.zeros_like(left)])
+    image = titled(f"{LABELS[modality]} ground truth", panels.truth, PANEL_WIDTH)
+    if panels.true_depth is None:
+        return _beside([image, np.zeros_like(image)])
+    depth = titled(f"true depth {panels.depth_range}", panels.true_depth, PANEL_WIDTH)
+    return _beside([image, np.zeros_like(image), depth])
 
 
-def _pair(method: str, panels: Panels | None, like: Panels) -> Image8:
-    """Render and error of a method; black where it has none, of the size of ``like``."""
+def _group(method: str, panels: Panels | None, like: Panels) -> Image8:
+    """Render, error and depth of a method; black where it has none, of the size of ``like``."""
     if panels is None:
         height = HEADER_HEIGHT + max(1, round(like.truth.shape[0] * PANEL_WIDTH / like.truth.shape[1]))
-        return np.zeros((height, 2 * PANEL_WIDTH + GAP, 3), np.uint8)
-    render = titled(f"{method} {panels.score}", panels.render, PANEL_WIDTH)
-    error = titled("error 0", panels.error, PANEL_WIDTH, palette_end=panels.palette_end)
-    return _beside([render, error])
+        count = 2 if like.depth is None else 3
+        return np.zeros((height, count * PANEL_WIDTH + (count - 1) * GAP, 3), np.uint8)
+    images = [
+        titled(f"{method} {panels.score}", panels.render, PANEL_WIDTH),
+        titled("error 0", panels.error, PANEL_WIDTH, palette_end=panels.palette_end),
+    ]
+    if like.depth is not None:
+        depth = np.zeros_like(panels.render) if panels.depth is None else panels.depth
+        images.append(titled("depth", depth, PANEL_WIDTH))
+    return _beside(images)
 
 
 def _beside(images: Sequence[Image8]) -> Image8:

@@ -85,7 +85,7 @@ def prune_sets(
 
 @torch.enable_grad()
 def _weights_of_both(model: SceneModel, view: ViewTensors, signs: torch.Generator | None) -> Tensor:
-    """Summed weights at α and at α_t, shape [2, N], by one traversal."""
+    """Summed weights at α and at α_t, shape [2, N], by one traversal; deterministic, for they decide who goes."""
     gaussians = model.gaussians("shared")
     # as many channels as training blends, so that its compiled kernels serve
     colors, features = _ones(gaussians, 3), _ones(gaussians, model.config.feature_dim or 3)
@@ -99,6 +99,7 @@ def _weights_of_both(model: SceneModel, view: ViewTensors, signs: torch.Generato
         view.width,
         view.height,
         rasterize_mode=model.config.rasterize_mode,
+        deterministic=True,
     )
     thermal = output.render_thermal_features
     if thermal is None:
@@ -125,6 +126,7 @@ def _weights(
         view.height,
         packed=False,
         rasterize_mode=model.config.rasterize_mode,
+        deterministic=True,
     )
     return _summed_weights(torch.autograd.grad(_sum(image, signs), colors)[0], squared=signs is not None)
 
