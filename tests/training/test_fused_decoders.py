@@ -57,18 +57,22 @@ def worst_difference(hidden: int, dim: int, thermal_channels: int, device: torch
 
 
 def all_finite(device: torch.device) -> bool:
-    """Whether images and gradients stay finite where a pixel's activations exceed the largest float16."""
+    """Whether images and gradients stay finite beyond the largest float16: a pixel's features, one modulated channel."""
     from thermosplat.training.fused_decoders import FusedDecoders
 
     generator = torch.Generator().manual_seed(0)
-    decoders = Decoders(DecoderConfig(), 8, 3).to(device)
-    features = [torch.randn(9, 9, 8, generator=generator) for _ in range(2)]
-    for size, image in zip((1e6, 1e9), features, strict=True):
-        image[4, 4] = size
-    leaves = [image.to(device).requires_grad_() for image in features]
-    images = FusedDecoders(decoders).both(*leaves)
-    gradients = torch.autograd.grad(sum(image.sum() for image in images), [*leaves, *decoders.parameters()])
-    return all(bool(torch.isfinite(tensor).all()) for tensor in (*images, *gradients))
+    finite = True
+    for feature_size, modulation in ((1e6, 1.0), (1e9, 1.0), (1.0, 1e6)):
+        decoders = Decoders(DecoderConfig(), 8, 3).to(device)
+        with torch.no_grad():
+            decoders.modulation.bias[0] = modulation
+        features = torch.randn(2, 9, 9, 8, generator=generator)
+        features[:, 4, 4] = feature_size
+        leaf = features.to(device).requires_grad_()
+        images = FusedDecoders(decoders).both(leaf[0], leaf[1])
+        gradients = torch.autograd.grad(sum(image.sum() for image in images), [leaf, *decoders.parameters()])
+        finite &= all(bool(torch.isfinite(tensor).all()) for tensor in (*images, *gradients))
+    return finite
 
 
 def test_in_tritons_interpreter() -> None:
