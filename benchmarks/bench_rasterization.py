@@ -22,7 +22,7 @@ from typing import Any
 import torch
 import warp as wp
 from benchmark_scenes import BenchmarkScene, garden_scene, huge_scene, synthetic_scene
-from floors import Peaks, measure_peaks
+from device_peaks import DevicePeaks, measure_peaks
 from peers import CASES, PEERS, Peer, cpu_peers, cuda_peers
 from rasterization_case import one_line, run_case
 from rasterization_summary import summaries, summary_lines
@@ -156,7 +156,7 @@ def write_report(report: dict[str, Any], json_path: Path | None, markdown_path: 
 def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], report: dict[str, Any]) -> None:
     """Fills the report's rows, case by case."""
     start_s, on_cpu = time.perf_counter(), device.type == "cpu"
-    peaks = None if options.no_stages else Peaks(**report["peaks"])
+    peaks = None if options.no_stages else DevicePeaks(**report["peaks"])
     repeats = options.repeats or (11 if on_cpu else 50)
 
     def note(row: dict[str, Any]) -> None:
@@ -213,7 +213,7 @@ def main() -> int:
     if not options.no_stages:
         report["peaks"] = measure_peaks(device)._asdict()
         print(
-            f"peaks: {report['peaks']['bytes_per_s'] / 1e9:.0f} GB/s, {report['peaks']['fma_per_s'] / 1e9:.0f} GFMA/s"
+            f"peaks: {report['peaks']['bytes_per_s'] / 1e9:.0f} GB/s, {report['peaks']['flops_fp32'] / 2e9:.0f} GFMA/s"
         )
     print(f"{'scene':<16} {'size':>9} {'case':<10} {'renderer':<22} {'fwd ms':>9} {'f+b ms':>9} {'host ms':>9}", end="")
     print(f" {'img rms':>9} {'img max':>9} {'grad err':>9} {'peak MiB':>9} {'pairs':>11}", flush=True)

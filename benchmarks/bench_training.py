@@ -22,13 +22,12 @@ from pathlib import Path
 from typing import Any
 
 import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
-from floors import measure_peaks
+from device_peaks import measure_peaks
 from frozen_training import Frames
-from step_floors import tensor_core_peak
 from training_peers import compare_steps
 from training_sizes import capture_rows, memory_fit, profiled_row, synthetic_row
 from training_tables import markdown
-from training_whole import whole_runs
+from training_whole import sample_run, whole_runs
 from warm_training import warm_training
 
 from thermosplat.checkpoint import write_atomically
@@ -39,9 +38,10 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.devices import choose_device
 from thermosplat.errors import UserError
-from thermosplat.run_directory import environment, finite_or_null
+from thermosplat.run_directory import RunDirectory, environment, finite_or_null
+from thermosplat.training.resuming import check_resumable, newest_checkpoint
 
-PARTS = ("whole", "peers", "step", "memory")
+PARTS = ("whole", "peers", "step", "memory", "sample")
 SIZES, COUNTS = ("640x480", "1280x1024"), (100_000, 300_000, 1_000_000)
 
 
@@ -52,12 +52,15 @@ def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
         words, flags = words[: words.index("--")], words[words.index("--") + 1 :]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", help="folder of a capture, or sample")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS[:4]), help="default all but sample")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--seeds", type=int, nargs="+", default=[42], help="of the whole runs")
     parser.add_argument("--plain", action="store_true", help="on CUDA also --no-graph --no-compile")
     parser.add_argument("--deterministic", action="store_true", help="also whole runs with --deterministic")
+    parser.add_argument("--cores", type=int, default=2, help="of the CPU that the part sample may use")
+    parser.add_argument("--warm-cache", action="store_true", help="the part sample: with the kernels compiled before")
     parser.add_argument("--warm-steps", type=int, default=2000, help="train so far before peers and steps are timed")
+    parser.add_argument("--run", default=None, help="take the Gaussians of this result folder of DATA instead")
     parser.add_argument("--window", type=int, default=None, help="steps a measurement (40 on CUDA, 3 on the CPU)")
     parser.add_argument("--rounds", type=int, default=None, help="measurements of each (9 on CUDA, 3 on the CPU)")
     parser.add_argument("--sizes", nargs="+", default=SIZES, help="WIDTHxHEIGHT of the random scenes")
@@ -79,6 +82,7 @@ class Benchmark:
 
     def __init__(self, options: argparse.Namespace, flags: list[str]) -> None:
         self.options = options
+        self.flags = flags
         self.device = choose_device(options.device)
         on_cuda = self.device.type == "cuda"
         self.window = options.window or (40 if on_cuda else 3)
@@ -139,7 +143,13 @@ class Benchmark:
 
     @functools.cached_property
     def checkpoint(self) -> dict[str, Any]:
-        """The state after the warm-up steps."""
+        """The state of ``--run``, or after the warm-up steps."""
+        if self.options.run is not None:
+            run = RunDirectory.open(self.options.run)
+            checkpoint = newest_checkpoint(run)
+            check_resumable(checkpoint, self.config, run)
+            self.report["densification"] = None
+            return checkpoint
         config = replace(self.config, budget="fixed")
         checkpoint, self.report["densification"] = warm_training(
             config, self.capture, self.options.warm_steps, self.frames
@@ -149,11 +159,9 @@ class Benchmark:
     @functools.cached_property
     def row(self) -> Callable[..., dict[str, Any]]:
         """``profiled_row`` with this machine's peaks."""
-        peaks, tensor_cores = measure_peaks(self.device), tensor_core_peak(self.device)
-        self.report["peaks"] = peaks._asdict() | {"tensor_core_fma_per_s": tensor_cores}
-        return functools.partial(
-            profiled_row, peaks=peaks, tensor_core_fma_per_s=tensor_cores, window=self.window, rounds=self.rounds
-        )
+        peaks = measure_peaks(self.device)
+        self.report["peaks"] = peaks._asdict()
+        return functools.partial(profiled_row, peaks=peaks, window=self.window, rounds=self.rounds)
 
     def whole(self) -> None:
         """Part 1."""
@@ -165,6 +173,16 @@ class Benchmark:
                 rows.append(row)
                 print({key: value for key, value in row.items() if key not in ("metrics", "memory")}, flush=True)
                 self.save()
+
+    def sample(self) -> None:
+        """The packaged capture on the CPU."""
+        options = self.options
+        if not self.late("sample"):
+            with tempfile.TemporaryDirectory() as folder:
+                limits = {"cores": options.cores, "cold": not options.warm_cache}
+                row = sample_run(self.flags, Path(folder), self.remaining_s, **limits)
+            self.report["sample"] = row
+            print({key: value for key, value in row.items() if key not in ("metrics", "memory")}, flush=True)
 
     def peers(self) -> None:
         """Part 2."""
@@ -220,6 +238,9 @@ def print_row(row: dict[str, Any], kernels: int) -> None:
         if found["ms"] is not None:
             floor = f"{found['times_floor']:8.1f}x its floor" if "times_floor" in found else ""
             print(f"    {part:<20} {found['ms']:8.3f} ms {floor}", flush=True)
+    for part, found in row.get("alone", {}).items():
+        both = found["forward_ms"] + (found["backward_ms"] or 0.0)
+        print(f"    {part:<25} {both:8.3f} ms {found['times_floor']:8.1f}x its floor, alone", flush=True)
     for kernel in row.get("kernels", [])[:kernels]:
         times = f"{kernel['microseconds']:9.1f} µs {kernel['calls']:6.1f}"
         print(f"    {times}  {kernel['part']:<20} {kernel['name'][:90]}", flush=True)
@@ -241,8 +262,13 @@ def main(words: list[str] | None = None) -> int:
     if {"step", "memory"} & set(options.parts):
         with benchmark.part("sizes"):
             benchmark.sizes()
+    if "sample" in options.parts:
+        with benchmark.part("sample"):
+            benchmark.sample()
     report = benchmark.report
-    failed = any("error" in row and "time limit" not in row["error"] for row in report.get("whole", []))
+    runs = [*report.get("whole", []), report.get("sample", {})]
+    failed = any("alone_error" in row for row in (*report.get("step", []), *report.get("sizes", [])))
+    failed |= any("error" in row and "time limit" not in row["error"] for row in runs)
     return int(failed or bool(report["errors"]))
 
 

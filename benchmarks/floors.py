@@ -15,11 +15,9 @@ Backward: offset to alpha as above 11, 1 / (1 - alpha) 2, transmittance 2, weigh
 """
 
 import math
-import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
-import torch
+from device_peaks import DevicePeaks
 from fragments import Fragments
 
 FORWARD_OPERATIONS, FORWARD_PER_CHANNEL, FORWARD_SECOND_OPACITY = 14, 1, 5
@@ -30,48 +28,6 @@ MEAN2D, DEPTH, ROOT, COMPENSATION, RADII, EXTENTS = 8, 4, 12, 4, 8, 8
 """Bytes a Gaussian."""
 
 
-class Peaks(NamedTuple):
-    """What the device can do at most, measured.
-
-    Attributes:
-        bytes_per_s: read and written by a copy within the device's memory.
-        fma_per_s: float32 multiply-adds of a matrix product.
-    """
-
-    bytes_per_s: float
-    fma_per_s: float
-
-
-def measure_peaks(device: torch.device) -> Peaks:
-    """Measures both peaks: a copy of 1 GiB (64 MiB on the CPU), a square float32 matrix product without TF32."""
-    on_gpu = device.type == "cuda"
-    source = torch.ones(2**28 if on_gpu else 2**24, device=device)
-    target = torch.empty_like(source)
-    size = 8192 if on_gpu else 1024
-    left, right = torch.randn(size, size, device=device), torch.randn(size, size, device=device)
-    product = torch.empty_like(left)
-    precision = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("highest")
-    copy_s = seconds(lambda: target.copy_(source), device)
-    matmul_s = seconds(lambda: torch.mm(left, right, out=product), device)
-    torch.set_float32_matmul_precision(precision)
-    return Peaks(2 * source.numel() * source.element_size() / copy_s, size**3 / matmul_s)
-
-
-def seconds(call: Callable[[], object], device: torch.device) -> float:
-    """Shortest of a dozen times of a call that takes milliseconds: a peak is what is reached undisturbed."""
-    times = []
-    for _ in range(12):
-        if device.type == "cuda":
-            torch.cuda.synchronize(device)
-        start_s = time.perf_counter()
-        call()
-        if device.type == "cuda":
-            torch.cuda.synchronize(device)
-        times.append(time.perf_counter() - start_s)
-    return min(times)
-
-
 def stage_floors(
     fragments: Fragments,
     gaussians: int,
@@ -79,7 +35,7 @@ def stage_floors(
     size: tuple[int, int],
     tiles: int,
     channels: tuple[int, int],
-    peaks: Peaks,
+    peaks: DevicePeaks,
 ) -> dict[str, dict[str, Any]]:
     """The floor of each stage.
 

@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from agreement import differences, disagreement
 from benchmark_scenes import BenchmarkScene
-from floors import Peaks, stage_floors
+from device_peaks import DevicePeaks
+from floors import stage_floors
 from fragments import count_fragments
 from gpu_memory import peak_memory
 from peers import Peer, Rendered, Renderer, Tensors, float64_renderer, thermosplat_peer
@@ -77,7 +78,7 @@ def run_case(
     repeats: int,
     *,
     with_truth: bool,
-    peaks: Peaks | None,
+    peaks: DevicePeaks | None,
     cores: list[int] | None = None,
 ) -> dict[str, Any]:
     """Checks and times one case.
@@ -195,7 +196,9 @@ def _scaling(ours: Passes, cores: list[int], device: torch.device, repeats: int)
     return times
 
 
-def _stages(rendered: Rendered, inputs: Tensors, size: tuple[int, int], repeats: int, peaks: Peaks) -> dict[str, Any]:
+def _stages(
+    rendered: Rendered, inputs: Tensors, size: tuple[int, int], repeats: int, peaks: DevicePeaks
+) -> dict[str, Any]:
     """Times of the stages, fragments and floors, and the floor of forward plus backward."""
     info = rendered.infos[0]
     fragments = count_fragments(info, *size)

@@ -21,7 +21,7 @@ def markdown(report: dict[str, Any]) -> str:
     if peaks := report.get("peaks"):
         lines.append(
             f"Measured peaks: {peaks['bytes_per_s'] / 1e9:,.0f} GB/s, "
-            f"{peaks['fma_per_s'] / 1e9:,.0f} billion float32 multiply-adds/s."
+            f"{peaks['flops_fp32'] / 2e9:,.0f} billion float32 multiply-adds/s."
         )
     if stopped := report.get("stopped"):
         lines.append(f"Not complete: {stopped}.")

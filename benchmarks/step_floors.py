@@ -6,7 +6,7 @@ method with degree 3), d features, and images of c channels in all (RGB + therma
 | part | bytes | multiply-adds |
 |---|---|---|
 | optimizer | 28 F a Gaussian: gradient, parameter and moments read, the latter three written | |
-| decoders | a pixel: forward 4 (2 d + c), backward 4 (4 d + 2 c) | 3 a weight and pixel, on tensor cores |
+| decoders | a pixel: forward 4 (2 d + c), backward 4 (4 d + 2 c) | 3 a weight and pixel, float16 on tensor cores |
 | image losses | 20 a value: forward render and target, backward both again and the gradient | |
 
 Of the decoders, features are read and images written; then features, images and their gradients are read, and the
@@ -20,7 +20,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from floors import Peaks, seconds, stage_floors
+from device_peaks import DevicePeaks
+from floors import stage_floors
 from fragments import Fragments, count_fragments
 
 from thermosplat.config import TrainConfig
@@ -40,24 +41,13 @@ RENAMED = {"colors": "SH", "colors adjoint": "SH adjoint"}
 Floor = dict[str, Any]
 
 
-def tensor_core_peak(device: torch.device) -> float:
-    """Multiply-adds per second of a square matrix product: of float16 on CUDA, of float32 on the CPU."""
-    size, dtype = (8192, torch.float16) if device.type == "cuda" else (1024, torch.float32)
-    left, right = (torch.randn(size, size, device=device).to(dtype) for _ in range(2))
-    product = torch.empty_like(left)
-    return size**3 / seconds(lambda: torch.mm(left, right, out=product), device)
-
-
 @torch.no_grad()
-def step_floors(
-    trainer: Trainer, peaks: Peaks, tensor_core_fma_per_s: float
-) -> tuple[dict[str, Floor], dict[str, Any]]:
+def step_floors(trainer: Trainer, peaks: DevicePeaks) -> tuple[dict[str, Floor], dict[str, Any]]:
     """Floors of every part of a step, as the mean over some frames.
 
     Args:
         trainer: Its model and frames.
         peaks: Measured.
-        tensor_core_fma_per_s: Measured.
 
     Returns:
         ``bytes``, ``operations``, ``floor_ms`` and ``bound`` by part; and the mean ``pairs`` and ``fragments`` a frame.
@@ -80,7 +70,7 @@ def step_floors(
     floors: dict[str, Floor] = {}
     for part, (moved, done) in totals.items():
         byte_s = moved / peaks.bytes_per_s
-        operation_s = done / (tensor_core_fma_per_s if part == "decoders" else peaks.fma_per_s)
+        operation_s = done / (peaks.flops_fp16 / 2 if part == "decoders" else peaks.fma_per_s)
         floors[part] = {
             "bytes": round(moved),
             "operations": round(done),
@@ -97,7 +87,7 @@ def _add(totals: dict[str, list[float]], part: str, amounts: tuple[float, float]
 
 
 def _rasterization(
-    info: Mapping[str, Any], fragments: Fragments, model: SceneModel, peaks: Peaks
+    info: Mapping[str, Any], fragments: Fragments, model: SceneModel, peaks: DevicePeaks
 ) -> dict[str, tuple[float, float]]:
     """Bytes and operations of one rasterization, forward and backward."""
     dim = model.config.feature_dim

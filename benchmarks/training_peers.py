@@ -1,5 +1,6 @@
 """Steps per second of our training step beside gsplat's, on the same Gaussians, in interleaved windows."""
 
+import math
 import tempfile
 import time
 import traceback
@@ -13,6 +14,7 @@ from typing import Any
 import torch
 from frozen_training import Frames, frozen_trainer, run_steps, wait, warm_up
 from gsplat_rgbt import gsplat_rasterization
+from gsplat_user_step import GsplatUserStep
 from timing import summary
 from torch import Tensor
 
@@ -26,9 +28,14 @@ from thermosplat.training.training_step import StepKind
 
 OURS, OURS_BY_LINE = "thermosplat", "thermosplat --no-graph"
 TWICE, GSPLAT_RGB = "the same on gsplat's rasterizer, called twice", "gsplat, RGB alone"
+USER = "the same in eager PyTorch, on gsplat's rasterizer called twice"
 OURS_3DGS, OURS_RGB = "thermosplat --config 3dgs", "thermosplat --config 3dgs, RGB alone"
 AGREEMENT = 1e-3
 """Largest relative difference of a loss on one view between the two rasterizers."""
+
+USER_AGREEMENT = 2e-2
+"""The same where one side decodes in float32 and the other rounds the inputs of its matrix products to 10 bits, which
+smoothness, a sum of small differences, feels most."""
 
 Steps = Callable[[int], float]
 """Does so many steps; seconds until the device has done them."""
@@ -122,11 +129,11 @@ def _add_gsplat(
     source: Gaussians,
     capture: Capture,
 ) -> None:
-    """Adds gsplat's two steps; the one of our model only if its losses agree with ours.
+    """Adds gsplat's steps; those of our model only if their losses agree with ours.
 
     Args:
         peers: Gets them.
-        result: Gets ``agreement``, and the reason in ``left_out`` if it is not close enough.
+        result: Gets ``agreement`` and ``user_agreement``, and the reason in ``left_out`` if one is not close enough.
         ours: Warm.
         by_line: The same without a graph.
         source: The Gaussians of gsplat's own step.
@@ -152,6 +159,14 @@ def _add_gsplat(
         peers[TWICE] = run_twice
     else:
         result["left_out"][TWICE] = f"its losses differ by {result['agreement']['largest']:.1e} from ours"
+    user = GsplatUserStep(ours, swapped)
+    apart = _apart(_losses(ours)[0], user.loss_values())
+    result["user_agreement"] = apart
+    if max(apart.values()) <= USER_AGREEMENT:
+        user.run(3)
+        peers[USER] = user.run
+    else:
+        result["left_out"][USER] = f"its losses differ by {max(apart.values()):.1e} from ours"
     alone = _GsplatRgb(source, capture, ours)
     alone.run(3)
     peers[GSPLAT_RGB] = alone.run
@@ -172,12 +187,18 @@ def agreement(ours: Trainer, other: Trainer, swapped: Callable[[], Any] = nullco
     losses, gradients = _losses(ours)
     with swapped():
         other_losses, other_gradients = _losses(other)
-    apart = {name: abs(other_losses[name] - value) / abs(value) for name, value in losses.items()}
+    apart = _apart(losses, other_losses)
     slopes = {
         name: float((other_gradients[name] - value).norm() / value.norm().clamp(min=1e-30))
         for name, value in gradients.items()
     }
     return {"losses": apart, "largest": max(apart.values()), "gradients": slopes}
+
+
+def _apart(losses: dict[str, float], others: dict[str, float]) -> dict[str, float]:
+    """Relative differences by term; infinite where one is not a number."""
+    apart = {name: abs(others[name] - value) / abs(value) for name, value in losses.items()}
+    return {name: value if math.isfinite(value) else math.inf for name, value in apart.items()}
 
 
 def _losses(trainer: Trainer) -> tuple[dict[str, float], dict[str, Tensor]]:

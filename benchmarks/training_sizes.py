@@ -2,6 +2,7 @@
 
 import gc
 import tempfile
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from floors import Peaks
+from device_peaks import DevicePeaks
 from frozen_training import Frames, frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians, warm_up
 from gpu_memory import peak_memory
+from parts_alone import parts_alone
 from step_floors import step_floors
 from step_parts import part_times, profiled_steps
 from timing import summary
@@ -24,28 +26,26 @@ KERNELS = 40
 """Kernels that a row lists by name."""
 
 
-def profiled_row(
-    trainer: Trainer, name: str, peaks: Peaks, tensor_core_fma_per_s: float, window: int, rounds: int
-) -> dict[str, Any]:
+def profiled_row(trainer: Trainer, name: str, peaks: DevicePeaks, window: int, rounds: int) -> dict[str, Any]:
     """Time of a step in windows without the profiler, then its parts with it.
 
     Args:
         trainer: Frozen and warm.
         name: What is trained.
         peaks: Measured.
-        tensor_core_fma_per_s: Measured.
         window: Steps in a measurement, and in the profile.
         rounds: Measurements.
     """
     milliseconds = [1e3 * run_steps(trainer, window) / window for _ in range(rounds)]
     kernels = profiled_steps(trainer, window)
-    floors, work = step_floors(trainer, peaks, tensor_core_fma_per_s)
+    floors, work = step_floors(trainer, peaks)
     view = next(view for view in (trainer.frames[0].rgb, trainer.frames[0].thermal) if view is not None)
     parts: dict[str, dict[str, Any]] = {part: {"ms": ms} for part, ms in part_times(kernels).items()}
     for part, floor in floors.items():
         parts.setdefault(part, {"ms": None}).update(floor)
         if parts[part]["ms"] is not None:
             parts[part]["times_floor"] = parts[part]["ms"] / floor["floor_ms"]
+    alone, alone_error = _alone(trainer, peaks, rounds)
     times = summary(milliseconds)
     kernels_ms = sum(kernel["microseconds"] for kernel in kernels) / 1e3
     idle_ms = max(0.0, times["median_ms"] - kernels_ms) if trainer.device.type == "cuda" else None
@@ -59,9 +59,20 @@ def profiled_row(
         "host_gap_ms": idle_ms,
         "floor_ms": sum(floor["floor_ms"] for floor in floors.values()),
         "parts": parts,
+        "alone": alone,
+        **alone_error,
         **work,
         "kernels": kernels[:KERNELS],
     }
+
+
+def _alone(trainer: Trainer, peaks: DevicePeaks, repeats: int) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
+    """The parts that are timed alone; where that fails none and why, since the rest of the row counts more."""
+    try:
+        return parts_alone(trainer, peaks, repeats), {}
+    except Exception as error:
+        traceback.print_exc()
+        return {}, {"alone_error": f"{type(error).__name__}: {error}".splitlines()[0]}
 
 
 def capture_rows(

@@ -18,16 +18,18 @@ def markdown(report: dict[str, Any]) -> str:
     lines = [f"{report['date']}, {machine['device']}, {versions}. `{report['command']}`"]
     if peaks := report.get("peaks"):
         lines.append(
-            f"Measured peaks: {peaks['bytes_per_s'] / 1e9:,.0f} GB/s; multiply-adds a second "
-            f"{peaks['fma_per_s']:.2e} in float32, {peaks['tensor_core_fma_per_s']:.2e} on tensor cores."
+            f"Measured peaks: {peaks['bytes_per_s'] / 1e9:,.0f} GB/s; float32 {peaks['flops_fp32'] / 1e12:,.1f}, TF32 "
+            f"{peaks['flops_tf32'] / 1e12:,.1f}, float16 {peaks['flops_fp16'] / 1e12:,.1f} TFLOP/s."
         )
     steps = [*report.get("step", []), *(row for row in report.get("sizes", []) if "parts" in row)]
     parts = [
         ("Whole runs", _whole(report.get("whole", []))),
+        ("The sample on the CPU", _sample(report.get("sample"))),
         ("Memory over a whole run", _growth(report.get("whole", []))),
         ("Steps per second on the same Gaussians", _peers(report.get("peers"))),
         ("A step [ms]", _steps(steps)),
         ("Where a step goes: ms (times its floor)", _parts(steps)),
+        ("Parts alone, forward + backward: ms (times the floor of both)", _alone(steps)),
         ("Densification", _densification(report.get("densification"))),
         ("Peak memory", _memory(report)),
         ("Not measured", _failures(report)),
@@ -51,7 +53,8 @@ def _whole(rows: list[Row]) -> Iterator[str]:
         "run",
         "seed",
         "s to metrics.json",
-        "without the first step",
+        "of these first step, later compilation",
+        "without both",
         "ms a step",
         "Gaussians",
         "PSNR RGB",
@@ -60,13 +63,23 @@ def _whole(rows: list[Row]) -> Iterator[str]:
     body = []
     for row in rows:
         if "error" not in row:
-            cells = [row["kind"], str(row["seed"]), f"{row['seconds']:.1f}", f"{row['seconds_without_first_step']:.1f}"]
+            cells = [row["kind"], str(row.get("seed", "-")), f"{row['seconds']:.1f}"]
+            cells += [f"{row['first_step_s']:.1f}, {row['late_compile_s']:.1f}"]
+            cells += [f"{row['seconds_without_compilation']:.1f}"]
             cells += [f"{row['ms_a_step']:.2f}{_cost(row)}", f"{row['num_gaussians']:,}"]
             body.append(cells + [_psnr(row, modality) for modality in ("rgb", "thermal")])
     yield from _table(head, body)
     for row in rows:
         if "same_bits_twice" in row:
             yield f"\n{row['kind']}, seed {row['seed']}: the same bits in two runs: {row['same_bits_twice']}."
+
+
+def _sample(row: Row | None) -> Iterator[str]:
+    if row is None:
+        return
+    yield from _whole([row])
+    cache = "an empty" if row["cold"] else "the user's"
+    yield f"\n`thermosplat-train sample` on {row['cores']} cores, with {cache} cache of compiled kernels."
 
 
 def _cost(row: Row) -> str:
@@ -123,6 +136,23 @@ def _part(found: Row | None) -> str:
     return f"{found['ms']:.3f}" + (f" ({found['times_floor']:.1f}x)" if "times_floor" in found else "")
 
 
+def _alone(rows: list[Row]) -> Iterator[str]:
+    names = list(dict.fromkeys(part for row in rows for part in row["alone"]))
+    body = [
+        [f"{row['name']} {row['size']}", *(_alone_part(row["alone"].get(name)) for name in names)]
+        for row in rows
+        if row["alone"]
+    ]
+    yield from _table(["scene", *names], body)
+
+
+def _alone_part(found: Row | None) -> str:
+    if found is None:
+        return "-"
+    backward = "" if found["backward_ms"] is None else f" + {found['backward_ms']:.3f}"
+    return f"{found['forward_ms']:.3f}{backward} ({found['times_floor']:.1f}x)"
+
+
 def _densification(found: Row | None) -> Iterator[str]:
     if found is not None:
         yield (
@@ -146,9 +176,12 @@ def _memory(report: dict[str, Any]) -> Iterator[str]:
 
 
 def _failures(report: dict[str, Any]) -> Iterator[str]:
-    for row in report.get("whole", []):
+    for row in (*report.get("whole", []), *filter(None, [report.get("sample")])):
         if "error" in row:
-            yield f"- {row['kind']}, seed {row['seed']}: {row['error'].splitlines()[-1]}"
+            yield f"- {row['kind']}, seed {row.get('seed', '-')}: {row['error'].splitlines()[-1]}"
     yield from (f"- {name}: {why}" for name, why in (report.get("peers") or {}).get("left_out", {}).items())
+    for row in (*report.get("step", []), *report.get("sizes", [])):
+        if "alone_error" in row:
+            yield f"- parts alone of {row['name']} {row['size']}: {row['alone_error']}"
     yield from (f"- {name}: {why}" for name, why in report["errors"].items())
     yield from (f"- {name}: the time limit" for name in report["stopped"])

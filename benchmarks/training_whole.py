@@ -6,7 +6,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import warp_kernels
 from thermosplat.checkpoint import load_checkpoint
 from thermosplat.run_directory import RunDirectory
 
-ENTRY = "import sys; from thermosplat.cli.train import main; sys.exit(main())"
+ENTRY = Path(__file__).with_name("clocked_training.py")
 PLAIN = ("--no-graph", "--no-compile")
 MEMORY_SHARES = (0.3, 0.5, 1.0)
 """Shares of the steps at which the peak memory so far is taken; Gaussians are added in the first half of a run."""
@@ -60,18 +61,51 @@ def whole_runs(
             yield row
 
 
-def _run(arguments: Sequence[str], out: Path, limit_s: float) -> dict[str, Any]:
+def sample_run(flags: Sequence[str], folder: Path, limit_s: float, *, cores: int, cold: bool) -> dict[str, Any]:
+    """``thermosplat-train sample`` on the CPU; the row is one of :func:`whole_runs`, with ``cores`` and ``cold``.
+
+    Args:
+        flags: Of thermosplat-train.
+        folder: Where the run goes.
+        limit_s: It is stopped after so long [s].
+        cores: Processor cores it may use.
+        cold: With an empty cache of Warp's kernels, so that all are compiled.
+    """
+    environment = {"OMP_NUM_THREADS": str(cores)} | ({"WARP_CACHE_PATH": str(folder / "kernels")} if cold else {})
+    row: dict[str, Any] = {"kind": "sample", "cores": cores, "cold": cold}
+    with _on_cores(cores):
+        return row | _run(["sample", *flags, "--device", "cpu"], folder / "sample", limit_s, environment)
+
+
+@contextmanager
+def _on_cores(count: int) -> Iterator[None]:
+    """While open, processes that this thread starts keep to so many cores."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, sorted(allowed)[:count])
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+def _run(
+    arguments: Sequence[str], out: Path, limit_s: float, environment: Mapping[str, str] | None = None
+) -> dict[str, Any]:
     """One run; its row holds ``error`` where it failed or did not end in time."""
     if limit_s <= 0:
         return {"error": "not started: the time limit"}
+    clock = out.with_name(f"{out.name}_compilation.json")
     words = [*arguments, "--result-dir", str(out), "--overwrite"]
     roots = [str(Path(str(module.__file__)).parents[1]) for module in (thermosplat, warp_kernels)]
     path = os.pathsep.join([*roots, *filter(None, [os.environ.get("PYTHONPATH")])])
     begun, started = time.time(), time.perf_counter()
     try:
         done = subprocess.run(
-            [sys.executable, "-c", ENTRY, *words],
-            env=os.environ | {"PYTHONPATH": path},
+            [sys.executable, str(ENTRY), str(clock), *words],
+            env=os.environ | {"PYTHONPATH": path} | dict(environment or {}),
             capture_output=True,
             text=True,
             check=False,
@@ -83,19 +117,22 @@ def _run(arguments: Sequence[str], out: Path, limit_s: float) -> dict[str, Any]:
     run = RunDirectory(out)
     if done.returncode != 0:
         return {"error": (done.stderr or done.stdout).strip()[-500:]}
-    return {"process_s": seconds} | _row(run, run.metrics_json.stat().st_mtime - begun)
+    compilation = json.loads(clock.read_text(encoding="utf-8"))
+    return {"process_s": seconds} | _row(run, run.metrics_json.stat().st_mtime - begun, compilation)
 
 
-def _row(run: RunDirectory, seconds: float) -> dict[str, Any]:
+def _row(run: RunDirectory, seconds: float, compilation: dict[str, float]) -> dict[str, Any]:
     metrics = json.loads(run.metrics_json.read_text(encoding="utf-8"))
     steps, first_s = metrics["steps"], metrics["first_step_seconds"]
+    compiling_s = first_s + compilation["late_compile_s"]
     evaluated = {modality: metrics[modality] for modality in ("rgb", "thermal") if metrics[modality]}
     return {
         "seconds": seconds,
         "first_step_s": first_s,
-        "seconds_without_first_step": seconds - first_s,
+        **compilation,
+        "seconds_without_compilation": seconds - compiling_s,
         "train_s": metrics["train_seconds"],
-        "ms_a_step": 1e3 * (metrics["train_seconds"] - first_s) / max(steps - 1, 1),
+        "ms_a_step": 1e3 * (metrics["train_seconds"] - compiling_s) / max(steps - 1, 1),
         "steps": steps,
         "num_gaussians": metrics["num_gaussians"],
         "psnr": {modality: values["psnr"] for modality, values in evaluated.items()},

@@ -3,7 +3,8 @@
 from typing import Any
 
 import pytest
-from floors import BACKWARD_OPERATIONS, BACKWARD_PER_CHANNEL, FORWARD_OPERATIONS, Peaks, stage_floors
+from device_peaks import DevicePeaks
+from floors import BACKWARD_OPERATIONS, BACKWARD_PER_CHANNEL, FORWARD_OPERATIONS, stage_floors
 from fragments import Fragments
 from rasterization_summary import summaries, summary, summary_lines
 
@@ -58,13 +59,13 @@ def test_floors_follow_bytes_and_operations() -> None:
     """The blending is bound by whichever peak is lower, and each stage by what it must move."""
     fragments = Fragments(listed=10**9, drawn=10**8, thermal=0, either=10**8, visible=1000, longest=50)
     arguments = (fragments, 1000, 5000, (640, 480), 1200, (3, 0))
-    floors = stage_floors(*arguments, Peaks(1e12, 1e9))
+    floors = stage_floors(*arguments, DevicePeaks(1e12, 2e9, 2e9, 2e9))
     assert floors["blending"]["operations"] == 10**8 * (FORWARD_OPERATIONS + 3)
     assert floors["blending"]["floor_ms"] == pytest.approx(1e3 * 10**8 * (FORWARD_OPERATIONS + 3) / 1e9)
     expected = 1e3 * 10**8 * (BACKWARD_OPERATIONS + 3 * BACKWARD_PER_CHANNEL) / 1e9
     assert floors["blending adjoint"]["floor_ms"] == pytest.approx(expected)
     assert floors["blending"]["bound"] == "operations"
-    slow_memory = stage_floors(*arguments, Peaks(1e6, 1e30))
+    slow_memory = stage_floors(*arguments, DevicePeaks(1e6, 2e30, 2e30, 2e30))
     # 640x480 pixels of 3 colours, a transmittance and a last pair; 1,000 Gaussians' records; 5,000 pairs
     assert slow_memory["blending"]["bytes"] == 640 * 480 * 20 + 1000 * (8 + 12 + 4 + 12) + 4 * 5000
     assert slow_memory["blending"]["floor_ms"] == pytest.approx(1e-3 * slow_memory["blending"]["bytes"])
