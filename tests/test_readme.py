@@ -90,7 +90,7 @@ def test_the_flags_in_the_documents_exist() -> None:
 def test_the_readme_names_the_presets() -> None:
     """The presets the README offers exist."""
     offered = re.findall(r"`(\w+)` \(", README.split("`--config` names")[1].split("an ablation")[0])
-    assert len(offered) == 3
+    assert len(offered) == 4
     assert set(offered) <= set(list_presets())
 
 
