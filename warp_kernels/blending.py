@@ -38,7 +38,7 @@ def alpha_functions(dtype: type):
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     zero, half, one = dtype(0.0), dtype(0.5), dtype(1.0)
     alpha_min, alpha_max = dtype(ALPHA_MIN), dtype(ALPHA_MAX)
-    _, exp_negative, _, _ = lane_functions(dtype)
+    _, exp_negative, _ = lane_functions(dtype)
     rounding = dtype(1.0e-5)
     tolerance = dtype(4.0e-7)
 
@@ -135,7 +135,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, _, attenuate = lane_functions(dtype)
+    broadcast, exp_negative, attenuate = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height

@@ -22,6 +22,7 @@ from warp_kernels.gradient_records import feature_offset, record_length
 from warp_kernels.lanes import (
     accumulate_snippet,
     broadcast_int,
+    column_sums_snippet,
     highest_bit,
     lane_functions,
     warp_any,
@@ -64,11 +65,16 @@ def blend_adjoint_kernel(
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     record = wp.types.vector(length, dtype)
+    # A lane sums a Gaussian's record over its pixels: on CUDA in registers, on the CPU, where a vector holds a row of
+    # pixels, column by column, since a sum over a vector costs more than all else that is done with it.
+    spread = 0 if cuda else 1
+    matLS = wp.types.matrix((length, 1 if cuda else columns), dtype)
+    first_feature_t = first_feature + C - D
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
     warps = layout.warps
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, add, _ = lane_functions(dtype)
+    broadcast, exp_negative, _ = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
@@ -83,6 +89,9 @@ def blend_adjoint_kernel(
 
     @wp.func_native(accumulate_snippet(length, dtype, atomic=not by_slot))
     def accumulate(dst: wp.array(dtype=record), index: int, v: record): ...
+
+    @wp.func_native(column_sums_snippet(length, columns, dtype))
+    def store_column_sums(out: wp.array(dtype=record), index: int, m: matLS): ...
 
     name = f"blend_adjoint_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}"
 
@@ -257,16 +266,7 @@ def blend_adjoint_kernel(
                     ot = thermal_opacities[gaussian]
                     row_first, row_end = row_range(m, extents[gaussian], y0, rows)
                 f = features[gaussian]
-                v_x = zero
-                v_y = zero
-                v_xx = zero
-                v_xy = zero
-                v_yy = zero
-                v_o = zero
-                v_ot = zero
-                abs_x = zero
-                abs_y = zero
-                v_f = vecC()
+                part = matLS()
                 hits = int(0)
                 for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
@@ -299,7 +299,7 @@ def blend_adjoint_kernel(
                         # no gradient where alpha was clamped or the Gaussian not drawn
                         v_alpha = wp.where(a >= alpha_max or a == zero, zero, v_alpha)
                         v_power = v_alpha * a
-                        v_o = add(v_o, v_alpha * visibility)
+                        part[5, q * spread] += v_alpha * visibility
                         if wp.static(dual):
                             a = alpha(ot, visibility)
                             a = wp.where(pair > last_t[offset + q], zero, a)
@@ -314,47 +314,35 @@ def blend_adjoint_kernel(
                             St[offset + q] = s + w * dot_t[q]
                             v_alpha = wp.where(a >= alpha_max or a == zero, zero, v_alpha)
                             v_power = v_power + v_alpha * a
-                            v_ot = add(v_ot, v_alpha * visibility)
+                            part[6, q * spread] += v_alpha * visibility
                         px = v_power * zx
                         py = v_power * zy
-                        v_x = add(v_x, px)
-                        v_y = add(v_y, py)
-                        v_xx = add(v_xx, px * zx)
-                        v_xy = add(v_xy, px * zy)
-                        v_yy = add(v_yy, py * zy)
+                        part[0, q * spread] += px
+                        part[1, q * spread] += py
+                        part[2, q * spread] += px * zx
+                        part[3, q * spread] += px * zy
+                        part[4, q * spread] += py * zy
                         if wp.static(absgrad):
-                            abs_x = add(abs_x, wp.abs(U[0] * px))
-                            abs_y = add(abs_y, wp.abs(U[0] * U[1] * px + U[2] * py))
+                            part[length - 2, q * spread] += wp.abs(U[0] * px)
+                            part[length - 1, q * spread] += wp.abs(U[0] * U[1] * px + U[2] * py)
                     for c in range(C):
-                        total = zero
                         for q in range(columns):
-                            total = add(total, weight[q] * v_pixel[c, offset + q])
-                        v_f[c] += total
+                            part[first_feature + c, q * spread] += weight[q] * v_pixel[c, offset + q]
                     if wp.static(dual):
                         for c in range(D):
-                            total = zero
                             for q in range(columns):
-                                total = add(total, weight_t[q] * v_pixel_t[c, offset + q])
-                            v_f[first_thermal + c] += total
+                                part[first_feature_t + c, q * spread] += weight_t[q] * v_pixel_t[c, offset + q]
                 if warp_any(hits) != 0:
-                    G = record()
-                    G[0] = v_x
-                    G[1] = v_y
-                    G[2] = v_xx
-                    G[3] = v_xy
-                    G[4] = v_yy
-                    G[5] = v_o
-                    if wp.static(dual):
-                        G[6] = v_ot
-                    for c in range(C):
-                        G[first_feature + c] = v_f[c]
-                    if wp.static(absgrad):
-                        G[wp.static(length - 2)] = abs_x
-                        G[wp.static(length - 1)] = abs_y
                     destination = gaussian
                     if wp.static(by_slot):
                         destination = slots[pair] * warps + warp
-                    accumulate(records, destination, G)
+                    if wp.static(cuda):
+                        G = record()
+                        for k in range(length):
+                            G[k] = part[k, 0]
+                        accumulate(records, destination, G)
+                    else:
+                        store_column_sums(records, destination, part)
             i -= batch
 
     return blend_tiles_adjoint_kernel

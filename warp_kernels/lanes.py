@@ -104,14 +104,6 @@ EXP_NEGATIVE_F32 = """
 """
 EXP_NEGATIVE_F64 = "return ::exp(x);"
 
-# An addition the compiler may reorder: lets clang vectorise a sum over pixels without fast-math for the whole kernel.
-REASSOCIABLE_ADD = """
-#if !defined(__CUDA_ARCH__)
-    #pragma clang fp reassociate(on)
-#endif
-    return a + b;
-"""
-
 # t (1 - a) rounded once: over thousands of layers the roundings of 1 - a and of a product add up. A processor without a
 # fused multiply-add (x86 before 2013) would call a function for it, which does not vectorise.
 ATTENUATE = """
@@ -165,6 +157,48 @@ def accumulate_snippet(length: int, dtype: type, *, atomic: bool) -> str:
     return "\n#if defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#else\n    dst.data[index] = v;\n#endif\n"
 
 
+def column_sums_snippet(length: int, columns: int, dtype: type) -> str:
+    """Source of a native CPU function that sums each row of a matrix, as many rows at once as a vector has numbers.
+
+    Summing one vector takes as many shuffles as halvings, and does nothing but shuffle. Folding two rows into one
+    vector by halves, then two of those, and so on, leaves every row's sum in a lane of its own for a quarter of that.
+
+    Args:
+        length: Rows.
+        columns: Columns, a power of two.
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        C++ source using the arguments ``m`` (matrix) and ``out`` (array of vectors of ``length``), and ``index``.
+    """
+    scalar = "float" if dtype is wp.float32 else "double"
+    width = min(columns, 16)
+    lines = [f"typedef {scalar} V __attribute__((ext_vector_type({width})));"]
+    lines.append(f"typedef V Unaligned __attribute__((aligned(sizeof({scalar}))));")
+    lines.append(f"{scalar}* p = ({scalar}*)(out.data + index);")
+    for first in range(0, length, width):
+        count = min(width, length - first)
+        names = []
+        for k in range(width):
+            parts = [f"*(const Unaligned*)&m.data[{first + k}][{c}]" for c in range(0, columns, width)]
+            value = " + ".join(parts) if k < count else "(V)0"
+            names.append(f"r{first}_{k}")
+            lines.append(f"V {names[-1]} = {value};")
+        segment = width
+        while len(names) > 1:
+            half = segment // 2
+            low = [s + i for s in range(0, 2 * width, segment) for i in range(half)]
+            folded = []
+            for one, other in zip(names[::2], names[1::2], strict=True):
+                folded.append(f"{one}_{segment}")
+                picks = [", ".join(str(lane + shift) for lane in low) for shift in (0, half)]
+                halves = [f"__builtin_shufflevector({one}, {other}, {pick})" for pick in picks]
+                lines.append(f"V {folded[-1]} = {halves[0]} + {halves[1]};")
+            names, segment = folded, half
+        lines += [f"p[{first + k}] = {names[0]}[{k}];" for k in range(count)]
+    return "\n#if !defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#endif\n"
+
+
 @functools.cache
 def lane_functions(dtype: type):
     """Helpers that depend on the scalar type.
@@ -173,8 +207,7 @@ def lane_functions(dtype: type):
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(broadcast, exp_negative, add, attenuate)``: value of another lane, exp(x) for x <= 0, re-associable addition,
-        t (1 - a).
+        ``(broadcast, exp_negative, attenuate)``: value of another lane, exp(x) for x <= 0, t (1 - a).
     """
 
     @wp.func_native(BROADCAST)
@@ -183,10 +216,7 @@ def lane_functions(dtype: type):
     @wp.func_native(EXP_NEGATIVE_F32 if dtype is wp.float32 else EXP_NEGATIVE_F64)
     def exp_negative(x: dtype) -> dtype: ...
 
-    @wp.func_native(REASSOCIABLE_ADD)
-    def add(a: dtype, b: dtype) -> dtype: ...
-
     @wp.func_native(re.sub(r"FMA(?=\()", "fmaf" if dtype is wp.float32 else "fma", ATTENUATE))
     def attenuate(t: dtype, a: dtype) -> dtype: ...
 
-    return broadcast, exp_negative, add, attenuate
+    return broadcast, exp_negative, attenuate

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warp_kernels.lanes import accumulate_snippet, highest_bit, lane_functions, lowest_bit
+from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, highest_bit, lane_functions, lowest_bit
 
 EXP32 = lane_functions(wp.float32)[1]
 EXP64 = lane_functions(wp.float64)[1]
-ATTENUATE = lane_functions(wp.float32)[3]
+ATTENUATE = lane_functions(wp.float32)[2]
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -114,3 +114,26 @@ def test_butterfly_sums_over_a_warp(length: int) -> None:
     total = values.sum(0)
     assert len(stored) == length
     assert max(abs(stored[k] - total[k]) for k in range(length)) < 1e-12
+
+
+@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+@pytest.mark.parametrize("columns", [8, 16, 32])
+@pytest.mark.parametrize("length", [1, 7, 16, 19])
+def test_column_sums(length: int, columns: int, dtype: type) -> None:
+    """Each row's sum in its place, for more and fewer rows than a vector has numbers."""
+    record, matrix = wp.types.vector(length, dtype), wp.types.matrix((length, columns), dtype)
+
+    @wp.func_native(column_sums_snippet(length, columns, dtype))
+    def store_column_sums(out: wp.array(dtype=record), index: int, m: matrix): ...
+
+    @wp.kernel(name=f"sums_{length}_{columns}_{dtype.__name__}", enable_backward=False, module="unique")
+    def sums_kernel(values: wp.array(dtype=matrix), out: wp.array(dtype=record)):
+        i = wp.tid()
+        store_column_sums(out, i, values[i])
+
+    values = np.random.default_rng(0).normal(size=(3, length, columns))
+    out = wp.zeros(3, dtype=record, device="cpu")
+    wp.launch(sums_kernel, dim=3, inputs=[wp.array(values, dtype=matrix, device="cpu"), out], device="cpu")
+    assert np.allclose(
+        out.numpy().reshape(3, length), values.sum(-1), rtol=0, atol=1e-5 if dtype is wp.float32 else 1e-13
+    )
