@@ -296,7 +296,7 @@ class TrainConfig:
     """Seed of everything random. gsplat."""
     deterministic: bool = False
     """On CUDA, train to the same bits every time on one machine: gradients are summed in a fixed order, at a cost in
-    time and memory (docs/results.md). On the CPU that is always so."""
+    time and memory that benchmarks/bench_training.py measures. On the CPU that is always so."""
     eval_steps: tuple[int, ...] = (7_000, 30_000)
     """Steps at which the held-out views are evaluated; the last step always is. 3DGS."""
     save_steps: tuple[int, ...] = (7_000, 30_000)
