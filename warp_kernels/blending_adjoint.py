@@ -15,8 +15,9 @@ import functools
 
 import warp as wp
 
+from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
-from warp_kernels.blending import BATCH, alpha_functions
+from warp_kernels.blending import BATCH
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.gradient_records import feature_offset, record_length
 from warp_kernels.lanes import (

@@ -3,8 +3,8 @@
 from typing import Any
 
 import torch
-import warp as wp
 
+from thermosplat.warp_bridge import SCALARS, wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.adam import adam_update
 
@@ -41,5 +41,5 @@ class WarpAdam(torch.optim.Adam):
                     self.found_inf,  # type: ignore[attr-defined]
                 )
                 with on_torch_stream(parameter.device):
-                    arrays = [wp.from_torch(tensor.detach().view(-1), requires_grad=False) for tensor in tensors]
+                    arrays = [wrap(tensor.view(-1), SCALARS[tensor.dtype]) for tensor in tensors]
                     adam_update(*arrays, group["betas"], group["eps"])

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.ssim import C1, C2, EPSILON, SSIM_SIGMA
-from thermosplat.warp_bridge import SCALARS
+from thermosplat.warp_bridge import SCALARS, wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.image_loss_step import ImageLossSettings, image_loss, image_loss_adjoint
 
@@ -37,7 +37,7 @@ class _ImageLoss(torch.autograd.Function):
         derivatives = render.new_empty(*((3 * channels, height, width) if ctx.needs_input_grad[0] else (0, 0, 0)))
         ctx.settings = ImageLossSettings(ssim_lambda, SSIM_SIGMA, C1, C2, EPSILON)
         with on_torch_stream(render.device):
-            image_loss(_view(render), _view(target), ctx.settings, _view(losses), _view(derivatives))
+            image_loss(_array(render), _array(target), ctx.settings, _array(losses), _array(derivatives))
         ctx.save_for_backward(render, target, derivatives)
         return losses.mean()
 
@@ -47,11 +47,11 @@ class _ImageLoss(torch.autograd.Function):
         render, target, derivatives = ctx.saved_tensors
         v_render = torch.empty_like(render, memory_format=torch.contiguous_format)
         with on_torch_stream(render.device):
-            v_mean = wp.from_torch(v_loss.reshape(1).contiguous(), requires_grad=False)
-            image_loss_adjoint(_view(render), _view(target), ctx.settings, _view(derivatives), v_mean, _view(v_render))
+            inputs = (_array(render), _array(target), ctx.settings, _array(derivatives), _array(v_loss.reshape(1)))
+            image_loss_adjoint(*inputs, _array(v_render))
         return v_render, None, None
 
 
-def _view(image: Tensor) -> wp.array:
-    """A tensor [a, b, c] of any strides as a Warp array on the same memory."""
-    return wp.from_torch(image.detach(), dtype=SCALARS[image.dtype], requires_grad=False)
+def _array(tensor: Tensor) -> wp.array:
+    """A tensor's scalars as a Warp array on the same memory, with the tensor's strides."""
+    return wrap(tensor, SCALARS[tensor.dtype])

@@ -26,9 +26,7 @@ def clone(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor) -> Non
         optimizers: Their optimizers.
         selected: Boolean, shape [N].
     """
-    everyone = torch.arange(len(selected), device=selected.device)
-    added = {name: parameter[selected] for name, parameter in gaussians.named_parameters()}
-    _rebuild(gaussians, optimizers, everyone, added)
+    append_copies(gaussians, optimizers, torch.where(selected)[0])
 
 
 @torch.no_grad()
