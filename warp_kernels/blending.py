@@ -20,7 +20,8 @@ import warp as wp
 from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.constants import TRANSMITTANCE_MIN
-from warp_kernels.lanes import broadcast_int, lane_functions, lowest_bit, warp_any, warp_ballot
+from warp_kernels.lanes import count_bits, lane_functions, warp_any, warp_ballot, warp_sync
+from warp_kernels.survivors import HEADER, stages_features, survivor_functions
 
 BATCH = 32
 """Candidates a warp looks at between two checks for unfinished pixels."""
@@ -66,14 +67,17 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, attenuate = lane_functions(dtype)
+    exp_negative, attenuate, _ = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
     batch = BATCH
-    all_candidates = wp.uint32(0xFFFFFFFF)
     first_thermal = C - D
+    staged, header = stages_features(channels, dtype, layout), HEADER
+    survivor = wp.types.vector(HEADER + (C if staged else 0), dtype)
+    records_of_warp, put, get = survivor_functions(survivor._length_, dtype, layout)
+    word = wp.int32 if dtype is wp.float32 else wp.int64
 
     @wp.kernel(
         name=f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}",
@@ -139,6 +143,27 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
 
         i = int(tile_offsets[tile])
         end = tile_offsets[tile + 1]
+        g = int(0)
+        g_next = int(0)
+        mean = vec2()
+        root = vec3()
+        opacity = zero
+        opacity_t = zero
+        address = wp.uint64(0)
+        lanes_below = wp.uint32(0)
+        if wp.static(cuda):
+            address = records_of_warp(warp)
+            lanes_below = (wp.uint32(1) << wp.uint32(lane)) - wp.uint32(1)
+            first_end = wp.min(end, (i // batch + 1) * batch)
+            if i + lane < first_end:
+                g = gaussian_ids[i + lane]
+                mean = means2d[g]
+                root = roots[g]
+                opacity = opacities[g]
+                if wp.static(dual):
+                    opacity_t = thermal_opacities[g]
+            if first_end + lane < end:
+                g_next = gaussian_ids[first_end + lane]
         first_boundary = int(0)
         if segment > 0:
             first_boundary = i // segment + 1
@@ -167,57 +192,78 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
 
             # Batches end at multiples of 32, and so at the boundaries of segments.
             batch_end = wp.min(end, (i // batch + 1) * batch)
-            # Candidate of this lane, tested against the warp's whole block.
-            g = int(0)
-            mean = vec2()
-            root = vec3()
-            opacity = zero
-            opacity_t = zero
-            candidates = wp.uint32(0)
+            count = batch_end - i
             if wp.static(cuda):
+                # Candidate of this lane, tested against the warp's whole block.
                 hit = int(0)
-                if i + lane < batch_end:
-                    g = gaussian_ids[i + lane]
-                    mean = means2d[g]
-                    root = roots[g]
-                    opacity = opacities[g]
+                if lane < count:
                     bound = opacity
                     if wp.static(dual):
-                        opacity_t = thermal_opacities[g]
                         bound = wp.max(opacity, opacity_t)
                     x1 = x0 + dtype(block_width - 1)
                     y1 = y0 + dtype(block_height - 1)
                     hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
-                candidates = warp_ballot(hit)
-            else:
-                candidates = all_candidates >> wp.uint32(batch - (batch_end - i))
+                survivors = warp_ballot(hit)
+                count = count_bits(survivors)
+                warp_sync()
+                if hit != 0:
+                    entry = survivor()
+                    entry[0] = mean[0]
+                    entry[1] = mean[1]
+                    entry[2] = root[0]
+                    entry[3] = root[1]
+                    entry[4] = root[2]
+                    entry[5] = opacity
+                    entry[6] = opacity_t
+                    entry[7] = wp.cast(word(lane), dtype)
+                    entry[8] = wp.cast(word(g), dtype)
+                    if wp.static(staged):
+                        v = features[g]
+                        for c in range(C):
+                            entry[header + c] = v[c]
+                    put(address, count_bits(survivors & lanes_below), entry)
+                # What the next batch begins with is on its way while this one is walked, its identities since the last.
+                g = g_next
+                if batch_end + lane < end:
+                    mean = means2d[g]
+                    root = roots[g]
+                    opacity = opacities[g]
+                    if wp.static(dual):
+                        opacity_t = thermal_opacities[g]
+                if batch_end + batch + lane < end:
+                    g_next = gaussian_ids[batch_end + batch + lane]
+                warp_sync()
 
-            while candidates != wp.uint32(0):
-                j = lowest_bit(candidates)
-                candidates = candidates & (candidates - wp.uint32(1))
+            for k in range(count):
+                pair = i + k
                 gaussian = int(0)
                 m = vec2()
                 U = vec3()
                 o = zero
                 ot = zero
+                f = vecC()
                 row_first = int(0)
                 row_end = int(1)
                 if wp.static(cuda):
-                    gaussian = broadcast_int(g, j)
-                    m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
-                    U = vec3(broadcast(root[0], j), broadcast(root[1], j), broadcast(root[2], j))
-                    o = broadcast(opacity, j)
-                    if wp.static(dual):
-                        ot = broadcast(opacity_t, j)
+                    entry = get(address, k)
+                    m = vec2(entry[0], entry[1])
+                    U = vec3(entry[2], entry[3], entry[4])
+                    o = entry[5]
+                    ot = entry[6]
+                    pair = i + int(wp.cast(entry[7], word))
+                    if wp.static(staged):
+                        for c in range(C):
+                            f[c] = entry[header + c]
+                    else:
+                        f = features[int(wp.cast(entry[8], word))]
                 else:
-                    gaussian = gaussian_ids[i + j]
+                    gaussian = gaussian_ids[pair]
                     m = means2d[gaussian]
                     U = roots[gaussian]
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
+                    f = features[gaussian]
                     row_first, row_end = row_range(m, extents[gaussian], y0, rows)
-                f = features[gaussian]
-                pair = i + j
                 for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
                     weight = vecQ()
