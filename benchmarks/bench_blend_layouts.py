@@ -22,8 +22,6 @@ from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.projection import ProjectionSettings
 
-CHANNELS = [(3, 0), (11, 0), (11, 8), (32, 0)]
-
 
 def median_ms(run: Callable[[], object], repeats: int) -> float:
     """Median CUDA time of a call; the host runs ahead."""
@@ -49,11 +47,11 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
             scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
             scene.intrinsics(width, height)[None], settings,
         )  # fmt: skip
-    flat = scene.features(max(channels for channels, _ in CHANNELS))
+    flat = scene.features(max(channels for channels, _ in args.channels))
     arrays, bins = bin_tiles(ProjectedTensors(*projected), opacities, thermal, flat, settings, args.tile_size)
     longest = int(torch.diff(wp.to_torch(bins.tile_offsets)).max())
     rows = []
-    for channels, thermal_channels in CHANNELS:
+    for channels, thermal_channels in args.channels:
         features = flat[:, :channels].contiguous()
         vec = wp.types.vector(channels, wp.float32)
         vec_t = wp.types.vector(max(thermal_channels, 1), wp.float32)
@@ -106,12 +104,14 @@ def main() -> None:
     parser.add_argument("--grid", type=int, nargs="+", default=[1, 5])
     parser.add_argument("--sizes", nargs="+", default=["640x480", "1920x1080"])
     parser.add_argument("--blocks", nargs="+", default=["8x4", "8x8", "16x8"])
+    parser.add_argument("--channels", nargs="+", default=["3+0", "11+0", "11+8", "32+0"], help="blended + again")
     parser.add_argument("--segments", type=int, nargs="+", default=[0, 256, 512])
     parser.add_argument("--tile-size", type=int, default=16)
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     args.blocks = [tuple(int(edge) for edge in block.split("x")) for block in args.blocks]
+    args.channels = [tuple(int(count) for count in channels.split("+")) for channels in args.channels]
     scenes = []
     for path in args.scene:
         scenes += (

@@ -77,10 +77,8 @@ def survivor_functions(length: int, dtype: type, layout: BlendLayout) -> tuple[A
     )
     locate = f"{word}* p = ({word}*)address + place * {stride // per_word};"
     floats = LANES_CUDA * stride
-    address_snippet = _on_cuda(
-        f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}]; return (wp::uint64)(buffer + warp * {floats});",
-        "return 0;",
-    )
+    buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
+    address_snippet = _on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
     put_snippet = _on_cuda(f"{locate}\n{writes}")
     get_snippet = f"wp::vec_t<{length}, {scalar}> r;" + _on_cuda(f"const {locate}\n{reads}") + "return r;"
 

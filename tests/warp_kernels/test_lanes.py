@@ -137,7 +137,7 @@ def test_butterfly_sums_over_a_warp(length: int) -> None:
 
 
 def test_butterflies_cover_every_count() -> None:
-    """Widths fall, so that a component's lane is its number, cover the count, and never take more than one butterfly."""
+    """Widths fall, so that a component's lane is its number, cover the count, and cost no more than one."""
     for count in range(1, 33):
         widths = butterfly_widths(count)
         assert list(widths) == sorted(widths, reverse=True)
