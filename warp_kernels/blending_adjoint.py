@@ -5,7 +5,7 @@ ones add an increment), and the colour behind the current Gaussian enters only
 through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
 dL/dα = T (f · dL/dcolour) - S / (1 - α).
 
-A list may be cut into segments, each walked by its own block of threads from the state the forward pass left there.
+Segments of long lists are walked from the states that the forward pass left; see list_segments.
 
 Each warp sums a Gaussian's gradient over its pixels into one record; see gradient_records. Those to mean and conic are
 summed as moments of z, the offset in the Gaussian's standard deviations, in which nothing cancels.
@@ -23,13 +23,11 @@ from warp_kernels.gradient_records import feature_offset, record_length
 from warp_kernels.lanes import (
     accumulate_snippet,
     column_sums_snippet,
-    count_bits,
     lane_functions,
     warp_any,
-    warp_ballot,
     warp_max,
-    warp_sync,
 )
+from warp_kernels.list_segments import list_of_block
 from warp_kernels.survivors import HEADER, stages_features, survivor_functions
 
 
@@ -37,10 +35,7 @@ from warp_kernels.survivors import HEADER, stages_features, survivor_functions
 def blend_adjoint_kernel(
     channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, absgrad: bool, by_slot: bool
 ) -> wp.Kernel:
-    """The adjoint kernel, one block of threads a segment of a tile's list.
-
-    Segments begin where the index of the pair is a multiple of ``segment``, or a tile does. The block of segment k of
-    tile t is number t + k: along the sorted pairs every step from one block to the next raises t or k.
+    """The adjoint kernel, one block of threads a list or a segment of a long one.
 
     Args:
         channels: C, channels blended with the first opacity.
@@ -83,9 +78,7 @@ def blend_adjoint_kernel(
     batch = BATCH
     first_thermal = C - D
     staged, header = stages_features(channels, dtype, layout), HEADER
-    survivor = wp.types.vector(HEADER + (C if staged else 0), dtype)
-    records_of_warp, put, get = survivor_functions(survivor._length_, dtype, layout)
-    word = wp.int32 if dtype is wp.float32 else wp.int64
+    records_of_warp, admit, get, integer = survivor_functions(channels, staged, dtype, layout)
 
     @wp.func
     def restored(behind: dtype, a: dtype, ra: dtype):
@@ -138,22 +131,7 @@ def blend_adjoint_kernel(
     ):
         block, thread = wp.tid()
         block = block + first_block
-        tile = int(block)
-        if segment > 0:
-            tile = int(0)
-            upper = tile_offsets.shape[0] - 2
-            while tile < upper:
-                middle = (tile + upper + 1) // 2
-                if middle + tile_offsets[middle] // segment <= block:
-                    tile = middle
-                else:
-                    upper = middle - 1
-        begin = int(tile_offsets[tile])
-        end = int(tile_offsets[tile + 1])
-        if segment > 0:
-            first = (block - tile) * segment
-            begin = wp.max(begin, first)
-            end = first + wp.min(end - first, segment)
+        tile, begin, end, _ = list_of_block(block, tile_offsets, segment)
         if begin >= end:
             return
 
@@ -226,10 +204,8 @@ def blend_adjoint_kernel(
         opacity = zero
         opacity_t = zero
         address = wp.uint64(0)
-        lanes_below = wp.uint32(0)
         if wp.static(cuda):
             address = records_of_warp(warp)
-            lanes_below = (wp.uint32(1) << wp.uint32(lane)) - wp.uint32(1)
             if i - lane >= begin:
                 g = gaussian_ids[i - lane]
                 mean = means2d[g]
@@ -250,25 +226,7 @@ def blend_adjoint_kernel(
                     x1 = x0 + dtype(block_width - 1)
                     y1 = y0 + dtype(block_height - 1)
                     hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
-                survivors = warp_ballot(hit)
-                count = count_bits(survivors)
-                warp_sync()
-                if hit != 0:
-                    entry = survivor()
-                    entry[0] = mean[0]
-                    entry[1] = mean[1]
-                    entry[2] = root[0]
-                    entry[3] = root[1]
-                    entry[4] = root[2]
-                    entry[5] = opacity
-                    entry[6] = opacity_t
-                    entry[7] = wp.cast(word(lane), dtype)
-                    entry[8] = wp.cast(word(g), dtype)
-                    if wp.static(staged):
-                        v = features[g]
-                        for c in range(C):
-                            entry[header + c] = v[c]
-                    put(address, count_bits(survivors & lanes_below), entry)
+                count = admit(address, lane, hit, g, mean, root, opacity, opacity_t, features)
                 # What the next batch begins with is on its way while this one is walked, its identities since the last.
                 g = g_next
                 if i - batch - lane >= begin:
@@ -279,7 +237,6 @@ def blend_adjoint_kernel(
                         opacity_t = thermal_opacities[g]
                 if i - 2 * batch - lane >= begin:
                     g_next = gaussian_ids[i - 2 * batch - lane]
-                warp_sync()
 
             for k in range(count):
                 pair = i - k
@@ -297,8 +254,8 @@ def blend_adjoint_kernel(
                     U = vec3(entry[2], entry[3], entry[4])
                     o = entry[5]
                     ot = entry[6]
-                    pair = i - int(wp.cast(entry[7], word))
-                    gaussian = int(wp.cast(entry[8], word))
+                    pair = i - integer(entry[7])
+                    gaussian = integer(entry[8])
                     if wp.static(staged):
                         for c in range(C):
                             f[c] = entry[header + c]
