@@ -30,8 +30,8 @@ def product_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         sums: wp.array(dtype=vec3),
     ):
         thread = wp.tid()
-        row = int(-1)
-        needed = bool(False)
+        row = -1
+        needed = False
         weights = vec16()
         start = vec3()
         if thread < order.shape[0]:
@@ -57,8 +57,8 @@ def product_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         v_b: wp.array(dtype=vec16),
     ):
         thread = wp.tid()
-        row = int(-1)
-        needed = bool(False)
+        row = -1
+        needed = False
         weights = vec16()
         gradient = vec3()
         if thread < order.shape[0]:
