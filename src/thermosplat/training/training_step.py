@@ -125,8 +125,7 @@ class TrainingStep:
         if state.offsets_dropped:
             for gaussians in state.gaussian_sets.values():
                 hold_zeros(gaussians)
-        for optimizers in state.optimizers.values():
-            step_unless(blocked, optimizers)
+        step_unless(blocked, state.optimizers)
         for name, strategy in state.strategies.items():
             if strategy.moves_gaussians and state.gaussian_sets[name].means.grad is not None:
                 strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
