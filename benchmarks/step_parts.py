@@ -22,7 +22,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     (
         "decoders",
         (
-            *("forward_kernel", "backward_kernel", "square_weights", "narrow_weights", "gemm", "triton", "_Branch"),
+            *("forward_kernel", "backward_kernel", "weights_kernel", "gemm", "triton", "_Branch"),
             *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu"),
         ),
     ),
