@@ -25,6 +25,7 @@ from thermosplat.packed_parameters import num_bytes, pack, unpack
 from thermosplat.rendered_frame import RenderedFrame
 from thermosplat.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.view_directions import view_directions
+from thermosplat.warp_covered_images import warp_covered
 
 if TYPE_CHECKING:
     from thermosplat.datasets.capture import Capture
@@ -191,17 +192,21 @@ class SceneModel(nn.Module):
         else:
             decoded = decoders.rgb(*self._decoder_inputs(view, visible_features))
         if self.decoder_config.hybrid_rgb:
-            rendered.rgb = output.render_colors.squeeze(0) + self._covered(decoded, alpha)
+            rendered.rgb = self._covered(decoded, alpha, output.render_colors.squeeze(0))
+        elif self.decoder_config.covered_only:
+            rendered.rgb = self._covered(decoded, alpha, (1.0 - alpha) * self.background)
         else:
-            rendered.rgb = self._covered(decoded, alpha, self.background)
+            rendered.rgb = decoded
         return rendered
 
-    def _covered(self, decoded: Tensor, alpha: Tensor, behind: Tensor | None = None) -> Tensor:
-        """A decoded image as far as Gaussians cover it; elsewhere ``behind``, or black, the coldest temperature."""
+    def _covered(self, decoded: Tensor, alpha: Tensor, base: Tensor | None = None) -> Tensor:
+        """A decoded image as far as Gaussians cover it, added to ``base``, or black, the coldest temperature."""
         if not self.decoder_config.covered_only:
-            return decoded
+            return decoded if base is None else base + decoded
+        if decoded.is_cuda:
+            return warp_covered(decoded, alpha, base)
         covered = alpha * decoded
-        return covered if behind is None else covered + (1.0 - alpha) * behind
+        return covered if base is None else base + covered
 
     def _decoder_inputs(self, view: "ViewTensors", *features: Tensor) -> tuple[Tensor, ...]:
         """Rendered features [H, W, d] as the decoders take them: with the viewing directions, where they see those."""

@@ -9,6 +9,7 @@ from warp_kernels.adam import adam_coefficients_kernel, adam_update_kernel
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.covered_images import covering_kernels
 from warp_kernels.density_notes import density_kernel
 from warp_kernels.finite_check import note_bad_kernel
 from warp_kernels.gradient_records import distribute_kernel
@@ -43,7 +44,7 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for absgrad in (False, True)
     ]
     kernels += [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), *image_loss_adjoint_kernels(dtype, 1.5)]
-    kernels.append(density_kernel(dtype))
+    kernels += [density_kernel(dtype), *covering_kernels(dtype)]
     if dtype is wp.float32:
         kernels += [adam_coefficients_kernel, adam_update_kernel, note_bad_kernel]
     return kernels
