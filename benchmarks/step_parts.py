@@ -14,16 +14,17 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("projection adjoint", ("project_adjoint", "finish_camera_gradients", "ProjectBackward")),
     ("projection", ("project_", "Project")),
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "ShColorsBackward")),
-    ("SH", ("sh_colors", "ShColors")),
+    ("SH", ("sh_colors", "camera_positions", "ShColors")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "strand_sums", "BlendBackward")),
     ("blending", ("blend_", "Blend")),
     ("binning", ("count_tiles", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan")),
     ("optimizer", ("adam", "Adam")),
+    ("bookkeeping", ("note_bad", "note_density")),
     (
         "decoders",
         (
             *("forward_kernel", "backward_kernel", "weights_kernel", "gemm", "triton", "_Branch"),
-            *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu"),
+            *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu", "cover_"),
         ),
     ),
 )
@@ -74,7 +75,7 @@ def profiled(work: Callable[[], object], count: int, device: torch.device) -> li
 def part_times(kernels: list[dict[str, Any]]) -> dict[str, float]:
     """Milliseconds a step of each part, in the order of a step as far as kernels have one."""
     names = ["projection", "SH", "binning", "blending", "decoders", "image losses"]
-    names += ["blending adjoint", "SH adjoint", "projection adjoint", "optimizer", REST]
+    names += ["blending adjoint", "SH adjoint", "projection adjoint", "optimizer", "bookkeeping", REST]
     times = dict.fromkeys(names, 0.0)
     for kernel in kernels:
         times[kernel["part"]] += kernel["microseconds"] / 1e3

@@ -5,16 +5,10 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from warp_kernels.adam import adam_coefficients_kernel, adam_update_kernel
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
-from warp_kernels.covered_images import covering_kernels
-from warp_kernels.density_notes import density_kernel
-from warp_kernels.finite_check import note_bad_kernel
 from warp_kernels.gradient_records import distribute_kernel
-from warp_kernels.image_loss import image_loss_kernels
-from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernels
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
 from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel
@@ -23,7 +17,7 @@ from warp_kernels.tile_binning import binning_kernels, tile_ranges_kernel
 
 
 def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
-    """Kernels with one thread a Gaussian, pair or image, and those of the losses."""
+    """Kernels with one thread a Gaussian, pair or image."""
     kernels = [
         projection_kernel(dtype, camera_model, from_covars)
         for camera_model in ("pinhole", "ortho")
@@ -43,10 +37,6 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for channels, thermal_channels, per_pair in ((3, 0, 0), (11, 8, 0), (11, 8, 8))
         for absgrad in (False, True)
     ]
-    kernels += [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), *image_loss_adjoint_kernels(dtype, 1.5)]
-    kernels += [density_kernel(dtype), *covering_kernels(dtype)]
-    if dtype is wp.float32:
-        kernels += [adam_coefficients_kernel, adam_update_kernel, note_bad_kernel]
     return kernels
 
 
