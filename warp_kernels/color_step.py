@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sums
@@ -20,6 +21,8 @@ def sh_colors(
     num_cameras: int,
     per_image: bool = False,
     tape: wp.Tape | None = None,
+    *,
+    fresh_gradients: bool = False,
 ) -> None:
     """Evaluates spherical harmonics in each Gaussian's view direction; zero where it is culled.
 
@@ -37,11 +40,13 @@ def sh_colors(
         num_cameras: cameras per scene.
         per_image: coefficients are per (image, Gaussian).
         tape: records the adjoint.
+        fresh_gradients: the adjoint overwrites the gradients of means and coefficients, which need not be zeros before,
+            in place of adding to them.
     """
     device = means.device
     dtype = means.dtype._wp_scalar_type_
     arguments = [num_gaussians, num_cameras, per_image, degree, means, camera_positions, sh0, shN, radii, colors]
-    launch(color_kernel(dtype), len(colors), arguments, device)
+    launch(color_kernel(dtype), whole_warps(len(colors), device), arguments, device)
     if tape is None:
         return
 
@@ -49,8 +54,8 @@ def sh_colors(
         v_offsets = wp.empty_like(colors)
         launch(
             color_adjoint_kernel(dtype),
-            len(means),
-            [*arguments, gradient_of(colors), gradient_of(sh0), gradient_of(shN), gradient_of(means), v_offsets],
+            whole_warps(len(means), device),
+            [*arguments, gradient_of(colors), fresh_gradients, *map(gradient_of, (sh0, shN, means)), v_offsets],
             device,
         )
         if camera_positions.grad is not None:
