@@ -186,8 +186,8 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        The Warp kernel. It adds to coefficients and means, and stores the direction's part per (image, Gaussian),
-        whose negative sum is the gradient to the camera position.
+        The Warp kernel. It adds to coefficients and means, or with ``store`` writes them, and where there is room for
+        it stores the direction's part per (image, Gaussian), whose negative sum is the gradient to the camera position.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
     basis, basis_adjoint = basis_functions(dtype)
@@ -207,6 +207,7 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         radii: wp.array(dtype=wp.vec2i),
         colors: wp.array(dtype=vec3),
         v_colors: wp.array(dtype=vec3),
+        store: bool,
         # outputs
         v_sh0: wp.array2d(dtype=vec3),
         v_shN: wp.array2d(dtype=vec3),
@@ -220,8 +221,11 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
             image = scene * num_cameras + camera
             index = image * num_gaussians + gaussian % num_gaussians
             v_offset = vec3()
+            row = wp.where(per_image, index, gaussian)
+            fresh = store and (per_image or camera == 0)  # nothing has been written to the coefficients' gradients yet
+            used = int(0)
             if radii[index][0] > 0:
-                row = wp.where(per_image, index, gaussian)
+                used = (degree + 1) * (degree + 1)
                 unit, inverse = direction(means[gaussian], camera_positions[image])
                 b = basis(unit, degree)
                 v = v_colors[index]
@@ -232,30 +236,88 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                         v[c] = dtype(0.0)
                 v_basis = vec16()
                 v_basis[0] = wp.dot(sh0[row, 0], v)
-                v_sh0[row, 0] = v_sh0[row, 0] + b[0] * v
-                for k in range(1, (degree + 1) * (degree + 1)):
+                if fresh:
+                    v_sh0[row, 0] = b[0] * v
+                else:
+                    v_sh0[row, 0] = v_sh0[row, 0] + b[0] * v
+                for k in range(1, used):
                     v_basis[k] = wp.dot(shN[row, k - 1], v)
-                    v_shN[row, k - 1] = v_shN[row, k - 1] + b[k] * v
+                    if fresh:
+                        v_shN[row, k - 1] = b[k] * v
+                    else:
+                        v_shN[row, k - 1] = v_shN[row, k - 1] + b[k] * v
                 v_unit = basis_adjoint(unit, degree, v_basis)
                 v_offset = (v_unit - wp.dot(v_unit, unit) * unit) * inverse
                 if wp.isfinite(v) and not wp.isfinite(v_offset):
                     v_offset = vec3()  # the camera is too near for its gradient to be held
-            v_offsets[index] = v_offset
+            if fresh:
+                if used == 0:
+                    v_sh0[row, 0] = vec3()
+                for k in range(wp.max(used, 1), v_shN.shape[1] + 1):
+                    v_shN[row, k - 1] = vec3()
+            if v_offsets.shape[0] > 0:
+                v_offsets[index] = v_offset
             total = total + v_offset
-        v_means[gaussian] = v_means[gaussian] + total
+        if store:
+            v_means[gaussian] = total
+        else:
+            v_means[gaussian] = v_means[gaussian] + total
 
     return sh_colors_adjoint_kernel
 
 
-@wp.kernel(enable_backward=False, module="unique")
-def camera_position_adjoint_kernel(
-    partial_sums: wp.array(dtype=wp.vec3d),
-    # outputs
-    v_camera_positions: wp.array(dtype=wp.vec3d),
-):
-    """Adds the strands of the directions' gradients and subtracts them from the positions', one thread an image."""
-    image = wp.tid()
-    total = wp.vec3d()
-    for strand in range(wp.static(STRANDS)):
-        total = total + partial_sums[image * wp.static(STRANDS) + strand]
-    v_camera_positions[image] = v_camera_positions[image] - total
+@functools.cache
+def camera_position_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
+    """Where the cameras are, and the adjoint of that; one thread an image.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``, of the view matrices.
+
+    Returns:
+        ``(forward, adjoint)``. The adjoint adds the strands of the directions' gradients, whose negative sum is the
+        gradient v to the position p, and adds to that of the view matrix V: with p = V⁻¹ e4 it is -(V⁻ᵀ v) pᵀ.
+    """
+    mat44 = wp.types.matrix((4, 4), dtype)
+    largest = wp.float64(1.0e37)
+
+    @wp.func
+    def inverse(view: mat44):
+        exact = wp.mat44d()
+        for i in range(4):
+            for j in range(4):
+                exact[i, j] = wp.float64(view[i, j])
+        return wp.inverse(exact)
+
+    @wp.kernel(name=f"camera_positions_{dtype.__name__}", enable_backward=False, module="unique")
+    def camera_positions_kernel(
+        viewmats: wp.array(dtype=mat44),
+        # outputs
+        camera_positions: wp.array(dtype=wp.vec3d),
+    ):
+        image = wp.tid()
+        back = inverse(viewmats[image])
+        camera_positions[image] = wp.vec3d(back[0, 3], back[1, 3], back[2, 3])
+
+    @wp.kernel(name=f"camera_position_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
+    def camera_position_adjoint_kernel(
+        partial_sums: wp.array(dtype=wp.vec3d),
+        viewmats: wp.array(dtype=mat44),
+        # outputs
+        v_viewmats: wp.array(dtype=mat44),
+    ):
+        image = wp.tid()
+        total = wp.vec3d()
+        for strand in range(wp.static(STRANDS)):
+            total = total + partial_sums[image * wp.static(STRANDS) + strand]
+        back = inverse(viewmats[image])
+        v_view = v_viewmats[image]
+        for i in range(4):
+            row = back[0, i] * total[0] + back[1, i] * total[1] + back[2, i] * total[2]
+            for j in range(4):
+                v = row * back[j, 3]
+                # Without what overflows where a view matrix has next to no inverse.
+                if wp.abs(v) < largest:
+                    v_view[i, j] = v_view[i, j] + dtype(v)
+        v_viewmats[image] = v_view
+
+    return camera_positions_kernel, camera_position_adjoint_kernel

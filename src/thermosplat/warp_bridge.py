@@ -1,12 +1,12 @@
 """Torch autograd over Warp tapes: the only file where torch meets warp_kernels (warp_streams.py shares the device).
 
-Each step of the rasterizer is one ``torch.autograd.Function``. Its forward pass wraps torch's memory as Warp arrays,
-runs the step and records the adjoint on a ``wp.Tape``; its backward pass lends the gradients to the arrays and replays
-the tape. Torch owns every tensor that outlives a call; work runs on torch's current stream.
+Each step of the rasterizer is one ``torch.autograd.Function``. Its passes look at torch's memory as Warp arrays and run
+the step or its adjoint (the blending's from a ``wp.Tape``), which stores gradients in memory that is not initialised
+where it can. Torch owns every tensor that outlives a call; work runs on torch's current stream. Flat arrays of Warp may
+be tensors of any shape here: those users see are made in the shape they see.
 """
 
 import functools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,9 +16,12 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.errors import UserError
-from thermosplat.warp_streams import on_torch_stream
-from warp_kernels import binning_step, blending_step, color_step, projection_step
+from thermosplat.warp_streams import joined_capture, on_torch_stream
+from warp_kernels import binning_step, blending_step
+from warp_kernels.array_views import ArrayView, nothing
+from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
+from warp_kernels.projection_step import project, project_adjoint
 from warp_kernels.tile_binning import TileBins
 
 SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
@@ -26,7 +29,7 @@ SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
 
 
 def wrap(tensor: Tensor, dtype: Any) -> wp.array:
-    """A Warp array on a torch tensor's memory: ``wp.from_torch`` in half its time, which a render spends 50 times.
+    """A Warp array on a torch tensor's memory, as ``wp.launch`` takes it: ``wp.from_torch`` in half its time.
 
     Args:
         tensor: contiguous in the dimensions that the dtype takes.
@@ -57,25 +60,64 @@ def _warp_device(device: torch.device) -> wp.Device:
     return wp.device_from_torch(device)
 
 
+class Kinds(NamedTuple):
+    """Warp's types for the numbers of a torch dtype."""
+
+    scalar: Any
+    vec2: Any
+    vec3: Any
+    vec4: Any
+    vec6: Any
+    mat33: Any
+    mat44: Any
+
+
+@functools.cache
+def _kinds(dtype: torch.dtype) -> Kinds:
+    scalar = SCALARS[dtype]
+    vectors = (wp.types.vector(k, scalar) for k in (2, 3, 4, 6))
+    return Kinds(scalar, *vectors, *(wp.types.matrix((k, k), scalar) for k in (3, 4)))
+
+
+@functools.cache
+def _vector(length: int, dtype: torch.dtype) -> Any:
+    return wp.types.vector(length, SCALARS[dtype])
+
+
+def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
+    """A torch tensor's memory as an array for the launches of warp_kernels, in a tenth of ``wrap``'s time.
+
+    Args:
+        tensor: contiguous; the array does not keep it alive.
+        kind: Warp type of an element.
+        shape: extents; none: one dimension.
+
+    Returns:
+        The array.
+    """
+    shape = shape or (tensor.numel() // getattr(kind, "_length_", 1),)
+    return ArrayView(tensor.data_ptr(), shape, kind, _warp_device(tensor.device))
+
+
+def _lend(array: ArrayView, gradient: Tensor | None) -> ArrayView:
+    """Gives an array a gradient, which it keeps alive where that had to be made contiguous; None stands for zeros."""
+    if gradient is not None:
+        gradient = gradient.contiguous()
+        array.grad = view(gradient, array.dtype, *array.shape)
+        array.grad.owner = gradient
+    return array
+
+
+def _empty(tensor: Tensor | None) -> Tensor | None:
+    return torch.empty_like(tensor) if tensor is not None else None
+
+
 def _zeros(tensor: Tensor | None, wanted: bool = True) -> Tensor | None:
     return torch.zeros_like(tensor) if wanted and tensor is not None else None
 
 
-def _lend(outputs: Sequence[wp.array], gradients: Sequence[Tensor | None]) -> None:
-    """Gives outputs the gradients autograd brought; None stands for zeros."""
-    for array, gradient in zip(outputs, gradients, strict=True):
-        array.grad = wp.zeros_like(array) if gradient is None else wrap(gradient.contiguous(), array.dtype)
-
-
-def _collect(inputs: Sequence[wp.array | None], gradients: Sequence[Tensor | None]) -> None:
-    """Makes the adjoint add to torch's gradients of inputs; None: this one is not wanted."""
-    for array, gradient in zip(inputs, gradients, strict=True):
-        if array is not None:
-            array.grad = None if gradient is None else wrap(gradient, array.dtype)
-
-
 class ProjectedTensors(NamedTuple):
-    """What ``Project`` returns: the fields of ``ProjectedArrays``, a vector's numbers in a last dimension."""
+    """What ``Project`` returns: the fields of ``ProjectedArrays`` [..., C, N], a vector's numbers in a last dimension."""
 
     means2d: Tensor
     depths: Tensor
@@ -85,11 +127,9 @@ class ProjectedTensors(NamedTuple):
     extents: Tensor  # not differentiable
 
     def arrays(self) -> ProjectedArrays:
-        """The same memory as Warp arrays."""
-        scalar = SCALARS[self.means2d.dtype]
-        vec2, vec3 = wp.types.vector(2, scalar), wp.types.vector(3, scalar)
-        kinds = (vec2, scalar, vec3, scalar, wp.vec2i, vec2)
-        return ProjectedArrays(*(wrap(tensor, kind) for tensor, kind in zip(self, kinds, strict=True)))
+        """The same memory as flat Warp arrays, which do not keep it alive."""
+        scalar, vec2, vec3 = _kinds(self.means2d.dtype)[:3]
+        return ProjectedArrays(*map(view, self, (vec2, scalar, vec3, scalar, wp.vec2i, vec2)))
 
 
 class Project(torch.autograd.Function):
@@ -99,62 +139,81 @@ class Project(torch.autograd.Function):
     def forward(
         ctx: Any,
         means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
+        quats: Tensor | None,
+        scales: Tensor | None,
         covars: Tensor | None,
         opacities: Tensor,
         thermal_opacities: Tensor,
         viewmats: Tensor,
         Ks: Tensor,
         settings: ProjectionSettings,
+        images_shape: tuple[int, ...],
     ) -> tuple[Tensor, ...]:
-        scalar = SCALARS[means.dtype]
-        vec3, vec4, vec6 = (wp.types.vector(k, scalar) for k in (3, 4, 6))
-        mat33, mat44 = wp.types.matrix((3, 3), scalar), wp.types.matrix((4, 4), scalar)
-        entries = len(viewmats) * settings.num_gaussians
+        shape = (*images_shape, settings.num_gaussians)
         projected = ProjectedTensors(
-            means2d=means.new_empty(entries, 2),
-            depths=means.new_empty(entries),
-            roots=means.new_empty(entries, 3),
-            compensations=means.new_empty(entries),
-            radii=torch.empty(entries, 2, dtype=torch.int32, device=means.device),
-            extents=means.new_empty(entries, 2),
+            means2d=means.new_empty((*shape, 2)),
+            depths=means.new_empty(shape),
+            roots=means.new_empty((*shape, 3)),
+            compensations=means.new_empty(shape),
+            radii=means.new_empty((*shape, 2), dtype=torch.int32),
+            extents=means.new_empty((*shape, 2)),
         )
+        ctx.settings = settings
         with on_torch_stream(means.device):
-            ctx.gaussians = GaussianArrays(
-                wrap(means, vec3),
-                wrap(quats, vec4),
-                wrap(scales, vec3),
-                None if covars is None else wrap(covars, vec6),
-                wrap(opacities, scalar),
-                wrap(thermal_opacities, scalar),
-                wrap(viewmats, mat44),
-                wrap(Ks, mat33),
-            )
-            ctx.projected = projected.arrays()
-            ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
-            projection_step.project(ctx.gaussians, settings, ctx.projected, ctx.tape)
+            gaussians = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
+            project(gaussians, settings, projected.arrays())
         ctx.mark_non_differentiable(projected.radii, projected.extents)
         ctx.set_materialize_grads(False)
-        # Saved so that torch reports in-place changes between forward and backward.
         outputs = (projected.roots, projected.compensations, projected.radii)
-        ctx.save_for_backward(means, quats, scales, covars, viewmats, Ks, *outputs)
+        ctx.save_for_backward(means, quats, scales, covars, opacities, viewmats, Ks, *outputs)
         return tuple(projected)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        means, quats, scales, covars, viewmats, Ks = ctx.saved_tensors[:6]
+        means, quats, scales, covars, opacities, viewmats, Ks, roots, compensations, radii = ctx.saved_tensors
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
-        v_means, v_quats, v_scales, v_covars = (_zeros(tensor) for tensor in (means, quats, scales, covars))
+        v_means, v_quats, v_scales, v_covars = (_empty(tensor) for tensor in (means, quats, scales, covars))
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
-        with on_torch_stream(means.device):
-            g, p = ctx.gaussians, ctx.projected
+        kinds = _kinds(means.dtype)
+        with on_torch_stream(means.device) as device:
+            g = _gaussians(means, quats, scales, covars, opacities, opacities, viewmats, Ks)
             inputs = (g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks)
-            _collect(inputs, (v_means, v_quats, v_scales, v_covars, v_viewmats, v_Ks))
-            _lend((p.means2d, p.depths, p.roots, p.compensations), gradients[:4])
-            ctx.tape.backward()
-        return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None
+            for array, gradient in zip(inputs, (v_means, v_quats, v_scales, v_covars, v_viewmats, v_Ks), strict=True):
+                if gradient is not None:
+                    array.grad = view(gradient, array.dtype)
+            # Of means2d and depths the adjoint reads only the gradients.
+            unread = (ArrayView(0, (radii.numel() // 2,), kind, device) for kind in (kinds.vec2, kinds.scalar))
+            outputs = (*unread, view(roots, kinds.vec3), view(compensations, kinds.scalar))
+            for array, gradient in zip(outputs, gradients, strict=False):
+                _lend(array, gradient)
+            projected = ProjectedArrays(*outputs, view(radii, wp.vec2i), nothing(kinds.vec2, 1, device))
+            project_adjoint(g, ctx.settings, projected, store=True)
+        return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, None
+
+
+def _gaussians(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    covars: Tensor | None,
+    opacities: Tensor,
+    thermal_opacities: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+) -> GaussianArrays:
+    kinds, device = _kinds(means.dtype), _warp_device(means.device)
+    bound = view(opacities, kinds.scalar)
+    return GaussianArrays(
+        means=view(means, kinds.vec3),
+        quats=nothing(kinds.vec4, 1, device) if quats is None else view(quats, kinds.vec4),
+        scales=nothing(kinds.vec3, 1, device) if scales is None else view(scales, kinds.vec3),
+        covars=None if covars is None else view(covars, kinds.vec6),
+        opacities=bound,
+        thermal_opacities=bound if thermal_opacities is opacities else view(thermal_opacities, kinds.scalar),
+        viewmats=view(viewmats, kinds.mat44),
+        Ks=view(Ks, kinds.mat33),
+    )
 
 
 class ShColors(torch.autograd.Function):
@@ -164,58 +223,65 @@ class ShColors(torch.autograd.Function):
     def forward(
         ctx: Any,
         means: Tensor,
-        camera_positions: Tensor,
+        viewmats: Tensor,
         sh0: Tensor,
         shN: Tensor | None,
         radii: Tensor,
-        degree: int,
-        per_image: bool,
-        num_gaussians: int,
-        num_cameras: int,
+        settings: ColorSettings,
     ) -> Tensor:
-        vec3 = wp.types.vector(3, SCALARS[means.dtype])
-        colors = means.new_empty(len(radii), 3)
+        colors = means.new_empty((radii.numel() // 2, 3))
+        ctx.settings = settings
         with on_torch_stream(means.device):
-            kinds = (vec3, wp.vec3d, vec3, vec3, vec3)
-            tensors = (means, camera_positions, *_by_degree(sh0, shN), colors)
-            ctx.arrays = [wrap(tensor, kind) for tensor, kind in zip(tensors, kinds, strict=True)]
-            ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
-            color_step.sh_colors(
-                degree,
-                *ctx.arrays[:4],
-                wrap(radii, wp.vec2i),
-                ctx.arrays[4],
-                num_gaussians,
-                num_cameras,
-                per_image,
-                ctx.tape,
-            )
-        ctx.save_for_backward(means, camera_positions, sh0, shN, radii, colors)
+            arrays = _color_arrays(means, viewmats, sh0, shN, radii, colors)
+            sh_colors(arrays, settings)
+        ctx.camera_positions = arrays.camera_positions
+        ctx.save_for_backward(means, viewmats, sh0, shN, radii, colors)
         return colors
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_colors: Tensor) -> tuple[Tensor | None, ...]:
-        means, camera_positions, sh0, shN = ctx.saved_tensors[:4]
-        v_means, v_sh0, v_shN = torch.zeros_like(means), torch.zeros_like(sh0), _zeros(shN)
-        v_positions = _zeros(camera_positions, ctx.needs_input_grad[1])
+        means, viewmats, sh0, shN, radii, colors = ctx.saved_tensors
+        v_means, v_sh0, v_shN = torch.empty_like(means), torch.empty_like(sh0), _empty(shN)
+        v_viewmats = _zeros(viewmats, ctx.needs_input_grad[1])
         with on_torch_stream(means.device):
-            _collect(ctx.arrays[:4], (v_means, v_positions, *_by_degree(v_sh0, v_shN)))
-            _lend(ctx.arrays[4:], (v_colors,))
-            ctx.tape.backward()
-        return v_means, v_positions, v_sh0, v_shN, None, None, None, None, None
+            arrays = _color_arrays(means, viewmats, sh0, shN, radii, colors)
+            arrays.camera_positions = ctx.camera_positions
+            arrays.means.grad = view(v_means, arrays.means.dtype)
+            arrays.sh0.grad, arrays.shN.grad = _by_degree(v_sh0, v_shN)
+            if v_viewmats is not None:
+                arrays.viewmats.grad = view(v_viewmats, arrays.viewmats.dtype)
+            _lend(arrays.colors, v_colors)
+            sh_colors_adjoint(arrays, ctx.settings, store=True)
+        return v_means, v_viewmats, v_sh0, v_shN, None, None
 
 
-def _by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Coefficients of degree 0 and of the others, where they are one tensor as views of it."""
-    return (sh0[:, :1], sh0[:, 1:]) if shN is None else (sh0, shN)
+def _color_arrays(
+    means: Tensor, viewmats: Tensor, sh0: Tensor, shN: Tensor | None, radii: Tensor, colors: Tensor
+) -> ColorArrays:
+    kinds = _kinds(means.dtype)
+    coefficients = _by_degree(sh0, shN)
+    positions = (view(means, kinds.vec3), view(viewmats, kinds.mat44))
+    return ColorArrays(*positions, *coefficients, view(radii, wp.vec2i), view(colors, kinds.vec3))
+
+
+def _by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[ArrayView, ArrayView]:
+    """Coefficients of degree 0 and of the others, where they are one tensor as two views of it."""
+    kind, count = _kinds(sh0.dtype).vec3, sh0.shape[-2]
+    rows = sh0.numel() // (3 * count)
+    if shN is not None:
+        return view(sh0, kind, rows, 1), view(shN, kind, rows, shN.shape[-2])
+    vector = 3 * sh0.element_size()
+    strides, device = (vector * count, vector), _warp_device(sh0.device)
+    first = ArrayView(sh0.data_ptr(), (rows, 1), kind, device, strides=strides)
+    return first, ArrayView(sh0.data_ptr() + vector, (rows, count - 1), kind, device, strides=strides)
 
 
 @dataclass
 class BlendInputs:
     """What ``Blend`` needs beside the tensors it differentiates."""
 
-    projected: ProjectedArrays
+    projected: ProjectedTensors
     bins: TileBins
     settings: ProjectionSettings
     thermal_channels: int
@@ -237,24 +303,26 @@ class Blend(torch.autograd.Function):
         features: Tensor,
         inputs: BlendInputs,
     ) -> tuple[Tensor, ...]:
-        scalar = SCALARS[means2d.dtype]
-        settings = inputs.settings
-        shape = (settings.num_images * settings.height, settings.width)
-        images: list[tuple[Tensor, Any]] = []
+        dtype, settings = means2d.dtype, inputs.settings
+        scalar, vec2 = _kinds(dtype)[:2]
+        rows = (settings.num_images * settings.height, settings.width)
+        shape = (*means2d.shape[:-2], settings.height, settings.width)
+        renders, read, arrays = [], [], []
         for channels in (features.shape[-1], inputs.thermal_channels):
             if channels > 0:
-                images += [
-                    (means2d.new_empty(*shape, channels), wp.types.vector(channels, scalar)),
-                    (means2d.new_empty(shape), scalar),
-                    (torch.empty(shape, dtype=torch.int32, device=means2d.device), wp.int32),
-                ]
+                render, transmittance = means2d.new_empty((*shape, channels)), means2d.new_empty((*shape, 1))
+                last_pairs = means2d.new_empty(rows, dtype=torch.int32)
+                renders += [render, transmittance]
+                read += [transmittance, last_pairs]
+                kinds = ((render, _vector(channels, dtype)), (transmittance, scalar), (last_pairs, wp.int32))
+                arrays += [view(image, kind, *rows) for image, kind in kinds]
         with on_torch_stream(means2d.device):
             ctx.absolute = torch.zeros_like(means2d) if inputs.absgrad else None
-            ctx.projected = inputs.projected
-            ctx.opacities = wrap(opacities, scalar)
-            ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else wrap(thermal_opacities, scalar)
-            ctx.features = wrap(features, wp.types.vector(features.shape[-1], scalar))
-            ctx.blended = blending_step.BlendedArrays(*(wrap(image, kind) for image, kind in images))
+            ctx.projected = inputs.projected.arrays()
+            ctx.opacities = view(opacities, scalar)
+            ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
+            ctx.features = view(features, _vector(features.shape[-1], dtype))
+            ctx.blended = blending_step.BlendedArrays(*arrays)
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
             blending_step.blend(
                 ctx.projected,
@@ -265,34 +333,39 @@ class Blend(torch.autograd.Function):
                 settings,
                 ctx.blended,
                 ctx.tape,
-                absolute=None if ctx.absolute is None else wrap(ctx.absolute, wp.types.vector(2, scalar)),
+                absolute=None if ctx.absolute is None else view(ctx.absolute, vec2),
             )
         ctx.shown_means2d = inputs.shown_means2d
-        # Of the images only those that the adjoint reads, so that users may change the renders in place.
-        read = [image for image, _ in images if image.dim() == 2]
-        ctx.save_for_backward(means2d, roots, opacities, thermal_opacities, features, *read)
-        return tuple(image for image, kind in images if kind is not wp.int32)
+        ctx.set_materialize_grads(False)
+        # Of the images only those that the adjoint reads, so that users may change the renders in place. What is saved
+        # is what keeps the arrays' memory alive.
+        extents = inputs.projected.extents
+        ctx.save_for_backward(means2d, roots, opacities, thermal_opacities, features, extents, *read)
+        return tuple(renders)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means2d, roots, opacities, thermal_opacities, features = ctx.saved_tensors[:5]
-        v_means2d, v_roots, v_opacities, v_features = (_zeros(t) for t in (means2d, roots, opacities, features))
-        v_thermal = _zeros(thermal_opacities)
+        inputs = (means2d, roots, opacities, thermal_opacities, features)
+        arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
+        found = tuple(_zeros(tensor) for tensor in inputs)
+        blended = ctx.blended
+        images = [blended.render, blended.transmittance, blended.thermal_render, blended.thermal_transmittance]
         with on_torch_stream(means2d.device):
-            arrays = [ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.features]
-            _collect(arrays, (v_means2d, v_roots, v_opacities, v_features))
-            if v_thermal is not None:
-                _collect([ctx.thermal_opacities], [v_thermal])
-            blended = ctx.blended
-            images = [blended.render, blended.transmittance, blended.thermal_render, blended.thermal_transmittance]
-            _lend(images[: len(gradients)], gradients)
+            for array, gradient in zip(arrays, found, strict=True):
+                if gradient is not None:
+                    array.grad = view(gradient, array.dtype)
+            for array, given in zip(images, gradients, strict=False):
+                _lend(array, given)
             if ctx.absolute is not None:
                 ctx.absolute.zero_()
             ctx.tape.backward()
+            for image in images[: len(gradients)]:
+                image.grad = None
         if ctx.absolute is not None:
-            ctx.shown_means2d.absgrad = ctx.absolute.reshape(ctx.shown_means2d.shape)
-        return v_means2d, v_roots, v_opacities, v_thermal, v_features, None
+            ctx.shown_means2d.absgrad = ctx.absolute
+        return *found, None
 
 
 def bin_tiles(
@@ -305,7 +378,7 @@ def bin_tiles(
     capacity: int | None = None,
     *,
     deterministic: bool = False,
-) -> tuple[ProjectedArrays, TileBins]:
+) -> TileBins:
     """Lists the Gaussians of each tile.
 
     Args:
@@ -319,17 +392,24 @@ def bin_tiles(
         deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
 
     Returns:
-        The projected arrays for ``Blend`` and the bins.
+        The bins.
+
+    Raises:
+        UserError: if a CUDA graph is captured without ``capacity``, or there are too many pairs to number.
     """
-    scalar = SCALARS[opacities.dtype]
-    with on_torch_stream(opacities.device) as device:
-        arrays = projected.arrays()
+    scalar = _kinds(opacities.dtype).scalar
+    with on_torch_stream(opacities.device) as device, joined_capture(opacities.device) as captured:
+        if captured and capacity is None:
+            raise UserError(
+                "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs back.",
+                "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
+            )
         try:
-            bins = binning_step.bin_tiles(
-                arrays,
-                wrap(opacities, scalar),
-                wrap(thermal_opacities, scalar),
-                wrap(features, scalar),
+            return binning_step.bin_tiles(
+                projected.arrays(),
+                view(opacities, scalar),
+                view(thermal_opacities, scalar),
+                view(features, scalar, *features.shape),
                 settings,
                 tile_size,
                 by_slot=deterministic or not device.is_cuda,
@@ -337,9 +417,10 @@ def bin_tiles(
             )
         except binning_step.TooManyPairsError as error:
             raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
-    return arrays, bins
 
 
-def to_torch(array: wp.array) -> Tensor:
+def to_torch(array: Any) -> Tensor:
     """A torch tensor on a Warp array's memory, which it keeps alive."""
+    if isinstance(array, ArrayView):
+        return array.owner
     return wp.to_torch(array, requires_grad=False)
