@@ -47,12 +47,13 @@ def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int)
     with torch.no_grad():
         projected = Project.apply(
             scene["means"], scene["quats"], scene["scales"], None, opacities, thermal, scene["viewmats"], scene["Ks"],
-            settings,
+            settings, (1,),
         )  # fmt: skip
     rows = []
     for tile_size in sorted({layout[0] for layout in LAYOUTS}):
         flat = torch.rand(count, 32, device="cuda")
-        arrays, bins = bin_tiles(ProjectedTensors(*projected), opacities, thermal, flat, settings, tile_size)
+        bins = bin_tiles(ProjectedTensors(*projected), opacities, thermal, flat, settings, tile_size)
+        arrays = ProjectedTensors(*projected).arrays()
         for channels, thermal_channels in CHANNELS:
             features = flat[:, :channels].contiguous()
             vec = wp.types.vector(channels, wp.float32)

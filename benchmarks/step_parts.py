@@ -12,7 +12,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("projection adjoint", ("project_adjoint", "finish_camera_gradients", "ProjectBackward")),
     ("projection", ("project_", "Project")),
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "ShColorsBackward")),
-    ("SH", ("sh_colors", "ShColors")),
+    ("SH", ("sh_colors", "camera_positions", "ShColors")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "strand_sums", "BlendBackward")),
     ("blending", ("blend_", "Blend")),
     ("binning", ("count_tiles", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan")),
