@@ -52,8 +52,8 @@ def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int)
     rows = []
     for tile_size in sorted({layout[0] for layout in LAYOUTS}):
         flat = torch.rand(count, 32, device="cuda")
-        bins = bin_tiles(ProjectedTensors(*projected), opacities, thermal, flat, settings, tile_size)
         arrays = ProjectedTensors(*projected).arrays()
+        bins = bin_tiles(arrays, opacities, thermal, flat, settings, tile_size)
         for channels, thermal_channels in CHANNELS:
             features = flat[:, :channels].contiguous()
             vec = wp.types.vector(channels, wp.float32)

@@ -76,6 +76,7 @@ class ProjectedScene:
                 self.images_shape,
             )
         )
+        self._arrays = self.projected.arrays()
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
         self.means2d, self.depths = self.projected.means2d, self.projected.depths
         self.opacities = self._per_image_opacities(opacities)
@@ -139,7 +140,13 @@ class ProjectedScene:
                 second,
                 features,
                 BlendInputs(
-                    self.projected, self._bin(features), self.settings, thermal_channels, absgrad, self.means2d
+                    self._arrays,
+                    self.projected.extents,
+                    self._bin(features),
+                    self.settings,
+                    thermal_channels,
+                    absgrad,
+                    self.means2d,
                 ),
             )
         )
@@ -166,7 +173,7 @@ class ProjectedScene:
         if self._bins is None:
             room = active_pair_capacity()
             self._bins = bin_tiles(
-                self.projected,
+                self._arrays,
                 self.opacities,
                 self.opacities if self.thermal_opacities is None else self.thermal_opacities,
                 features,

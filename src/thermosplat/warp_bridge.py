@@ -57,6 +57,7 @@ def wrap(tensor: Tensor, dtype: Any) -> wp.array:
 
 @functools.cache
 def _warp_device(device: torch.device) -> wp.Device:
+    wp.init()
     return wp.device_from_torch(device)
 
 
@@ -281,7 +282,8 @@ def _by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[ArrayView, ArrayView]:
 class BlendInputs:
     """What ``Blend`` needs beside the tensors it differentiates."""
 
-    projected: ProjectedTensors
+    projected: ProjectedArrays
+    extents: Tensor
     bins: TileBins
     settings: ProjectionSettings
     thermal_channels: int
@@ -318,7 +320,7 @@ class Blend(torch.autograd.Function):
                 arrays += [view(image, kind, *rows) for image, kind in kinds]
         with on_torch_stream(means2d.device):
             ctx.absolute = torch.zeros_like(means2d) if inputs.absgrad else None
-            ctx.projected = inputs.projected.arrays()
+            ctx.projected = inputs.projected
             ctx.opacities = view(opacities, scalar)
             ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
             ctx.features = view(features, _vector(features.shape[-1], dtype))
@@ -339,8 +341,7 @@ class Blend(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         # Of the images only those that the adjoint reads, so that users may change the renders in place. What is saved
         # is what keeps the arrays' memory alive.
-        extents = inputs.projected.extents
-        ctx.save_for_backward(means2d, roots, opacities, thermal_opacities, features, extents, *read)
+        ctx.save_for_backward(means2d, roots, opacities, thermal_opacities, features, inputs.extents, *read)
         return tuple(renders)
 
     @staticmethod
@@ -369,7 +370,7 @@ class Blend(torch.autograd.Function):
 
 
 def bin_tiles(
-    projected: ProjectedTensors,
+    projected: ProjectedArrays,
     opacities: Tensor,
     thermal_opacities: Tensor,
     features: Tensor,
@@ -382,7 +383,7 @@ def bin_tiles(
     """Lists the Gaussians of each tile.
 
     Args:
-        projected: from ``Project``; radii of Gaussians with non-finite features become zero, in place.
+        projected: what ``Project`` returned; radii of Gaussians with non-finite features become zero, in place.
         opacities: [images · N], compensation included.
         thermal_opacities: [images · N]; the same tensor where there is one opacity.
         features: [images · N, D].
@@ -406,7 +407,7 @@ def bin_tiles(
             )
         try:
             return binning_step.bin_tiles(
-                projected.arrays(),
+                projected,
                 view(opacities, scalar),
                 view(thermal_opacities, scalar),
                 view(features, scalar, *features.shape),
