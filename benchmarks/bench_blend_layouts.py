@@ -14,7 +14,9 @@ import torch
 import warp as wp
 from garden_scene import load_garden
 
-from thermosplat.warp_bridge import Project, ProjectedTensors, bin_tiles, on_torch_stream, wrap
+from thermosplat.rasterization_functions import Project, ProjectedTensors, bin_tiles
+from thermosplat.warp_bridge import wrap
+from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.projection import ProjectionSettings

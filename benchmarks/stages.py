@@ -7,7 +7,8 @@ import warp as wp
 from timing import time_interleaved
 from torch import Tensor
 
-from thermosplat.warp_bridge import on_torch_stream, wrap
+from thermosplat.warp_bridge import wrap
+from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.binning_step import bin_tiles
 from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors

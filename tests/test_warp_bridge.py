@@ -8,7 +8,8 @@ import warp as wp
 
 from gaussian_scenes import gradients, leaves, random_scene, relative_error, upstream_gradients
 from thermosplat import rasterization
-from thermosplat.warp_bridge import SCALARS, on_torch_stream, to_torch, wrap
+from thermosplat.warp_bridge import SCALARS, to_torch, wrap
+from thermosplat.warp_streams import on_torch_stream
 
 
 @pytest.mark.parametrize("dtype", list(SCALARS))

@@ -74,7 +74,11 @@ def project_adjoint(
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
     to_cameras = gaussians.viewmats.grad is not None or gaussians.Ks.grad is not None
     record = wp.types.vector(CAMERA_RECORD, dtype)
-    v_cameras = empty(settings.num_images * settings.num_gaussians, record, device) if to_cameras else nothing(record, 1, device)
+    v_cameras = (
+        empty(settings.num_images * settings.num_gaussians, record, device)
+        if to_cameras
+        else nothing(record, 1, device)
+    )
     covars = _covars(gaussians)
     launch(
         projection_adjoint_kernel(dtype, settings.camera_model, gaussians.covars is not None, to_cameras),

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from thermosplat.pair_capacity import active_pair_capacity
+from thermosplat.rasterization_functions import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
-from thermosplat.warp_bridge import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles, to_torch
+from thermosplat.warp_bridge import to_torch
 from warp_kernels.color_step import ColorSettings
 from warp_kernels.projection import ProjectionSettings
 from warp_kernels.tile_binning import TileBins
@@ -55,7 +56,7 @@ class ProjectedScene:
         if covars is not None or quats is None or scales is None:
             quats = scales = None
             if covars is not None:
-                upper = covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+                upper = torch.cat([covars[..., 0, :], covars[..., 1, 1:], covars[..., 2, 2:]], -1)
         else:
             quats, scales = quats.contiguous(), scales.contiguous()
         shape = [(quats, 4), (scales, 3), (upper, 6)]
@@ -189,7 +190,9 @@ class ProjectedScene:
     def info(self) -> RasterizationInfo:
         """gsplat's ``meta`` dictionary, once something has been blended."""
         settings = self.settings
-        bins: TileBins = self._bins  # type: ignore[assignment]
+        bins = self._bins
+        if bins is None:
+            raise RuntimeError("info() comes after blend().")
         shape = self.images_shape
         flatten_ids = to_torch(bins.gaussian_ids)
         tile_offsets = to_torch(bins.tile_offsets)
