@@ -78,6 +78,10 @@ class ArrayView:
         """Whether elements follow one another in memory."""
         return self.strides == contiguous_strides(self.shape, self.dtype)
 
+    def unowned(self) -> "ArrayView":
+        """The same array, which does not keep its memory alive."""
+        return ArrayView(self.ptr, self.shape, self.dtype, self.device, None, self.strides)
+
     def array(self) -> wp.array:
         """The same memory as Warp's own kind of array."""
         made = wp.array(

@@ -30,10 +30,10 @@ class PairCapacity:
     """How many pairs each rasterization of a step had, and how many the next ones have room for.
 
     With a fixed room ``rasterization`` and ``rasterization_rgbt`` never wait for the device, forward or backward, and
-    can be captured with ``torch.cuda.graph`` or ``torch.cuda.make_graphed_callables``. Measure on the views that will be
-    rendered, forward and backward, with the options of later: that also compiles and loads the kernels, which cannot be
-    captured. Pairs that find no room, those of the farthest Gaussians, are not drawn and get no gradient; ``overflow``
-    and :meth:`check` tell.
+    can be captured with ``torch.cuda.graph`` or ``torch.cuda.make_graphed_callables``. Measure on the views that will
+    be rendered, forward and backward, with the options of later: that also compiles and loads the kernels, which cannot
+    be captured. Pairs that find no room, those of the farthest Gaussians, are not drawn and get no gradient;
+    ``overflow`` and :meth:`check` tell.
 
     Args:
         device: Where the renderer runs.

@@ -1,8 +1,9 @@
 """Torch autograd over the steps of warp_kernels.
 
 Each step of the rasterizer is one ``torch.autograd.Function``, whose passes look at torch's memory as Warp arrays and
-run the step or its adjoint (the blending's from a ``wp.Tape``). Adjoints store gradients in memory that is not initialised
-where they can. Work runs on torch's current stream.
+run the step or its adjoint (the blending's from a ``wp.Tape``). Adjoints store gradients in memory that is not
+initialised where they can. Only what a function saves keeps memory alive until its backward pass, after which torch
+lets go of it. Work runs on torch's current stream.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from thermosplat.errors import UserError
 from thermosplat.warp_bridge import kinds_of, lend, vector_of, view, warp_device_of
-from thermosplat.warp_streams import joined_capture, on_torch_stream
+from thermosplat.warp_streams import joined_capture, kept_apart, on_torch_stream
 from warp_kernels import binning_step, blending_step
 from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
@@ -233,7 +234,7 @@ class Blend(torch.autograd.Function):
                 read += [transmittance, last_pairs]
                 kinds = ((render, vector_of(channels, dtype)), (transmittance, scalar), (last_pairs, wp.int32))
                 arrays += [view(image, kind, *rows) for image, kind in kinds]
-        with on_torch_stream(means2d.device):
+        with on_torch_stream(means2d.device), kept_apart() as made:
             ctx.absolute = torch.zeros_like(means2d) if inputs.absgrad else None
             ctx.projected = inputs.projected
             ctx.opacities = view(opacities, scalar)
@@ -246,7 +247,7 @@ class Blend(torch.autograd.Function):
                 ctx.opacities,
                 ctx.thermal_opacities,
                 ctx.features,
-                inputs.bins,
+                _unowned(inputs.bins),
                 settings,
                 ctx.blended,
                 ctx.tape,
@@ -254,9 +255,9 @@ class Blend(torch.autograd.Function):
             )
         ctx.shown_means2d = inputs.shown_means2d
         ctx.set_materialize_grads(False)
-        # Of the images only those that the adjoint reads, so that users may change the renders in place. What is saved
-        # is what keeps the arrays' memory alive.
-        ctx.save_for_backward(means2d, roots, opacities, thermal_opacities, features, inputs.extents, *read)
+        # Of the images only those that the adjoint reads, so that users may change the renders in place.
+        tensors = (means2d, roots, opacities, thermal_opacities, features, inputs.extents)
+        ctx.save_for_backward(*tensors, *read, *_owners(inputs.bins), *made)
         return tuple(renders)
 
     @staticmethod
@@ -282,6 +283,17 @@ class Blend(torch.autograd.Function):
         if ctx.absolute is not None:
             ctx.shown_means2d.absgrad = ctx.absolute
         return *found, None
+
+
+def _unowned(bins: TileBins) -> TileBins:
+    """The same lists, as arrays that do not keep their memory alive."""
+    arrays = {name: value.unowned() for name, value in vars(bins).items() if isinstance(value, ArrayView)}
+    return TileBins(**vars(bins) | arrays)
+
+
+def _owners(bins: TileBins) -> list[Tensor]:
+    """What the lists' memory belongs to."""
+    return [value.owner for value in vars(bins).values() if isinstance(value, ArrayView)]
 
 
 def bin_tiles(

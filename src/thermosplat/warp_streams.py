@@ -1,6 +1,7 @@
 """Sharing a device between torch and Warp: one stream, one memory pool, one captured graph."""
 
 import functools
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any, NamedTuple
@@ -54,7 +55,10 @@ class TorchMemory:
         scalar, inner = _scalar_and_shape(dtype)
         shape = (shape,) if isinstance(shape, int) else shape
         tensor = make(shape + inner, dtype=scalar, device=self.device)
-        return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
+        if _kept.tensors is None:
+            return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
+        _kept.tensors.append(tensor)
+        return ArrayView(tensor.data_ptr(), shape, dtype, device)
 
     def fill(self, array: ArrayView, count: int, value: int) -> None:
         """Sets the first ``count`` numbers of an array made here."""
@@ -63,6 +67,29 @@ class TorchMemory:
     def last(self, array: ArrayView) -> int:
         """The last number of an array made here. Waits for the device."""
         return int(array.owner[-1])
+
+
+class _Kept(threading.local):
+    """Tensors of the arrays this thread made inside ``kept_apart``; None outside."""
+
+    tensors: list[torch.Tensor] | None = None
+
+
+_kept = _Kept()
+
+
+@contextmanager
+def kept_apart() -> Iterator[list[torch.Tensor]]:
+    """Arrays that are made here do not keep their memory alive.
+
+    Yields:
+        Their tensors, which do: torch frees those that a function saved when its backward pass is done.
+    """
+    outer, _kept.tensors = _kept.tensors, []
+    try:
+        yield _kept.tensors
+    finally:
+        _kept.tensors = outer
 
 
 @functools.cache
