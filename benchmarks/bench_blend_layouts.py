@@ -1,67 +1,66 @@
-"""Which deal of pixels to lanes blends fastest? Times the blending kernels alone on CUDA over layouts and channels.
+"""Which deal of pixels to lanes blends fastest, and how long may a list be? Times the blending kernels alone on CUDA.
 
-    python benchmarks/bench_blend_layouts.py --asset test_garden.npz --json layouts.json
+    python benchmarks/bench_blend_layouts.py --scene test_garden.npz results/desk --data DATA --json layouts.json
 
-The answers are built into ``warp_kernels.blend_layout.default_layout``.
+Over layouts, channels and segments (pairs of a list that one block of the adjoint walks; 0: the whole list). The
+answers are built into ``warp_kernels.blend_layout.default_layout``.
 """
 
 import argparse
 import json
 import statistics
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
 import warp as wp
-from garden_scene import load_garden
+from benchmark_scenes import BenchmarkScene, garden_scene
+from trained_scene import trained_scene
 
 from thermosplat.rasterization_functions import Project, ProjectedTensors, bin_tiles
-from thermosplat.warp_bridge import wrap
+from thermosplat.warp_bridge import to_torch, wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.projection import ProjectionSettings
 
-LAYOUTS = [(16, 8, 4), (16, 8, 8), (16, 16, 8), (8, 8, 4), (8, 8, 8), (32, 8, 8), (32, 16, 8)]
-CHANNELS = [(3, 0), (11, 0), (11, 8), (32, 0)]
 
-
-def median_ms(run, repeats: int) -> float:
-    """Median CUDA time of a call."""
+def median_ms(run: Callable[[], object], repeats: int) -> float:
+    """Median CUDA time of a call; the host runs ahead."""
     for _ in range(3):
         run()
-    times = []
-    for _ in range(repeats):
-        start, end = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
+    events = [[torch.cuda.Event(enable_timing=True) for _ in range(2)] for _ in range(repeats)]
+    torch.cuda._sleep(20_000_000)
+    for start, end in events:
         start.record()
         run()
         end.record()
-        torch.cuda.synchronize()
-        times.append(start.elapsed_time(end))
-    return statistics.median(times)
+    torch.cuda.synchronize()
+    return statistics.median(start.elapsed_time(end) for start, end in events)
 
 
-def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int) -> list[dict]:
+def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespace) -> list[dict]:
     """All layouts and channel counts on one scene and size."""
-    count = len(scene["means"])
+    count = len(scene.means)
     settings = ProjectionSettings(width, height, count, 1, 1)
-    opacities = scene["opacities"]
-    thermal = opacities.flip(0).contiguous()
+    opacities, thermal = scene.opacities, scene.thermal_opacities
     with torch.no_grad():
         projected = Project.apply(
-            scene["means"], scene["quats"], scene["scales"], None, opacities, thermal, scene["viewmats"], scene["Ks"],
-            settings, (1,),
+            scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
+            scene.intrinsics(width, height)[None], settings, (1,),
         )  # fmt: skip
+    flat = scene.features(max(channels for channels, _ in args.channels))
+    arrays = ProjectedTensors(*projected).arrays()
+    bins = bin_tiles(arrays, opacities, thermal, flat, settings, args.tile_size)
+    longest = int(torch.diff(to_torch(bins.tile_offsets)).max())
     rows = []
-    for tile_size in sorted({layout[0] for layout in LAYOUTS}):
-        flat = torch.rand(count, 32, device="cuda")
-        arrays = ProjectedTensors(*projected).arrays()
-        bins = bin_tiles(arrays, opacities, thermal, flat, settings, tile_size)
-        for channels, thermal_channels in CHANNELS:
-            features = flat[:, :channels].contiguous()
-            vec = wp.types.vector(channels, wp.float32)
-            vec_t = wp.types.vector(max(thermal_channels, 1), wp.float32)
-            for _, block_width, block_height in [layout for layout in LAYOUTS if layout[0] == tile_size]:
-                layout = BlendLayout(tile_size, block_width, block_height, 32)
+    for channels, thermal_channels in args.channels:
+        features = flat[:, :channels].contiguous()
+        vec = wp.types.vector(channels, wp.float32)
+        vec_t = wp.types.vector(max(thermal_channels, 1), wp.float32)
+        for block_width, block_height in args.blocks:
+            for segment in args.segments:
+                layout = BlendLayout(args.tile_size, block_width, block_height, 32, segment)
                 with on_torch_stream(features.device) as device:
 
                     def image(kind, device=device):
@@ -73,28 +72,28 @@ def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int)
                         blended.thermal_render, blended.thermal_transmittance = image(vec_t), image(wp.float32)
                         blended.thermal_last_pairs = image(wp.int32)
                     tape = wp.Tape()
-                    args = (
+                    inputs = (
                         arrays, wrap(opacities, wp.float32), wrap(thermal, wp.float32), wrap(features, vec), bins,
                         settings, blended,
                     )  # fmt: skip
 
-                    def forward(args=args, layout=layout):
-                        blend(*args, None, layout=layout)
+                    def forward(inputs=inputs, layout=layout):
+                        blend(*inputs, wp.Tape(), layout=layout)
 
-                    blend(*args, tape, layout=layout)
+                    blend(*inputs, tape, layout=layout)
                     blended.render.grad.fill_(vec(*[0.5] * channels))
                     row = {
-                        "gaussians": count, "width": width, "height": height, "pairs": bins.num_pairs,
-                        "tile_size": tile_size, "block": f"{block_width}x{block_height}", "channels": channels,
-                        "thermal_channels": thermal_channels, "forward_ms": median_ms(forward, repeats),
-                        "backward_ms": median_ms(tape.backward, repeats),
+                        "scene": scene.name, "gaussians": count, "width": width, "height": height,
+                        "pairs": bins.num_pairs, "longest_list": longest, "tile_size": args.tile_size,
+                        "block": f"{block_width}x{block_height}", "segment": segment, "channels": channels,
+                        "thermal_channels": thermal_channels, "forward_ms": median_ms(forward, args.repeats),
+                        "backward_ms": median_ms(tape.backward, args.repeats),
                     }  # fmt: skip
                 rows.append(row)
                 print(
-                    "{gaussians:>9} {width}x{height} pairs {pairs:>9} tile {tile_size:>2} block {block:>5} "
-                    "C {channels:>2}+{thermal_channels} forward {forward_ms:.3f} backward {backward_ms:.3f}".format(
-                        **row
-                    ),
+                    "{scene} {width}x{height} pairs {pairs:>9} longest {longest_list:>5} block {block:>5} segment "
+                    "{segment:>4} C {channels:>2}+{thermal_channels} forward {forward_ms:.3f} backward "
+                    "{backward_ms:.3f}".format(**row),
                     flush=True,
                 )
     return rows
@@ -103,19 +102,31 @@ def bench(scene: dict[str, torch.Tensor], width: int, height: int, repeats: int)
 def main() -> None:
     """Parses arguments, runs, prints and saves."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--asset", type=Path, help="gsplat's test_garden.npz")
-    parser.add_argument("--grids", type=int, nargs="+", default=[1, 5])
+    parser.add_argument("--scene", type=Path, nargs="+", help="gsplat's test_garden.npz, result folders")
+    parser.add_argument("--data", help="where the capture of trained scenes lies now")
+    parser.add_argument("--grid", type=int, nargs="+", default=[1, 5])
     parser.add_argument("--sizes", nargs="+", default=["640x480", "1920x1080"])
-    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--blocks", nargs="+", default=["8x4", "8x8", "16x8"])
+    parser.add_argument("--channels", nargs="+", default=["3+0", "11+0", "11+8", "32+0"], help="blended + again")
+    parser.add_argument("--segments", type=int, nargs="+", default=[0, 256, 512])
+    parser.add_argument("--tile-size", type=int, default=16)
+    parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
+    args.blocks = [tuple(int(edge) for edge in block.split("x")) for block in args.blocks]
+    args.channels = [tuple(int(count) for count in channels.split("+")) for channels in args.channels]
+    scenes = []
+    for path in args.scene:
+        scenes += (
+            [garden_scene(path, grid) for grid in args.grid]
+            if path.suffix == ".npz"
+            else [trained_scene(path, args.data)]
+        )
     rows = []
-    for grid in args.grids:
+    for scene in scenes:
         for size in args.sizes:
             width, height = (int(x) for x in size.split("x"))
-            rows += bench(
-                load_garden(args.asset, grid, width, height, torch.device("cuda")), width, height, args.repeats
-            )
+            rows += bench(scene.to(torch.device("cuda")), width, height, args)
             if args.json:
                 args.json.write_text(json.dumps(rows, indent=1))
 

@@ -21,7 +21,7 @@ def alpha_functions(dtype: type):
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     zero, half, one = dtype(0.0), dtype(0.5), dtype(1.0)
     alpha_min, alpha_max = dtype(ALPHA_MIN), dtype(ALPHA_MAX)
-    _, exp_negative, _ = lane_functions(dtype)
+    exp_negative, _, _ = lane_functions(dtype)
     rounding = dtype(1.0e-5)
     tolerance = dtype(4.0e-7)
 

@@ -21,7 +21,7 @@ class BlendLayout:
         block_width: width of the block one warp owns [px].
         block_height: height of the block one warp owns [px].
         lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
-        segment: pairs of a tile's list that the adjoint gives to one block of threads, a multiple of 32; 0: all.
+        segment: pairs of a long list that one block of threads walks, a multiple of 32; 0: lists are not cut.
     """
 
     tile_size: int
@@ -72,11 +72,14 @@ class BlendLayout:
 CROWDED = 250
 """Mean pairs a tile above which the smallest block blends fastest on CUDA; measured in benchmarks/notes.md."""
 
-SEGMENT = 256
-"""Pairs a block of the adjoint walks where lists are cut."""
+WIDE = 24
+"""Channels above which a pixel's sums take most of the registers."""
+
+SEGMENT = 1024
+"""Pairs that a block of threads walks where lists are cut."""
 
 FEW_TILES = 4096
-"""Tiles up to which the longest list decides how long the adjoint takes, so that lists are cut; more fill a GPU."""
+"""Tiles up to which the longest list decides how long blending takes, so that lists are cut; more fill a GPU."""
 
 
 def default_layout(
@@ -98,7 +101,13 @@ def default_layout(
     if not device.is_cuda:
         return BlendLayout(tile_size, tile_size, tile_size, 1)
     # Crowded tiles are decided by culling, which is sharper for a small block; sparse ones by how often a Gaussian's
-    # gradient is reduced over a warp, which a large block does less often.
-    crowded = num_pairs > CROWDED * num_tiles
-    height = 4 if dtype is wp.float64 or (channels <= 24 and crowded) else 8
-    return BlendLayout(tile_size, 8, height, LANES_CUDA, SEGMENT if num_tiles <= FEW_TILES else 0)
+    # gradient is reduced over a warp, which a large block does less often. float64 has half the registers.
+    crowded, few_tiles = num_pairs > CROWDED * num_tiles, num_tiles <= FEW_TILES
+    width, height = 8, 8
+    if dtype is wp.float64 or (channels <= WIDE and crowded):
+        height = 4
+    elif channels > WIDE and not crowded and not few_tiles:
+        width = 16
+    if tile_size == 32:
+        height = 8  # records of more warps would not fit in shared memory
+    return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, SEGMENT if few_tiles else 0)

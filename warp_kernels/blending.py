@@ -8,9 +8,7 @@ A warp tests 32 candidates at a time against its pixel block, one a lane, and wa
 the binning was exact for the whole tile, so candidates are walked directly, each over the rows its ellipse reaches.
 A pixel that has finished carries the sign bit in its transmittance.
 
-A frame of few tiles takes as long as its longest list. So that the adjoint can cut the lists, the forward pass leaves a
-state of every pixel where the pairs' index is a multiple of a segment: the transmittances there, and the colours that
-the pairs from there on added.
+Long lists are cut into segments that are blended side by side; see list_segments.
 """
 
 import functools
@@ -20,39 +18,33 @@ import warp as wp
 from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.constants import TRANSMITTANCE_MIN
-from warp_kernels.lanes import broadcast_int, lane_functions, lowest_bit, warp_any, warp_ballot
+from warp_kernels.lanes import lane_functions, warp_any
+from warp_kernels.list_segments import list_of_block
+from warp_kernels.survivors import HEADER, stages_features, survivor_functions
 
 BATCH = 32
 """Candidates a warp looks at between two checks for unfinished pixels."""
 
 
-def state_length(channels: int, thermal_channels: int) -> int:
-    """Numbers in a pixel's state at a boundary of segments: T, [thermal T], colours behind (C), [thermal ones (D)].
-
-    Args:
-        channels: C.
-        thermal_channels: D, or 0.
-
-    Returns:
-        The length.
-    """
-    return channels + 1 + (thermal_channels + 1 if thermal_channels else 0)
-
-
 @functools.cache
-def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
-    """The forward kernel, one block of threads a tile.
+def blend_kernel(
+    channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, only_transmittance: bool = False
+) -> wp.Kernel:
+    """The forward kernel, one block of threads a list or a segment of a long one.
 
     Args:
         channels: C, channels blended with the first opacity.
         thermal_channels: D <= C; the last D channels are blended with the second opacity too. 0: one opacity.
         dtype: ``wp.float32`` or ``wp.float64``.
         layout: deal of pixels to lanes.
+        only_transmittance: find what segments of long lists let through (T of a pixel that begins at 1; 0 where the
+            pixel would stop) instead of blending.
 
     Returns:
         The Warp kernel.
     """
     C, D = channels, max(thermal_channels, 1)
+    colors, colors_t = (0, 0) if only_transmittance else (C, D)
     dual = thermal_channels > 0
     lanes, rows, columns = layout.lanes, layout.rows, layout.columns
     cuda = lanes > 1
@@ -66,17 +58,18 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, attenuate = lane_functions(dtype)
+    exp_negative, attenuate, _ = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
     batch = BATCH
-    all_candidates = wp.uint32(0xFFFFFFFF)
     first_thermal = C - D
+    staged, header = stages_features(channels, dtype, layout) and not only_transmittance, HEADER
+    records_of_warp, admit, get, integer = survivor_functions(channels, staged, dtype, layout)
 
     @wp.kernel(
-        name=f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}",
+        name=f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + "_transmittance" * only_transmittance,
         enable_backward=False,
         module="unique",
         module_options=layout.module_options,
@@ -84,7 +77,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         launch_bounds=max(layout.threads, 32),
     )
     def blend_tiles_kernel(
-        first_tile: int,
+        first_block: int,
         tiles_x: int,
         tiles_y: int,
         width: int,
@@ -107,8 +100,17 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         thermal_last_pairs: wp.array2d(dtype=wp.int32),
         states: wp.array3d(dtype=dtype),
     ):
-        tile, thread = wp.tid()
-        tile = tile + first_tile
+        block, thread = wp.tid()
+        block = block + first_block
+        tile, first_pair, end, cut = list_of_block(block, tile_offsets, segment)
+        if first_pair > end:
+            return
+        i = int(first_pair)
+        is_first = first_pair == tile_offsets[tile]
+        is_last = end == tile_offsets[tile + 1]
+        if wp.static(only_transmittance):
+            if not cut or is_last:
+                return
         warp = thread // lanes
         lane = thread % lanes
         image = tile // (tiles_x * tiles_y)
@@ -127,36 +129,60 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
         Tt = vecP()
         last = vecPi()
         last_t = vecPi()
+        # Transmittance at which a pixel stops; negative where a later segment goes on with it, whatever rounds here.
+        stop_at = vecP()
+        stop_at_t = vecP()
         acc = matCP()
         acc_t = matDP()
         for r in range(rows):
             for q in range(columns):
+                p = r * columns + q
                 inside = int(PX[q]) < width and int(PY[q]) + r < height
-                T[r * columns + q] = wp.where(inside, one, minus_one)
-                Tt[r * columns + q] = wp.where(inside, one, minus_one)
-                last[r * columns + q] = -1
-                last_t[r * columns + q] = -1
+                T[p] = wp.where(inside, one, minus_one)
+                Tt[p] = wp.where(inside, one, minus_one)
+                last[p] = -1
+                last_t[p] = -1
+                stop_at[p] = transmittance_min
+                stop_at_t[p] = transmittance_min
+                if wp.static(not only_transmittance):
+                    if cut and inside:
+                        place = p * threads + thread
+                        for boundary in range(tile_offsets[tile] // segment + 1, first_pair // segment + 1):
+                            T[p] = T[p] * states[boundary, 0, place]
+                            if wp.static(dual):
+                                Tt[p] = Tt[p] * states[boundary, 1, place]
+                        if not is_last:
+                            if T[p] * states[end // segment, 0, place] > transmittance_min:
+                                stop_at[p] = minus_one
+                            if wp.static(dual):
+                                if Tt[p] * states[end // segment, 1, place] > transmittance_min:
+                                    stop_at_t[p] = minus_one
+                        if T[p] <= transmittance_min:
+                            T[p] = minus_one
+                        if wp.static(dual):
+                            if Tt[p] <= transmittance_min:
+                                Tt[p] = minus_one
 
-        i = int(tile_offsets[tile])
-        end = tile_offsets[tile + 1]
-        first_boundary = int(0)
-        if segment > 0:
-            first_boundary = i // segment + 1
-        boundary = int(first_boundary)
+        g = int(0)
+        g_next = int(0)
+        mean = vec2()
+        root = vec3()
+        opacity = zero
+        opacity_t = zero
+        address = wp.uint64(0)
+        if wp.static(cuda):
+            address = records_of_warp(warp)
+            first_end = wp.min(end, (i // batch + 1) * batch)
+            if i + lane < first_end:
+                g = gaussian_ids[i + lane]
+                mean = means2d[g]
+                root = roots[g]
+                opacity = opacities[g]
+                if wp.static(dual):
+                    opacity_t = thermal_opacities[g]
+            if first_end + lane < end:
+                g_next = gaussian_ids[first_end + lane]
         while i < end:
-            if segment > 0 and i == boundary * segment:
-                for p in range(pixels):
-                    place = p * threads + thread
-                    states[boundary, 0, place] = T[p]
-                    for c in range(C):
-                        states[boundary, first_behind + c, place] = acc[c, p]
-                        acc[c, p] = zero
-                    if wp.static(dual):
-                        states[boundary, 1, place] = Tt[p]
-                        for c in range(D):
-                            states[boundary, first_behind_t + c, place] = acc_t[c, p]
-                            acc_t[c, p] = zero
-                boundary += 1
             alive = int(0)
             for p in range(pixels):
                 alive = alive | wp.where(T[p] > zero, 1, 0)
@@ -167,57 +193,60 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
 
             # Batches end at multiples of 32, and so at the boundaries of segments.
             batch_end = wp.min(end, (i // batch + 1) * batch)
-            # Candidate of this lane, tested against the warp's whole block.
-            g = int(0)
-            mean = vec2()
-            root = vec3()
-            opacity = zero
-            opacity_t = zero
-            candidates = wp.uint32(0)
+            count = batch_end - i
             if wp.static(cuda):
+                # Candidate of this lane, tested against the warp's whole block.
                 hit = int(0)
-                if i + lane < batch_end:
-                    g = gaussian_ids[i + lane]
-                    mean = means2d[g]
-                    root = roots[g]
-                    opacity = opacities[g]
+                if lane < count:
                     bound = opacity
                     if wp.static(dual):
-                        opacity_t = thermal_opacities[g]
                         bound = wp.max(opacity, opacity_t)
                     x1 = x0 + dtype(block_width - 1)
                     y1 = y0 + dtype(block_height - 1)
                     hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
-                candidates = warp_ballot(hit)
-            else:
-                candidates = all_candidates >> wp.uint32(batch - (batch_end - i))
+                count = admit(address, lane, hit, g, mean, root, opacity, opacity_t, features)
+                # What the next batch begins with is on its way while this one is walked, its identities since the last.
+                g = g_next
+                if batch_end + lane < end:
+                    mean = means2d[g]
+                    root = roots[g]
+                    opacity = opacities[g]
+                    if wp.static(dual):
+                        opacity_t = thermal_opacities[g]
+                if batch_end + batch + lane < end:
+                    g_next = gaussian_ids[batch_end + batch + lane]
 
-            while candidates != wp.uint32(0):
-                j = lowest_bit(candidates)
-                candidates = candidates & (candidates - wp.uint32(1))
+            for k in range(count):
+                pair = i + k
                 gaussian = int(0)
                 m = vec2()
                 U = vec3()
                 o = zero
                 ot = zero
+                f = vecC()
                 row_first = int(0)
                 row_end = int(1)
                 if wp.static(cuda):
-                    gaussian = broadcast_int(g, j)
-                    m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
-                    U = vec3(broadcast(root[0], j), broadcast(root[1], j), broadcast(root[2], j))
-                    o = broadcast(opacity, j)
-                    if wp.static(dual):
-                        ot = broadcast(opacity_t, j)
+                    entry = get(address, k)
+                    m = vec2(entry[0], entry[1])
+                    U = vec3(entry[2], entry[3], entry[4])
+                    o = entry[5]
+                    ot = entry[6]
+                    pair = i + integer(entry[7])
+                    if wp.static(staged):
+                        for c in range(C):
+                            f[c] = entry[header + c]
+                    elif wp.static(not only_transmittance):
+                        f = features[integer(entry[8])]
                 else:
-                    gaussian = gaussian_ids[i + j]
+                    gaussian = gaussian_ids[pair]
                     m = means2d[gaussian]
                     U = roots[gaussian]
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
+                    if wp.static(not only_transmittance):
+                        f = features[gaussian]
                     row_first, row_end = row_range(m, extents[gaussian], y0, rows)
-                f = features[gaussian]
-                pair = i + j
                 for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
                     weight = vecQ()
@@ -228,7 +257,7 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                         a = alpha(o, visibility)
                         t = T[offset + q]
                         next_t = attenuate(t, a)
-                        stop = next_t <= transmittance_min
+                        stop = next_t <= stop_at[offset + q]
                         w = wp.where(stop, zero, a * t)
                         T[offset + q] = wp.where(stop, -wp.abs(t), next_t)
                         last[offset + q] = wp.where(w > zero, pair, last[offset + q])
@@ -237,54 +266,57 @@ def blend_kernel(channels: int, thermal_channels: int, dtype: type, layout: Blen
                             a = alpha(ot, visibility)
                             t = Tt[offset + q]
                             next_t = attenuate(t, a)
-                            stop = next_t <= transmittance_min
+                            stop = next_t <= stop_at_t[offset + q]
                             w = wp.where(stop, zero, a * t)
                             Tt[offset + q] = wp.where(stop, -wp.abs(t), next_t)
                             last_t[offset + q] = wp.where(w > zero, pair, last_t[offset + q])
                             weight_t[q] = w
-                    for c in range(C):
+                    for c in range(colors):
                         for q in range(columns):
                             acc[c, offset + q] += weight[q] * f[c]
                     if wp.static(dual):
-                        for c in range(D):
+                        for c in range(colors_t):
                             for q in range(columns):
                                 acc_t[c, offset + q] += weight_t[q] * f[first_thermal + c]
             i = batch_end
-
-        # From "added before the boundary" to "added from it on", from behind, so that small sums are not differences.
-        while boundary > first_boundary:
-            boundary -= 1
-            for p in range(pixels):
-                place = p * threads + thread
-                for c in range(C):
-                    before = states[boundary, first_behind + c, place]
-                    states[boundary, first_behind + c, place] = acc[c, p]
-                    acc[c, p] += before
-                if wp.static(dual):
-                    for c in range(D):
-                        before = states[boundary, first_behind_t + c, place]
-                        states[boundary, first_behind_t + c, place] = acc_t[c, p]
-                        acc_t[c, p] += before
 
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
                 x = int(PX[q])
                 y = int(PY[q]) + r
-                if x < width and y < height:
-                    line = image * height + y
-                    v = vecC()
-                    for c in range(C):
-                        v[c] = acc[c, p]
-                    render[line, x] = v
-                    transmittance[line, x] = wp.abs(T[p])
-                    last_pairs[line, x] = last[p]
+                place = p * threads + thread
+                if wp.static(only_transmittance):
+                    states[end // segment, 0, place] = wp.max(T[p], zero)
                     if wp.static(dual):
-                        vt = vecD()
-                        for c in range(D):
-                            vt[c] = acc_t[c, p]
-                        thermal_render[line, x] = vt
-                        thermal_transmittance[line, x] = wp.abs(Tt[p])
-                        thermal_last_pairs[line, x] = last_t[p]
+                        states[end // segment, 1, place] = wp.max(Tt[p], zero)
+                elif x < width and y < height:
+                    line = image * height + y
+                    if is_first:
+                        v = vecC()
+                        for c in range(C):
+                            v[c] = acc[c, p]
+                        render[line, x] = v
+                    else:
+                        for c in range(C):
+                            states[first_pair // segment, first_behind + c, place] = acc[c, p]
+                    # Of a cut list one segment alone: the one that the pixel enters and may stop in.
+                    if T[p] != minus_one and stop_at[p] > zero:
+                        transmittance[line, x] = wp.abs(T[p])
+                        last_pairs[line, x] = wp.where(last[p] < 0 and not is_first, first_pair - 1, last[p])
+                    if wp.static(dual):
+                        if is_first:
+                            vt = vecD()
+                            for c in range(D):
+                                vt[c] = acc_t[c, p]
+                            thermal_render[line, x] = vt
+                        else:
+                            for c in range(D):
+                                states[first_pair // segment, first_behind_t + c, place] = acc_t[c, p]
+                        if Tt[p] != minus_one and stop_at_t[p] > zero:
+                            thermal_transmittance[line, x] = wp.abs(Tt[p])
+                            thermal_last_pairs[line, x] = wp.where(
+                                last_t[p] < 0 and not is_first, first_pair - 1, last_t[p]
+                            )
 
     return blend_tiles_kernel

@@ -5,7 +5,7 @@ ones add an increment), and the colour behind the current Gaussian enters only
 through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
 dL/dα = T (f · dL/dcolour) - S / (1 - α).
 
-A list may be cut into segments, each walked by its own block of threads from the state the forward pass left there.
+Segments of long lists are walked from the states that the forward pass left; see list_segments.
 
 Each warp sums a Gaussian's gradient over its pixels into one record; see gradient_records. Those to mean and conic are
 summed as moments of z, the offset in the Gaussian's standard deviations, in which nothing cancels.
@@ -22,24 +22,20 @@ from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.gradient_records import feature_offset, record_length
 from warp_kernels.lanes import (
     accumulate_snippet,
-    broadcast_int,
     column_sums_snippet,
-    highest_bit,
     lane_functions,
     warp_any,
-    warp_ballot,
     warp_max,
 )
+from warp_kernels.list_segments import list_of_block
+from warp_kernels.survivors import HEADER, stages_features, survivor_functions
 
 
 @functools.cache
 def blend_adjoint_kernel(
     channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, absgrad: bool, by_slot: bool
 ) -> wp.Kernel:
-    """The adjoint kernel, one block of threads a segment of a tile's list.
-
-    Segments begin where the index of the pair is a multiple of ``segment``, or a tile does. The block of segment k of
-    tile t is number t + k: along the sorted pairs every step from one block to the next raises t or k.
+    """The adjoint kernel, one block of threads a list or a segment of a long one.
 
     Args:
         channels: C, channels blended with the first opacity.
@@ -75,13 +71,14 @@ def blend_adjoint_kernel(
     first_behind_t = first_behind + C
     warps = layout.warps
     whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
-    broadcast, exp_negative, _ = lane_functions(dtype)
+    exp_negative, _, reciprocal = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
     batch = BATCH
-    all_candidates = wp.uint32(0xFFFFFFFF)
     first_thermal = C - D
+    staged, header = stages_features(channels, dtype, layout), HEADER
+    records_of_warp, admit, get, integer = survivor_functions(channels, staged, dtype, layout)
 
     @wp.func
     def restored(behind: dtype, a: dtype, ra: dtype):
@@ -89,7 +86,7 @@ def blend_adjoint_kernel(
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
     @wp.func_native(accumulate_snippet(length, dtype, atomic=not by_slot))
-    def accumulate(dst: wp.array(dtype=record), index: int, v: record): ...
+    def accumulate(dst: wp.array(dtype=record), index: int, lane: int, v: record): ...
 
     @wp.func_native(column_sums_snippet(length, columns, dtype))
     def store_column_sums(out: wp.array(dtype=record), index: int, m: matLS): ...
@@ -134,22 +131,7 @@ def blend_adjoint_kernel(
     ):
         block, thread = wp.tid()
         block = block + first_block
-        tile = int(block)
-        if segment > 0:
-            tile = int(0)
-            upper = tile_offsets.shape[0] - 2
-            while tile < upper:
-                middle = (tile + upper + 1) // 2
-                if middle + tile_offsets[middle] // segment <= block:
-                    tile = middle
-                else:
-                    upper = middle - 1
-        begin = int(tile_offsets[tile])
-        end = int(tile_offsets[tile + 1])
-        if segment > 0:
-            first = (block - tile) * segment
-            begin = wp.max(begin, first)
-            end = first + wp.min(end - first, segment)
+        tile, begin, end, _ = list_of_block(block, tile_offsets, segment)
         if begin >= end:
             return
 
@@ -213,60 +195,80 @@ def blend_adjoint_kernel(
                             for c in range(D):
                                 St[p] += states[end // segment, first_behind_t + c, place] * vt[c]
 
+        # The batch of 32 candidates i - 31 ... i, the last one first: lane k has candidate i - k.
         i = wp.min(int(warp_max(newest)), end - 1)
+        g = int(0)
+        g_next = int(0)
+        mean = vec2()
+        root = vec3()
+        opacity = zero
+        opacity_t = zero
+        address = wp.uint64(0)
+        if wp.static(cuda):
+            address = records_of_warp(warp)
+            if i - lane >= begin:
+                g = gaussian_ids[i - lane]
+                mean = means2d[g]
+                root = roots[g]
+                opacity = opacities[g]
+                if wp.static(dual):
+                    opacity_t = thermal_opacities[g]
+            if i - batch - lane >= begin:
+                g_next = gaussian_ids[i - batch - lane]
         while i >= begin:
-            # The 32 candidates i - 31 ... i, bit j standing for i - 31 + j.
-            g = int(0)
-            mean = vec2()
-            root = vec3()
-            opacity = zero
-            opacity_t = zero
-            candidates = wp.uint32(0)
-            oldest = i - (batch - 1)
+            count = wp.min(batch, i - begin + 1)
             if wp.static(cuda):
                 hit = int(0)
-                if oldest + lane >= begin:
-                    g = gaussian_ids[oldest + lane]
-                    mean = means2d[g]
-                    root = roots[g]
-                    opacity = opacities[g]
+                if lane < count:
                     bound = opacity
                     if wp.static(dual):
-                        opacity_t = thermal_opacities[g]
                         bound = wp.max(opacity, opacity_t)
                     x1 = x0 + dtype(block_width - 1)
                     y1 = y0 + dtype(block_height - 1)
                     hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
-                candidates = warp_ballot(hit)
-            else:
-                candidates = all_candidates << wp.uint32(wp.max(0, begin - oldest))
+                count = admit(address, lane, hit, g, mean, root, opacity, opacity_t, features)
+                # What the next batch begins with is on its way while this one is walked, its identities since the last.
+                g = g_next
+                if i - batch - lane >= begin:
+                    mean = means2d[g]
+                    root = roots[g]
+                    opacity = opacities[g]
+                    if wp.static(dual):
+                        opacity_t = thermal_opacities[g]
+                if i - 2 * batch - lane >= begin:
+                    g_next = gaussian_ids[i - 2 * batch - lane]
 
-            while candidates != wp.uint32(0):
-                j = highest_bit(candidates)
-                candidates = candidates & (~(wp.uint32(1) << wp.uint32(j)))
-                pair = oldest + j
+            for k in range(count):
+                pair = i - k
                 gaussian = int(0)
                 m = vec2()
                 U = vec3()
                 o = zero
                 ot = zero
+                f = vecC()
                 row_first = int(0)
                 row_end = int(1)
                 if wp.static(cuda):
-                    gaussian = broadcast_int(g, j)
-                    m = vec2(broadcast(mean[0], j), broadcast(mean[1], j))
-                    U = vec3(broadcast(root[0], j), broadcast(root[1], j), broadcast(root[2], j))
-                    o = broadcast(opacity, j)
-                    if wp.static(dual):
-                        ot = broadcast(opacity_t, j)
+                    entry = get(address, k)
+                    m = vec2(entry[0], entry[1])
+                    U = vec3(entry[2], entry[3], entry[4])
+                    o = entry[5]
+                    ot = entry[6]
+                    pair = i - integer(entry[7])
+                    gaussian = integer(entry[8])
+                    if wp.static(staged):
+                        for c in range(C):
+                            f[c] = entry[header + c]
+                    else:
+                        f = features[gaussian]
                 else:
                     gaussian = gaussian_ids[pair]
                     m = means2d[gaussian]
                     U = roots[gaussian]
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
+                    f = features[gaussian]
                     row_first, row_end = row_range(m, extents[gaussian], y0, rows)
-                f = features[gaussian]
                 part = matLS()
                 hits = int(0)
                 for row in range(row_first, row_end):
@@ -289,7 +291,7 @@ def blend_adjoint_kernel(
                         a = alpha(o, visibility)
                         a = wp.where(pair > last[offset + q], zero, a)
                         hits = hits | wp.where(a > zero, 1, 0)
-                        ra = one / (one - a)
+                        ra = reciprocal(one - a)
                         t = restored(T[offset + q], a, ra)
                         T[offset + q] = t
                         w = a * t
@@ -305,7 +307,7 @@ def blend_adjoint_kernel(
                             a = alpha(ot, visibility)
                             a = wp.where(pair > last_t[offset + q], zero, a)
                             hits = hits | wp.where(a > zero, 1, 0)
-                            ra = one / (one - a)
+                            ra = reciprocal(one - a)
                             t = restored(Tt[offset + q], a, ra)
                             Tt[offset + q] = t
                             w = a * t
@@ -341,7 +343,7 @@ def blend_adjoint_kernel(
                         G = record()
                         for k in range(length):
                             G[k] = part[k, 0]
-                        accumulate(records, destination, G)
+                        accumulate(records, destination, lane, G)
                     else:
                         store_column_sums(records, destination, part)
             i -= batch

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import warp as wp
 
 from warp_kernels.blend_layout import BlendLayout, default_layout
-from warp_kernels.blending import blend_kernel, state_length
+from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.gradient_records import distribute_kernel, record_length
-from warp_kernels.launching import launch_again, launch_tiles
+from warp_kernels.launching import launch, launch_again, launch_tiles
+from warp_kernels.list_segments import join_segments_kernel, state_length
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tape_recording import gradient_of, record_adjoint
 from warp_kernels.tile_binning import TileBins
@@ -76,7 +77,7 @@ def blend(
     num_tiles = len(bins.tile_offsets) - 1
     if layout is None:
         layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype, bins.num_pairs, num_tiles)
-    segment = layout.segment if tape is not None else 0
+    segment = layout.segment
     num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
     length = state_length(channels, thermal_channels)
     states = wp.empty((num_states, length, bins.tile_size**2), dtype=dtype, device=device)
@@ -85,11 +86,9 @@ def blend(
     thermal_render = blended.thermal_render if dual else nothing
     thermal_transmittance = blended.thermal_transmittance if dual else blended.transmittance
     thermal_last_pairs = blended.thermal_last_pairs if dual else blended.last_pairs
+    size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
     geometry = [
-        bins.tiles_x,
-        bins.tiles_y,
-        settings.width,
-        settings.height,
+        *size,
         projected.means2d,
         projected.roots,
         projected.extents,
@@ -98,24 +97,32 @@ def blend(
         features,
         bins.gaussian_ids,
     ]
-    launch_tiles(
-        blend_kernel(channels, thermal_channels, dtype, layout),
-        num_tiles,
-        layout.threads,
-        [
-            *geometry,
-            bins.tile_offsets,
-            segment,
-            blended.render,
-            blended.transmittance,
-            blended.last_pairs,
-            thermal_render,
-            thermal_transmittance,
-            thermal_last_pairs,
-            states,
-        ],
-        device,
-    )
+    for only_transmittance in (True, False) if segment > 0 else (False,):
+        launch_tiles(
+            blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance),
+            num_tiles + num_states,
+            layout.threads,
+            [
+                *geometry,
+                bins.tile_offsets,
+                segment,
+                blended.render,
+                blended.transmittance,
+                blended.last_pairs,
+                thermal_render,
+                thermal_transmittance,
+                thermal_last_pairs,
+                states,
+            ],
+            device,
+        )
+    if segment > 0:
+        launch(
+            join_segments_kernel(channels, thermal_channels, dtype, layout),
+            num_tiles * bins.tile_size**2,
+            [*size, bins.tile_offsets, segment, blended.render, thermal_render, states],
+            device,
+        )
     if tape is None:
         return
 

@@ -42,7 +42,8 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
 def distribute_kernel(
     channels: int, thermal_channels: int, dtype: type, absgrad: bool, records_per_pair: int
 ) -> wp.Kernel:
-    """Sums each Gaussian's records and adds them to the gradients, one thread a depth rank.
+    """Sums each Gaussian's records and adds them to the gradients, one thread a Gaussian, or a depth rank, as records
+    of pairs lie.
 
     Args:
         channels: C.
@@ -80,7 +81,9 @@ def distribute_kernel(
         absolute: wp.array(dtype=vec2),
     ):
         rank = wp.tid()
-        g = order[rank]
+        g = int(rank)
+        if wp.static(records_per_pair > 0):
+            g = order[rank]
         count = tiles_per_gaussian[g]
         if count == 0:
             return

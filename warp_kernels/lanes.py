@@ -44,22 +44,20 @@ def warp_ballot(x: int) -> wp.uint32: ...
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    return __ffs(x) - 1;
+    return __popc(x);
 #else
-    return __builtin_ctz(x);
+    return __builtin_popcount(x);
 #endif
 """)
-def lowest_bit(x: wp.uint32) -> int: ...
+def count_bits(x: wp.uint32) -> int: ...
 
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    return 31 - __clz(x);
-#else
-    return 31 - __builtin_clz(x);
+    __syncwarp();
 #endif
 """)
-def highest_bit(x: wp.uint32) -> int: ...
+def warp_sync(): ...
 
 
 @wp.func_native("""
@@ -71,14 +69,6 @@ def highest_bit(x: wp.uint32) -> int: ...
 """)
 def broadcast_int(x: int, lane: int) -> int: ...
 
-
-BROADCAST = """
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, x, lane);
-#else
-    return x;
-#endif
-"""
 
 # Branch-free on the CPU, so that a loop over pixels vectorises (a call into libm does not). Valid for x <= 0, which is
 # all the blend needs. x = n ln 2 + f, where ln 2 comes in two parts (the first with so few bits that n times it is
@@ -116,12 +106,26 @@ ATTENUATE = """
 #endif
 """
 
+# The hardware's estimate (1 ulp) and a Newton step, which rounds almost always as a division does: a division proper
+# branches, for numbers that are hardly larger than 0 or infinite.
+RECIPROCAL_F32 = """
+#if defined(__CUDA_ARCH__)
+    float r;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(x));
+    return ::fmaf(::fmaf(-x, r, 1.0f), r, r);
+#else
+    return 1.0f / x;
+#endif
+"""
+RECIPROCAL_F64 = "return 1.0 / x;"
+
 
 def accumulate_snippet(length: int, dtype: type, *, atomic: bool) -> str:
     """Source of a native function that sums a vector over the warp and adds it to ``dst[index]`` (or stores it).
 
-    A transposed butterfly leaves component ``l`` in lane ``l``: 31 shuffles and one coalesced access for up to 32
-    components, instead of 5 shuffles a component. On the CPU, where the warp is one lane, the vector is stored.
+    A transposed butterfly leaves component ``l`` in lane ``l``: for a power of two of components one shuffle a
+    component, and one more for each halving that is left to 32, instead of 5 a component; then one coalesced access
+    for up to 32. Other lengths are cut into powers of two. CUDA only: on the CPU a warp is one lane.
 
     Args:
         length: Components of the vector.
@@ -129,32 +133,58 @@ def accumulate_snippet(length: int, dtype: type, *, atomic: bool) -> str:
         atomic: Add atomically (several warps meet in one record) instead of storing (one warp owns the record).
 
     Returns:
-        C++ source using the arguments ``dst`` (array of vectors), ``index`` and ``v``.
+        C++ source using the arguments ``dst`` (array of vectors), ``index``, ``lane`` and ``v``.
     """
     scalar = "float" if dtype is wp.float32 else "double"
-    lines = [f"const int lane = threadIdx.x & 31; {scalar}* p = ({scalar}*)(dst.data + index);"]
-    for first in range(0, length, 32):
-        count = min(32, length - first)
-        width = 1 << (count - 1).bit_length()
-        values = ", ".join(f"v[{first + k}]" if k < count else f"({scalar})0" for k in range(width))
-        lines.append(f"{{ {scalar} r[{width}] = {{ {values} }};")
-        half = width // 2
-        while half >= 1:
-            lines.append(f"{{ const bool upper = (lane & {half}) != 0;")
-            for k in range(half):
-                lines.append(
-                    f"{{ const {scalar} keep = upper ? r[{k + half}] : r[{k}], send = upper ? r[{k}] : r[{k + half}]; "
-                    f"r[{k}] = keep + __shfl_xor_sync(0xffffffffu, send, {half}); }}"
-                )
-            lines.append("}")
-            half //= 2
-        distance = width
-        while distance < 32:
-            lines.append(f"r[0] += __shfl_xor_sync(0xffffffffu, r[0], {distance});")
-            distance *= 2
-        write = f"atomicAdd(p + {first} + lane, r[0]);" if atomic else f"p[{first} + lane] = r[0];"
-        lines.append(f"if (lane < {count}) {write} }}")
-    return "\n#if defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#else\n    dst.data[index] = v;\n#endif\n"
+    lines = [f"{scalar}* p = ({scalar}*)(dst.data + index);"]
+    for start in range(0, length, 32):
+        end, first = min(start + 32, length), start
+        lines.append(f"{{ {scalar} total = ({scalar})0;")
+        for width in butterfly_widths(end - start):
+            lines += _butterfly(width, first, end, scalar)
+            lines.append(f"if (lane >= {first - start}) total = r[0]; }}")
+            first += width
+        write = f"atomicAdd(p + {start} + lane, total);" if atomic else f"p[{start} + lane] = total;"
+        lines.append(f"if (lane < {end - start}) {write} }}")
+    return "\n#if defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#endif\n"
+
+
+@functools.cache
+def butterfly_widths(count: int) -> tuple[int, ...]:
+    """Powers of two, falling, that cover ``count`` components with the fewest shuffles; the last may be partly empty.
+
+    Args:
+        count: 0 to 32.
+
+    Returns:
+        The widths.
+    """
+    if count <= 0:
+        return ()
+    options = [(width, *butterfly_widths(count - width)) for width in (1, 2, 4, 8, 16, 32) if width < 2 * count]
+    falling = [option for option in options if list(option) == sorted(option, reverse=True)]
+    return min(falling, key=lambda option: sum(w - 1 + (32 // w).bit_length() - 1 for w in option))
+
+
+def _butterfly(width: int, first: int, end: int, scalar: str) -> list[str]:
+    """Opens a block in which ``r[0]`` is the sum over the warp of component ``first + lane % width``."""
+    values = ", ".join(f"v[{k}]" if k < end else f"({scalar})0" for k in range(first, first + width))
+    lines = [f"{{ {scalar} r[{width}] = {{ {values} }};"]
+    half = width // 2
+    while half >= 1:
+        lines.append(f"{{ const bool upper = (lane & {half}) != 0;")
+        for k in range(half):
+            lines.append(
+                f"{{ const {scalar} keep = upper ? r[{k + half}] : r[{k}], send = upper ? r[{k}] : r[{k + half}]; "
+                f"r[{k}] = keep + __shfl_xor_sync(0xffffffffu, send, {half}); }}"
+            )
+        lines.append("}")
+        half //= 2
+    distance = width
+    while distance < 32:
+        lines.append(f"r[0] += __shfl_xor_sync(0xffffffffu, r[0], {distance});")
+        distance *= 2
+    return lines
 
 
 def column_sums_snippet(length: int, columns: int, dtype: type) -> str:
@@ -207,11 +237,8 @@ def lane_functions(dtype: type):
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(broadcast, exp_negative, attenuate)``: value of another lane, exp(x) for x <= 0, t (1 - a).
+        ``(exp_negative, attenuate, reciprocal)``: exp(x) for x <= 0, t (1 - a), 1 / x for ordinary x > 0.
     """
-
-    @wp.func_native(BROADCAST)
-    def broadcast(x: dtype, lane: int) -> dtype: ...
 
     @wp.func_native(EXP_NEGATIVE_F32 if dtype is wp.float32 else EXP_NEGATIVE_F64)
     def exp_negative(x: dtype) -> dtype: ...
@@ -219,4 +246,7 @@ def lane_functions(dtype: type):
     @wp.func_native(re.sub(r"FMA(?=\()", "fmaf" if dtype is wp.float32 else "fma", ATTENUATE))
     def attenuate(t: dtype, a: dtype) -> dtype: ...
 
-    return broadcast, exp_negative, attenuate
+    @wp.func_native(RECIPROCAL_F32 if dtype is wp.float32 else RECIPROCAL_F64)
+    def reciprocal(x: dtype) -> dtype: ...
+
+    return exp_negative, attenuate, reciprocal

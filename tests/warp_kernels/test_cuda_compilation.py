@@ -1,14 +1,16 @@
 """Every kernel compiles for CUDA, on machines without a GPU too."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import warp as wp
 
-from warp_kernels.blend_layout import BlendLayout
+from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.gradient_records import distribute_kernel
+from warp_kernels.list_segments import join_segments_kernel
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
@@ -65,28 +67,30 @@ def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Pat
     compile_all(gaussian_kernels(dtype), arch, tmp_path)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("arch", [80, 90])
-@pytest.mark.parametrize(("channels", "thermal_channels"), [(3, 0), (11, 8)])
-def test_float64_blending_compiles_for_cuda(channels: int, thermal_channels: int, arch: int, tmp_path: Path) -> None:
-    """The accuracy reference, in the block shape it has on CUDA."""
-    layout = BlendLayout(16, 8, 4, 32)
-    kernels = [blend_kernel(channels, thermal_channels, wp.float64, layout)]
-    kernels.append(blend_adjoint_kernel(channels, thermal_channels, wp.float64, layout, True, False))
-    compile_all(kernels, arch, tmp_path)
+def cuda_layouts(tile_size: int, channels: int, dtype: type) -> set[BlendLayout]:
+    """All that a CUDA device may be given: few tiles or many, sparse ones or crowded."""
+    cuda = SimpleNamespace(is_cuda=True)
+    return {
+        default_layout(cuda, tile_size, channels, dtype, pairs_a_tile * tiles, tiles)
+        for pairs_a_tile in (1, 1000)
+        for tiles in (100, 100_000)
+    }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 @pytest.mark.parametrize(("channels", "thermal_channels"), [(1, 0), (3, 0), (11, 0), (11, 8), (32, 0)])
 @pytest.mark.parametrize("tile_size", [8, 16, 32])
-def test_blending_variants_compile_for_cuda(
-    tile_size: int, channels: int, thermal_channels: int, arch: int, tmp_path: Path
+def test_blending_compiles_for_cuda_in_all_layouts(
+    tile_size: int, channels: int, thermal_channels: int, dtype: type, arch: int, tmp_path: Path
 ) -> None:
-    """Tile sizes, channel counts and both block shapes, with and without absgrad."""
-    for block_height in (4, 8):
-        layout = BlendLayout(tile_size, 8, block_height, 32)
-        kernels = [blend_kernel(channels, thermal_channels, wp.float32, layout)]
-        absgrad = by_slot = block_height == 4
-        kernels.append(blend_adjoint_kernel(channels, thermal_channels, wp.float32, layout, absgrad, by_slot))
-        compile_all(kernels, arch, tmp_path / str(block_height))
+    """Tile sizes, channel counts and block shapes, with and without absgrad; float64 is the accuracy reference."""
+    for number, layout in enumerate(sorted(cuda_layouts(tile_size, channels + thermal_channels, dtype), key=str)):
+        kernels = [blend_kernel(channels, thermal_channels, dtype, layout)]
+        absgrad = by_slot = number == 0
+        kernels.append(blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot))
+        if layout.segment > 0:
+            kernels.append(blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance=True))
+            kernels.append(join_segments_kernel(channels, thermal_channels, dtype, layout))
+        compile_all(kernels, arch, tmp_path / str(number))

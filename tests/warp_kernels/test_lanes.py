@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
 import warp as wp
 
-from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, highest_bit, lane_functions, lowest_bit
+from warp_kernels.lanes import accumulate_snippet, butterfly_widths, column_sums_snippet, count_bits, lane_functions
 
-EXP32 = lane_functions(wp.float32)[1]
-EXP64 = lane_functions(wp.float64)[1]
-ATTENUATE = lane_functions(wp.float32)[2]
+EXP32, ATTENUATE, RECIPROCAL = lane_functions(wp.float32)
+EXP64 = lane_functions(wp.float64)[0]
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -33,11 +33,17 @@ def attenuate_kernel(t: wp.array(dtype=wp.float32), a: wp.array(dtype=wp.float32
 
 
 @wp.kernel(enable_backward=False, module="unique")
-def bits_kernel(x: wp.array(dtype=wp.uint32), low: wp.array(dtype=int), high: wp.array(dtype=int)):
-    """Lowest and highest set bit."""
+def reciprocal_kernel(x: wp.array(dtype=wp.float32), y: wp.array(dtype=wp.float32)):
+    """1 / x without a division's branches."""
     i = wp.tid()
-    low[i] = lowest_bit(x[i])
-    high[i] = highest_bit(x[i])
+    y[i] = RECIPROCAL(x[i])
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def bits_kernel(x: wp.array(dtype=wp.uint32), count: wp.array(dtype=int)):
+    """Number of set bits."""
+    i = wp.tid()
+    count[i] = count_bits(x[i])
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(wp.float32, 1e-7), (wp.float64, 4e-16)])
@@ -74,46 +80,71 @@ def test_attenuation(largest: float) -> None:
     assert np.abs(y.numpy() / truth - 1).max() < 1.2e-7
 
 
-def test_bit_positions() -> None:
-    """The walk over a ballot's survivors."""
-    x = np.array([1, 2, 3, 0x80000000, 0xFFFFFFFF, 0b10110000], np.uint32)
-    low, high = (wp.zeros(len(x), dtype=int, device="cpu") for _ in range(2))
-    wp.launch(bits_kernel, dim=len(x), inputs=[wp.array(x, dtype=wp.uint32, device="cpu"), low, high], device="cpu")
-    assert low.numpy().tolist() == [0, 1, 0, 31, 0, 4]
-    assert high.numpy().tolist() == [0, 1, 1, 31, 31, 7]
+def test_reciprocal(device: torch.device) -> None:
+    """1 / x to a rounding for the x that 1 - alpha takes."""
+    x = np.concatenate([np.linspace(0.001, 1.0, 100_000), 1.0 - np.logspace(-8, -1, 1000)]).astype(np.float32)
+    y = wp.zeros(len(x), dtype=wp.float32, device=str(device))
+    wp.launch(reciprocal_kernel, dim=len(x), inputs=[wp.array(x, device=str(device)), y], device=str(device))
+    assert np.abs(y.numpy() * x.astype(np.float64) - 1).max() < 7e-8
 
 
-@pytest.mark.parametrize("length", [7, 17, 32, 33, 42])
+def test_bit_counts() -> None:
+    """The number of a ballot's survivors."""
+    x = np.array([0, 1, 3, 0x80000000, 0xFFFFFFFF, 0b10110000], np.uint32)
+    count = wp.zeros(len(x), dtype=int, device="cpu")
+    wp.launch(bits_kernel, dim=len(x), inputs=[wp.array(x, dtype=wp.uint32, device="cpu"), count], device="cpu")
+    assert count.numpy().tolist() == [0, 1, 2, 1, 32, 3]
+
+
+@pytest.mark.parametrize("length", [1, 7, 9, 17, 18, 31, 32, 33, 42, 74])
 def test_butterfly_sums_over_a_warp(length: int) -> None:
     """The CUDA source of the reduction, replayed in Python lane by lane, sums every component over 32 lanes."""
     source = accumulate_snippet(length, wp.float32, atomic=True)
+    lane = np.arange(32)
     values = np.random.default_rng(length).normal(size=(32, length))
     stored: dict[int, float] = {}
-    first = 0
-    for part in source.split("float r[")[1:]:
-        width = int(part.split("]")[0])
-        count = min(32, length - first)
-        r = np.zeros((32, width))
-        r[:, :count] = values[:, first : first + count]
-        half = width // 2
-        while half:
-            upper = (np.arange(32) & half) != 0
-            keep = np.where(upper[:, None], r[:, half : 2 * half], r[:, :half])
-            send = np.where(upper[:, None], r[:, :half], r[:, half : 2 * half])
-            assert f"__shfl_xor_sync(0xffffffffu, send, {half})" in part
-            r = keep + send[np.arange(32) ^ half]
-            half //= 2
-        distance = width
-        while distance < 32:
-            assert f"__shfl_xor_sync(0xffffffffu, r[0], {distance})" in part
-            r = r + r[np.arange(32) ^ distance]
-            distance *= 2
-        assert f"if (lane < {count}) atomicAdd(p + {first} + lane, r[0]);" in part
-        stored |= {first + lane: r[lane, 0] for lane in range(count)}
-        first += 32
-    total = values.sum(0)
+    for start, group in enumerate(source.split("float total = (float)0;")[1:]):
+        start, total, first = 32 * start, np.zeros(32), 0
+        end = min(32, length - start)
+        for part in group.split("float r[")[1:]:
+            width = int(part.split("]")[0])
+            count = min(width, end - first)
+            assert part.count("v[") == count
+            assert f"v[{start + first}]" in part
+            r = np.zeros((32, width))
+            r[:, :count] = values[:, start + first : start + first + count]
+            half = width // 2
+            while half:
+                upper = (lane & half) != 0
+                keep = np.where(upper[:, None], r[:, half : 2 * half], r[:, :half])
+                send = np.where(upper[:, None], r[:, :half], r[:, half : 2 * half])
+                assert f"__shfl_xor_sync(0xffffffffu, send, {half})" in part
+                r = keep + send[lane ^ half]
+                half //= 2
+            distance = width
+            while distance < 32:
+                assert f"__shfl_xor_sync(0xffffffffu, r[0], {distance})" in part
+                r = r + r[lane ^ distance]
+                distance *= 2
+            assert f"if (lane >= {first}) total = r[0];" in part
+            total = np.where(lane >= first, r[:, 0], total)
+            first += width
+        assert f"if (lane < {end}) atomicAdd(p + {start} + lane, total);" in group
+        stored |= {start + k: total[k] for k in range(end)}
+    expected = values.sum(0)
     assert len(stored) == length
-    assert max(abs(stored[k] - total[k]) for k in range(length)) < 1e-12
+    assert max(abs(stored[k] - expected[k]) for k in range(length)) < 1e-12
+
+
+def test_butterflies_cover_every_count() -> None:
+    """Widths fall, so that a component's lane is its number, cover the count, and cost no more than one."""
+    for count in range(1, 33):
+        widths = butterfly_widths(count)
+        assert list(widths) == sorted(widths, reverse=True)
+        assert sum(widths) >= count > sum(widths[:-1])
+        shuffles = sum(width - 1 + 6 - width.bit_length() for width in widths)
+        whole = 1 << (count - 1).bit_length()
+        assert shuffles <= whole - 1 + 6 - whole.bit_length()
 
 
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])

@@ -1,0 +1,154 @@
+"""Long lists cut into segments, each walked by its own block of threads.
+
+A frame of few tiles takes as long as its longest list. A list of more than two segments is therefore cut where the
+index of a pair is a multiple of the segment. Forward, a first launch finds what each segment leaves of the light that
+enters it; a second blends every segment from the transmittance in front of it, the product over the segments before;
+``join_segments`` adds up their colours. What it leaves at each boundary, T there and the colours behind, is where the
+adjoint of a segment begins.
+
+The block of segment k of tile t is number t + k: along the sorted pairs every step from one block to the next raises
+t or k. Tiles whose lists are short have all of it walked by the block of their first segment.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.blend_layout import BlendLayout
+
+LONG_LIST = 2
+"""Segments' worth of pairs that one block walks without a cut."""
+
+
+def state_length(channels: int, thermal_channels: int) -> int:
+    """Numbers in a pixel's state at a boundary of segments: T, [thermal T], colours behind (C), [thermal ones (D)].
+
+    Until the segments are joined, T is what the segment before the boundary lets through, and the colours are those of
+    the segment behind it alone.
+
+    Args:
+        channels: C.
+        thermal_channels: D, or 0.
+
+    Returns:
+        The length.
+    """
+    return channels + 1 + (thermal_channels + 1 if thermal_channels else 0)
+
+
+@wp.func
+def list_of_block(block: int, tile_offsets: wp.array(dtype=wp.int32), segment: int):
+    """What a block of threads walks.
+
+    Returns:
+        The tile, the first pair, the pair after the last, and whether the list is cut. Where there is nothing to do
+        for the block, the first pair is beyond the one after the last.
+    """
+    tile = int(block)
+    cut = bool(False)
+    if segment > 0:
+        tile = int(0)
+        upper = tile_offsets.shape[0] - 2
+        while tile < upper:
+            middle = (tile + upper + 1) // 2
+            if middle + tile_offsets[middle] // segment <= block:
+                tile = middle
+            else:
+                upper = middle - 1
+    begin = int(tile_offsets[tile])
+    end = int(tile_offsets[tile + 1])
+    if segment > 0:
+        number = block - tile
+        cut = end - begin > wp.static(LONG_LIST) * segment
+        if (cut and number * segment >= end) or (not cut and number != begin // segment):
+            begin = end + 1
+        elif cut:
+            begin = wp.max(begin, number * segment)
+            end = number * segment + wp.min(end - number * segment, segment)
+    return tile, begin, end, cut
+
+
+@functools.cache
+def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
+    """Joins the segments of cut lists, one thread a pixel: states as the adjoint needs them, and the whole render.
+
+    Args:
+        channels: C, channels blended with the first opacity.
+        thermal_channels: D, or 0.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        layout: deal of pixels to lanes.
+
+    Returns:
+        The Warp kernel.
+    """
+    C, D = channels, max(thermal_channels, 1)
+    dual = thermal_channels > 0
+    vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
+    first_behind = 2 if dual else 1
+    first_behind_t = first_behind + C
+    lanes, columns, threads = layout.lanes, layout.columns, layout.threads
+    tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
+    blocks_x = layout.blocks_x
+    one = dtype(1.0)
+
+    @wp.kernel(
+        name=f"join_segments_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}",
+        enable_backward=False,
+        module="unique",
+    )
+    def join_segments_kernel(
+        first: int,
+        tiles_x: int,
+        tiles_y: int,
+        width: int,
+        height: int,
+        tile_offsets: wp.array(dtype=wp.int32),
+        segment: int,
+        # outputs
+        render: wp.array2d(dtype=vecC),
+        thermal_render: wp.array2d(dtype=vecD),
+        states: wp.array3d(dtype=dtype),
+    ):
+        index = wp.tid() + first
+        tile = index // (tile_size * tile_size)
+        place = index % (tile_size * tile_size)
+        begin = tile_offsets[tile]
+        end = tile_offsets[tile + 1]
+        if end - begin <= wp.static(LONG_LIST) * segment:
+            return
+        warp = (place % threads) // lanes
+        pixel = place % lanes + (place // threads) % columns * lanes
+        in_image = tile % (tiles_x * tiles_y)
+        x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width + pixel % block_width
+        y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height + pixel // block_width
+        y += place // (threads * columns)
+        if x >= width or y >= height:
+            return
+        line = (tile // (tiles_x * tiles_y)) * height + y
+
+        newest = (end - 1) // segment
+        T = one
+        Tt = one
+        for boundary in range(begin // segment + 1, newest + 1):
+            T = T * states[boundary, 0, place]
+            states[boundary, 0, place] = T
+            if wp.static(dual):
+                Tt = Tt * states[boundary, 1, place]
+                states[boundary, 1, place] = Tt
+        behind = vecC()
+        behind_t = vecD()
+        boundary = int(newest)
+        while boundary > begin // segment:
+            for c in range(C):
+                behind[c] += states[boundary, first_behind + c, place]
+                states[boundary, first_behind + c, place] = behind[c]
+            if wp.static(dual):
+                for c in range(D):
+                    behind_t[c] += states[boundary, first_behind_t + c, place]
+                    states[boundary, first_behind_t + c, place] = behind_t[c]
+            boundary -= 1
+        render[line, x] = render[line, x] + behind
+        if wp.static(dual):
+            thermal_render[line, x] = thermal_render[line, x] + behind_t
+
+    return join_segments_kernel

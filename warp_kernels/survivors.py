@@ -1,0 +1,142 @@
+"""The candidates of a warp that reach its pixel block, kept in shared memory while the warp walks them.
+
+Of 32 candidates, one a lane, each lane whose candidate passed the test writes its record to the place of its rank. The
+walk then reads records one after the other, all lanes the same one: addresses are known beforehand, so that the
+latency of one Gaussian's numbers hides behind the arithmetic of another, and the numbers of all survivors were fetched
+from memory at once. CUDA only; on the CPU a lane reads what it needs from the arrays.
+"""
+
+import functools
+from typing import Any
+
+import warp as wp
+
+from warp_kernels.blend_layout import BlendLayout
+from warp_kernels.lanes import LANES_CUDA, count_bits, warp_ballot, warp_sync
+
+HEADER = 9
+"""Numbers before the features: mean2d (2), root (3), opacity, thermal opacity, lane of the candidate, its index."""
+
+SHARED_BYTES = 40 * 1024
+"""Shared memory for records; a block of threads has 48 KiB without asking for more, some of which Warp takes."""
+
+
+def stages_features(channels: int, dtype: type, layout: BlendLayout) -> bool:
+    """Whether there is room for the features in the records; where not, they are read from memory.
+
+    Args:
+        channels: C.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        layout: deal of pixels to lanes.
+
+    Returns:
+        True if records hold features.
+    """
+    return layout.warps * LANES_CUDA * _stride(HEADER + channels, dtype) * _size(dtype) <= SHARED_BYTES
+
+
+def _size(dtype: type) -> int:
+    return 4 if dtype is wp.float32 else 8
+
+
+def _stride(length: int, dtype: type) -> int:
+    """Numbers from one record to the next, an odd number of 16-byte words: eight lanes then write to all banks."""
+    words = -(-length * _size(dtype) // 16)
+    return (words | 1) * 16 // _size(dtype)
+
+
+@functools.cache
+def survivor_functions(channels: int, staged: bool, dtype: type, layout: BlendLayout) -> tuple[Any, Any, Any, Any]:
+    """Access to the warp's records.
+
+    Args:
+        channels: C, features of a Gaussian.
+        staged: records hold them.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        layout: deal of pixels to lanes.
+
+    Returns:
+        Warp functions ``(records_of_warp, admit, get, integer)``: the address of a warp's records; store each lane's
+        candidate that hit, and count them; read one; the whole number in one of its places.
+    """
+    length = HEADER + (channels if staged else 0)
+    stride = _stride(length, dtype)
+    words, per_word = -(-length * _size(dtype) // 16), 16 // _size(dtype)
+    scalar, vector = ("float", "float4") if dtype is wp.float32 else ("double", "double2")
+    header, record = HEADER, wp.types.vector(length, dtype)
+    fields = "xyzw"[:per_word]
+
+    def element(k: int) -> str:
+        return f"r.c[{k}]" if k < length else f"({scalar})0"
+
+    writes = "\n".join(
+        f"p[{w}] = make_{vector}({', '.join(element(w * per_word + k) for k in range(per_word))});"
+        for w in range(words)
+    )
+    reads = "\n".join(
+        f"{{ const {vector} v = p[{w}]; "
+        + " ".join(f"r.c[{w * per_word + k}] = v.{fields[k]};" for k in range(per_word) if w * per_word + k < length)
+        + " }"
+        for w in range(words)
+    )
+    locate = f"{vector}* p = ({vector}*)address + place * {stride // per_word};"
+    floats = LANES_CUDA * stride
+    word = wp.int32 if dtype is wp.float32 else wp.int64
+    vec2, vec3, vecC = (wp.types.vector(count, dtype) for count in (2, 3, channels))
+    buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
+    address_snippet = _on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
+    put_snippet = _on_cuda(f"{locate}\n{writes}")
+    get_snippet = f"wp::vec_t<{length}, {scalar}> r;" + _on_cuda(f"const {locate}\n{reads}") + "return r;"
+
+    @wp.func_native(address_snippet)
+    def records_of_warp(warp: int) -> wp.uint64: ...
+
+    @wp.func_native(put_snippet)
+    def put(address: wp.uint64, place: int, r: record): ...
+
+    @wp.func_native(get_snippet)
+    def get(address: wp.uint64, place: int) -> record: ...
+
+    @wp.func
+    def integer(x: dtype):
+        return int(wp.cast(x, word))
+
+    @wp.func
+    def admit(
+        address: wp.uint64,
+        lane: int,
+        hit: int,
+        g: int,
+        mean: vec2,
+        root: vec3,
+        opacity: dtype,
+        opacity_t: dtype,
+        features: wp.array(dtype=vecC),
+    ):
+        survivors = warp_ballot(hit)
+        warp_sync()
+        if hit != 0:
+            r = record()
+            r[0] = mean[0]
+            r[1] = mean[1]
+            r[2] = root[0]
+            r[3] = root[1]
+            r[4] = root[2]
+            r[5] = opacity
+            r[6] = opacity_t
+            r[7] = wp.cast(word(lane), dtype)
+            r[8] = wp.cast(word(g), dtype)
+            if wp.static(staged):
+                f = features[g]
+                for c in range(channels):
+                    r[header + c] = f[c]
+            below = (wp.uint32(1) << wp.uint32(lane)) - wp.uint32(1)
+            put(address, count_bits(survivors & below), r)
+        warp_sync()
+        return count_bits(survivors)
+
+    return records_of_warp, admit, get, integer
+
+
+def _on_cuda(source: str, otherwise: str = "") -> str:
+    return f"\n#if defined(__CUDA_ARCH__)\n{source}\n#else\n{otherwise}\n#endif\n"
