@@ -17,7 +17,9 @@ import warp as wp
 from benchmark_scenes import BenchmarkScene, garden_scene
 from trained_scene import trained_scene
 
-from thermosplat.warp_bridge import Project, ProjectedTensors, bin_tiles, on_torch_stream, wrap
+from thermosplat.rasterization_functions import Project, ProjectedTensors, bin_tiles
+from thermosplat.warp_bridge import to_torch, wrap
+from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.projection import ProjectionSettings
@@ -45,11 +47,12 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
     with torch.no_grad():
         projected = Project.apply(
             scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
-            scene.intrinsics(width, height)[None], settings,
+            scene.intrinsics(width, height)[None], settings, (1,),
         )  # fmt: skip
     flat = scene.features(max(channels for channels, _ in args.channels))
-    arrays, bins = bin_tiles(ProjectedTensors(*projected), opacities, thermal, flat, settings, args.tile_size)
-    longest = int(torch.diff(wp.to_torch(bins.tile_offsets)).max())
+    arrays = ProjectedTensors(*projected).arrays()
+    bins = bin_tiles(arrays, opacities, thermal, flat, settings, args.tile_size)
+    longest = int(torch.diff(to_torch(bins.tile_offsets)).max())
     rows = []
     for channels, thermal_channels in args.channels:
         features = flat[:, :channels].contiguous()

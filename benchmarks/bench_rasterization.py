@@ -70,7 +70,8 @@ def arguments() -> argparse.Namespace:
         nargs="*",
         choices=(*PEERS, "deterministic"),
         default=list(PEERS),
-        help="beside whom; 'deterministic' is thermosplat with deterministic=True, on CUDA; none: thermosplat alone",
+        help="beside whom; on CUDA 'graph' is thermosplat in a CUDA graph and 'deterministic' with deterministic=True; "
+        "none: thermosplat alone",
     )
     options = parser.parse_args()
     if options.resume and options.json is None:

@@ -11,7 +11,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from thermosplat.warp_bridge import on_torch_stream, wrap
+from thermosplat.warp_bridge import wrap
+from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from warp_kernels.launching import launch
 

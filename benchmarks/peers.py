@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,8 +17,12 @@ NEAR_PLANE = 0.01
 CASES = ("rgb", "features8", "features11", "features32", "rgbt")
 """rgb: SH colour of degree 3. featuresN: N channels. rgbt: SH colour and 8 features at α, the 8 features at α_t."""
 
-PEERS = ("gsplat", "gswarp", "torch")
-"""Whom thermosplat is compared with unless others are asked for; "deterministic" is itself with that option."""
+PEERS = ("gsplat", "gswarp", "torch", "graph")
+"""Whom thermosplat is compared with unless others are asked for; "graph" is itself in a CUDA graph, "deterministic"
+itself with that option."""
+
+OURS = "thermosplat"
+GRAPH = "thermosplat in a graph"
 
 Tensors = dict[str, Tensor]
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict]]
@@ -56,6 +60,7 @@ class Peer:
         near_plane: Gaussians nearer than this are not drawn [world units].
         tolerance: how far its images and gradients may be from thermosplat's.
         release: gives back memory that it keeps between calls.
+        captured: its calls are captured in CUDA graphs, which are replayed.
     """
 
     name: str
@@ -65,6 +70,7 @@ class Peer:
     near_plane: float = NEAR_PLANE
     tolerance: Tolerance = SAME_CONVENTIONS
     release: Callable[[], object] = lambda: None
+    captured: bool = False
 
 
 def _camera(t: Tensors, width: int, height: int) -> dict[str, Any]:
@@ -93,8 +99,14 @@ def thermosplat_peer(near_plane: float = NEAR_PLANE, deterministic: bool = False
 
         return both if case == "rgbt" else single
 
-    name, suffix = ("deterministic", ", deterministic=True") if deterministic else ("thermosplat", "")
+    name, suffix = ("deterministic", ", deterministic=True") if deterministic else (OURS, "")
     return Peer(name, f"thermosplat {__version__}, Warp kernels{suffix}", renderer)
+
+
+def graph_peer() -> Peer:
+    """thermosplat again, captured in a CUDA graph."""
+    eager = thermosplat_peer()
+    return replace(eager, name=GRAPH, description=f"{eager.description} replayed from a CUDA graph", captured=True)
 
 
 def float64_renderer(near_plane: float = NEAR_PLANE) -> Renderer:
@@ -153,8 +165,10 @@ def gsplat_renderer(rasterization: Rasterization, spherical_harmonics: Callable,
 
 
 def cuda_peers(names: Collection[str]) -> list[Peer]:
-    """thermosplat and, of those named and where they can be imported, gsplat's CUDA kernels and gswarp."""
+    """thermosplat and, of those named and importable, itself in a graph, gsplat's CUDA kernels and gswarp."""
     peers = [thermosplat_peer()]
+    if "graph" in names:
+        peers.append(graph_peer())
     try:
         if "gsplat" in names:
             import gsplat

@@ -2,56 +2,21 @@
 
 import time
 import traceback
-from collections.abc import Callable
 from typing import Any
 
 import torch
 from agreement import differences, disagreement
 from benchmark_scenes import BenchmarkScene
+from captured_passes import CapturedPasses
 from device_peaks import DevicePeaks
 from floors import stage_floors
 from fragments import count_fragments
-from gpu_memory import peak_memory
 from peers import Peer, Rendered, Renderer, Tensors, float64_renderer, thermosplat_peer
+from rasterization_passes import Passes, Result
 from stages import blended_channels, stage_times
 from timing import time_interleaved
-from torch import Tensor
 
 from warp_kernels.launching import num_threads, set_num_threads
-
-Result = tuple[list[Tensor], tuple[Tensor, ...]]
-
-
-class Passes:
-    """The forward pass without gradients, and forward plus backward with random gradients of every image.
-
-    Args:
-        render: renders the case.
-        inputs: what it renders; gradients go to those that require them.
-    """
-
-    def __init__(self, render: Callable[[], Rendered], inputs: Tensors) -> None:
-        self._render = render
-        self._leaves = [tensor for tensor in inputs.values() if tensor.requires_grad]
-        first = self.forward()
-        self.intersections = first.intersections
-        device = inputs["means"].device
-        generator = torch.Generator(device).manual_seed(0)
-        # float32 numbers whatever the images are, in the images' memory order, which need not be that of their shape.
-        self._upstream = [
-            torch.empty_like(image).copy_(torch.randn(image.shape, generator=generator, device=device))
-            for image in first.images
-        ]
-
-    def forward(self) -> Rendered:
-        """Renders without gradients."""
-        with torch.no_grad():
-            return self._render()
-
-    def forward_backward(self) -> Result:
-        """The images and the gradient of every leaf."""
-        images = self._render().images
-        return images, torch.autograd.grad(images, self._leaves, self._upstream)
 
 
 def inputs_of(scene: BenchmarkScene, case: str, width: int, height: int, device: torch.device) -> Tensors:
@@ -119,7 +84,7 @@ def run_case(
     for peer in peers:
         if peer.name in passes:
             peer.release()
-            row["peak_memory_mib"][peer.name] = peak_memory(passes[peer.name].forward_backward, device)
+            row["peak_memory_mib"][peer.name] = passes[peer.name].peak_memory(device)
             peer.release()
     ours = passes[peers[0].name]
     if cores:
@@ -140,14 +105,14 @@ def one_line(error: Exception) -> str:
 
 def _checked(
     peers: list[Peer], case: str, inputs: Tensors, size: tuple[int, int], with_truth: bool, row: dict[str, Any]
-) -> dict[str, Passes]:
+) -> dict[str, Passes | CapturedPasses]:
     """Compares every peer with thermosplat, and all with float64; returns those that rendered at all."""
     names = [name for name, tensor in inputs.items() if tensor.requires_grad]
     row |= {"error_to_float64": {}, "difference": {}, "left_out": {}, "apart": {}}
     exact = {k: v.detach().double().requires_grad_(v.requires_grad) for k, v in inputs.items()} if with_truth else {}
     references: dict[float, Result] = {}
     truths: dict[float, Result] = {}
-    passes: dict[str, Passes] = {}
+    passes: dict[str, Passes | CapturedPasses] = {}
 
     def result(renderer: Renderer, tensors: Tensors) -> Result:
         return Passes(renderer(case, tensors, *size), tensors).forward_backward()
@@ -155,7 +120,7 @@ def _checked(
     for peer in peers:
         near = peer.near_plane
         try:
-            made = Passes(peer.renderer(case, inputs, *size), inputs)
+            made = _passes(peer, case, inputs, size)
             found = made.forward_backward()
         except Exception as error:
             if peer is peers[0]:
@@ -179,6 +144,11 @@ def _checked(
             row["error_to_float64"][peer.name] = differences(found, truths[near], names, peers[0].tolerance.pixel)
         passes[peer.name] = made
     return passes
+
+
+def _passes(peer: Peer, case: str, inputs: Tensors, size: tuple[int, int]) -> Passes | CapturedPasses:
+    made = Passes(peer.renderer(case, inputs, *size), inputs)
+    return CapturedPasses(made, inputs["means"].device) if peer.captured else made
 
 
 def _scaling(ours: Passes, cores: list[int], device: torch.device, repeats: int) -> dict[str, dict[str, float]]:

@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+from peers import GRAPH, OURS
+
 Row = dict[str, Any]
 
 
@@ -49,8 +51,6 @@ forward alone, measured on an H200 on 2026-11-20 in a run of its own."""
 CPU_TARGET = 30.0
 """Geometric mean of gsplat's torch reference over ours on the CPU, forward plus backward."""
 
-OURS = "thermosplat"
-
 
 def targets_against(peer: str) -> tuple[Target, ...]:
     """The targets; for other peers than gsplat's CUDA kernels the same measures, without a goal or with the CPU's."""
@@ -62,36 +62,44 @@ def targets_against(peer: str) -> tuple[Target, ...]:
     )
 
 
-def ratio(row: Row, measure: str, peer: str) -> float | None:
-    """The peer's time over ours, or our peak memory over the peer's; None where one is missing or they disagree."""
-    if peer in row.get("apart", {}):
+def ratio(row: Row, measure: str, peer: str, ours: str = OURS) -> float | None:
+    """The peer's time over ours, or our peak memory over the peer's; None where one is missing or they disagree.
+
+    Args:
+        row: of any case.
+        measure: as in ``Target``.
+        peer: whom the ratio is to.
+        ours: which of our own renderers: ``OURS`` or ``GRAPH``.
+    """
+    if not row.get("apart", {}).keys().isdisjoint((peer, ours)):
         return None
     if measure == "memory":
         values = row.get("peak_memory_mib", {})
-        one, other = values.get(OURS), values.get(peer)
+        one, other = values.get(ours), values.get(peer)
     else:
         times = row.get(measure, {})
-        one, other = (times.get(name, {}).get("median_ms") for name in (peer, OURS))
+        one, other = (times.get(name, {}).get("median_ms") for name in (peer, ours))
     return one / other if one and other else None
 
 
-def summary(rows: list[Row], peer: str) -> dict[str, Any]:
+def summary(rows: list[Row], peer: str, ours: str = OURS) -> dict[str, Any]:
     """Geometric means and worst cases beside the targets, and the comparison with Faster-GS.
 
     Args:
         rows: of any scenes, sizes and cases.
         peer: whom the ratios are to.
+        ours: which of our own renderers.
 
     Returns:
-        ``targets``, one entry a target that any row belongs to, and ``faster_gs``, one entry a row that was measured
-        there too.
+        ``peer`` and ``ours``; ``targets``, one entry a target that any row belongs to, and ``faster_gs``, one entry a
+        row that was measured there too.
     """
     entries = []
     for target in targets_against(peer):
         found = [
             (value, f"{row['scene']} {row['size']} {row['case']}")
             for row in rows
-            if target.case in (None, row["case"]) and (value := ratio(row, target.measure, peer)) is not None
+            if target.case in (None, row["case"]) and (value := ratio(row, target.measure, peer, ours)) is not None
         ]
         if not found:
             continue
@@ -115,20 +123,31 @@ def summary(rows: list[Row], peer: str) -> dict[str, Any]:
         {
             "scene": row["scene"],
             "size": row["size"],
-            "forward_backward": (ratio(row, "forward_backward", peer), FASTER_GS[key][0]),
-            "forward": (ratio(row, "forward", peer), FASTER_GS[key][1]),
+            "forward_backward": (ratio(row, "forward_backward", peer, ours), FASTER_GS[key][0]),
+            "forward": (ratio(row, "forward", peer, ours), FASTER_GS[key][1]),
         }
         for row in rows
         if peer == "gsplat" and row["case"] == "rgb" and (key := (row["scene"], row["size"])) in FASTER_GS
-        if ratio(row, "forward", peer) is not None
+        if ratio(row, "forward", peer, ours) is not None
     ]
-    return {"peer": peer, "targets": entries, "faster_gs": anchors}
+    return {"peer": peer, "ours": ours, "targets": entries, "faster_gs": anchors}
 
 
 def summaries(rows: list[Row]) -> list[dict[str, Any]]:
-    """The summary against every peer that was timed."""
-    peers = dict.fromkeys(name for row in rows for name in row.get("forward", {}) if name != OURS)
-    return [summary(rows, peer) for peer in peers]
+    """The summary of each of our own renderers that was timed against every peer that was."""
+    names = dict.fromkeys(name for row in rows for name in row.get("forward", {}))
+    return [
+        summary(rows, peer, ours)
+        for peer in names
+        if peer not in (OURS, GRAPH)
+        for ours in (OURS, GRAPH)
+        if ours in names
+    ]
+
+
+def comparison(found: dict[str, Any]) -> str:
+    """What a summary compares."""
+    return f"{found['ours']} against {found['peer']}"
 
 
 def _reached(value: float, target: float | None, low: bool) -> bool:
@@ -138,7 +157,7 @@ def _reached(value: float, target: float | None, low: bool) -> bool:
 def summary_lines(found: dict[str, Any]) -> Iterable[str]:
     """The summary as a Markdown table, which reads well on a terminal too."""
     if found["targets"]:
-        yield f"| ratio to {found['peer']} | cases | geometric mean | target | worst | target | worst case | |"
+        yield f"| {comparison(found)} | cases | geometric mean | target | worst | target | worst case | |"
         yield "|---|---|---|---|---|---|---|---|"
     for e in found["targets"]:
         signs = "<=" if e["measure"] == "memory" else ">="
@@ -150,7 +169,7 @@ def summary_lines(found: dict[str, Any]) -> Iterable[str]:
         )
     if found["faster_gs"]:
         yield ""
-        yield "| RGB, SH degree 3 | forward+backward: ours | Faster-GS | forward: ours | Faster-GS | |"
+        yield f"| {comparison(found)}, RGB, SH degree 3 | forward+backward | Faster-GS | forward | Faster-GS | |"
         yield "|---|---|---|---|---|---|"
     for e in found["faster_gs"]:
         (both, both_anchor), (forward, forward_anchor) = e["forward_backward"], e["forward"]

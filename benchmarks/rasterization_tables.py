@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
-from rasterization_summary import OURS, Row, summary_lines
+from peers import GRAPH, OURS
+from rasterization_summary import Row, comparison, summary_lines
 
 
 def markdown(report: dict[str, Any]) -> str:
@@ -27,7 +28,7 @@ def markdown(report: dict[str, Any]) -> str:
         lines.append(f"Not complete: {stopped}.")
     rows = [row for row in report["rows"] if "forward" in row]
     parts = [
-        *((f"Against {found['peer']}", summary_lines(found)) for found in report["summaries"]),
+        *((f"Ratios, {comparison(found)}", summary_lines(found)) for found in report["summaries"]),
         ("Times, forward / forward+backward [ms]", _times(rows)),
         ("Peak memory [MiB] / intersections [thousands] / host time of forward+backward [ms]", _resources(rows)),
         ("Error to float64: image RMS / image maximum / worst gradient", _errors(rows)),
@@ -60,7 +61,7 @@ def _place(row: Row) -> list[str]:
 
 def _times(rows: list[Row]) -> Iterator[str]:
     names = _names(rows)
-    others = [name for name in names if name != OURS]
+    pairs = [(name, ours) for name in names if name not in (OURS, GRAPH) for ours in (OURS, GRAPH) if ours in names]
     body = []
     for row in rows:
         cells = _place(row)
@@ -68,15 +69,12 @@ def _times(rows: list[Row]) -> Iterator[str]:
             forward, both = (row[key].get(name, {}).get("median_ms") for key in ("forward", "forward_backward"))
             star = " *" if name in row["apart"] else ""
             cells.append("" if forward is None else f"{forward:.2f} / {both:.2f}{star}")
-        for name in others:
-            measures = ("forward", "forward_backward")
-            if name in row["forward"]:
-                ratios = [row[key][name]["median_ms"] / row[key][OURS]["median_ms"] for key in measures]
-                cells.append(" / ".join(f"{value:.2f}" for value in ratios))
-            else:
-                cells.append("")
+        for name, ours in pairs:
+            both_there = name in row["forward"] and ours in row["forward"]
+            medians = [(row[key][name], row[key][ours]) for key in ("forward", "forward_backward") if both_there]
+            cells.append(" / ".join(f"{one['median_ms'] / other['median_ms']:.2f}" for one, other in medians))
         body.append(cells)
-    yield from _table(["scene", "case", *names, *(f"{name} over {OURS}" for name in others)], body)
+    yield from _table(["scene", "case", *names, *(f"{name} over {ours}" for name, ours in pairs)], body)
     for row in rows:
         for name, reason in row["apart"].items():
             yield f"\n\\* {' '.join(_place(row))}: {name} is not as near {OURS} as its conventions allow: {reason}."

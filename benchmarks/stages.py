@@ -7,10 +7,11 @@ import warp as wp
 from timing import time_interleaved
 from torch import Tensor
 
-from thermosplat.warp_bridge import on_torch_stream, wrap
+from thermosplat.warp_bridge import wrap
+from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.binning_step import bin_tiles
 from warp_kernels.blending_step import BlendedArrays, blend
-from warp_kernels.color_step import sh_colors
+from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors
 from warp_kernels.projection import GaussianArrays, ProjectionSettings
 from warp_kernels.projection_step import project
 from warp_kernels.rasterization import allocate_projected, scalar_view
@@ -83,13 +84,12 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
     parts = [t["features"]] if "features" in t else []
     if "sh" in t:
         colors = wp.empty(count, dtype=vector(3, dtype), device=device, requires_grad=True)
-        position = torch.linalg.inv(t["viewmats"].double())[:, :3, 3].contiguous()
         coefficients = [array(part, vector(3, dtype)) for part in (t["sh"][:, :1], t["sh"][:, 1:])]
-        arguments = (3, gaussians.means, wrap(position, wp.vec3d), *coefficients, projected.radii, colors, count, 1)
-        color_tape = wp.Tape()
-        sh_colors(*arguments, tape=color_tape)
+        arrays = ColorArrays(gaussians.means, gaussians.viewmats, *coefficients, projected.radii, colors)
+        color_settings, color_tape = ColorSettings(3, count, 1), wp.Tape()
+        sh_colors(arrays, color_settings, color_tape)
         colors.grad.fill_(0.01)
-        calls["colors"] = lambda: sh_colors(*arguments)
+        calls["colors"] = lambda: sh_colors(arrays, color_settings)
         adjoints["colors adjoint"] = color_tape.backward
         parts.insert(0, wp.to_torch(colors, requires_grad=False))
     features = array(torch.cat(parts, -1), vector(channels, dtype))

@@ -16,7 +16,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "ShColorsBackward")),
     ("SH", ("sh_colors", "camera_positions", "ShColors")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "strand_sums", "BlendBackward")),
-    ("blending", ("blend_", "Blend")),
+    ("blending", ("blend_", "join_segments", "Blend")),
     ("binning", ("count_tiles", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan")),
     ("optimizer", ("adam", "Adam")),
     ("bookkeeping", ("note_bad", "note_density")),

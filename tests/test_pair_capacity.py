@@ -1,11 +1,13 @@
 """With room enough nothing changes; what does not fit is left out, counted and told."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 import torch
 
 from gaussian_scenes import leaves, random_scene
-from thermosplat import rasterization
-from thermosplat.pair_capacity import SPARE, PairCapacity
+from thermosplat import PairCapacity, UserError, rasterization
+from thermosplat.pair_capacity import CALLS, SPARE
 
 
 def _gradients(inputs: dict) -> dict[str, torch.Tensor]:
@@ -58,10 +60,13 @@ def test_too_little_room_is_told(device: torch.device) -> None:
     assert all(torch.isfinite(gradient).all() for gradient in _gradients(inputs).values())
     assert capacity.overflow == 1
     assert capacity.is_short()
+    with pytest.raises(UserError, match=f"{needed:,} .Gaussian, tile. pairs and room for {capacity._limits[0]:,}"):
+        capacity.check()
     assert capacity.most[0] == needed
     assert 0 < alphas.mean() < 1
     assert not torch.equal(image, complete)
     capacity.measure()
+    capacity.check()
     with capacity.step(fixed=True):
         assert torch.equal(rasterization(**inputs)[0], complete)
     assert capacity.overflow == 0
@@ -98,3 +103,42 @@ def test_small_scenes_get_a_least_room(name: str) -> None:
     capacity.measure()
     with capacity.step(fixed=True):
         assert (capacity.limit() if name == "limit" else int(capacity.most.sum()) + 1024) == 1024
+
+
+def test_a_room_must_be_measured() -> None:
+    """Nobody knows how much a step needs before it was seen."""
+    with pytest.raises(UserError, match="nothing was measured") as raised, PairCapacity("cpu").step(fixed=True):
+        pass
+    assert "measure()" in str(raised.value.hint)
+
+
+def test_spare_room_is_chosen() -> None:
+    """A scene that does not change needs no more than it was seen to need."""
+    inputs = leaves(random_scene(n=3000, width=70, height=50), torch.device("cpu"), torch.float32)
+    capacity = PairCapacity("cpu", spare=1.0)
+    with capacity.step(fixed=False):
+        image, _, info = rasterization(**inputs)
+    capacity.measure()
+    with capacity.step(fixed=True):
+        assert capacity.limit() == len(info["flatten_ids"]) > 1024
+        assert torch.equal(rasterization(**inputs)[0], image)
+    capacity.check()
+
+
+def test_a_step_holds_so_many_rasterizations() -> None:
+    """One more is refused, as there is no count for it."""
+    inputs = leaves(random_scene(n=4), torch.device("cpu"), torch.float32)
+    with PairCapacity("cpu").step(fixed=False):
+        for _ in range(CALLS):
+            rasterization(**inputs)
+        with pytest.raises(UserError, match=f"at most {CALLS} rasterizations"):
+            rasterization(**inputs)
+
+
+def test_threads_do_not_share_a_step() -> None:
+    """A render in another thread is none of the step's business."""
+    inputs = leaves(random_scene(n=20), torch.device("cpu"), torch.float32)
+    capacity = PairCapacity("cpu")
+    with capacity.step(fixed=False), ThreadPoolExecutor(1) as pool:
+        pool.submit(rasterization, **inputs).result()
+    assert capacity.most.sum() == 0

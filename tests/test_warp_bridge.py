@@ -5,10 +5,12 @@ import gc
 import pytest
 import torch
 import warp as wp
+from torch.multiprocessing.reductions import StorageWeakRef
 
 from gaussian_scenes import gradients, leaves, random_scene, relative_error, upstream_gradients
 from thermosplat import rasterization
-from thermosplat.warp_bridge import SCALARS, on_torch_stream, to_torch, wrap
+from thermosplat.warp_bridge import SCALARS, to_torch, wrap
+from thermosplat.warp_streams import on_torch_stream
 
 
 @pytest.mark.parametrize("dtype", list(SCALARS))
@@ -90,6 +92,18 @@ def test_gradients_flow_to_what_made_the_inputs(device: torch.device) -> None:
     sigmoid = scene["opacities"].detach()
     assert relative_error(logits.grad, direct["opacities"].grad * sigmoid * (1 - sigmoid)) < 1e-12
     assert relative_error(log_scales.grad, direct["scales"].grad * scene["scales"].detach()) < 1e-12
+
+
+def test_the_backward_pass_frees_what_the_forward_pass_kept(device: torch.device) -> None:
+    """An image that is kept after its backward pass keeps none of the lists it was blended from."""
+    image, alphas, info = rasterization(**leaves(random_scene(n=40), device, torch.float32))
+    lists = [StorageWeakRef(info[name].untyped_storage()) for name in ("flatten_ids", "tiles_per_gauss")]
+    del info
+    assert not any(storage.expired() for storage in lists)
+    image.sum().backward()
+    assert all(storage.expired() for storage in lists)
+    assert torch.isfinite(image).all()
+    assert torch.isfinite(alphas).all()
 
 
 def test_second_derivatives_are_refused(device: torch.device) -> None:

@@ -1,9 +1,8 @@
 """The step that lists the Gaussians of each tile in depth order: its launches, sorts and scan. No gradient."""
 
-import functools
-
 import warp as wp
 
+from warp_kernels.array_views import empty, memory
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins, binning_kernels, tile_ranges_kernel
@@ -52,10 +51,10 @@ def bin_tiles(
     tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)
     num_tiles = settings.num_images * tiles_x * tiles_y
 
-    tiles_per_gaussian = wp.empty(entries, dtype=wp.int32, device=device)
+    tiles_per_gaussian = empty(entries, wp.int32, device)
     # radix_sort_pairs sorts in place and needs room for a second copy
-    depth_keys = wp.empty(2 * entries, dtype=dtype, device=device)
-    order = wp.empty(2 * entries, dtype=wp.int32, device=device)
+    depth_keys = empty(2 * entries, dtype, device)
+    order = empty(2 * entries, wp.int32, device)
     launch(
         count_kernel,
         entries,
@@ -77,7 +76,7 @@ def bin_tiles(
         ],
         device,
     )
-    pair_ends = wp.empty(entries, dtype=wp.int64, device=device)
+    pair_ends = empty(entries, wp.int64, device)
     num_pairs = 0
     if entries > 0:
         wp.utils.radix_sort_pairs(depth_keys, order, entries)
@@ -88,21 +87,19 @@ def bin_tiles(
             device,
         )
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
-        num_pairs = int(pair_ends[entries - 1 :].numpy()[0]) if capacity is None else capacity
+        num_pairs = memory.source.last(pair_ends) if capacity is None else capacity
     if num_pairs >= 2**31 or num_tiles >= 2**31:
         raise TooManyPairsError(
             f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with {num_tiles:,} tiles of {tile_size} "
             f"px exceed the {2**31 - 1:,} that one call can number."
         )
 
-    # With a capacity, places that stay empty carry a tile after the last and sort to the end.
-    room = wp.empty if capacity is None else functools.partial(wp.full, value=num_tiles)
     try:
-        keys = room(2 * num_pairs, dtype=wp.int32, device=device)
-        values = wp.empty(2 * num_pairs, dtype=wp.int32, device=device)
-        owners = wp.empty(num_pairs if by_slot else 0, dtype=wp.int32, device=device)
-        gaussian_ids = wp.empty(num_pairs, dtype=wp.int32, device=device)
-        tile_offsets = wp.empty(num_tiles + 1, dtype=wp.int32, device=device)
+        keys = empty(2 * num_pairs, wp.int32, device)
+        values = empty(2 * num_pairs, wp.int32, device)
+        owners = empty(num_pairs if by_slot else 0, wp.int32, device)
+        gaussian_ids = empty(num_pairs, wp.int32, device)
+        tile_offsets = empty(num_tiles + 1, wp.int32, device)
     except Exception as error:
         # Of what kind depends on the allocator; what was asked for is known here only.
         error.add_note(
@@ -111,6 +108,9 @@ def bin_tiles(
         )
         raise
     if num_pairs > 0:
+        if capacity is not None:
+            # Places that stay empty carry a tile after the last and sort to the end.
+            memory.source.fill(keys, num_pairs, num_tiles)
         launch(
             emit_kernel,
             entries,

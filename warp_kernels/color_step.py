@@ -1,69 +1,108 @@
 """The step that evaluates spherical harmonics towards each camera: its launches, and its adjoint on a tape."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import warp as wp
 
+from warp_kernels.array_views import empty, nothing
 from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.launching import launch, launch_again
-from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel
+from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sums
 from warp_kernels.tape_recording import gradient_of, record_adjoint
 
 
-def sh_colors(
-    degree: int,
-    means: wp.array,
-    camera_positions: wp.array,
-    sh0: wp.array,
-    shN: wp.array,
-    radii: wp.array,
-    colors: wp.array,
-    num_gaussians: int,
-    num_cameras: int,
-    per_image: bool = False,
-    tape: wp.Tape | None = None,
-    *,
-    fresh_gradients: bool = False,
-) -> None:
-    """Evaluates spherical harmonics in each Gaussian's view direction; zero where it is culled.
+@dataclass
+class ColorArrays:
+    """Spherical harmonics of Gaussians and what they are seen from; scenes and cameras are flattened.
 
-    Args:
-        degree: 0 to 3.
+    Attributes:
         means: vec3 [scenes · N]. Receives a gradient.
-        camera_positions: vec3d [images], world units, float64 whatever the means are. Receives a gradient.
+        viewmats: mat44 [images], world to camera. Receives a gradient.
         sh0: vec3 [scenes · N, 1], coefficients of degree 0, or [images · N, 1] for coefficients of their own per image;
             any strides, as ``shN``. Receives a gradient.
         shN: vec3 [scenes · N, K - 1] or [images · N, K - 1], those of the higher degrees; K at least (degree + 1)².
             Receives a gradient.
         radii: vec2i [images · N] from the projection.
         colors: vec3 [images · N], output.
+        camera_positions: vec3d [images], world units, whatever the means are in float64; set by ``sh_colors``.
+    """
+
+    means: wp.array
+    viewmats: wp.array
+    sh0: wp.array
+    shN: wp.array
+    radii: wp.array
+    colors: wp.array
+    camera_positions: wp.array | None = None
+
+
+@dataclass(frozen=True)
+class ColorSettings:
+    """Scalars of the colours.
+
+    Attributes:
+        degree: 0 to 3.
         num_gaussians: N.
         num_cameras: cameras per scene.
         per_image: coefficients are per (image, Gaussian).
-        tape: records the adjoint.
-        fresh_gradients: the adjoint overwrites the gradients of means and coefficients, which need not be zeros before,
-            in place of adding to them.
     """
-    device = means.device
-    dtype = means.dtype._wp_scalar_type_
-    arguments = [num_gaussians, num_cameras, per_image, degree, means, camera_positions, sh0, shN, radii, colors]
-    launch(color_kernel(dtype), whole_warps(len(colors), device), arguments, device)
-    if tape is None:
-        return
 
-    def adjoint() -> None:
-        v_offsets = wp.empty_like(colors)
-        launch(
-            color_adjoint_kernel(dtype),
-            whole_warps(len(means), device),
-            [*arguments, gradient_of(colors), fresh_gradients, *map(gradient_of, (sh0, shN, means)), v_offsets],
+    degree: int
+    num_gaussians: int
+    num_cameras: int
+    per_image: bool = False
+
+
+def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None = None) -> None:
+    """Evaluates spherical harmonics in each Gaussian's view direction; zero where it is culled.
+
+    Args:
+        arrays: inputs, and the output.
+        settings: degree and counts.
+        tape: records the adjoint.
+    """
+    a, device, dtype = arrays, arrays.means.device, arrays.means.dtype._wp_scalar_type_
+    a.camera_positions = empty(len(a.viewmats), wp.vec3d, device)
+    launch_again(camera_position_kernels(dtype)[0], len(a.viewmats), [a.viewmats, a.camera_positions], device)
+    launch(color_kernel(dtype), whole_warps(len(a.colors), device), _arguments(arrays, settings), device)
+    if tape is not None:
+        differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
+        record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)
+
+
+def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bool = False) -> None:
+    """The adjoint of ``sh_colors``: from the colours' gradient to the inputs'.
+
+    Args:
+        arrays: as ``sh_colors`` left them.
+        settings: as in ``sh_colors``.
+        store: gradients of means and coefficients are not initialised, and written; else they are added to, as those
+            of view matrices are.
+    """
+    a, device, dtype = arrays, arrays.means.device, arrays.means.dtype._wp_scalar_type_
+    vec3, images = a.colors.dtype, len(a.viewmats)
+    to_cameras = a.viewmats.grad is not None
+    v_offsets = empty(len(a.colors), vec3, device) if to_cameras else nothing(vec3, 1, device)
+    gradients = [gradient_of(a.sh0), gradient_of(a.shN), gradient_of(a.means)]
+    launch(
+        color_adjoint_kernel(dtype),
+        whole_warps(len(a.means), device),
+        [*_arguments(arrays, settings), gradient_of(a.colors), store, *gradients, v_offsets],
+        device,
+    )
+    if to_cameras:
+        launch_again(
+            camera_position_kernels(dtype)[1],
+            images,
+            [strand_sums(v_offsets, images), a.viewmats, a.viewmats.grad],
             device,
         )
-        if camera_positions.grad is not None:
-            launch_again(
-                camera_position_adjoint_kernel,
-                len(camera_positions),
-                [strand_sums(v_offsets, len(camera_positions)), camera_positions.grad],
-                device,
-            )
 
-    record_adjoint(tape, adjoint, means, camera_positions, sh0, shN, colors)
+
+def _arguments(arrays: ColorArrays, settings: ColorSettings) -> list[Any]:
+    """What the kernel and its adjoint begin with."""
+    a, s = arrays, settings
+    counts = [s.num_gaussians, s.num_cameras, s.per_image, s.degree]
+    return [*counts, a.means, a.camera_positions, a.sh0, a.shN, a.radii, a.colors]

@@ -11,6 +11,8 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels.array_views import RecordedLaunch
+
 CHUNKS_PER_THREAD = 6
 """Pieces a thread's share is cut into, so that threads finish together although tiles differ in work."""
 
@@ -59,10 +61,7 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device) 
 def launch_again(
     kernel: wp.Kernel, dim: int | tuple[int, int], inputs: list[Any], device: wp.Device, block: int | None = None
 ) -> None:
-    """Launches a kernel without recording it on a tape, from the second time on by Warp's recorded launch.
-
-    ``wp.launch`` looks everything up and checks every argument at each call, which takes the host as long as ten small
-    kernels take a GPU. A recorded launch keeps what it found; only the numbers are exchanged.
+    """Launches a kernel without recording it on a tape, checking the arguments' types the first time only.
 
     Args:
         kernel: not generic.
@@ -73,31 +72,21 @@ def launch_again(
     """
     if dim == 0:
         return
-    recorded = _commands.by_kernel
     key = (kernel, device.alias, block)
-    command = recorded.get(key)
-    if command is None:
-        command = wp.launch(
-            kernel, dim, inputs, device=device, record_tape=False, record_cmd=True, block_dim=block or 256
-        )
-        command.fwd_args = None  # else the first call's arrays would live as long as the command
-        recorded[key] = command
-    else:
-        command.set_dim(dim)
-        for index, value in enumerate(inputs):
-            ctype = value.__ctype__() if isinstance(value, wp.array) else value
-            command.set_param_at_index_from_ctype(index, ctype)
-    command.launch()
+    recorded = _recorded.by_kernel.get(key)
+    if recorded is None:
+        recorded = _recorded.by_kernel[key] = RecordedLaunch(kernel, dim, inputs, device, block or 256)
+    recorded.launch(dim, inputs)
 
 
-class _Commands(threading.local):
+class _Recorded(threading.local):
     """Recorded launches of this thread, whose arguments no other thread may exchange before the launch."""
 
     def __init__(self) -> None:
-        self.by_kernel: dict[tuple[wp.Kernel, str, int | None], wp.Launch] = {}
+        self.by_kernel: dict[tuple[wp.Kernel, str, int | None], RecordedLaunch] = {}
 
 
-_commands = _Commands()
+_recorded = _Recorded()
 
 
 def launch_tiles(kernel: wp.Kernel, num_tiles: int, threads: int, inputs: list[Any], device: wp.Device) -> None:

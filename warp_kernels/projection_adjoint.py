@@ -80,6 +80,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         v_depths: wp.array(dtype=dtype),
         v_roots: wp.array(dtype=vec3),
         v_compensations: wp.array(dtype=dtype),
+        store: bool,
         # outputs
         v_means: wp.array(dtype=vec3),
         v_quats: wp.array(dtype=vec4),
@@ -131,9 +132,21 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 u = roots[index][0]
                 k = roots[index][1]
                 v = roots[index][2]
-                v_root = v_roots[index]
-                finite = wp.isfinite(v_root) and wp.isfinite(v_means2d[index]) and wp.isfinite(v_depths[index])
-                finite = finite and wp.isfinite(v_compensations[index])
+                # gradients that are not given are zero
+                v_xy2 = vec2()
+                v_depth = zero
+                v_root = vec3()
+                v_compensation = zero
+                if v_means2d.shape[0] > 0:
+                    v_xy2 = v_means2d[index]
+                if v_depths.shape[0] > 0:
+                    v_depth = v_depths[index]
+                if v_roots.shape[0] > 0:
+                    v_root = v_roots[index]
+                if v_compensations.shape[0] > 0:
+                    v_compensation = v_compensations[index]
+                finite = wp.isfinite(v_root) and wp.isfinite(v_xy2) and wp.isfinite(v_depth)
+                finite = finite and wp.isfinite(v_compensation)
                 given = given and finite
                 w00 = -u * v_root[0]
                 w01 = -v / u * v_root[1]
@@ -179,7 +192,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                         else:
                             xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
                         det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
-                        share = half * v_compensations[index] / (rho * det_blurred)
+                        share = half * v_compensation / (rho * det_blurred)
                         v_det = share * (one - rho * rho)
                         v_blur = -share * rho * rho * eps2d
                         if wp.static(from_covars):
@@ -219,8 +232,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 v_R = wp.transpose(J) * v_M
 
                 # image position and Jacobian -> camera-space position
-                v_xy2 = v_means2d[index]
-                v_p = vec3(zero, zero, v_depths[index])
+                v_p = vec3(zero, zero, v_depth)
                 v_fx = zero
                 v_fy = zero
                 v_cx = v_xy2[0]
@@ -273,22 +285,33 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 if wp.static(to_cameras):
                     v_cameras[index] = record()
 
-        if not seen:
-            # Nothing to add, and what is not finite must not reach the gradient even times zero.
-            return
         g_quat = vec4()
         if wp.static(not from_covars):
-            g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
+            if seen:
+                g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
         held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
         if given and not held:
             # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
-            return
-        v_means[gaussian] = v_means[gaussian] + g_mean
-        if wp.static(from_covars):
-            v_covars[gaussian] = v_covars[gaussian] + g_covar
-        else:
-            v_scales[gaussian] = v_scales[gaussian] + g_scale
-            v_quats[gaussian] = v_quats[gaussian] + g_quat
+            seen = False
+        if store:
+            if not seen:
+                g_mean = vec3()
+                g_quat = vec4()
+                g_scale = vec3()
+                g_covar = vec6()
+            v_means[gaussian] = g_mean
+            if wp.static(from_covars):
+                v_covars[gaussian] = g_covar
+            else:
+                v_scales[gaussian] = g_scale
+                v_quats[gaussian] = g_quat
+        elif seen:
+            v_means[gaussian] = v_means[gaussian] + g_mean
+            if wp.static(from_covars):
+                v_covars[gaussian] = v_covars[gaussian] + g_covar
+            else:
+                v_scales[gaussian] = v_scales[gaussian] + g_scale
+                v_quats[gaussian] = v_quats[gaussian] + g_quat
 
     return project_adjoint_kernel
 

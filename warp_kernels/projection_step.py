@@ -2,11 +2,12 @@
 
 import warp as wp
 
+from warp_kernels.array_views import empty, nothing
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings, projection_kernel
 from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
 from warp_kernels.strand_sums import strand_sums
-from warp_kernels.tape_recording import gradient_of, record_adjoint
+from warp_kernels.tape_recording import given_gradient, gradient_of, record_adjoint
 
 
 def project(
@@ -21,30 +22,26 @@ def project(
         tape: records the adjoint; gradients come from means2d, depths, roots and compensations.
     """
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
-    from_covars = gaussians.covars is not None
-    covars = gaussians.covars if from_covars else wp.empty(0, dtype=wp.types.vector(6, dtype), device=device)
-    kernel = projection_kernel(dtype, settings.camera_model, from_covars)
-    pairs = len(projected.means2d)
     launch(
-        kernel,
-        pairs,
+        projection_kernel(dtype, settings.camera_model, gaussians.covars is not None),
+        len(projected.means2d),
         [
             settings.num_gaussians,
             settings.num_cameras,
             gaussians.means,
             gaussians.quats,
             gaussians.scales,
-            covars,
+            _covars(gaussians),
             gaussians.opacities,
             gaussians.thermal_opacities,
             gaussians.viewmats,
             gaussians.Ks,
             settings.width,
             settings.height,
-            dtype(settings.eps2d),
-            dtype(settings.near_plane),
-            dtype(settings.far_plane),
-            dtype(settings.radius_clip),
+            settings.eps2d,
+            settings.near_plane,
+            settings.far_plane,
+            settings.radius_clip,
             settings.antialiased,
             projected.means2d,
             projected.depths,
@@ -57,54 +54,78 @@ def project(
     )
     if tape is None:
         return
+    g, p = gaussians, projected
+    inputs = [g.means, g.quats, g.scales, g.viewmats, g.Ks, *([g.covars] if g.covars is not None else [])]
+    outputs = [p.means2d, p.depths, p.roots, p.compensations]
+    record_adjoint(tape, lambda: project_adjoint(gaussians, settings, projected), *inputs, *outputs)
 
-    def adjoint() -> None:
-        to_cameras = gaussians.viewmats.grad is not None or gaussians.Ks.grad is not None
-        record = wp.types.vector(CAMERA_RECORD, dtype)
-        v_cameras = wp.empty(pairs if to_cameras else 0, dtype=record, device=device)
-        launch(
-            projection_adjoint_kernel(dtype, settings.camera_model, from_covars, to_cameras),
-            len(gaussians.means),
+
+def project_adjoint(
+    gaussians: GaussianArrays, settings: ProjectionSettings, projected: ProjectedArrays, *, store: bool = False
+) -> None:
+    """The adjoint of ``project``: from the gradients of its outputs, those not given being zero, to its inputs'.
+
+    Args:
+        gaussians: as in ``project``.
+        settings: as in ``project``.
+        projected: what ``project`` wrote.
+        store: gradients of Gaussians are not initialised, and written; else they are added to, as those of cameras are.
+    """
+    device, dtype = gaussians.means.device, gaussians.opacities.dtype
+    to_cameras = gaussians.viewmats.grad is not None or gaussians.Ks.grad is not None
+    record = wp.types.vector(CAMERA_RECORD, dtype)
+    v_cameras = (
+        empty(settings.num_images * settings.num_gaussians, record, device)
+        if to_cameras
+        else nothing(record, 1, device)
+    )
+    covars = _covars(gaussians)
+    launch(
+        projection_adjoint_kernel(dtype, settings.camera_model, gaussians.covars is not None, to_cameras),
+        len(gaussians.means),
+        [
+            settings.num_gaussians,
+            settings.num_cameras,
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            covars,
+            gaussians.viewmats,
+            gaussians.Ks,
+            settings.width,
+            settings.height,
+            settings.eps2d,
+            settings.antialiased,
+            projected.roots,
+            projected.compensations,
+            projected.radii,
+            given_gradient(projected.means2d),
+            given_gradient(projected.depths),
+            given_gradient(projected.roots),
+            given_gradient(projected.compensations),
+            store,
+            gradient_of(gaussians.means),
+            gradient_of(gaussians.quats),
+            gradient_of(gaussians.scales),
+            gradient_of(covars) if gaussians.covars is not None else covars,
+            v_cameras,
+        ],
+        device,
+    )
+    if to_cameras:
+        launch_again(
+            camera_finish_kernel(dtype),
+            len(gaussians.viewmats),
             [
-                settings.num_gaussians,
-                settings.num_cameras,
-                gaussians.means,
-                gaussians.quats,
-                gaussians.scales,
-                covars,
-                gaussians.viewmats,
-                gaussians.Ks,
-                settings.width,
-                settings.height,
-                dtype(settings.eps2d),
-                settings.antialiased,
-                projected.roots,
-                projected.compensations,
-                projected.radii,
-                gradient_of(projected.means2d),
-                gradient_of(projected.depths),
-                gradient_of(projected.roots),
-                gradient_of(projected.compensations),
-                gradient_of(gaussians.means),
-                gradient_of(gaussians.quats),
-                gradient_of(gaussians.scales),
-                gradient_of(covars),
-                v_cameras,
+                strand_sums(v_cameras, settings.num_images),
+                gradient_of(gaussians.viewmats),
+                gradient_of(gaussians.Ks),
             ],
             device,
         )
-        if to_cameras:
-            launch_again(
-                camera_finish_kernel(dtype),
-                len(gaussians.viewmats),
-                [
-                    strand_sums(v_cameras, settings.num_images),
-                    gradient_of(gaussians.viewmats),
-                    gradient_of(gaussians.Ks),
-                ],
-                device,
-            )
 
-    g, p = gaussians, projected
-    inputs = [g.means, g.quats, g.scales, g.viewmats, g.Ks, *([g.covars] if g.covars is not None else [])]
-    record_adjoint(tape, adjoint, *inputs, p.means2d, p.depths, p.roots, p.compensations)
+
+def _covars(gaussians: GaussianArrays) -> wp.array:
+    if gaussians.covars is not None:
+        return gaussians.covars
+    return nothing(wp.types.vector(6, gaussians.opacities.dtype), 1, gaussians.means.device)

@@ -195,9 +195,9 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        The Warp kernel. It adds to coefficients and means, or where they are ``fresh`` overwrites them, whatever they
-        hold, and stores the direction's part per (image, Gaussian), whose negative sum is the gradient to the camera
-        position. Both kernels are launched over ``whole_warps``.
+        The Warp kernel. It adds to coefficients and means, or with ``store`` writes them, and where there is room for
+        it stores the direction's part per (image, Gaussian), whose negative sum is the gradient to the camera position.
+        Both kernels are launched over ``whole_warps``.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
     basis, basis_adjoint = basis_functions(dtype)
@@ -218,7 +218,7 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         radii: wp.array(dtype=wp.vec2i),
         colors: wp.array(dtype=vec3),
         v_colors: wp.array(dtype=vec3),
-        fresh: bool,
+        store: bool,
         # outputs
         v_sh0: wp.array2d(dtype=vec3),
         v_shN: wp.array2d(dtype=vec3),
@@ -248,7 +248,7 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                     # A colour that was clamped is -0; one that is 0 by itself, an initial black, must be able to grow.
                     if dtype(1.0) / color[c] < dtype(0.0):
                         v[c] = dtype(0.0)
-            add = not fresh or (camera > 0 and not per_image)
+            add = not store or (camera > 0 and not per_image)
             active = (degree + 1) * (degree + 1)
             v_basis = row_adjoint(shN, v_shN, wp.where(inside, row, -1), b, v, active, used, add)
             if inside:
@@ -263,10 +263,11 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                     v_offset = (v_unit - wp.dot(v_unit, unit) * unit) * inverse
                     if wp.isfinite(v) and not wp.isfinite(v_offset):
                         v_offset = vec3()  # the camera is too near for its gradient to be held
-                v_offsets[index] = v_offset
+                if v_offsets.shape[0] > 0:
+                    v_offsets[index] = v_offset
                 total = total + v_offset
         if inside:
-            if fresh:
+            if store:
                 v_means[gaussian] = total
             else:
                 v_means[gaussian] = v_means[gaussian] + total
@@ -274,15 +275,58 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
     return sh_colors_adjoint_kernel
 
 
-@wp.kernel(enable_backward=False, module="unique")
-def camera_position_adjoint_kernel(
-    partial_sums: wp.array(dtype=wp.vec3d),
-    # outputs
-    v_camera_positions: wp.array(dtype=wp.vec3d),
-):
-    """Adds the strands of the directions' gradients and subtracts them from the positions', one thread an image."""
-    image = wp.tid()
-    total = wp.vec3d()
-    for strand in range(wp.static(STRANDS)):
-        total = total + partial_sums[image * wp.static(STRANDS) + strand]
-    v_camera_positions[image] = v_camera_positions[image] - total
+@functools.cache
+def camera_position_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
+    """Where the cameras are, and the adjoint of that; one thread an image.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``, of the view matrices.
+
+    Returns:
+        ``(forward, adjoint)``. The adjoint adds the strands of the directions' gradients, whose negative sum is the
+        gradient v to the position p, and adds to that of the view matrix V: with p = V⁻¹ e4 it is -(V⁻ᵀ v) pᵀ.
+    """
+    mat44 = wp.types.matrix((4, 4), dtype)
+    largest = wp.float64(1.0e37)
+
+    @wp.func
+    def inverse(view: mat44):
+        exact = wp.mat44d()
+        for i in range(4):
+            for j in range(4):
+                exact[i, j] = wp.float64(view[i, j])
+        return wp.inverse(exact)
+
+    @wp.kernel(name=f"camera_positions_{dtype.__name__}", enable_backward=False, module="unique")
+    def camera_positions_kernel(
+        viewmats: wp.array(dtype=mat44),
+        # outputs
+        camera_positions: wp.array(dtype=wp.vec3d),
+    ):
+        image = wp.tid()
+        back = inverse(viewmats[image])
+        camera_positions[image] = wp.vec3d(back[0, 3], back[1, 3], back[2, 3])
+
+    @wp.kernel(name=f"camera_position_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
+    def camera_position_adjoint_kernel(
+        partial_sums: wp.array(dtype=wp.vec3d),
+        viewmats: wp.array(dtype=mat44),
+        # outputs
+        v_viewmats: wp.array(dtype=mat44),
+    ):
+        image = wp.tid()
+        total = wp.vec3d()
+        for strand in range(wp.static(STRANDS)):
+            total = total + partial_sums[image * wp.static(STRANDS) + strand]
+        back = inverse(viewmats[image])
+        v_view = v_viewmats[image]
+        for i in range(4):
+            row = back[0, i] * total[0] + back[1, i] * total[1] + back[2, i] * total[2]
+            for j in range(4):
+                v = row * back[j, 3]
+                # Without what overflows where a view matrix has next to no inverse.
+                if wp.abs(v) < largest:
+                    v_view[i, j] = v_view[i, j] + dtype(v)
+        v_viewmats[image] = v_view
+
+    return camera_positions_kernel, camera_position_adjoint_kernel

@@ -4,6 +4,7 @@ import functools
 
 import warp as wp
 
+from warp_kernels.array_views import empty
 from warp_kernels.launching import launch_again
 
 STRANDS = 256
@@ -54,7 +55,7 @@ def strand_sums(records: wp.array, images: int) -> wp.array:
         float64 vec [images · STRANDS]; an image's strands lie side by side.
     """
     length, dtype = records.dtype._length_, records.dtype._wp_scalar_type_
-    sums = wp.empty(images * STRANDS, dtype=wp.types.vector(length, wp.float64), device=records.device)
+    sums = empty(images * STRANDS, wp.types.vector(length, wp.float64), records.device)
     launch_again(
         strand_sum_kernel(dtype, length),
         images * STRANDS,

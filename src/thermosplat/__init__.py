@@ -3,6 +3,7 @@
 Importing the package is quick; the renderer (torch, Warp) loads when one of its names is first used:
 
     from thermosplat import rasterization        # gsplat's signature and meaning
+    from thermosplat import PairCapacity         # to capture renders in CUDA graphs
 """
 
 from typing import TYPE_CHECKING, Any
@@ -10,13 +11,18 @@ from typing import TYPE_CHECKING, Any
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
+    from thermosplat.pair_capacity import PairCapacity
     from thermosplat.rasterizer import rasterization, rasterization_rgbt
 
 __version__ = "0.1.0"
-__all__ = ["UserError", "__version__", "rasterization", "rasterization_rgbt"]
+__all__ = ["PairCapacity", "UserError", "__version__", "rasterization", "rasterization_rgbt"]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "PairCapacity":
+        from thermosplat.pair_capacity import PairCapacity
+
+        return PairCapacity
     if name in ("rasterization", "rasterization_rgbt"):
         from thermosplat import rasterizer
 

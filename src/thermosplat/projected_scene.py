@@ -6,9 +6,11 @@ import torch
 from torch import Tensor
 
 from thermosplat.pair_capacity import active_pair_capacity
+from thermosplat.rasterization_functions import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
-from thermosplat.warp_bridge import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles, to_torch
-from warp_kernels.projection import ProjectedArrays, ProjectionSettings
+from thermosplat.warp_bridge import to_torch
+from warp_kernels.color_step import ColorSettings
+from warp_kernels.projection import ProjectionSettings
 from warp_kernels.tile_binning import TileBins
 
 
@@ -48,49 +50,55 @@ class ProjectedScene:
         self.deterministic = deterministic
         self.settings = settings
         self.images_shape = (*means.shape[:-2], settings.num_cameras)
-        self.means = means.reshape(-1, 3).contiguous()
-        self.viewmats = viewmats.reshape(-1, 4, 4).contiguous()
-        if covars is not None:
-            upper = covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].reshape(-1, 6).contiguous()
-        else:
-            upper = None
+        self.means = means.contiguous()
+        self.viewmats = viewmats.contiguous()
+        upper = None
         if covars is not None or quats is None or scales is None:
-            quats, scales = means.new_empty(0, 4), means.new_empty(0, 3)
-        bound = _flat(opacities.detach())
-        shape = [(quats.detach(), 4), (scales.detach(), 3)] if upper is None else [(upper.detach(), 6)]
-        self._inputs = [(self.means.detach(), 3), *shape]  # and what per_image and colors are given
+            quats = scales = None
+            if covars is not None:
+                upper = torch.cat([covars[..., 0, :], covars[..., 1, 1:], covars[..., 2, 2:]], -1)
+        else:
+            quats, scales = quats.contiguous(), scales.contiguous()
+        shape = [(quats, 4), (scales, 3), (upper, 6)]
+        # and what per_image and colors are given; detached when they are counted
+        self._inputs = [(self.means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
+        bound = opacities.detach().contiguous()
         self.projected = ProjectedTensors(
             *Project.apply(
                 self.means,
-                quats.reshape(-1, 4).contiguous(),
-                scales.reshape(-1, 3).contiguous(),
+                quats,
+                scales,
                 upper,
                 bound,
-                bound if thermal_opacities is None else _flat(thermal_opacities.detach()),
+                bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
                 self.viewmats,
-                Ks.reshape(-1, 3, 3).contiguous(),
+                Ks.contiguous(),
                 settings,
+                self.images_shape,
             )
         )
+        self._arrays = self.projected.arrays()
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
-        self.means2d = self.projected.means2d.reshape(*self.images_shape, -1, 2)
-        self.depths = self.projected.depths.reshape(*self.images_shape, -1)
+        self.means2d, self.depths = self.projected.means2d, self.projected.depths
         self.opacities = self._per_image_opacities(opacities)
         self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
-        self._binned: tuple[ProjectedArrays, TileBins] | None = None
+        self._bins: TileBins | None = None
 
     def _per_image_opacities(self, opacities: Tensor) -> Tensor:
-        per_image = self.per_image(opacities.unsqueeze(-1), per_camera=False).squeeze(-1)
+        self._inputs.append((opacities, 1))
+        per_image = opacities.unsqueeze(-2)
+        if self.settings.num_cameras != 1:
+            per_image = per_image.expand(*self.images_shape, -1)
         if self.settings.antialiased:
             per_image = per_image * self.projected.compensations
-        return per_image.reshape(*self.images_shape, -1)
+        return per_image.contiguous()
 
     def per_image(self, values: Tensor, *, per_camera: bool) -> Tensor:
         """Values [..., (C,) N, X] repeated for each camera where they are shared, flat [images · N, X]."""
-        self._inputs.append((values.detach(), values.shape[-1]))
+        self._inputs.append((values, values.shape[-1]))
         if not per_camera and self.settings.num_cameras != 1:
             values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
-        return values.reshape(-1, values.shape[-1]).contiguous()
+        return _flat(values)
 
     def colors(
         self, colors: Tensor, sh_degree: int | None, *, per_camera: bool, higher_degrees: Tensor | None = None
@@ -105,28 +113,14 @@ class ProjectedScene:
         self._note(colors[..., :active, :])
         if higher_degrees is not None:
             self._note(higher_degrees[..., : active - 1, :])
-            rest = higher_degrees.shape[-2:]
-            higher_degrees = higher_degrees.reshape(-1, *rest).contiguous() if rest[0] > 0 else None
-        # inv_ex does not synchronise with the device, as inverse() does. float64, because directions are differences.
-        viewmats = self.viewmats.to(torch.float64, copy=True)
-        if viewmats.requires_grad:
-            viewmats.register_hook(_held_by_float32)
-        camera_positions = torch.linalg.inv_ex(viewmats)[0][:, :3, 3].contiguous()
-        return ShColors.apply(
-            self.means,
-            camera_positions,
-            colors.reshape(-1, *colors.shape[-2:]).contiguous(),
-            higher_degrees,
-            self.projected.radii,
-            sh_degree,
-            per_camera,
-            self.settings.num_gaussians,
-            self.settings.num_cameras,
-        )
+            higher_degrees = higher_degrees.contiguous() if higher_degrees.shape[-2] > 0 else None
+        settings = ColorSettings(sh_degree, self.settings.num_gaussians, self.settings.num_cameras, per_camera)
+        arguments = (colors.contiguous(), higher_degrees, self.projected.radii, settings)
+        return ShColors.apply(self.means, self.viewmats, *arguments)
 
     def _note(self, coefficients: Tensor) -> None:
         """Remembers coefficients [..., N, K, 3] as an input whose numbers should be finite."""
-        self._inputs.append((coefficients.detach(), coefficients.shape[-2] * 3))
+        self._inputs.append((coefficients, coefficients.shape[-2] * 3))
 
     def blend(
         self, features: Tensor, thermal_channels: int, absgrad: bool, *, thermal_opacity: bool = False
@@ -139,16 +133,24 @@ class ProjectedScene:
         if thermal_opacity and self.thermal_opacities is not None:
             opacities = self.thermal_opacities
         second = self.thermal_opacities if thermal_channels > 0 else None
-        results = Blend.apply(
-            self.means2d.reshape(-1, 2),
-            self.projected.roots,
-            _flat(opacities),
-            None if second is None else _flat(second),
-            features,
-            BlendInputs(*self._bin(features), self.settings, thermal_channels, absgrad, self.means2d),
+        return list(
+            Blend.apply(
+                self.means2d,
+                self.projected.roots,
+                opacities,
+                second,
+                features,
+                BlendInputs(
+                    self._arrays,
+                    self.projected.extents,
+                    self._bin(features),
+                    self.settings,
+                    thermal_channels,
+                    absgrad,
+                    self.means2d,
+                ),
+            )
         )
-        shape = (*self.images_shape, self.settings.height, self.settings.width, -1)
-        return [image.reshape(shape) for image in results]
 
     def blend_in_chunks(
         self, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
@@ -167,31 +169,30 @@ class ProjectedScene:
         ]
         return torch.cat([render for render, _ in parts], -1), parts[0][1]
 
-    def _bin(self, features: Tensor) -> tuple[ProjectedArrays, TileBins]:
+    def _bin(self, features: Tensor) -> TileBins:
         """The bins, made once; ``features`` of the first call are checked for being finite."""
-        if self._binned is None:
-            opacities = _flat(self.opacities)
-            thermal_opacities = opacities if self.thermal_opacities is None else _flat(self.thermal_opacities)
+        if self._bins is None:
             room = active_pair_capacity()
-            limit = room.limit() if room is not None else None
-            self._binned = bin_tiles(
-                self.projected,
-                opacities,
-                thermal_opacities,
+            self._bins = bin_tiles(
+                self._arrays,
+                self.opacities,
+                self.opacities if self.thermal_opacities is None else self.thermal_opacities,
                 features,
                 self.settings,
                 self.tile_size,
-                limit,
+                room.limit() if room is not None else None,
                 deterministic=self.deterministic,
             )
             if room is not None:
-                room.note(to_torch(self._binned[1].pair_ends)[-1:])
-        return self._binned
+                room.note(to_torch(self._bins.pair_ends)[-1:])
+        return self._bins
 
     def info(self) -> RasterizationInfo:
         """gsplat's ``meta`` dictionary, once something has been blended."""
         settings = self.settings
-        _, bins = self._binned  # type: ignore[misc]
+        bins = self._bins
+        if bins is None:
+            raise RuntimeError("info() comes after blend().")
         shape = self.images_shape
         flatten_ids = to_torch(bins.gaussian_ids)
         tile_offsets = to_torch(bins.tile_offsets)
@@ -199,7 +200,7 @@ class ProjectedScene:
             "batch_ids": None,
             "camera_ids": None,
             "gaussian_ids": None,
-            "radii": self.projected.radii.reshape(*shape, -1, 2),
+            "radii": self.projected.radii,
             "means2d": self.means2d,
             "depths": self.depths,
             "opacities": self.opacities,
@@ -216,24 +217,21 @@ class ProjectedScene:
         }
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
-        depths, tiles = self.projected.depths.detach(), bins.tiles_x * bins.tiles_y
+        depths, tiles = self.depths.detach().flatten(), bins.tiles_x * bins.tiles_y
         roots = self.projected.roots
         inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
         return RasterizationInfo(
             values,
             {
-                "conics": lambda: conics(roots).reshape(*shape, -1, 3),
+                "conics": lambda: conics(roots),
                 "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles),
                 "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
             },
         )
 
 
-def _held_by_float32(gradient: Tensor) -> Tensor:
-    """Without what overflows where a view matrix has next to no inverse."""
-    return torch.where(gradient.abs() < 1e37, gradient, 0.0)
-
-
-def _flat(opacities: Tensor) -> Tensor:
-    """Opacities of all images (or scenes) side by side."""
-    return opacities.reshape(-1).contiguous()
+def _flat(values: Tensor) -> Tensor:
+    """Values of all images (or scenes) side by side, [images · N, X]."""
+    if values.dim() != 2:
+        values = values.reshape(-1, values.shape[-1])
+    return values.contiguous()

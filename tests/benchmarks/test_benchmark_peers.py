@@ -8,8 +8,9 @@ from agreement import OTHER_CONVENTIONS, SAME_CONVENTIONS, differences, disagree
 from benchmark_scenes import BenchmarkScene, huge_scene, synthetic_scene
 from fragments import count_fragments
 from gswarp_peer import projection_matrix
-from peers import CASES, float64_renderer, thermosplat_peer
-from rasterization_case import Passes, inputs_of
+from peers import CASES, GRAPH, OURS, float64_renderer, graph_peer, thermosplat_peer
+from rasterization_case import inputs_of, run_case
+from rasterization_passes import Passes
 from torch_renderer import torch_peer
 
 import reference_rasterizer
@@ -84,6 +85,37 @@ def test_fragments_are_counted_as_the_rules_say() -> None:
     assert counted.drawn > 2000
     assert counted.listed >= counted.either
     assert counted.longest <= counted.visible <= len(order)
+
+
+def test_a_peer_that_fails_loses_no_other() -> None:
+    """There is no CUDA graph of the CPU: the row says so, and has the other renderers' times."""
+    cpu, peers = torch.device("cpu"), [thermosplat_peer(), graph_peer(), torch_peer()]
+    row = run_case(synthetic_scene(40), "rgb", (WIDTH, HEIGHT), cpu, peers, 1, with_truth=False, peaks=None)
+    assert list(row["left_out"]) == [GRAPH]
+    assert list(row["forward"]) == list(row["forward_backward"]) == [OURS, "plain torch"]
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("case", ["rgb", "rgbt"])
+def test_a_graph_renders_the_same(case: str) -> None:
+    """Replays give the eager images and gradients, and count the same pairs."""
+    if not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device; torch finds none")
+    device = torch.device("cuda")
+    row = run_case(
+        synthetic_scene(5000),
+        case,
+        (320, 240),
+        device,
+        [thermosplat_peer(), graph_peer()],
+        2,
+        with_truth=True,
+        peaks=None,
+    )
+    assert row["left_out"] == row["apart"] == {}
+    assert row["intersections"][GRAPH] == row["intersections"][OURS] > 5000
+    assert row["peak_memory_mib"][GRAPH] > 0
+    assert row["error_to_float64"][GRAPH]["image_rms"] == pytest.approx(row["error_to_float64"][OURS]["image_rms"])
 
 
 def test_projection_matrix_reaches_the_same_pixels_as_the_intrinsics() -> None:

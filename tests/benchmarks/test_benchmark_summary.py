@@ -6,6 +6,7 @@ import pytest
 from device_peaks import DevicePeaks
 from floors import BACKWARD_OPERATIONS, BACKWARD_PER_CHANNEL, FORWARD_OPERATIONS, stage_floors
 from fragments import Fragments
+from peers import GRAPH, OURS
 from rasterization_summary import summaries, summary, summary_lines
 
 
@@ -45,6 +46,21 @@ def test_rows_in_which_a_peer_disagrees_do_not_count() -> None:
     for entry in found["targets"]:
         assert entry["cases"] == 1
         assert entry["mean"] == pytest.approx(0.4 if entry["measure"] == "memory" else 3.0)
+
+
+def test_each_of_our_renderers_is_summarised() -> None:
+    """Eager and in a graph, each against every peer, not against one another; where a graph is apart does not count."""
+    rows = [row("garden x1", "rgb", 2.0, 4.0), row("garden x5", "rgb", 2.0, 4.0)]
+    for one in rows:  # the same dictionary as forward_backward
+        one["forward"][GRAPH] = {"median_ms": 1.0}
+    rows[1]["apart"] = {GRAPH: "images differ"}
+    eager, graph = summaries(rows)
+    assert [(found["ours"], found["peer"]) for found in (eager, graph)] == [(OURS, "gsplat"), (GRAPH, "gsplat")]
+    both = [{e["measure"]: (e["cases"], e["mean"]) for e in found["targets"]} for found in (eager, graph)]
+    assert both[0]["forward_backward"] == (2, pytest.approx(2.0))
+    assert both[1]["forward_backward"] == (1, pytest.approx(4.0))
+    assert "memory" not in both[1]
+    assert "thermosplat in a graph against gsplat" in "\n".join(summary_lines(graph))
 
 
 def test_the_summary_says_who_is_ahead() -> None:

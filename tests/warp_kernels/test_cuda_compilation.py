@@ -13,7 +13,7 @@ from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.list_segments import join_segments_kernel
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
-from warp_kernels.spherical_harmonics import camera_position_adjoint_kernel, color_adjoint_kernel, color_kernel
+from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sum_kernel
 from warp_kernels.tile_binning import binning_kernels, tile_ranges_kernel
 
@@ -33,7 +33,7 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     ]
     kernels += [*binning_kernels(dtype), tile_ranges_kernel, camera_finish_kernel(dtype)]
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
-    kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), camera_position_adjoint_kernel]
+    kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), *camera_position_kernels(dtype)]
     kernels += [
         distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair)
         for channels, thermal_channels, per_pair in ((3, 0, 0), (11, 8, 0), (11, 8, 8))

@@ -1,0 +1,72 @@
+"""Sharing a device: whose memory arrays lie in, and for how long."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import torch
+import warp as wp
+
+from thermosplat.warp_bridge import to_torch
+from thermosplat.warp_streams import joined_capture, kept_apart, on_torch_stream
+from warp_kernels.array_views import ArrayView, empty, memory, zeros
+
+
+def test_steps_allocate_from_torch(device: torch.device) -> None:
+    """Inside, new arrays lie in torch tensors of the shape and type that stands for Warp's; outside they are Warp's."""
+    with on_torch_stream(device) as warp_device:
+        array = zeros((4, 5), wp.types.vector(3, wp.float64), warp_device)
+        tensor = to_torch(array)
+        assert (tensor.shape, tensor.dtype, tensor.device.type) == ((4, 5, 3), torch.float64, device.type)
+        assert tensor.data_ptr() == array.ptr
+        assert tensor.abs().sum() == 0
+        numbers = empty(6, wp.int64, warp_device)
+        memory.source.fill(numbers, 6, 3)
+        assert memory.source.last(numbers) == 3
+    assert isinstance(empty(6, wp.int64, warp_device), wp.array)
+
+
+def test_entering_again_changes_nothing(device: torch.device) -> None:
+    """Nested contexts of one stream are one; an error leaves it as any exit does."""
+    before = memory.source
+    with on_torch_stream(device):
+        source = memory.source
+        with pytest.raises(ZeroDivisionError), on_torch_stream(device):
+            raise ZeroDivisionError
+        assert memory.source is source
+    assert memory.source is before
+
+
+def test_threads_have_contexts_of_their_own() -> None:
+    """A thread that did not enter allocates from Warp."""
+    with on_torch_stream(torch.device("cpu")) as warp_device, ThreadPoolExecutor(1) as pool:
+        assert isinstance(pool.submit(empty, 3, wp.float32, warp_device).result(), wp.array)
+        assert isinstance(empty(3, wp.float32, warp_device), ArrayView)
+
+
+def test_arrays_kept_apart_do_not_hold_their_memory(device: torch.device) -> None:
+    """Their tensors are handed over instead."""
+    with on_torch_stream(device) as warp_device:
+        with kept_apart() as made:
+            array = empty(5, wp.float32, warp_device)
+        assert array.owner is None
+        assert [tensor.data_ptr() for tensor in made] == [array.ptr]
+        assert empty(5, wp.float32, warp_device).owner is not None
+
+
+def test_nothing_is_captured_on_the_cpu() -> None:
+    """There are no graphs of it."""
+    with joined_capture(torch.device("cpu")) as captured:
+        assert not captured
+
+
+@pytest.mark.cuda
+def test_arrays_follow_torchs_stream() -> None:
+    """On a side stream the arrays and Warp's work are that stream's; afterwards the stream before is back."""
+    if not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device; torch finds none")
+    device, side = torch.device("cuda"), torch.cuda.Stream()
+    with on_torch_stream(device) as outer:
+        first = outer.stream.cuda_stream
+        with torch.cuda.stream(side), on_torch_stream(device) as inner:
+            assert inner.stream.cuda_stream == side.cuda_stream
+        assert outer.stream.cuda_stream == first == torch.cuda.current_stream().cuda_stream

@@ -1,0 +1,245 @@
+"""Arrays as light as a kernel's argument, and launches that take them: what keeps a render's host time low.
+
+Making a ``wp.array`` takes ten microseconds and ``wp.launch`` thirty, the host's time of a render of fifty arrays and
+ten kernels. An ``ArrayView`` is the descriptor that kernels read, packed once; a ``RecordedLaunch`` keeps what
+``wp.launch`` found out about a kernel and only exchanges the arguments' bytes. The rest of the package takes either
+kind of array: a view has the attributes of ``wp.array`` that steps, sorts and scans use.
+"""
+
+import ctypes
+import functools
+import math
+import struct
+import threading
+from typing import Any
+
+import warp as wp
+
+# Warp's array_t: data and gradient, four extents, four strides [bytes], number of dimensions and flags.
+_pack_array = struct.Struct("=QQ4i4iHH4x").pack
+
+
+class ArrayView:
+    """An array that kernels are launched on: an address with a shape and a type.
+
+    Attributes:
+        ptr: address.
+        shape: extents.
+        strides: [bytes].
+        dtype: Warp type of an element.
+        device: where the memory is.
+        owner: what the memory belongs to, kept alive as long as the view; None: somebody else sees to that.
+        grad: the gradient, an array of the same kind, or None.
+        packed: the bytes a kernel reads.
+    """
+
+    __slots__ = ("device", "dtype", "grad", "owner", "packed", "ptr", "shape", "strides")
+
+    def __init__(
+        self,
+        ptr: int,
+        shape: tuple[int, ...],
+        dtype: Any,
+        device: wp.Device,
+        owner: Any = None,
+        strides: tuple[int, ...] | None = None,
+    ) -> None:
+        if strides is None:
+            strides = contiguous_strides(shape, dtype)
+        self.ptr, self.shape, self.strides, self.dtype, self.device = ptr, shape, strides, dtype, device
+        self.owner, self.grad = owner, None
+        ndim = len(shape)
+        if ndim == 1:  # nearly all, in half the time
+            self.packed = _pack_array(ptr, 0, shape[0], 0, 0, 0, strides[0], 0, 0, 0, 1, 0)
+        else:
+            padding = (0,) * (4 - ndim)
+            self.packed = _pack_array(ptr, 0, *shape, *padding, *strides, *padding, ndim, 0)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, part: slice) -> "ArrayView":
+        first, end, _ = part.indices(self.shape[0])
+        shape = (end - first, *self.shape[1:])
+        return ArrayView(self.ptr + first * self.strides[0], shape, self.dtype, self.device, self.owner, self.strides)
+
+    @property
+    def ndim(self) -> int:
+        """Number of dimensions."""
+        return len(self.shape)
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return math.prod(self.shape)
+
+    @property
+    def is_contiguous(self) -> bool:
+        """Whether elements follow one another in memory."""
+        return self.strides == contiguous_strides(self.shape, self.dtype)
+
+    def unowned(self) -> "ArrayView":
+        """The same array, which does not keep its memory alive."""
+        return ArrayView(self.ptr, self.shape, self.dtype, self.device, None, self.strides)
+
+    def array(self) -> wp.array:
+        """The same memory as Warp's own kind of array."""
+        made = wp.array(
+            ptr=self.ptr, dtype=self.dtype, shape=self.shape, strides=self.strides, device=self.device, copy=False
+        )
+        made._owner = self.owner
+        return made
+
+    def numpy(self) -> Any:
+        """The numbers, copied to the host where they are not there."""
+        return self.array().numpy()
+
+
+_size_in_bytes = functools.cache(wp.types.type_size_in_bytes)
+
+
+def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
+    """Strides of elements that follow one another.
+
+    Args:
+        shape: extents.
+        dtype: Warp type of an element.
+
+    Returns:
+        The strides [bytes].
+    """
+    stride = _size_in_bytes(dtype)
+    if len(shape) == 1:
+        return (stride,)
+    strides = []
+    for extent in reversed(shape):
+        strides.append(stride)
+        stride *= extent
+    return tuple(reversed(strides))
+
+
+def nothing(dtype: Any, ndim: int, device: wp.Device) -> ArrayView:
+    """An array without elements, for an argument that is not given.
+
+    Args:
+        dtype: Warp type of an element.
+        ndim: number of dimensions.
+        device: any.
+
+    Returns:
+        The array.
+    """
+    return ArrayView(0, (0,) * ndim, dtype, device)
+
+
+class WarpMemory:
+    """Arrays of Warp's own, as steps make them for users of Warp alone."""
+
+    def empty(self, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
+        """A new array, not initialised."""
+        return wp.empty(shape, dtype=dtype, device=device)
+
+    def zeros(self, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
+        """A new array of zeros."""
+        return wp.zeros(shape, dtype=dtype, device=device)
+
+    def fill(self, array: Any, count: int, value: int) -> None:
+        """Sets the first ``count`` numbers of an array of integers."""
+        array[:count].fill_(value)
+
+    def last(self, array: Any) -> int:
+        """The last number of an array of integers. Waits for the device."""
+        return int(array[len(array) - 1 :].numpy()[0])
+
+
+class _Memory(threading.local):
+    """Where this thread's steps get their arrays from."""
+
+    source: Any = WarpMemory()
+
+
+memory = _Memory()
+
+
+def empty(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
+    """A new array, not initialised: a ``wp.array``, or a view of memory of whoever set ``memory.source``.
+
+    Args:
+        shape: extents.
+        dtype: Warp type of an element.
+        device: where.
+
+    Returns:
+        The array.
+    """
+    return memory.source.empty(shape, dtype, device)
+
+
+def zeros(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
+    """As ``empty``, filled with zeros.
+
+    Args:
+        shape: extents.
+        dtype: Warp type of an element.
+        device: where.
+
+    Returns:
+        The array.
+    """
+    return memory.source.zeros(shape, dtype, device)
+
+
+class RecordedLaunch:
+    """A launch of a kernel by Warp's recorded launch, whose arguments are exchanged by writing their bytes.
+
+    Args:
+        kernel: not generic.
+        dim: number of threads.
+        inputs: arrays, ints, floats and bools, of the same types at each launch; outputs included.
+        device: where to run.
+        block: threads a block.
+    """
+
+    def __init__(
+        self, kernel: wp.Kernel, dim: int | tuple[int, int], inputs: list[Any], device: wp.Device, block: int
+    ) -> None:
+        arrays = [value.array() if type(value) is ArrayView else value for value in inputs]
+        command = wp.launch(kernel, dim, arrays, device=device, record_tape=False, record_cmd=True, block_dim=block)
+        command.fwd_args = None  # else the first call's arrays would live as long as the command
+        kinds = [type(param) for param in command.params[1:]]
+        layout = type("Arguments", (ctypes.Structure,), {"_fields_": [(f"a{k}", kind) for k, kind in enumerate(kinds)]})
+        self._bytes = layout()
+        formats, end = ["@"], 0
+        for k, kind in enumerate(kinds):
+            offset = getattr(layout, f"a{k}").offset
+            code = f"{ctypes.sizeof(kind)}s" if issubclass(kind, ctypes.Structure) else kind._type_
+            formats.append(f"{offset - end}x{code}")
+            end = offset + ctypes.sizeof(kind)
+            # the command's own parameters, which on CUDA it holds the addresses of, become these bytes
+            command.params[k + 1] = kind.from_buffer(self._bytes, offset)
+            if command.params_addr:
+                command.params_addr[k + 1] = ctypes.addressof(self._bytes) + offset
+        self._pack_into = struct.Struct("".join(formats)).pack_into
+        self._command, self._dim = command, dim
+
+    def launch(self, dim: int | tuple[int, int], inputs: list[Any]) -> None:
+        """Launches with other arguments and another number of threads.
+
+        Args:
+            dim: number of threads.
+            inputs: as in the constructor.
+        """
+        if dim != self._dim:
+            self._command.set_dim(dim)
+            self._dim = dim
+        self._pack_into(self._bytes, 0, *[v.packed if type(v) is ArrayView else _packed(v) for v in inputs])
+        self._command.launch()
+
+
+def _packed(value: Any) -> Any:
+    """An argument as ``struct`` packs it: a number, or an array's bytes."""
+    if isinstance(value, (int, float)):
+        return value
+    if isinstance(value, wp.array):
+        return bytes(value.__ctype__())
+    return value.value  # a Warp scalar
