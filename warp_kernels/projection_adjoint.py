@@ -287,9 +287,8 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
             if seen:
                 g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
         held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
-        if given and not held:
-            # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
-            seen = False
+        # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
+        seen = seen and (held or not given)
         if not seen:
             if not store:
                 return
