@@ -133,10 +133,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 k = roots[index][1]
                 v = roots[index][2]
                 # gradients that are not given are zero
-                v_xy2 = vec2()
-                v_depth = zero
-                v_root = vec3()
-                v_compensation = zero
+                v_xy2, v_depth, v_root, v_compensation = vec2(), zero, vec3(), zero
                 if v_means2d.shape[0] > 0:
                     v_xy2 = v_means2d[index]
                 if v_depths.shape[0] > 0:
@@ -290,28 +287,25 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
             if seen:
                 g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
         held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
-        if given and not held:
-            # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
-            seen = False
-        if store:
-            if not seen:
-                g_mean = vec3()
-                g_quat = vec4()
-                g_scale = vec3()
-                g_covar = vec6()
-            v_means[gaussian] = g_mean
+        # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
+        seen = seen and (held or not given)
+        if not seen:
+            if not store:
+                return
+            g_mean, g_quat, g_scale, g_covar = vec3(), vec4(), vec3(), vec6()
+        elif not store:
+            g_mean = v_means[gaussian] + g_mean
             if wp.static(from_covars):
-                v_covars[gaussian] = g_covar
+                g_covar = v_covars[gaussian] + g_covar
             else:
-                v_scales[gaussian] = g_scale
-                v_quats[gaussian] = g_quat
-        elif seen:
-            v_means[gaussian] = v_means[gaussian] + g_mean
-            if wp.static(from_covars):
-                v_covars[gaussian] = v_covars[gaussian] + g_covar
-            else:
-                v_scales[gaussian] = v_scales[gaussian] + g_scale
-                v_quats[gaussian] = v_quats[gaussian] + g_quat
+                g_scale = v_scales[gaussian] + g_scale
+                g_quat = v_quats[gaussian] + g_quat
+        v_means[gaussian] = g_mean
+        if wp.static(from_covars):
+            v_covars[gaussian] = g_covar
+        else:
+            v_scales[gaussian] = g_scale
+            v_quats[gaussian] = g_quat
 
     return project_adjoint_kernel
 
