@@ -202,7 +202,9 @@ class Benchmark:
             self.report["step"] = rows
             for row in rows:
                 print_row(row, self.options.kernels)
-            print("densification:", self.report["densification"] or "not seen in the warm-up steps", flush=True)
+            if self.options.run is None:
+                none = f"no refinement to time in the {self.options.warm_steps} warm-up steps"
+                print("densification:", self.report["densification"] or none, flush=True)
 
     def sizes(self) -> None:
         """Part 3 on random Gaussians, and part 4."""

@@ -2,15 +2,14 @@
 
 import copy
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from itertools import cycle
 
 import torch
 from frozen_training import wait
 from torch import Tensor
 
-from thermosplat import losses
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.losses import frame_losses
 from thermosplat.training.trainer import Trainer
@@ -39,11 +38,11 @@ class GsplatUserStep:
 
     def losses(self, frame: FrameTensors) -> dict[str, Tensor]:
         """Weighted loss terms of a frame."""
-        with self.swapped(), _compared_by_kornia():
+        with self.swapped():
             rendered = self.model.render(
                 frame.rgb, frame.thermal, sh_degree=self.config.sh_degree, aligned=frame.aligned
             )
-            return frame_losses(rendered, frame, self.config.loss)
+            return frame_losses(rendered, frame, self.config.loss, fused=False)
 
     def loss_values(self) -> dict[str, float]:
         """Loss terms of the first frame."""
@@ -61,14 +60,3 @@ class GsplatUserStep:
                 optimizer.zero_grad(set_to_none=True)
         wait(self.device)
         return time.perf_counter() - started
-
-
-@contextmanager
-def _compared_by_kornia() -> Iterator[None]:
-    """While open, images are compared by kornia's filters on every device."""
-    fused = losses._fused
-    losses._fused = losses._filtered
-    try:
-        yield
-    finally:
-        losses._fused = fused

@@ -1,7 +1,7 @@
 """Parts of a training step that kernel names cannot tell apart, timed alone: each loss, bookkeeping, the finite check.
 
-On CUDA a part's kernels are recorded as a graph and replayed, so that launching them is not timed; the cache is
-overwritten before each replay. Backward is the time of both directions less that of forward.
+On CUDA a part's time is the sum of its kernels' times as the profiler sees them, so that launching them is not timed;
+what they read may lie in the cache, as in a step. Backward is the time of both directions less that of forward.
 
 Floors are bytes over the measured bandwidth: an image loss reads both images, backward both again, and writes the
 gradient (20 a channel and pixel); smoothness reads the image twice and writes the gradient (12); the finite check reads
@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 from device_peaks import DevicePeaks
-from frozen_training import wait
+from step_parts import profiled
 from timing import time_interleaved
 from torch import Tensor
 
@@ -24,7 +24,6 @@ from thermosplat.losses import frame_losses
 from thermosplat.model import RenderedFrame
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
-from thermosplat.warp_streams import captured_in
 
 LOSSES = ("rgb", "thermal", "features_rgb", "features_thermal", "thermal_smoothness")
 """Terms of the loss; each is the name of its weight in LossConfig."""
@@ -62,9 +61,9 @@ def _losses(trainer: Trainer, frame: FrameTensors, peaks: DevicePeaks, repeats: 
     parts: dict[str, Part] = {}
     for name in LOSSES:
         alone = replace(config, **(nothing | {name: getattr(config, name)}))
-        terms = frame_losses(rendered, frame, alone)
-        if not terms:
-            continue
+        with torch.no_grad():
+            if not frame_losses(rendered, frame, alone):
+                continue
 
         def forward(alone: Any = alone) -> Tensor:
             return torch.stack(list(frame_losses(rendered, frame, alone).values())).sum()
@@ -72,7 +71,7 @@ def _losses(trainer: Trainer, frame: FrameTensors, peaks: DevicePeaks, repeats: 
         def both(forward: Callable[[], Tensor] = forward) -> object:
             return torch.autograd.grad(forward(), leaves, allow_unused=True)
 
-        times = _medians(trainer, {"forward": forward, "both": both}, repeats)
+        times = _milliseconds(trainer, {"forward": forward, "both": both}, repeats)
         image = rendered.rgb if name in ("rgb", "features_rgb") else rendered.thermal
         channels = {"features_rgb": 3, "features_thermal": 1}.get(name)
         size = SMOOTHNESS_BYTES if name == "thermal_smoothness" else IMAGE_LOSS_BYTES
@@ -94,7 +93,7 @@ def _bookkeeping(trainer: Trainer, frame: FrameTensors, peaks: DevicePeaks, repe
         "finite check": lambda: step.guard.observe(state.step_on_device, done.losses, state.gradients()),
         "densification bookkeeping": noted,
     }
-    times = _medians(trainer, calls, repeats)
+    times = _milliseconds(trainer, calls, repeats)
     state.clear_gradients()
     stored = sum(parameter.numel() for parameter in trainer.model.parameters())
     moved = {
@@ -114,20 +113,18 @@ def _part(forward_ms: float, backward_ms: float | None, moved: int, peaks: Devic
     }
 
 
-def _medians(trainer: Trainer, calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Milliseconds of calls that take turns."""
+def _milliseconds(trainer: Trainer, calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Milliseconds of calls: on CUDA of their kernels, elsewhere the median of calls that take turns."""
     device = trainer.device
     if device.type != "cuda":
         return {name: time["median_ms"] for name, time in time_interleaved(calls, device, repeats).items()}
-    graphs, pool = {name: torch.cuda.CUDAGraph() for name in calls}, torch.cuda.MemPool()
+    times = {}
     for name, call in calls.items():
-        for _ in range(2):  # loads kernels and picks algorithms, which cannot be captured
-            call()
-        wait(device)
-        with captured_in(graphs[name], pool.id):
-            call()
-    times = time_interleaved({name: graph.replay for name, graph in graphs.items()}, device, repeats, hide_host=True)
-    wait(device)
-    for graph in graphs.values():
-        graph.reset()  # before their pool
-    return {name: time["median_ms"] for name, time in times.items()}
+
+        def repeated(call: Callable[[], object] = call) -> None:
+            for _ in range(repeats):
+                call()
+
+        repeated()  # loads kernels and picks algorithms
+        times[name] = sum(kernel["microseconds"] for kernel in profiled(repeated, repeats, device)) / 1e3
+    return times

@@ -1,8 +1,10 @@
 """Which part of a training step a profiled kernel, or on the CPU an operator, belongs to."""
 
+from collections.abc import Callable
 from typing import Any
 
-from frozen_training import run_steps
+import torch
+from frozen_training import run_steps, wait
 from torch.profiler import ProfilerActivity, profile
 
 from thermosplat.training.trainer import Trainer
@@ -17,11 +19,12 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("blending", ("blend_", "join_segments", "Blend")),
     ("binning", ("count_tiles", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan")),
     ("optimizer", ("adam", "Adam")),
+    ("bookkeeping", ("note_bad", "note_density")),
     (
         "decoders",
         (
-            *("forward_kernel", "backward_kernel", "square_weights", "narrow_weights", "gemm", "triton", "_Branch"),
-            *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu"),
+            *("forward_kernel", "backward_kernel", "weights_kernel", "gemm", "triton", "_Branch"),
+            *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu", "cover_"),
         ),
     ),
 )
@@ -41,22 +44,38 @@ def profiled_steps(trainer: Trainer, steps: int) -> list[dict[str, Any]]:
     Returns:
         For each ``name``, ``part``, and a step's ``microseconds`` and ``calls``.
     """
-    on_cuda = trainer.device.type == "cuda"
+    return profiled(lambda: run_steps(trainer, steps), steps, trainer.device)
+
+
+def profiled(work: Callable[[], object], count: int, device: torch.device) -> list[dict[str, Any]]:
+    """Kernels (on the CPU operators) of some work, the costliest first.
+
+    Args:
+        work: Launches what is profiled.
+        count: How often it does so.
+        device: Where.
+
+    Returns:
+        For each ``name``, ``part``, and of one time ``microseconds`` and ``calls``.
+    """
+    on_cuda = device.type == "cuda"
+    wait(device)
     with profile(activities=[ProfilerActivity.CUDA if on_cuda else ProfilerActivity.CPU]) as recorded:
-        run_steps(trainer, steps)
+        work()
+        wait(device)
     kernels = []
     for event in recorded.key_averages():
         total = event.self_device_time_total if on_cuda else event.self_cpu_time_total
         if total > 0:
             kernel = {"name": event.key, "part": part_of(event.key)}
-            kernels.append(kernel | {"microseconds": total / steps, "calls": event.count / steps})
+            kernels.append(kernel | {"microseconds": total / count, "calls": event.count / count})
     return sorted(kernels, key=lambda kernel: -kernel["microseconds"])
 
 
 def part_times(kernels: list[dict[str, Any]]) -> dict[str, float]:
     """Milliseconds a step of each part, in the order of a step as far as kernels have one."""
     names = ["projection", "SH", "binning", "blending", "decoders", "image losses"]
-    names += ["blending adjoint", "SH adjoint", "projection adjoint", "optimizer", REST]
+    names += ["blending adjoint", "SH adjoint", "projection adjoint", "optimizer", "bookkeeping", REST]
     times = dict.fromkeys(names, 0.0)
     for kernel in kernels:
         times[kernel["part"]] += kernel["microseconds"] / 1e3

@@ -8,7 +8,8 @@ import torch
 from kornia.losses import ssim_loss
 
 from thermosplat.config import LossConfig
-from thermosplat.losses import charbonnier, frame_losses, image_loss, smoothness
+from thermosplat.losses import charbonnier, compare_frame, frame_losses, image_loss, smoothness
+from thermosplat.rendered_frame import RenderedFrame
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model
 
 
@@ -171,3 +172,50 @@ def test_charbonnier_takes_the_place_of_l1_on_thermal_images() -> None:
     change = charbonnier(difference, 0.05) - difference.abs().mean()
     torch.testing.assert_close(robust["thermal"] - plain["thermal"], 0.8 * change)
     assert robust["features_thermal"] < plain["features_thermal"]
+
+
+def as_leaves(rendered: RenderedFrame, device: torch.device) -> tuple[RenderedFrame, list[torch.Tensor]]:
+    """The images of a render in float64 as leaves."""
+    names = ("rgb", "thermal", "visible_features", "thermal_features")
+    found = {name: getattr(rendered, name) for name in names}
+    leaves = {
+        name: image.detach().double().to(device).requires_grad_() for name, image in found.items() if image is not None
+    }
+    return RenderedFrame(**leaves), list(leaves.values())
+
+
+@pytest.mark.parametrize("capture", [{}, {"thermal_kind": "scalar"}, {"aligned": False}])
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"thermal_charbonnier": 0.05}, {"thermal": 0.0}, {"rgb": 0.0, "features": 0.0}, {"thermal_smoothness": 0.0}],
+)
+def test_fused_terms_are_the_filtered_ones(device: torch.device, capture: dict, changes: dict) -> None:
+    """All terms by one call of Warp's kernels: values, gradients and squared errors are those of kornia and torch."""
+    rendered, frame = rendered_and_frame(**capture)
+    config = dataclasses.replace(LossConfig(), **changes)
+    views = {
+        name: dataclasses.replace(
+            view,
+            image=view.image.double().to(device),
+            intensity=None if view.intensity is None else view.intensity.double().to(device),
+        )
+        for name, view in (("rgb", frame.rgb), ("thermal", frame.thermal))
+    }
+    frame = dataclasses.replace(frame, **views)
+    results = []
+    for fused in (True, False):
+        images, leaves = as_leaves(rendered, device)
+        images.thermal.data[2:5, 3:6] = 0.25  # where there is no slope, smoothness has no gradient
+        images.rgb.data[0] = 1.5  # squared errors are those of clamped images
+        compared = compare_frame(images, frame, config, fused=fused)
+        total = sum(weight * loss for weight, loss in enumerate(compared.losses.values(), 1))
+        slopes = torch.autograd.grad(total, leaves, allow_unused=True)
+        results.append((compared, [torch.zeros(()) if slope is None else slope for slope in slopes]))
+    (ours, our_slopes), (theirs, their_slopes) = results
+    assert list(ours.losses) == list(theirs.losses)
+    for found, expected in ((ours.losses, theirs.losses), (ours.squared_errors, theirs.squared_errors)):
+        assert found.keys() == expected.keys()
+        for name, value in expected.items():
+            torch.testing.assert_close(found[name], value, rtol=1e-11, atol=1e-14, msg=name)
+    for found, expected in zip(our_slopes, their_slopes, strict=True):
+        torch.testing.assert_close(found.expand_as(expected), expected, rtol=1e-8, atol=1e-13, check_device=False)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from thermosplat.warp_adam import WarpAdam
+from thermosplat.warp_adam import WarpAdam, step_together
 
 
 def test_same_as_torch(device: torch.device) -> None:
@@ -50,3 +50,30 @@ def test_parameters_without_gradient_or_numbers_are_left_out(device: torch.devic
     optimizer.step()
     assert torch.equal(idle, torch.ones_like(idle))
     assert not optimizer.state
+
+
+def test_many_optimizers_share_the_launches(device: torch.device) -> None:
+    """More parameters than one launch takes, of all sizes and alignments, each with its rate: what each alone gives."""
+    generator = torch.Generator().manual_seed(1)
+    sizes = [1, 3, 4, 5, 1023, 1024, 1025, 4096, *range(2, 34)]
+    starts = [torch.randn(size, generator=generator) for size in sizes]
+    storage = torch.randn(sum(sizes) + 1, generator=generator).to(device)  # gradients that begin anywhere
+    results = []
+    for together in (True, False):
+        parameters = [torch.nn.Parameter(start.clone().to(device)) for start in starts]
+        optimizers = [
+            WarpAdam([parameter], lr=torch.full((), 0.01 * rate, device=device), eps=1e-15)
+            for rate, parameter in enumerate(parameters)
+        ]
+        for _ in range(3):
+            for parameter, gradient in zip(parameters, storage[1:].split(sizes), strict=True):
+                parameter.grad = gradient
+            if together:
+                step_together(optimizers, torch.zeros((), device=device))
+            else:
+                for optimizer in optimizers:
+                    optimizer.found_inf = torch.zeros((), device=device)
+                    optimizer.step()
+        results.append(parameters)
+    assert all(torch.equal(ours, alone) for ours, alone in zip(*results, strict=True))
+    assert not torch.equal(results[0][-1].cpu(), starts[-1])

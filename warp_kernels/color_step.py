@@ -6,6 +6,7 @@ from typing import Any
 import warp as wp
 
 from warp_kernels.array_views import empty, nothing
+from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sums
@@ -65,7 +66,7 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     a, device, dtype = arrays, arrays.means.device, arrays.means.dtype._wp_scalar_type_
     a.camera_positions = empty(len(a.viewmats), wp.vec3d, device)
     launch_again(camera_position_kernels(dtype)[0], len(a.viewmats), [a.viewmats, a.camera_positions], device)
-    launch(color_kernel(dtype), len(a.colors), _arguments(arrays, settings), device)
+    launch(color_kernel(dtype), whole_warps(len(a.colors), device), _arguments(arrays, settings), device)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
         record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)
@@ -87,7 +88,7 @@ def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bo
     gradients = [gradient_of(a.sh0), gradient_of(a.shN), gradient_of(a.means)]
     launch(
         color_adjoint_kernel(dtype),
-        len(a.means),
+        whole_warps(len(a.means), device),
         [*_arguments(arrays, settings), gradient_of(a.colors), store, *gradients, v_offsets],
         device,
     )

@@ -1,16 +1,21 @@
-"""The image loss (1 - λ) |x - y| + λ (1 - SSIM) and its gradient, four passes over the images.
+"""Image losses (1 - λ) |x - y| + λ (1 - SSIM) of up to TERMS pairs of images, in the same two passes.
+
+One pair has too few threads for a large GPU, so the channels of all pairs are numbered through and share every pass.
 
 SSIM's window is separable: a pass along rows blurs x, y, x², y² and xy; a pass along columns finishes the five moments
-and forms the loss of each pixel and the derivatives by the three moments that depend on x. The adjoint blurs those
-three back, along columns and then along rows. Borders are reflected (kornia, torchmetrics); the adjoint of a reflection
-adds what the mirror images receive. Each thread makes ``STRIP`` neighbouring outputs, so that a value is read a few
-times, not 11.
+and forms the losses and their derivatives by the three moments that depend on x. In place of |x - y| there may be
+sqrt((x - y)² + ε²) - ε (Charbonnier et al. 1994). By the way the second pass sums the squared error of the clamped
+image, and where it is wanted |∂x| + |∂y|. Borders are reflected (kornia, torchmetrics). Each thread makes ``STRIP``
+neighbouring outputs, so that a value is read a few times, not 11. The adjoint is in image_loss_adjoint.py.
 """
 
 import functools
 import math
 
 import warp as wp
+
+TERMS = 4
+"""Pairs of images that share the passes."""
 
 RADIUS = 5
 """Taps on each side of the window's centre [px]: 11 in all. Wang et al. 2004, 3DGS."""
@@ -36,6 +41,51 @@ def window(sigma: float) -> list[float]:
 
 
 @functools.cache
+def pixel_functions(dtype: type):
+    """What all passes share.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(pixel, of_term)``. Images i0 to i3 are those of the pairs; one of a place that is not used is not read. Pair
+        t has the channels from e(t - 1) up to et, without an end for the last.
+    """
+
+    @wp.func
+    def pixel(
+        i0: wp.array3d(dtype=dtype),
+        i1: wp.array3d(dtype=dtype),
+        i2: wp.array3d(dtype=dtype),
+        i3: wp.array3d(dtype=dtype),
+        e0: int,
+        e1: int,
+        e2: int,
+        y: int,
+        x: int,
+        c: int,
+    ):
+        """Channel c, as numbered through the images."""
+        value = dtype(0.0)
+        if c < e0:
+            value = i0[y, x, c]
+        elif c < e1:
+            value = i1[y, x, c - e0]
+        elif c < e2:
+            value = i2[y, x, c - e1]
+        else:
+            value = i3[y, x, c - e2]
+        return value
+
+    @wp.func
+    def of_term(v0: dtype, v1: dtype, v2: dtype, v3: dtype, e0: int, e1: int, e2: int, c: int):
+        """The number that belongs to channel c's term."""
+        return wp.where(c < e0, v0, wp.where(c < e1, v1, wp.where(c < e2, v2, v3)))
+
+    return pixel, of_term
+
+
+@functools.cache
 def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon: float):
     """The kernels of one window.
 
@@ -47,11 +97,12 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         epsilon: added to SSIM's denominator.
 
     Returns:
-        ``(blur_rows, finish_columns, blur_columns_adjoint, finish_rows_adjoint)``.
+        ``(blur_rows, finish_columns, totals)``. Images x0 to x3 are compared with y0 to y3.
     """
     vecS = wp.types.vector(STRIP, dtype)
     vecW = wp.types.vector(2 * RADIUS + 1, dtype)
     taps = wp.constant(vecW(*window(sigma)))
+    pixel, of_term = pixel_functions(dtype)
     zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
     C1, C2, eps = dtype(c1), dtype(c2), dtype(epsilon)
 
@@ -63,25 +114,24 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
             j = 2 * (n - 1) - j
         return wp.clamp(j, 0, n - 1)
 
-    @wp.func
-    def image_center(i: int, image: int, n: int):
-        """Where input i and its two mirror images lie; far outside for a mirror image that no output sees."""
-        center = i
-        if image == 1:
-            center = wp.where(i > 0, -i, -n)
-        if image == 2:
-            center = wp.where(i < n - 1, 2 * (n - 1) - i, 3 * n)
-        return center
-
     @wp.kernel(name=f"image_loss_blur_rows_{dtype.__name__}", enable_backward=False, module="unique")
     def blur_rows_kernel(
         first: int,
-        render: wp.array3d(dtype=dtype),
-        target: wp.array3d(dtype=dtype),
+        x0: wp.array3d(dtype=dtype),
+        x1: wp.array3d(dtype=dtype),
+        x2: wp.array3d(dtype=dtype),
+        x3: wp.array3d(dtype=dtype),
+        y0: wp.array3d(dtype=dtype),
+        y1: wp.array3d(dtype=dtype),
+        y2: wp.array3d(dtype=dtype),
+        y3: wp.array3d(dtype=dtype),
+        e0: int,
+        e1: int,
+        e2: int,
         # outputs
         moments: wp.array3d(dtype=dtype),
     ):
-        height, width = render.shape[0], render.shape[1]
+        height, width = x0.shape[0], x0.shape[1]
         strips = (width + STRIP - 1) // STRIP
         index = wp.tid() + first
         x = (index % strips) * STRIP
@@ -94,8 +144,8 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         sxy = vecS()
         for k in range(REACH):
             at = reflected(x + k - RADIUS, width)
-            a = render[y, at, c]
-            b = target[y, at, c]
+            a = pixel(x0, x1, x2, x3, e0, e1, e2, y, at, c)
+            b = pixel(y0, y1, y2, y3, e0, e1, e2, y, at, c)
             for r in range(STRIP):
                 if k - r >= 0 and k - r <= 2 * RADIUS:
                     w = taps[k - r]
@@ -115,15 +165,30 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
     @wp.kernel(name=f"image_loss_finish_columns_{dtype.__name__}", enable_backward=False, module="unique")
     def finish_columns_kernel(
         first: int,
+        x0: wp.array3d(dtype=dtype),
+        x1: wp.array3d(dtype=dtype),
+        x2: wp.array3d(dtype=dtype),
+        x3: wp.array3d(dtype=dtype),
+        y0: wp.array3d(dtype=dtype),
+        y1: wp.array3d(dtype=dtype),
+        y2: wp.array3d(dtype=dtype),
+        y3: wp.array3d(dtype=dtype),
+        e0: int,
+        e1: int,
+        e2: int,
         ssim_share: dtype,
-        render: wp.array3d(dtype=dtype),
-        target: wp.array3d(dtype=dtype),
+        noise0: dtype,
+        noise1: dtype,
+        noise2: dtype,
+        noise3: dtype,
+        smooth_from: int,
+        smooth_to: int,
         moments: wp.array3d(dtype=dtype),
         # outputs
-        losses: wp.array3d(dtype=dtype),
+        sums: wp.array3d(dtype=dtype),
         derivatives: wp.array3d(dtype=dtype),
     ):
-        height, width = render.shape[0], render.shape[1]
+        height, width = x0.shape[0], x0.shape[1]
         strips = (height + STRIP - 1) // STRIP
         index = wp.tid() + first
         x = index % width
@@ -149,6 +214,11 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
                     sxx[r] += w * m2
                     syy[r] += w * m3
                     sxy[r] += w * m4
+        channels = moments.shape[0] // 5
+        noise = of_term(noise0, noise1, noise2, noise3, e0, e1, e2, c)
+        loss = dtype(0.0)
+        squares_sum = dtype(0.0)
+        variation = dtype(0.0)
         for r in range(STRIP):
             if y + r < height:
                 product = sx[r] * sy[r]
@@ -159,101 +229,65 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
                 D = sxx[r] + syy[r] - squares + C2
                 inverse = one / (C * D + eps)
                 ssim = A * B * inverse
-                difference = wp.abs(render[y + r, x, c] - target[y + r, x, c])
-                losses[c, y + r, x] = (one - ssim_share) * difference + ssim_share * (one - ssim)
+                a = pixel(x0, x1, x2, x3, e0, e1, e2, y + r, x, c)
+                b = pixel(y0, y1, y2, y3, e0, e1, e2, y + r, x, c)
+                difference = wp.abs(a - b)
+                if noise > zero:
+                    difference = wp.sqrt(difference * difference + noise * noise) - noise
+                loss += (one - ssim_share) * difference + ssim_share * (one - ssim)
+                error = wp.clamp(a, zero, one) - b
+                squares_sum += error * error
+                if c >= smooth_from and c < smooth_to:
+                    if y + r + 1 < height:
+                        variation += wp.abs(pixel(x0, x1, x2, x3, e0, e1, e2, y + r + 1, x, c) - a)
+                    if x + 1 < width:
+                        variation += wp.abs(pixel(x0, x1, x2, x3, e0, e1, e2, y + r, x + 1, c) - a)
                 if derivatives.shape[0] > 0:
                     # of -λ SSIM by the blurred x, x² and xy
                     by_x = two * inverse * (sy[r] * (B - A) - ssim * sx[r] * (D - C))
                     derivatives[3 * c, y + r, x] = -ssim_share * by_x
                     derivatives[3 * c + 1, y + r, x] = ssim_share * ssim * C * inverse
                     derivatives[3 * c + 2, y + r, x] = -ssim_share * two * A * inverse
+        strip = y // STRIP
+        sums[c, strip, x] = loss
+        sums[channels + c, strip, x] = squares_sum
+        sums[2 * channels + c, strip, x] = variation
 
-    @wp.kernel(name=f"image_loss_blur_columns_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
-    def blur_columns_adjoint_kernel(
-        first: int,
-        derivatives: wp.array3d(dtype=dtype),
+    @wp.kernel(name=f"image_loss_totals_{dtype.__name__}", enable_backward=False, module="unique")
+    def totals_kernel(
+        channels: int,
+        e0: int,
+        e1: int,
+        e2: int,
+        share0: dtype,
+        share1: dtype,
+        share2: dtype,
+        share3: dtype,
+        smooth_share: dtype,
+        num_pixels: int,
+        sums: wp.array(dtype=dtype),
         # outputs
-        blurred: wp.array3d(dtype=dtype),
+        losses: wp.array(dtype=dtype),
+        squared_errors: wp.array(dtype=dtype),
     ):
-        height, width = derivatives.shape[1], derivatives.shape[2]
-        strips = (height + STRIP - 1) // STRIP
-        index = wp.tid() + first
-        x = index % width
-        y = ((index // width) % strips) * STRIP
-        plane = index // (width * strips)
-        inside = y > RADIUS and y + STRIP + RADIUS < height
-        total = vecS()
-        if inside:
-            for k in range(REACH):
-                value = derivatives[plane, y + k - RADIUS, x]
-                for r in range(STRIP):
-                    if k - r >= 0 and k - r <= 2 * RADIUS:
-                        total[r] += taps[k - r] * value
+        """One thread a term, and one for |∂x| + |∂y|."""
+        term = wp.tid()
+        start = wp.where(term == 0, 0, wp.where(term == 1, e0, wp.where(term == 2, e1, e2)))
+        end = wp.where(term == 0, e0, wp.where(term == 1, e1, wp.where(term == 2, e2, channels)))
+        if term == wp.static(TERMS):
+            start = 0
+            end = channels
+        loss = dtype(0.0)
+        errors = dtype(0.0)
+        variation = dtype(0.0)
+        for c in range(start, end):
+            loss += sums[c]
+            errors += sums[channels + c]
+            variation += sums[2 * channels + c]
+        if term == wp.static(TERMS):
+            losses[term] = smooth_share * variation
         else:
-            for r in range(STRIP):
-                image = int(0)
-                while image < 3:
-                    center = image_center(y + r, image, height)
-                    for k in range(2 * RADIUS + 1):
-                        at = center + k - RADIUS
-                        if at >= 0 and at < height:
-                            total[r] += taps[k] * derivatives[plane, at, x]
-                    image += 1
-        for r in range(STRIP):
-            if y + r < height:
-                blurred[plane, y + r, x] = total[r]
+            losses[term] = of_term(share0, share1, share2, share3, 1, 2, 3, term) * loss
+            squared_errors[term] = errors / dtype(wp.max(end - start, 1) * num_pixels)
 
-    @wp.kernel(name=f"image_loss_finish_rows_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
-    def finish_rows_adjoint_kernel(
-        first: int,
-        ssim_share: dtype,
-        render: wp.array3d(dtype=dtype),
-        target: wp.array3d(dtype=dtype),
-        blurred: wp.array3d(dtype=dtype),
-        v_mean: wp.array(dtype=dtype),
-        # outputs
-        v_render: wp.array3d(dtype=dtype),
-    ):
-        height, width = render.shape[0], render.shape[1]
-        strips = (width + STRIP - 1) // STRIP
-        index = wp.tid() + first
-        x = (index % strips) * STRIP
-        y = (index // strips) % height
-        c = index // (strips * height)
-        inside = x > RADIUS and x + STRIP + RADIUS < width
-        by_x = vecS()
-        by_xx = vecS()
-        by_xy = vecS()
-        if inside:
-            for k in range(REACH):
-                at = x + k - RADIUS
-                d0 = blurred[3 * c, y, at]
-                d1 = blurred[3 * c + 1, y, at]
-                d2 = blurred[3 * c + 2, y, at]
-                for r in range(STRIP):
-                    if k - r >= 0 and k - r <= 2 * RADIUS:
-                        by_x[r] += taps[k - r] * d0
-                        by_xx[r] += taps[k - r] * d1
-                        by_xy[r] += taps[k - r] * d2
-        else:
-            for r in range(STRIP):
-                image = int(0)
-                while image < 3:
-                    center = image_center(x + r, image, width)
-                    for k in range(2 * RADIUS + 1):
-                        at = center + k - RADIUS
-                        if at >= 0 and at < width:
-                            by_x[r] += taps[k] * blurred[3 * c, y, at]
-                            by_xx[r] += taps[k] * blurred[3 * c + 1, y, at]
-                            by_xy[r] += taps[k] * blurred[3 * c + 2, y, at]
-                    image += 1
-        scale = v_mean[0] / dtype(height * width * render.shape[2])
-        for r in range(STRIP):
-            if x + r < width:
-                a = render[y, x + r, c]
-                b = target[y, x + r, c]
-                sign = wp.where(a > b, one, wp.where(a < b, -one, zero))
-                v = by_x[r] + two * a * by_xx[r] + b * by_xy[r]
-                v_render[y, x + r, c] = scale * (v + (one - ssim_share) * sign)
-
-    return blur_rows_kernel, finish_columns_kernel, blur_columns_adjoint_kernel, finish_rows_adjoint_kernel
+    return blur_rows_kernel, finish_columns_kernel, totals_kernel

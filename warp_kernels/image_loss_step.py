@@ -1,16 +1,20 @@
-"""The step that compares an image with its ground truth: its launches, forward and adjoint."""
+"""The step that compares images with their ground truth: its launches, forward and adjoint."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
 
 import warp as wp
 
-from warp_kernels.image_loss import STRIP, image_loss_kernels
-from warp_kernels.launching import launch
+from warp_kernels.image_loss import STRIP, TERMS, image_loss_kernels
+from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernels
+from warp_kernels.launching import launch, launch_again
 
 
 @dataclass(frozen=True)
 class ImageLossSettings:
-    """What the loss is made of.
+    """What the losses are made of.
 
     Attributes:
         ssim_share: λ, share of 1 - SSIM; the rest is the absolute difference.
@@ -18,6 +22,10 @@ class ImageLossSettings:
         c1: SSIM's first constant.
         c2: SSIM's second constant.
         epsilon: added to SSIM's denominator.
+        weights: of each pair's loss; at most TERMS pairs.
+        charbonnier: ε of each pair, sqrt(d² + ε²) - ε in place of |d|; 0: |d|.
+        smoothed: the pair whose image's |∂x| + |∂y| is a loss too; None: of none.
+        smoothness: weight of that loss.
     """
 
     ssim_share: float
@@ -25,63 +33,117 @@ class ImageLossSettings:
     c1: float
     c2: float
     epsilon: float
+    weights: tuple[float, ...] = (1.0,)
+    charbonnier: tuple[float, ...] = (0.0,)
+    smoothed: int | None = None
+    smoothness: float = 0.0
 
     def kernels(self, dtype: type) -> tuple[wp.Kernel, ...]:
-        """The kernels, for ``wp.float32`` or ``wp.float64``."""
+        """The forward kernels, for ``wp.float32`` or ``wp.float64``."""
         return image_loss_kernels(dtype, self.sigma, self.c1, self.c2, self.epsilon)
 
 
-def image_loss(
-    render: wp.array, target: wp.array, settings: ImageLossSettings, losses: wp.array, derivatives: wp.array
+class _Numbers:
+    """What the launches share: sizes, and settings as kernel arguments."""
+
+    def __init__(self, renders: Sequence[wp.array], settings: ImageLossSettings) -> None:
+        self.height, self.width, _ = renders[0].shape
+        self.dtype, self.device = renders[0].dtype, renders[0].device
+        ends = list(accumulate(render.shape[2] for render in renders))
+        starts = [0, *ends]
+        self.channels = ends[-1]
+        self.ends = (ends + [self.channels] * TERMS)[: TERMS - 1]
+        pixels = self.height * self.width
+        shares = [weight / (pixels * render.shape[2]) for weight, render in zip(settings.weights, renders, strict=True)]
+        self.shares = self._padded(shares)
+        smoothed = settings.smoothed
+        self.smooth = [0, 0] if smoothed is None else [starts[smoothed], starts[smoothed + 1]]
+        count = pixels * max(self.smooth[1] - self.smooth[0], 1)
+        self.smooth_share = self.dtype(settings.smoothness / count)
+        self.terms = [self.dtype(settings.ssim_share), *self._padded(settings.charbonnier), *self.smooth]
+
+    def _padded(self, values: Sequence[float]) -> list[Any]:
+        return [self.dtype(value) for value in [*values, *[0.0] * TERMS][:TERMS]]
+
+
+def _filled(images: Sequence[wp.array]) -> list[wp.array]:
+    """Images for the kernels' places; those that are not used repeat the first."""
+    return [*images, *[images[0]] * TERMS][:TERMS]
+
+
+def strips(height: int) -> int:
+    """Rows of ``image_losses``' sums for an image of that height [px]."""
+    return -(-height // STRIP)
+
+
+def image_losses(
+    renders: Sequence[wp.array],
+    targets: Sequence[wp.array],
+    settings: ImageLossSettings,
+    sums: wp.array,
+    derivatives: wp.array,
 ) -> None:
-    """The loss of every pixel and channel.
+    """Losses, squared errors and |∂x| + |∂y| of every channel, summed over strips of a column.
 
     Args:
-        render: [H, W, C], any strides; H and W above 5.
-        target: [H, W, C].
-        settings: what the loss is made of.
-        losses: [C, H, W], output.
-        derivatives: [3 C, H, W], output for ``image_loss_adjoint``; [0, 0, 0] where it is not wanted.
+        renders: 1 to TERMS images [H, W, Ct] of one size, any strides; H and W above 5.
+        targets: [H, W, Ct] each.
+        settings: what the losses are made of.
+        sums: [3 C, strips(H), W], output: losses without weights, squared errors, absolute differences.
+        derivatives: [3 C, H, W], output for ``image_losses_adjoint``; [0, 0, 0] where it is not wanted.
     """
-    height, width, channels = render.shape
-    dtype, device = render.dtype, render.device
-    blur_rows, finish_columns, _, _ = settings.kernels(dtype)
-    moments = wp.empty((5 * channels, height, width), dtype=dtype, device=device)
-    launch(blur_rows, channels * height * -(-width // STRIP), [render, target, moments], device)
-    launch(
-        finish_columns,
-        channels * width * -(-height // STRIP),
-        [dtype(settings.ssim_share), render, target, moments, losses, derivatives],
-        device,
-    )
+    n = _Numbers(renders, settings)
+    blur_rows, finish_columns, _ = settings.kernels(n.dtype)
+    moments = wp.empty((5 * n.channels, n.height, n.width), dtype=n.dtype, device=n.device)
+    images = [*_filled(renders), *_filled(targets), *n.ends]
+    launch(blur_rows, n.channels * n.height * -(-n.width // STRIP), [*images, moments], n.device)
+    arguments = [*images, *n.terms, moments, sums, derivatives]
+    launch(finish_columns, n.channels * n.width * strips(n.height), arguments, n.device)
 
 
-def image_loss_adjoint(
-    render: wp.array,
-    target: wp.array,
+def image_loss_totals(
+    renders: Sequence[wp.array],
+    settings: ImageLossSettings,
+    sums: wp.array,
+    losses: wp.array,
+    squared_errors: wp.array,
+) -> None:
+    """The weighted mean losses of all pairs.
+
+    Args:
+        renders: as in ``image_losses``.
+        settings: as in ``image_losses``.
+        sums: [3 C], sums over strips and columns of what ``image_losses`` wrote.
+        losses: [TERMS + 1], output: each pair's, and in the last place that of |∂x| + |∂y|.
+        squared_errors: [TERMS], output: mean squared errors of the images clamped to [0, 1], without weights.
+    """
+    n = _Numbers(renders, settings)
+    arguments = [n.channels, *n.ends, *n.shares, n.smooth_share, n.height * n.width, sums, losses, squared_errors]
+    launch_again(settings.kernels(n.dtype)[2], TERMS + 1, arguments, n.device)
+
+
+def image_losses_adjoint(
+    renders: Sequence[wp.array],
+    targets: Sequence[wp.array],
     settings: ImageLossSettings,
     derivatives: wp.array,
-    v_mean: wp.array,
-    v_render: wp.array,
+    v_losses: wp.array,
+    v_renders: Sequence[wp.array],
 ) -> None:
-    """The gradient by the render of the mean of the losses.
+    """The gradients by the renders.
 
     Args:
-        render: as in ``image_loss``.
-        target: as in ``image_loss``.
-        settings: as in ``image_loss``.
-        derivatives: what ``image_loss`` wrote.
-        v_mean: [1] gradient of the mean.
-        v_render: [H, W, C], output, written and not added to.
+        renders: as in ``image_losses``.
+        targets: as in ``image_losses``.
+        settings: as in ``image_losses``.
+        derivatives: what ``image_losses`` wrote.
+        v_losses: [TERMS + 1] gradients of the losses.
+        v_renders: [H, W, Ct] each, any strides, output, written and not added to.
     """
-    height, width, channels = render.shape
-    dtype, device = render.dtype, render.device
-    _, _, blur_columns_adjoint, finish_rows_adjoint = settings.kernels(dtype)
+    n = _Numbers(renders, settings)
+    blur_columns_adjoint, finish_rows_adjoint = image_loss_adjoint_kernels(n.dtype, settings.sigma)
     blurred = wp.empty_like(derivatives)
-    launch(blur_columns_adjoint, 3 * channels * width * -(-height // STRIP), [derivatives, blurred], device)
-    launch(
-        finish_rows_adjoint,
-        channels * height * -(-width // STRIP),
-        [dtype(settings.ssim_share), render, target, blurred, v_mean, v_render],
-        device,
-    )
+    launch(blur_columns_adjoint, 3 * n.channels * n.width * strips(n.height), [derivatives, blurred], n.device)
+    arguments = [*_filled(renders), *_filled(targets), *n.ends, *n.terms, *n.shares, n.smooth_share]
+    arguments += [blurred, v_losses, *_filled(v_renders)]
+    launch(finish_rows_adjoint, n.channels * n.height * -(-n.width // STRIP), arguments, n.device)

@@ -8,6 +8,7 @@ import functools
 
 import warp as wp
 
+from warp_kernels.coefficient_rows import row_functions
 from warp_kernels.strand_sums import STRANDS
 
 # Normalisation constants of the real basis functions.
@@ -137,9 +138,10 @@ def color_kernel(dtype: type) -> wp.Kernel:
     Returns:
         The Warp kernel.
     """
-    vec3 = wp.types.vector(3, dtype)
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
     basis, _ = basis_functions(dtype)
     direction = direction_function(dtype)
+    add_weighted_row, _ = row_functions(dtype)
 
     @wp.kernel(name=f"sh_colors_{dtype.__name__}", enable_backward=False, module="unique")
     def sh_colors_kernel(
@@ -157,23 +159,30 @@ def color_kernel(dtype: type) -> wp.Kernel:
         colors: wp.array(dtype=vec3),
     ):
         index = wp.tid() + first
+        inside = index < colors.shape[0]
         color = vec3()
-        if radii[index][0] > 0:
+        b = vec16()
+        row = int(-1)
+        used = bool(False)
+        if inside:
             image = index // num_gaussians
             gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
             row = wp.where(per_image, index, gaussian)
-            unit, _ = direction(means[gaussian], camera_positions[image])
-            b = basis(unit, degree)
-            color = b[0] * sh0[row, 0]
-            for k in range(1, (degree + 1) * (degree + 1)):
-                color = color + b[k] * shN[row, k - 1]
+            used = radii[index][0] > 0
+            if used:
+                unit, _ = direction(means[gaussian], camera_positions[image])
+                b = basis(unit, degree)
+                color = b[0] * sh0[row, 0]
+        color = add_weighted_row(shN, row, b, (degree + 1) * (degree + 1), used, color)
+        if used:
             # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
             color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
             for c in range(3):
                 # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
                 if color[c] < dtype(0.0):
                     color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
-        colors[index] = color
+        if inside:
+            colors[index] = color
 
     return sh_colors_kernel
 
@@ -186,12 +195,14 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        The Warp kernel. It adds to coefficients and means, or with ``store`` writes them, and where there is room for
-        it stores the direction's part per (image, Gaussian), whose negative sum is the gradient to the camera position.
+        The Warp kernel. It adds to coefficients and means, or where they are ``fresh`` overwrites them, whatever they
+        hold, and where there is room stores the direction's part per (image, Gaussian), whose negative sum is the
+        gradient to the camera position. Both kernels are launched over ``whole_warps``.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
     basis, basis_adjoint = basis_functions(dtype)
     direction = direction_function(dtype)
+    _, row_adjoint = row_functions(dtype)
 
     @wp.kernel(name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def sh_colors_adjoint_kernel(
@@ -207,25 +218,28 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         radii: wp.array(dtype=wp.vec2i),
         colors: wp.array(dtype=vec3),
         v_colors: wp.array(dtype=vec3),
-        store: bool,
+        fresh: bool,
         # outputs
         v_sh0: wp.array2d(dtype=vec3),
         v_shN: wp.array2d(dtype=vec3),
         v_means: wp.array(dtype=vec3),
         v_offsets: wp.array(dtype=vec3),
     ):
-        gaussian = wp.tid() + first
+        thread = wp.tid() + first
+        inside = thread < means.shape[0]
+        gaussian = wp.min(thread, means.shape[0] - 1)
         scene = gaussian // num_gaussians
         total = vec3()
         for camera in range(num_cameras):
             image = scene * num_cameras + camera
             index = image * num_gaussians + gaussian % num_gaussians
-            v_offset = vec3()
             row = wp.where(per_image, index, gaussian)
-            fresh = store and (per_image or camera == 0)  # nothing has been written to the coefficients' gradients yet
-            used = int(0)
-            if radii[index][0] > 0:
-                used = (degree + 1) * (degree + 1)
+            used = inside and radii[index][0] > 0
+            unit = vec3()
+            inverse = dtype(0.0)
+            b = vec16()
+            v = vec3()
+            if used:
                 unit, inverse = direction(means[gaussian], camera_positions[image])
                 b = basis(unit, degree)
                 v = v_colors[index]
@@ -234,34 +248,29 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                     # A colour that was clamped is -0; one that is 0 by itself, an initial black, must be able to grow.
                     if dtype(1.0) / color[c] < dtype(0.0):
                         v[c] = dtype(0.0)
-                v_basis = vec16()
-                v_basis[0] = wp.dot(sh0[row, 0], v)
-                if fresh:
-                    v_sh0[row, 0] = b[0] * v
-                else:
+            add = not fresh or (camera > 0 and not per_image)
+            active = (degree + 1) * (degree + 1)
+            v_basis = row_adjoint(shN, v_shN, wp.where(inside, row, -1), b, v, active, used, add)
+            if inside:
+                if add:
                     v_sh0[row, 0] = v_sh0[row, 0] + b[0] * v
-                for k in range(1, used):
-                    v_basis[k] = wp.dot(shN[row, k - 1], v)
-                    if fresh:
-                        v_shN[row, k - 1] = b[k] * v
-                    else:
-                        v_shN[row, k - 1] = v_shN[row, k - 1] + b[k] * v
-                v_unit = basis_adjoint(unit, degree, v_basis)
-                v_offset = (v_unit - wp.dot(v_unit, unit) * unit) * inverse
-                if wp.isfinite(v) and not wp.isfinite(v_offset):
-                    v_offset = vec3()  # the camera is too near for its gradient to be held
+                else:
+                    v_sh0[row, 0] = b[0] * v
+                v_offset = vec3()
+                if used:
+                    v_basis[0] = wp.dot(sh0[row, 0], v)
+                    v_unit = basis_adjoint(unit, degree, v_basis)
+                    v_offset = (v_unit - wp.dot(v_unit, unit) * unit) * inverse
+                    if wp.isfinite(v) and not wp.isfinite(v_offset):
+                        v_offset = vec3()  # the camera is too near for its gradient to be held
+                if v_offsets.shape[0] > 0:
+                    v_offsets[index] = v_offset
+                total = total + v_offset
+        if inside:
             if fresh:
-                if used == 0:
-                    v_sh0[row, 0] = vec3()
-                for k in range(wp.max(used, 1), v_shN.shape[1] + 1):
-                    v_shN[row, k - 1] = vec3()
-            if v_offsets.shape[0] > 0:
-                v_offsets[index] = v_offset
-            total = total + v_offset
-        if store:
-            v_means[gaussian] = total
-        else:
-            v_means[gaussian] = v_means[gaussian] + total
+                v_means[gaussian] = total
+            else:
+                v_means[gaussian] = v_means[gaussian] + total
 
     return sh_colors_adjoint_kernel
 

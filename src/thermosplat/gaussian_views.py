@@ -68,7 +68,7 @@ def see(
         rasterize_mode=rendering.rasterize_mode,
         deterministic=rendering.deterministic,
     )
-    return image[0], alpha[0], info
+    return image.squeeze(0), alpha.squeeze(0), info  # [0] would have its gradient copied into zeros
 
 
 def see_depth(gaussians: Gaussians, opacities: Tensor, view: "ViewTensors", rendering: Rendering) -> Tensor:

@@ -15,21 +15,20 @@ from torch import Tensor
 from thermosplat.config import LossConfig
 from thermosplat.rendered_frame import RenderedFrame
 from thermosplat.ssim import ssim_map
-from thermosplat.warp_image_loss import warp_image_loss
+from thermosplat.warp_image_loss import ImageTerm, warp_image_loss, warp_image_losses
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import FrameTensors
 
 
 @dataclass(frozen=True)
-class _ImageTerm:
-    """One weighted image loss L(render, target)."""
+class Comparison:
+    """A rendered frame against its images."""
 
-    name: str
-    weight: float
-    render: Tensor  # [H, W, C]
-    target: Tensor  # [H, W, C]
-    charbonnier: float = 0.0
+    losses: dict[str, Tensor]
+    """All weighted terms, scalars; the total is their sum."""
+    squared_errors: dict[str, Tensor]
+    """Mean squared error of the images clamped to [0, 1], by modality; no gradient reaches it."""
 
 
 def image_loss(render: Tensor, target: Tensor, ssim_lambda: float) -> Tensor:
@@ -43,10 +42,13 @@ def image_loss(render: Tensor, target: Tensor, ssim_lambda: float) -> Tensor:
     Returns:
         The loss, a scalar.
     """
-    return _image_losses([_ImageTerm("image", 1.0, render, target)], ssim_lambda)["image"]
+    term = ImageTerm("image", 1.0, render, target)
+    return warp_image_loss(render, target, ssim_lambda) if render.is_cuda else _filtered([term], ssim_lambda)["image"]
 
 
-def frame_losses(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig) -> dict[str, Tensor]:
+def frame_losses(
+    rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig, *, fused: bool | None = None
+) -> dict[str, Tensor]:
     """All weighted terms of one frame's loss; the total is their sum.
 
     A term whose weight is 0, or whose render or target is missing, is not computed and not listed.
@@ -55,14 +57,53 @@ def frame_losses(rendered: RenderedFrame, frame: "FrameTensors", config: LossCon
         rendered: What the model rendered of the frame.
         frame: The ground truth.
         config: The weights.
+        fused: By Warp's kernels, all in the same few launches, or by kornia's filters, which are the definition. None:
+            on CUDA the first, on the CPU, where they are faster, the second.
 
     Returns:
         Scalars by term, in this order: "rgb", "thermal", "features_rgb", "features_thermal", "thermal_smoothness".
     """
-    losses = _image_losses(_image_terms(rendered, frame, config), config.ssim_lambda)
+    return _compared(rendered, frame, config, fused).losses
+
+
+def compare_frame(
+    rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig, *, fused: bool | None = None
+) -> Comparison:
+    """The terms of :func:`frame_losses`, and the squared errors of the images, which cost the fused kernels nothing.
+
+    Args:
+        rendered: As in ``frame_losses``.
+        frame: As in ``frame_losses``.
+        config: As in ``frame_losses``.
+        fused: As in ``frame_losses``.
+    """
+    compared = _compared(rendered, frame, config, fused)
+    errors = {}
+    for modality, image, view in (("rgb", rendered.rgb, frame.rgb), ("thermal", rendered.thermal, frame.thermal)):
+        if image is not None and view is not None and view.image is not None:
+            known = compared.squared_errors.get(modality)
+            errors[modality] = _squared_error(image, view.image) if known is None else known
+    return Comparison(compared.losses, errors)
+
+
+def _compared(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig, fused: bool | None) -> Comparison:
+    """All losses, and those squared errors that come with them."""
+    terms = _image_terms(rendered, frame, config)
+    if fused is None:
+        fused = bool(terms) and all(term.image.is_cuda for term in terms)
+    found = _fused(terms, config) if fused else Comparison(_filtered(terms, config.ssim_lambda), {})
+    losses = {term.name: found.losses[term.name] for term in terms}
     if rendered.thermal is not None and config.thermal_smoothness > 0:
-        losses["thermal_smoothness"] = config.thermal_smoothness * smoothness(rendered.thermal)
-    return losses
+        smooth = found.losses.get("thermal_smoothness")
+        losses["thermal_smoothness"] = (
+            config.thermal_smoothness * smoothness(rendered.thermal) if smooth is None else smooth
+        )
+    return Comparison(losses, found.squared_errors)
+
+
+@torch.no_grad()
+def _squared_error(image: Tensor, target: Tensor) -> Tensor:
+    return (image.clamp(0.0, 1.0) - target).square().mean()
 
 
 def smoothness(image: Tensor) -> Tensor:
@@ -80,46 +121,25 @@ def smoothness(image: Tensor) -> Tensor:
     return total_variation(image.permute(2, 0, 1), reduction="sum").sum() / image.numel()
 
 
-def _image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig) -> list[_ImageTerm]:
+def _image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig) -> list[ImageTerm]:
     """The image losses that apply to this frame (equations 10 and 11)."""
     rgb = frame.rgb.image if frame.rgb is not None else None
     thermal = frame.thermal.image if frame.thermal is not None else None
     intensity = frame.thermal.intensity if frame.thermal is not None else None
+    scalar = intensity[..., None] if intensity is not None else None
     noise = config.thermal_charbonnier
-    candidates: list[tuple[str, float, Tensor | None, Tensor | None, float]] = [
-        ("rgb", config.rgb, rendered.rgb, rgb, 0.0),
-        ("thermal", config.thermal, rendered.thermal, thermal, noise),
-        ("features_rgb", config.features * config.features_rgb, _channels(rendered.visible_features, 0, 3), rgb, 0.0),
-        (
-            "features_thermal",
-            config.features * config.features_thermal,
-            _channels(rendered.thermal_features, 3, 4),
-            intensity[..., None] if intensity is not None else None,
-            noise,
-        ),
+    on_features = config.features * config.features_rgb, config.features * config.features_thermal
+    candidates: list[tuple[str, float, Tensor | None, Tensor | None, int, float]] = [
+        ("rgb", config.rgb, rendered.rgb, rgb, 0, 0.0),
+        ("thermal", config.thermal, rendered.thermal, thermal, 0, noise),
+        ("features_rgb", on_features[0], rendered.visible_features, rgb, 0, 0.0),
+        ("features_thermal", on_features[1], rendered.thermal_features, scalar, 3, noise),
     ]
     return [
-        _ImageTerm(name, weight, render, target, epsilon)
-        for name, weight, render, target, epsilon in candidates
-        if weight > 0 and render is not None and target is not None
+        ImageTerm(name, weight, image, target, first, epsilon)
+        for name, weight, image, target, first, epsilon in candidates
+        if weight > 0 and image is not None and target is not None
     ]
-
-
-def _channels(features: Tensor | None, start: int, stop: int) -> Tensor | None:
-    return None if features is None else features[..., start:stop]
-
-
-def _image_losses(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
-    """Weighted image losses by name: on CUDA by Warp's fused kernels, on the CPU by kornia's filters."""
-    on_cuda = all(term.render.is_cuda for term in terms)
-    compute = _fused if on_cuda else _filtered
-    losses = compute([term for term in terms if term.charbonnier == 0], ssim_lambda)
-    robust = [term for term in terms if term.charbonnier > 0]
-    structural = compute(robust, 1.0)  # 1 - SSIM alone
-    for term in robust:
-        difference = charbonnier(term.render - term.target, term.charbonnier)
-        losses[term.name] = (1 - ssim_lambda) * difference + ssim_lambda * structural[term.name]
-    return {term.name: term.weight * losses[term.name] for term in terms}
 
 
 def charbonnier(differences: Tensor, epsilon: float) -> Tensor:
@@ -132,11 +152,34 @@ def charbonnier(differences: Tensor, epsilon: float) -> Tensor:
     return torch.sqrt(differences.square() + epsilon**2).mean() - epsilon
 
 
-def _fused(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
-    return {term.name: warp_image_loss(term.render, term.target, ssim_lambda) for term in terms}
+def _fused(terms: list[ImageTerm], config: LossConfig) -> Comparison:
+    """All terms of images of one size by one call of Warp's kernels, and with the thermal one its smoothness."""
+    losses: dict[str, Tensor] = {}
+    errors: dict[str, Tensor] = {}
+    for size in dict.fromkeys(term.image.shape[:2] for term in terms):
+        members = [term for term in terms if term.image.shape[:2] == size]
+        names = [term.name for term in members]
+        smoothed = names.index("thermal") if "thermal" in names and config.thermal_smoothness > 0 else None
+        found = warp_image_losses(members, config.ssim_lambda, smoothed=smoothed, smoothness=config.thermal_smoothness)
+        losses |= dict(zip(names, found.losses, strict=True))
+        errors |= dict(zip(names, found.squared_errors, strict=True))
+        if smoothed is not None:
+            losses["thermal_smoothness"] = found.smoothness
+    return Comparison(losses, errors)
 
 
-def _filtered(terms: list[_ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
+def _filtered(terms: list[ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
+    """Weighted image losses by name, by kornia's filters."""
+    losses = _unweighted([term for term in terms if term.charbonnier == 0], ssim_lambda)
+    robust = [term for term in terms if term.charbonnier > 0]
+    structural = _unweighted(robust, 1.0)  # 1 - SSIM alone
+    for term in robust:
+        difference = charbonnier(term.render - term.target, term.charbonnier)
+        losses[term.name] = (1 - ssim_lambda) * difference + ssim_lambda * structural[term.name]
+    return {term.name: term.weight * losses[term.name] for term in terms}
+
+
+def _unweighted(terms: list[ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
     """Image losses by name, with one call for the channels of all images of one size.
 
     L1 and SSIM treat channels separately, so stacking the channels of several images changes no value; one convolution

@@ -25,6 +25,7 @@ from thermosplat.packed_parameters import num_bytes, pack, unpack
 from thermosplat.rendered_frame import RenderedFrame
 from thermosplat.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.view_directions import view_directions
+from thermosplat.warp_covered_images import warp_covered
 
 if TYPE_CHECKING:
     from thermosplat.datasets.capture import Capture
@@ -179,30 +180,33 @@ class SceneModel(nn.Module):
         gaussians = self.gaussians("shared")
         thermal_opacities = gaussians.thermal_opacities if with_thermal else None
         output = see_both(gaussians, thermal_opacities, gaussians.features, view, how)
-        visible_features = output.render_features[0]
-        rendered = RenderedFrame(
-            visible_features=visible_features, rgb_alpha=output.render_alphas[0], infos={"shared": [output.info]}
-        )
+        # squeeze, not [0], whose gradient would be copied into zeros
+        visible_features, alpha = output.render_features.squeeze(0), output.render_alphas.squeeze(0)
+        rendered = RenderedFrame(visible_features=visible_features, rgb_alpha=alpha, infos={"shared": [output.info]})
         if output.render_thermal_features is not None and output.render_thermal_alphas is not None:
-            rendered.thermal_features = output.render_thermal_features[0]
-            rendered.thermal_alpha = output.render_thermal_alphas[0]
+            rendered.thermal_features = output.render_thermal_features.squeeze(0)
+            rendered.thermal_alpha = output.render_thermal_alphas.squeeze(0)
             inputs = self._decoder_inputs(view, visible_features, rendered.thermal_features)
             decoded, thermal = decoders.both(*inputs)
             rendered.thermal = self._covered(thermal, rendered.thermal_alpha)
         else:
             decoded = decoders.rgb(*self._decoder_inputs(view, visible_features))
         if self.decoder_config.hybrid_rgb:
-            rendered.rgb = output.render_colors[0] + self._covered(decoded, output.render_alphas[0])
+            rendered.rgb = self._covered(decoded, alpha, output.render_colors.squeeze(0))
+        elif self.decoder_config.covered_only:
+            rendered.rgb = self._covered(decoded, alpha, (1.0 - alpha) * self.background)
         else:
-            rendered.rgb = self._covered(decoded, output.render_alphas[0], self.background)
+            rendered.rgb = decoded
         return rendered
 
-    def _covered(self, decoded: Tensor, alpha: Tensor, behind: Tensor | None = None) -> Tensor:
-        """A decoded image as far as Gaussians cover it; elsewhere ``behind``, or black, the coldest temperature."""
+    def _covered(self, decoded: Tensor, alpha: Tensor, base: Tensor | None = None) -> Tensor:
+        """A decoded image as far as Gaussians cover it, added to ``base``, or black, the coldest temperature."""
         if not self.decoder_config.covered_only:
-            return decoded
+            return decoded if base is None else base + decoded
+        if decoded.is_cuda:
+            return warp_covered(decoded, alpha, base)
         covered = alpha * decoded
-        return covered if behind is None else covered + (1.0 - alpha) * behind
+        return covered if base is None else base + covered
 
     def _decoder_inputs(self, view: "ViewTensors", *features: Tensor) -> tuple[Tensor, ...]:
         """Rendered features [H, W, d] as the decoders take them: with the viewing directions, where they see those."""
@@ -220,10 +224,10 @@ class SceneModel(nn.Module):
         if thermal is None or alphas is None:
             thermal, alphas = output.render_features, output.render_alphas
         return RenderedFrame(
-            rgb=output.render_colors[0],
-            thermal=self._thermal_image(thermal[0]),
-            rgb_alpha=output.render_alphas[0],
-            thermal_alpha=alphas[0],
+            rgb=output.render_colors.squeeze(0),
+            thermal=self._thermal_image(thermal.squeeze(0)),
+            rgb_alpha=output.render_alphas.squeeze(0),
+            thermal_alpha=alphas.squeeze(0),
             infos={"shared": [output.info]},
         )
 

@@ -1,12 +1,14 @@
-"""Adam whose update of a CUDA parameter is one Warp kernel; elsewhere torch's own."""
+"""Adam whose updates of CUDA parameters are one Warp kernel; elsewhere torch's own."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from thermosplat.warp_bridge import SCALARS, wrap
 from thermosplat.warp_streams import on_torch_stream
-from warp_kernels.adam import adam_update
+from warp_kernels.adam import AdamArrays, adam_update
 
 
 class WarpAdam(torch.optim.Adam):
@@ -22,24 +24,36 @@ class WarpAdam(torch.optim.Adam):
         Args:
             closure: Not supported; torch's signature has it.
         """
-        for group in self.param_groups:
+        step_together([self], self.found_inf)  # type: ignore[attr-defined]
+
+
+@torch.no_grad()
+def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
+    """Apply the gradients of several optimizers by the same launches.
+
+    Args:
+        optimizers: Of parameters on one device.
+        blocked: float32 scalar on it; not 0: leave everything as it is.
+    """
+    tensors: dict[tuple[tuple[float, float], float], list[tuple[Tensor, ...]]] = {}
+    for optimizer in optimizers:
+        for group in optimizer.param_groups:
+            members = tensors.setdefault((tuple(group["betas"]), group["eps"]), [])
             for parameter in group["params"]:
                 if parameter.grad is None or parameter.numel() == 0:
                     continue
-                state = self.state[parameter]
+                state = optimizer.state[parameter]
                 if not state:
                     state["step"] = torch.zeros((), device=parameter.device)
                     state["exp_avg"] = torch.zeros_like(parameter)
                     state["exp_avg_sq"] = torch.zeros_like(parameter)
-                tensors = (
-                    parameter,
-                    parameter.grad.contiguous(),
-                    state["exp_avg"],
-                    state["exp_avg_sq"],
-                    state["step"],
-                    group["lr"],
-                    self.found_inf,  # type: ignore[attr-defined]
-                )
-                with on_torch_stream(parameter.device):
-                    arrays = [wrap(tensor.view(-1), SCALARS[tensor.dtype]) for tensor in tensors]
-                    adam_update(*arrays, group["betas"], group["eps"])
+                moments = state["exp_avg"], state["exp_avg_sq"]
+                members.append((parameter, parameter.grad.contiguous(), *moments, state["step"], group["lr"]))
+    with on_torch_stream(blocked.device):
+        for (betas, eps), members in tensors.items():
+            adam_update([AdamArrays(*map(_flat, member)) for member in members], _flat(blocked), betas, eps)
+
+
+def _flat(tensor: Tensor) -> Any:
+    """A tensor's numbers as a Warp array."""
+    return wrap(tensor.view(-1), SCALARS[tensor.dtype])

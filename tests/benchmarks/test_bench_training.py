@@ -217,7 +217,7 @@ def test_every_kernel_of_the_step_has_a_part() -> None:
     names: list[str] = []
     for path in (REPOSITORY / "warp_kernels").glob("*.py"):
         names += re.findall(r'name\s*=\s*f?"([a-z_]+)', path.read_text())
-    names += ["tile_ranges_kernel", "square_weights_kernel", "forward_kernel"]
+    names += ["tile_ranges_kernel", "weights_kernel", "forward_kernel"]
     assert len(names) > 15
     assert {name for name in names if part_of(name) == "rest"} == set()
     assert part_of("image_loss_blur_columns_adjoint_float32_ab12_cuda_kernel_forward") == "image losses"

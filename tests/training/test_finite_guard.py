@@ -1,12 +1,14 @@
 """The guard remembers the first bad step by name, however late it is asked."""
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
 from torch import Tensor
 
-from thermosplat.training.finite_guard import FiniteGuard
+from thermosplat.training.finite_guard import FiniteGuard, note_by_torch
+from thermosplat.warp_finite_check import note_by_warp
 
 
 def _losses(**values: float) -> dict[str, Tensor]:
@@ -63,3 +65,36 @@ def test_blocking_is_for_good() -> None:
     guard.observe(torch.tensor(2), _losses(rgb=0.3), {})
     assert guard.blocked == 1
     assert guard.first_bad() == (1, "rgb")
+
+
+@pytest.mark.parametrize("bad", [None, math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("note", [note_by_torch, note_by_warp])
+def test_every_number_of_every_tensor_is_seen(
+    device: torch.device, note: Callable[..., None], bad: float | None
+) -> None:
+    """Torch's sums and Warp's kernel note the same, wherever the number is, in more tensors than one launch takes."""
+    if device.type == "cuda" and note is note_by_torch:
+        pytest.skip("Warp's kernel is what runs there")
+    sizes = [[1], [1], [5, 3], [1024], [2050], [7], *[[3]] * 40]
+    for name, place in ((0, 0), (2, 7), (3, 1023), (4, 2049), (4, 0), (45, 1)):
+        named = [[torch.ones(size, device=device) for size in some] for some in sizes]
+        step = torch.tensor(6, device=device)
+        first = torch.zeros(len(sizes), dtype=torch.int64, device=device)
+        first[5] = 2
+        blocked = torch.zeros((), device=device)
+        if bad is not None:
+            tensors = named[name]
+            part, within = (0, place) if place < len(tensors[0]) else (1, place - len(tensors[0]))
+            tensors[part][within] = bad
+        note(named, step, first, blocked)
+        expected = {5: 2} if bad is None else {5: 2, name: 6}
+        assert {at: int(first[at]) for at in torch.where(first > 0)[0].tolist()} == expected
+        assert blocked == (0 if bad is None else 1)
+
+
+def test_a_number_too_large_for_its_square_is_bad(device: torch.device) -> None:
+    """Adam keeps squares: 1e30 would never move again."""
+    first, blocked = torch.zeros(1, dtype=torch.int64, device=device), torch.zeros((), device=device)
+    for value, expected in ((1e19, 0.0), (1e20, 1.0)):
+        note_by_warp([[torch.full((5,), value, device=device)]], torch.tensor(3, device=device), first, blocked)
+        assert blocked == expected

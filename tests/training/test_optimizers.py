@@ -62,13 +62,13 @@ def test_blocked_step_leaves_everything() -> None:
     before = {name: parameter.detach().clone() for name, parameter in gaussians.named_parameters()}
     for parameter in gaussians.parameters():
         parameter.grad = torch.full_like(parameter, torch.nan)
-    step_unless(torch.ones(()), optimizers)
+    step_unless(torch.ones(()), {"set": optimizers})
     for name, parameter in gaussians.named_parameters():
         assert torch.equal(parameter, before[name])
         state = optimizers[name].state[parameter]
         assert torch.isfinite(state["exp_avg"]).all()
         assert state["step"] == 1
-    step_unless(torch.zeros(()), optimizers)
+    step_unless(torch.zeros(()), {"set": optimizers})
     assert torch.isnan(gaussians.means).all()
 
 
@@ -81,5 +81,5 @@ def test_degree_zero_has_an_empty_parameter() -> None:
     set_learning_rates(optimizers, CONFIG, 0.0, 1.0)
     for parameter in gaussians.parameters():
         parameter.grad = torch.ones_like(parameter)
-    step_unless(torch.zeros(()), optimizers)
+    step_unless(torch.zeros(()), {"set": optimizers})
     assert (gaussians.means < before).all()

@@ -128,14 +128,14 @@ def test_sh_degree_rises_with_the_steps(tmp_path: Path, capture: Capture) -> Non
     assert [trainer._sh_degree(step) for step in (0, 1, 4, 5, 8, 9, 12)] == [0, 0, 0, 1, 1, 1, 1]
 
 
-@pytest.mark.parametrize("place", ["render", "frame_losses", "evaluate"])
+@pytest.mark.parametrize("place", ["render", "compare_frame", "evaluate"])
 def test_interrupt_between_updates(
     tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
     """Ctrl-C while a step or an evaluation is being computed saves the last whole step, and nothing differs after."""
     config = toy_run_config(eval_steps=(4,))
     trainer = toy_trainer(tmp_path, config, capture)
-    owner = {"render": trainer.model, "frame_losses": training_step, "evaluate": trainer_module}[place]
+    owner = {"render": trainer.model, "compare_frame": training_step, "evaluate": trainer_module}[place]
     genuine: Callable[..., Any] = getattr(owner, place)
 
     def interrupted(*args: object, **kwargs: object) -> object:
@@ -186,15 +186,15 @@ def test_nan_stops_with_the_last_good_state(
 ) -> None:
     """A NaN loss names term, step and frame, and what is saved is the step before, also where nobody looked at once."""
     trainer = toy_trainer(tmp_path, toy_run_config(), capture)
-    genuine = training_step.frame_losses
+    genuine = training_step.compare_frame
 
-    def spoiled(*args: Any) -> dict[str, torch.Tensor]:
-        losses = genuine(*args)
+    def spoiled(*args: Any) -> Any:
+        compared = genuine(*args)
         if trainer.step == 7:
-            losses["thermal_smoothness"] = losses["thermal_smoothness"] * torch.nan
-        return losses
+            compared.losses["thermal_smoothness"] = compared.losses["thermal_smoothness"] * torch.nan
+        return compared
 
-    monkeypatch.setattr(training_step, "frame_losses", spoiled)
+    monkeypatch.setattr(training_step, "compare_frame", spoiled)
     monkeypatch.setattr(trainer, "_looks_at_guard", lambda step: step % looks_every == 0)
     with pytest.raises(UserError, match=r"NaN or infinite at step 8 \(term: thermal_smoothness; frame: frame\d\)") as e:
         trainer.train()

@@ -119,9 +119,13 @@ def _clone(frame: FrameTensors) -> FrameTensors:
 
 
 def _copy(target: FrameTensors, source: FrameTensors) -> None:
-    pairs = [(target.index, source.index)]
+    if target.index is not None and source.index is not None:
+        target.index.copy_(source.index)
+    to: list[Tensor] = []
+    values: list[Tensor] = []
     for ours, theirs in ((target.rgb, source.rgb), (target.thermal, source.thermal)):
-        pairs += zip(_tensors(ours), _tensors(theirs), strict=True)
-    for to, value in pairs:
-        if to is not None and value is not None:
-            to.copy_(value)
+        for tensor, value in zip(_tensors(ours), _tensors(theirs), strict=True):
+            if tensor is not None and value is not None:
+                to.append(tensor)
+                values.append(value)
+    torch._foreach_copy_(to, values)  # one kernel for all of them

@@ -87,17 +87,23 @@ def _kept(factors, slot, pixel, wide, num_pixels, H: tl.constexpr):
 
 
 @triton.jit
-def _before_sigmoid(image, v_image, scale, pixel, narrow, num_pixels, C: tl.constexpr):
+def _scale(largest):
+    """The power of two that brings gradients up to so large a one into float16's range, to at most 1."""
+    return tl.exp2(-tl.ceil(tl.log2(tl.maximum(tl.load(largest), 1e-30))))
+
+
+@triton.jit
+def _before_sigmoid(image, v_image, largest, pixel, narrow, num_pixels, C: tl.constexpr):
     """Scaled gradient to what the image is the sigmoid of."""
     shown = (pixel[:, None] < num_pixels) & (narrow[None, :] < C)
     y = tl.load(image + pixel[:, None] * C + narrow[None, :], mask=shown, other=0.0)
     v = tl.load(v_image + pixel[:, None] * C + narrow[None, :], mask=shown, other=0.0)
-    return v * y * (1.0 - y) * tl.load(scale)
+    return v * y * (1.0 - y) * _scale(largest)
 
 
 @triton.jit
 def backward_kernel(
-    features, image, v_image, scale, w1, b1, w2, b2, w3, b3, wm, bm, wh, bh, v_features, factors, num_pixels, stride,
+    features, image, v_image, largest, w1, b1, w2, b2, w3, b3, wm, bm, wh, bh, v_features, factors, num_pixels, stride,
     D: tl.constexpr, H: tl.constexpr, C: tl.constexpr, MODULATED: tl.constexpr, BLOCK: tl.constexpr,
     PADDED: tl.constexpr, OPERAND: tl.constexpr,
 ):  # fmt: skip
@@ -122,7 +128,7 @@ def backward_kernel(
     prior = z3 * tl.sigmoid(z3)
     _keep(factors, 4, pixel, wide, num_pixels, prior, H)
 
-    v = _before_sigmoid(image, v_image, scale, pixel, narrow, num_pixels, C)
+    v = _before_sigmoid(image, v_image, largest, pixel, narrow, num_pixels, C)
     v_top = _product(v, tl.trans(_weight(wh, wide, narrow, H, C, OPERAND)))
     if MODULATED:
         wg, wb = _weight(wm, wide, wide, H, H, OPERAND), _weight(wm + H * H, wide, wide, H, H, OPERAND)
@@ -143,19 +149,18 @@ def backward_kernel(
     _keep(factors, 3, pixel, wide, num_pixels, v_z, H)
     v_z = _product(v_z, tl.trans(w2)) * _silu_slope(z1)
     _keep(factors, 1, pixel, wide, num_pixels, v_z, H)
-    v_x = _product(v_z, tl.trans(w1)) / tl.load(scale)
+    v_x = _product(v_z, tl.trans(w1)) / _scale(largest)
     tl.store(v_features + pixel[:, None] * D + narrow[None, :], v_x, mask=given)
 
 
 @triton.jit
-def square_weights_kernel(
-    factors, scale, partial, num_pixels, num_parameters,
-    D: tl.constexpr, H: tl.constexpr, C: tl.constexpr, MODULATED: tl.constexpr, BLOCK: tl.constexpr,
-    PADDED: tl.constexpr, OPERAND: tl.constexpr, TURNS: tl.constexpr,
+def _square_weights(
+    factors, factor, partial, which, num_pixels, num_parameters,
+    D: tl.constexpr, H: tl.constexpr, BLOCK: tl.constexpr, TURNS: tl.constexpr,
 ):  # fmt: skip
-    """One of w2, w3 [and the halves of wm], and its bias: the sum over every so many-th block of pixels."""
+    """One of w2, w3 [and the halves of wm], and its bias."""
     wide = tl.arange(0, H)
-    program, which = tl.program_id(0), tl.program_id(1)
+    program = tl.program_id(0)
     first = tl.minimum(2 * which, 4)  # slots of the factors: (0, 3), (2, 5), (4, 6), (4, 7)
     second = tl.where(which < 2, 3 + 2 * which, 4 + which)
     total, bias = tl.zeros((H, H), tl.float32), tl.zeros((H,), tl.float32)
@@ -165,7 +170,6 @@ def square_weights_kernel(
         x = _kept(factors, first, pixel, wide, num_pixels, H)
         total = tl.dot(tl.trans(x), v, total, input_precision="ieee")
         bias += tl.sum(v.to(tl.float32), 0)
-    factor = tl.load(scale)
     out = partial + program.to(tl.int64) * num_parameters + (D + 1) * H  # in the order of the parameters
     if which < 2:
         out += which * (H + 1) * H
@@ -178,12 +182,12 @@ def square_weights_kernel(
 
 
 @triton.jit
-def narrow_weights_kernel(
-    features, image, v_image, scale, factors, partial, num_pixels, stride, num_parameters,
+def _narrow_weights(
+    features, image, v_image, largest, factors, factor, partial, num_pixels, stride, num_parameters,
     D: tl.constexpr, H: tl.constexpr, C: tl.constexpr, MODULATED: tl.constexpr, BLOCK: tl.constexpr,
     PADDED: tl.constexpr, OPERAND: tl.constexpr, TURNS: tl.constexpr,
 ):  # fmt: skip
-    """w1, the head's weight, and their biases: the sum over every so many-th block of pixels."""
+    """w1, the head's weight, and their biases."""
     narrow, wide = tl.arange(0, PADDED), tl.arange(0, H)
     program = tl.program_id(0)
     v_w1, v_wh = tl.zeros((PADDED, H), tl.float32), tl.zeros((H, PADDED), tl.float32)
@@ -195,14 +199,34 @@ def narrow_weights_kernel(
         v = _kept(factors, 1, pixel, wide, num_pixels, H)
         v_w1 = tl.dot(tl.trans(_rounded(x, OPERAND)), v, v_w1, input_precision="ieee")
         v_b1 += tl.sum(v.to(tl.float32), 0)
-        v = _before_sigmoid(image, v_image, scale, pixel, narrow, num_pixels, C)
+        v = _before_sigmoid(image, v_image, largest, pixel, narrow, num_pixels, C)
         top = _kept(factors, 8 if MODULATED else 4, pixel, wide, num_pixels, H)
         v_wh = tl.dot(tl.trans(top), _rounded(v, OPERAND), v_wh, input_precision="ieee")
         v_bh += tl.sum(v, 0)
-    factor = tl.load(scale)
     out = partial + program.to(tl.int64) * num_parameters
     _store_outer(out, v_w1 / factor, narrow, wide, D, H)
     tl.store(out + D * H + wide, v_b1 / factor)
     out += num_parameters - (H + 1) * C
     _store_outer(out, v_wh / factor, wide, narrow, H, C)
     tl.store(out + H * C + narrow, v_bh / factor, mask=narrow < C)
+
+
+@triton.jit
+def weights_kernel(
+    features, image, v_image, largest, factors, partial, num_pixels, stride, num_parameters,
+    D: tl.constexpr, H: tl.constexpr, C: tl.constexpr, MODULATED: tl.constexpr, BLOCK: tl.constexpr,
+    PADDED: tl.constexpr, OPERAND: tl.constexpr, TURNS: tl.constexpr,
+):  # fmt: skip
+    """Gradients of the weights: each program sums every so many-th block of pixels for one product of factors.
+
+    Programs of all products run side by side: those of one are too few to keep a large GPU's memory busy.
+    """
+    factor = _scale(largest)
+    which = tl.program_id(1)
+    if which == 0:  # has the most to do, so it begins first
+        _narrow_weights(
+            features, image, v_image, largest, factors, factor, partial, num_pixels, stride, num_parameters,
+            D, H, C, MODULATED, BLOCK, PADDED, OPERAND, TURNS,
+        )  # fmt: skip
+    else:
+        _square_weights(factors, factor, partial, which - 1, num_pixels, num_parameters, D, H, BLOCK, TURNS)

@@ -23,6 +23,7 @@ from thermosplat.errors import UserError
 from thermosplat.gaussians import Gaussians
 from thermosplat.training.gaussian_ops import Optimizers, clone, prune, reset_opacities, split
 from thermosplat.training.modality_schedule import Span
+from thermosplat.warp_density_notes import note_gradients
 
 
 @dataclass(frozen=True)
@@ -160,14 +161,19 @@ class DefaultStrategy:
             infos: As given to :meth:`step_pre_backward`.
             blocked: Scalar, 1 where this step's gradients must not be noted.
         """
+        if blocked.is_cuda and len(infos) == 1:  # the usual frame, without a dozen kernels
+            gradient = self._gradient(infos[0])
+            if gradient is not None:
+                sums = self.grad_norm_sum, self.observations
+                note_gradients(gradient, infos[0]["radii"], _half_size(infos[0]), blocked, *sums)
+            return
         norms = torch.zeros_like(self.grad_norm_sum)
         visible = torch.zeros_like(self.observations)
         for info in infos:
-            means2d = info["means2d"]
-            gradient = getattr(means2d, "absgrad", None) if self.config.absgrad else means2d.grad
-            if gradient is None:  # nothing of this call reached the loss
+            gradient = self._gradient(info)
+            if gradient is None:
                 continue
-            half_width, half_height = (info[side] / 2.0 * info["n_cameras"] for side in ("width", "height"))
+            half_width, half_height = _half_size(info)
             norm = torch.hypot(gradient[..., 0] * half_width, gradient[..., 1] * half_height).reshape(-1, len(norms))
             seen = (info["radii"] > 0).all(dim=-1).reshape(-1, len(norms))  # [C, N]
             norms += torch.where(seen, norm, 0.0).sum(dim=0)
@@ -175,6 +181,11 @@ class DefaultStrategy:
         finite = blocked == 0
         self.grad_norm_sum += torch.where(finite, norms, 0.0)
         self.observations += torch.where(finite, visible, 0.0)
+
+    def _gradient(self, info: dict[str, Any]) -> Tensor | None:
+        """What counts of a call, [C, N, 2]; None where nothing of it reached the loss."""
+        means2d = info["means2d"]
+        return getattr(means2d, "absgrad", None) if self.config.absgrad else means2d.grad
 
     @torch.no_grad()
     def _grow(self, gaussians: Gaussians, optimizers: Optimizers, generator: torch.Generator) -> tuple[int, int]:
@@ -236,6 +247,12 @@ class DefaultStrategy:
         """Go on from a checkpoint's state."""
         self.grad_norm_sum = state["grad_norm_sum"].to(self.grad_norm_sum)
         self.observations = state["observations"].to(self.observations)
+
+
+def _half_size(info: dict[str, Any]) -> tuple[float, float]:
+    """What brings a gradient of means2d to units of half the image."""
+    cameras = info["n_cameras"]
+    return info["width"] / 2.0 * cameras, info["height"] / 2.0 * cameras
 
 
 def _largest(values: Tensor, count: int) -> Tensor:

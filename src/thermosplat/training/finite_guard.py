@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from thermosplat.warp_finite_check import note_by_warp
+
 
 class FiniteGuard:
     """Remembers, on the device, the first step whose losses or gradients were NaN or infinite.
@@ -28,16 +30,13 @@ class FiniteGuard:
             losses: The loss terms, scalars, by name.
             gradients: Gradients by the name of what they belong to.
         """
-        # a sum is finite only where all its terms are; an overflow of finite ones would be as fatal to Adam's squares
-        sums = {f"gradient of {name}": _sum(tensors) for name, tensors in gradients.items() if tensors}
-        values = {**{name: loss.detach() for name, loss in losses.items()}, **sums}
-        names = tuple(values)
-        bad = ~torch.isfinite(torch.stack(list(values.values())))
+        named = {name: [loss.detach()] for name, loss in losses.items()}
+        named |= {f"gradient of {name}": tensors for name, tensors in gradients.items() if tensors}
+        names = tuple(named)
         if names not in self._first_bad_step:
-            self._first_bad_step[names] = torch.zeros(len(names), dtype=torch.int64, device=bad.device)
-        first = self._first_bad_step[names]
-        first.copy_(torch.where(bad & (first == 0), step, first))
-        self.blocked.copy_(torch.maximum(self.blocked, bad.any().to(self.blocked.dtype)))
+            self._first_bad_step[names] = torch.zeros(len(names), dtype=torch.int64, device=step.device)
+        note = note_by_warp if step.is_cuda else note_by_torch
+        note(list(named.values()), step, self._first_bad_step[names], self.blocked)
 
     def first_bad(self) -> tuple[int, str] | None:
         """Step and name of the first value that was not finite, or None. Waits for the device."""
@@ -52,7 +51,22 @@ class FiniteGuard:
         return min(found, key=lambda entry: entry[0])  # of one step, the first named: losses come before gradients
 
 
+def note_by_torch(named: list[list[Tensor]], step: Tensor, first_bad_step: Tensor, blocked: Tensor) -> None:
+    """Note the step where something is not finite.
+
+    Args:
+        named: float32 tensors by name.
+        step: The step's number, int64 scalar.
+        first_bad_step: int64, one for each name, 0 as long as all was finite; changed in place.
+        blocked: float32 scalar; 1 afterwards where something was not finite.
+    """
+    # a sum is finite only where all its terms are; an overflow of finite ones would be as fatal to Adam's squares
+    bad = ~torch.isfinite(torch.stack([_sum(tensors) for tensors in named]))
+    first_bad_step.copy_(torch.where(bad & (first_bad_step == 0), step, first_bad_step))
+    blocked.copy_(torch.maximum(blocked, bad.any().to(blocked.dtype)))
+
+
 def _sum(tensors: list[Tensor]) -> Tensor:
     if len(tensors) == 1:
-        return tensors[0].sum()
+        return tensors[0].sum() if tensors[0].dim() > 0 else tensors[0]
     return torch.cat([tensor.flatten() for tensor in tensors]).sum()

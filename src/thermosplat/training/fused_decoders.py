@@ -3,7 +3,7 @@
 PyTorch writes every layer's activations to memory and reads them back for the gradient; at 64 channels a pixel that
 traffic, not the arithmetic, is what decoding costs. Here a program holds the activations of a block of pixels, and the
 backward pass computes them again. For the gradients of the weights, sums over all pixels that do not fit a program's
-registers beside the rest, it writes what they are products of, in 16 bits, and further kernels sum.
+registers beside the rest, it writes what they are products of, in 16 bits, and a further kernel sums.
 
 Matrix products round their inputs to float16, which has the 10 bits of mantissa of TensorFloat-32, and sum in float32;
 gradients are brought into float16's range by a power of two, taken from the largest of the image's.
@@ -24,8 +24,7 @@ from thermosplat.decoders import Decoders
 from thermosplat.training.decoder_kernels import (
     backward_kernel,
     forward_kernel,
-    narrow_weights_kernel,
-    square_weights_kernel,
+    weights_kernel,
 )
 
 PAD = 16
@@ -123,7 +122,7 @@ class _Branch(torch.autograd.Function):
         dim, hidden, channels = pixels.shape[1], parameters[0].shape[0], image.shape[-1]
         modulated = parameters[6] is not None
         v_features, v_image = features.new_empty(features.shape), v_image.contiguous()
-        scale = torch.exp2(-torch.linalg.vector_norm(v_image, torch.inf).clamp(min=1e-30).log2().ceil())
+        largest = torch.linalg.vector_norm(v_image, torch.inf)
         sizes = [0 if parameter is None else parameter.numel() for parameter in parameters]
         slots = 9 if modulated else 6
         factors = torch.empty(slots, len(pixels), hidden, dtype=_STORED[OPERAND], device=features.device)
@@ -134,7 +133,7 @@ class _Branch(torch.autograd.Function):
             pixels,
             image,
             v_image,
-            scale,
+            largest,
             *_pointers(parameters),
             v_features,
             factors,
@@ -145,11 +144,8 @@ class _Branch(torch.autograd.Function):
         programs = min(PROGRAMS, blocks)
         partial = features.new_empty(programs, sum(sizes))
         shape |= {"TURNS": triton.cdiv(blocks, programs)}
-        square_weights_kernel[(programs, 4 if modulated else 2)](
-            factors, scale, partial, len(pixels), sum(sizes), **shape
-        )
-        narrow_weights_kernel[(programs,)](
-            pixels, image, v_image, scale, factors, partial, len(pixels), pixels.stride(0), sum(sizes), **shape
+        weights_kernel[(programs, 5 if modulated else 3)](
+            pixels, image, v_image, largest, factors, partial, len(pixels), pixels.stride(0), sum(sizes), **shape
         )
         sums = partial.sum(0).split(sizes)
         v_parameters = [

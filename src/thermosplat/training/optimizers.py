@@ -6,6 +6,7 @@ the configuration has ``<name>_lr_final``, the rate decays exponentially to it o
 of itself.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -13,7 +14,7 @@ from torch import Tensor, nn
 
 from thermosplat.config import OptimizerConfig
 from thermosplat.training.gaussian_ops import Optimizers
-from thermosplat.warp_adam import WarpAdam
+from thermosplat.warp_adam import WarpAdam, step_together
 
 
 def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_extent: float) -> float:
@@ -35,25 +36,21 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_ext
 
 def gaussian_optimizers(gaussians: nn.Module, config: OptimizerConfig) -> Optimizers:
     """One Adam for each parameter of a set of Gaussians, by name."""
-    optimizers = {}
-    for name, parameter in gaussians.named_parameters():
-        on_cuda = parameter.device.type == "cuda"
-        optimizers[name] = _adam([parameter], config, WarpAdam if on_cuda else torch.optim.Adam)
-    return optimizers
+    return {name: _adam([parameter], config) for name, parameter in gaussians.named_parameters()}
 
 
 def network_optimizer(network: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
     """One Adam for all parameters of the decoders, or of the exposures."""
-    return _adam(list(network.parameters()), config, torch.optim.Adam)
+    return _adam(list(network.parameters()), config)
 
 
-def _adam(parameters: list[nn.Parameter], config: OptimizerConfig, kind: type[torch.optim.Adam]) -> torch.optim.Adam:
+def _adam(parameters: list[nn.Parameter], config: OptimizerConfig) -> torch.optim.Adam:
     # fused: one kernel for the whole update (ten times faster than torch's loop on the CPU), and the one variant that
     # can be told on the device, without waiting for it, to leave the parameters alone (found_inf)
     device = parameters[0].device
     if device.type == "cuda":  # a rate that a captured step sees change
-        return kind(parameters, lr=torch.zeros((), device=device), eps=config.eps, fused=True, capturable=True)
-    return kind(parameters, lr=0.0, eps=config.eps, fused=True)
+        return WarpAdam(parameters, lr=torch.zeros((), device=device), eps=config.eps, fused=True, capturable=True)
+    return torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
 
 
 def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
@@ -67,6 +64,7 @@ def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
     optimizer.load_state_dict(state)
     for group, rate in zip(optimizer.param_groups, rates):
         group["lr"], group["capturable"] = rate, isinstance(rate, Tensor)
+        group.pop("rate", None)
 
 
 def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress: float, scene_extent: float) -> None:
@@ -74,19 +72,23 @@ def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress
     for name, optimizer in optimizers.items():
         rate = learning_rate(name, config, progress, scene_extent)
         for group in optimizer.param_groups:
-            if isinstance(group["lr"], Tensor):  # of a captured step: it must stay the same tensor
-                group["lr"].fill_(rate)
-            else:
+            if not isinstance(group["lr"], Tensor):
                 group["lr"] = rate
+            elif group.get("rate") != rate:  # of a captured step: it must stay the same tensor
+                group["lr"].fill_(rate)
+                group["rate"] = rate  # what the tensor holds, known without a look at the device
 
 
-def step_unless(blocked: Tensor, optimizers: Optimizers) -> None:
+def step_unless(blocked: Tensor, optimizers: Mapping[str, Optimizers]) -> None:
     """Apply the gradients, except where a device flag says that they are not finite.
 
     Args:
         blocked: float32 scalar on the parameters' device; 1 leaves parameters and moments as they are.
-        optimizers: The optimizers.
+        optimizers: The optimizers, by owner and parameter name.
     """
-    for optimizer in optimizers.values():
-        optimizer.found_inf = blocked  # type: ignore[attr-defined]  # as torch.amp.GradScaler tells a fused optimizer
-        optimizer.step()
+    every = [optimizer for owned in optimizers.values() for optimizer in owned.values()]
+    step_together([optimizer for optimizer in every if isinstance(optimizer, WarpAdam)], blocked)
+    for optimizer in every:
+        if not isinstance(optimizer, WarpAdam):
+            optimizer.found_inf = blocked  # type: ignore[attr-defined]  # as torch.amp.GradScaler tells a fused one
+            optimizer.step()

@@ -16,7 +16,7 @@ from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
 from thermosplat.feature_norm import feature_norm_loss
 from thermosplat.gaussian_penalties import gaussian_penalties
-from thermosplat.losses import frame_losses
+from thermosplat.losses import compare_frame
 from thermosplat.model import RenderedFrame
 from thermosplat.pair_capacity import PairCapacity
 from thermosplat.training.finite_guard import FiniteGuard
@@ -95,7 +95,8 @@ class TrainingStep:
                 )
             if state.exposures is not None and frame.index is not None:
                 rendered = state.exposures(rendered, frame.index)
-            losses = frame_losses(rendered, frame, config.loss)
+            compared = compare_frame(rendered, frame, config.loss)
+            losses = compared.losses
             if config.loss.feature_norm > 0 and state.model.decoders is not None:
                 features = state.gaussian_sets["shared"].features
                 losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
@@ -109,7 +110,7 @@ class TrainingStep:
                     strategy.step_pre_backward(rendered.infos.get(name, []))
             torch.stack(list(losses.values())).sum().backward()
         self.guard.observe(state.step_on_device, losses, state.gradients())
-        return _Differentiated(rendered, losses)
+        return _Differentiated(rendered, losses, compared.squared_errors)
 
     def update(self, frame: FrameTensors, kind: StepKind, done: "_Differentiated") -> StepValues:
         """Improve Gaussians and decoders by the gradients, except where something was not finite or did not fit.
@@ -124,8 +125,7 @@ class TrainingStep:
         if state.offsets_dropped:
             for gaussians in state.gaussian_sets.values():
                 hold_zeros(gaussians)
-        for optimizers in state.optimizers.values():
-            step_unless(blocked, optimizers)
+        step_unless(blocked, state.optimizers)
         for name, strategy in state.strategies.items():
             if strategy.moves_gaussians and state.gaussian_sets[name].means.grad is not None:
                 strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
@@ -137,22 +137,13 @@ class TrainingStep:
             for name, strategy in state.strategies.items():
                 strategy.observe(done.rendered.infos.get(name, []), blocked)
         losses = {name: loss.detach() for name, loss in done.losses.items()}
-        return StepValues(losses, _squared_errors(done.rendered, frame))
+        return StepValues(losses, done.squared_errors)
 
 
 @dataclass(frozen=True)
 class _Differentiated:
-    """A rendered frame and its losses, after the backward pass."""
+    """A rendered frame and what its comparison gave, after the backward pass."""
 
     rendered: RenderedFrame
     losses: dict[str, Tensor]
-
-
-@torch.no_grad()
-def _squared_errors(rendered: RenderedFrame, frame: FrameTensors) -> dict[str, Tensor]:
-    pairs = {"rgb": (rendered.rgb, frame.rgb), "thermal": (rendered.thermal, frame.thermal)}
-    return {
-        modality: (image.clamp(0.0, 1.0) - view.image).square().mean()
-        for modality, (image, view) in pairs.items()
-        if image is not None and view is not None and view.image is not None
-    }
+    squared_errors: dict[str, Tensor]

@@ -1,0 +1,25 @@
+"""Which tensors first held something that is not finite, by one Warp kernel."""
+
+import warp as wp
+from torch import Tensor
+
+from thermosplat.warp_bridge import wrap
+from thermosplat.warp_streams import on_torch_stream
+from warp_kernels.finite_check import note_bad
+
+
+def note_by_warp(named: list[list[Tensor]], step: Tensor, first_bad_step: Tensor, blocked: Tensor) -> None:
+    """Note the step where something is not finite, or so large that its square is not. Never waits for the device.
+
+    Args:
+        named: float32 tensors by name.
+        step: The step's number, int64 scalar.
+        first_bad_step: int64, one for each name, 0 as long as all was finite; changed in place.
+        blocked: float32 scalar; 1 afterwards where something was not finite, else as before.
+    """
+    flat = [tensor.contiguous().view(-1) for tensors in named for tensor in tensors]
+    places = [place for place, tensors in enumerate(named) for _ in tensors]
+    with on_torch_stream(step.device):
+        arrays = [wrap(tensor, wp.float32) for tensor in flat]
+        scalars = wrap(step.view(1), wp.int64), wrap(first_bad_step, wp.int64), wrap(blocked.view(1), wp.float32)
+        note_bad(arrays, places, *scalars)

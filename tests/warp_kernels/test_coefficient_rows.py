@@ -1,0 +1,121 @@
+"""Rows of coefficients that a warp moves together: the same products as plain sums, wherever the rows lie."""
+
+import functools
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from warp_kernels.coefficient_rows import row_functions, whole_warps
+
+ROWS = 77
+"""Not a multiple of a warp."""
+
+
+@functools.cache
+def product_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
+    """Kernels that call the functions, one thread a row."""
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    add_weighted_row, row_adjoint = row_functions(dtype)
+
+    @wp.kernel(name=f"forward_products_{dtype.__name__}", module="unique", enable_backward=False)
+    def forward(
+        order: wp.array(dtype=int),
+        used: wp.array(dtype=int),
+        rows: wp.array2d(dtype=vec3),
+        b: wp.array(dtype=vec16),
+        active: int,
+        # outputs
+        sums: wp.array(dtype=vec3),
+    ):
+        thread = wp.tid()
+        row = -1
+        needed = False
+        weights = vec16()
+        start = vec3()
+        if thread < order.shape[0]:
+            row = order[thread]
+            needed = used[row] != 0
+            weights = b[row]
+            start = sums[row]
+        total = add_weighted_row(rows, row, weights, active, needed, start)
+        if row >= 0:
+            sums[row] = total
+
+    @wp.kernel(name=f"adjoint_products_{dtype.__name__}", module="unique", enable_backward=False)
+    def adjoint(
+        order: wp.array(dtype=int),
+        used: wp.array(dtype=int),
+        rows: wp.array2d(dtype=vec3),
+        b: wp.array(dtype=vec16),
+        v: wp.array(dtype=vec3),
+        active: int,
+        add: bool,
+        # outputs
+        v_rows: wp.array2d(dtype=vec3),
+        v_b: wp.array(dtype=vec16),
+    ):
+        thread = wp.tid()
+        row = -1
+        needed = False
+        weights = vec16()
+        gradient = vec3()
+        if thread < order.shape[0]:
+            row = order[thread]
+            needed = used[row] != 0
+            weights = b[row]
+            gradient = v[row]
+        dots = row_adjoint(rows, v_rows, row, weights, gradient, active, needed, add)
+        if row >= 0:
+            v_b[row] = dots
+
+    return forward, adjoint
+
+
+@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+@pytest.mark.parametrize("shuffled", [False, True])
+@pytest.mark.parametrize(("count", "active"), [(15, 16), (15, 9), (8, 9), (3, 1), (24, 16)])
+@pytest.mark.parametrize("gaps", [False, True])
+def test_products_are_plain_sums(
+    device: torch.device, dtype: type, shuffled: bool, count: int, active: int, gaps: bool
+) -> None:
+    """Rows side by side, out of order or with gaps between; all or some coefficients in use; unused rows unread."""
+    rng = np.random.default_rng(count + active)
+    rows, before = rng.normal(size=(2, ROWS, count, 3))
+    b, v = rng.normal(size=(ROWS, 16)), rng.normal(size=(ROWS, 3))
+    used = rng.random(ROWS) < 0.7
+    used[32:64] = False  # a whole warp
+    rows[~used] = np.nan
+    order = rng.permutation(ROWS) if shuffled else np.arange(ROWS)
+    forward, adjoint = product_kernels(dtype)
+    where = wp.get_device(str(device))
+
+    def array(values: np.ndarray, kind: object) -> wp.array:
+        return wp.array(values, dtype=kind, device=where)
+
+    def spread(values: np.ndarray) -> wp.array:
+        """Rows in memory, with a gap after each where gaps are asked for."""
+        padded = np.concatenate([values, np.zeros((ROWS, 2, 3))], 1) if gaps else values
+        return array(padded, wp.types.vector(3, dtype))[:, :count]
+
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    shared = [array(order, int), array(used.astype(int), int), spread(rows), array(b, vec16)]
+    threads = whole_warps(ROWS, where)
+    weights = np.where(np.arange(1, count + 1) < active, 1.0, 0.0)
+    kept = np.where(used[:, None, None], np.nan_to_num(rows), 0.0) * weights[:, None]
+    padded_b = np.pad(b, ((0, 0), (0, max(0, count - 15))))[:, 1 : count + 1]
+    tolerance = 1e-12 if dtype is wp.float64 else 2e-5
+
+    sums = array(v, vec3)
+    wp.launch(forward, dim=threads, inputs=[*shared, active, sums], device=where, block_dim=256)
+    np.testing.assert_allclose(sums.numpy(), v + np.einsum("nk,nkc->nc", padded_b, kept), atol=tolerance)
+
+    outer = np.where(used[:, None, None], padded_b[..., None] * v[:, None], 0.0) * weights[:, None]
+    for add in (True, False):
+        v_rows, v_b = spread(before if add else np.full_like(before, np.nan)), wp.zeros(ROWS, vec16, device=where)
+        inputs = [*shared, array(v, vec3), active, add, v_rows, v_b]
+        wp.launch(adjoint, dim=threads, inputs=inputs, device=where, block_dim=256)
+        np.testing.assert_allclose(v_rows.numpy(), before + outer if add else outer, atol=tolerance)
+        dots = np.einsum("nkc,nc->nk", kept, v)[:, :15]
+        np.testing.assert_allclose(v_b.numpy()[:, 1 : 1 + dots.shape[1]], dots, atol=tolerance)

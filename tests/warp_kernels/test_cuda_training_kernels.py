@@ -1,0 +1,29 @@
+"""The kernels of a training step beside the renderer's compile for CUDA, on machines without a GPU too."""
+
+from pathlib import Path
+
+import pytest
+import warp as wp
+from test_cuda_compilation import compile_all
+
+from warp_kernels.adam import adam_coefficients_kernel, adam_update_kernel
+from warp_kernels.covered_images import covering_kernels
+from warp_kernels.density_notes import density_kernel
+from warp_kernels.finite_check import note_bad_kernel
+from warp_kernels.image_loss import image_loss_kernels
+from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernels
+
+
+@pytest.mark.parametrize("arch", [80, 90])
+def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
+    """Adam and the finite check, with tables of addresses as arguments."""
+    compile_all([adam_coefficients_kernel, adam_update_kernel, note_bad_kernel], arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
+    """Losses, covered images, and what density control notes."""
+    kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), *image_loss_adjoint_kernels(dtype, 1.5)]
+    compile_all([*kernels, *covering_kernels(dtype), density_kernel(dtype)], arch, tmp_path)

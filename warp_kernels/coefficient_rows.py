@@ -1,0 +1,186 @@
+"""Products with one row of spherical harmonics coefficients a thread, moved between memory and chip by whole warps.
+
+A Gaussian's coefficients above degree 0 are one row of up to 45 numbers. Were each thread to read its own, neighbouring
+threads would read 180 bytes apart, and a cache line would be fetched many times. Where the rows of a warp's 32 threads
+lie side by side, as they do but for the last rows of an image, its lanes move all of them together through shared
+memory; float64 and rows with gaps are read directly. On the CPU, where a warp is one lane, rows are always.
+
+On CUDA all lanes of a warp must call these functions together: see ``whole_warps``.
+"""
+
+import functools
+
+import warp as wp
+
+HIGHEST = 15
+"""Coefficients above degree 0, at most."""
+
+BLOCK = 256
+"""Threads a block on CUDA; Warp's default."""
+
+# Every lane's row, side by side, in `staged`; `mine` is this lane's, there or in memory. `row` is negative in a lane
+# behind the last row.
+STAGED = """
+    __shared__ float staged_rows[BLOCK_ / 32][32 * 3 * HIGHEST_];
+    const unsigned all = 0xffffffffu;
+    const int lane = threadIdx.x & 31, width = 3 * rows.shape[1];
+    const int first = __shfl_sync(all, row, 0);
+    const bool fits = width <= 3 * HIGHEST_ && GAPLESS_ && (row < 0 || row == first + lane);
+    const bool together = sizeof(S_) == sizeof(float) && __all_sync(all, fits);
+    const int total = width * __popc(__ballot_sync(all, row >= 0));
+    S_* staged = (S_*)staged_rows[threadIdx.x >> 5];
+    const S_* mine = (const S_*)((const char*)rows.data + (long long)row * rows.strides[0]);
+    int step = rows.strides[1] / (int)sizeof(S_);
+    if (together) {
+        mine = staged + lane * width;
+        step = 3;
+        if (active > 1 && __any_sync(all, used)) {
+            const S_* source = (const S_*)rows.data + (long long)first * width;
+            for (int e = lane; e < total; e += 32) staged[e] = source[e];
+            __syncwarp();
+        }
+    }
+"""
+
+GAPLESS = "({0}.strides[0] == width * (int)sizeof(S_) && ({0}.shape[1] < 2 || {0}.strides[1] == 3 * (int)sizeof(S_)))"
+
+WEIGHTED = """
+#if defined(__CUDA_ARCH__)
+    STAGED_
+    if (used) {
+        #pragma unroll
+        for (int k = 1; k <= HIGHEST_; ++k)
+            if (k < active)
+                for (int c = 0; c < 3; ++c) start[c] += b[k] * mine[(k - 1) * step + c];
+    }
+#else
+    if (used) {
+        const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
+        for (int k = 1; k < active; ++k) {
+            const S_* coefficient = (const S_*)(mine + (k - 1) * rows.strides[1]);
+            for (int c = 0; c < 3; ++c) start[c] += b[k] * coefficient[c];
+        }
+    }
+#endif
+    return start;
+"""
+
+ADJOINT = """
+    wp::vec_t<16, S_> v_b = {};
+    const S_ zero = 0;
+    const int count = rows.shape[1];
+#if defined(__CUDA_ARCH__)
+    STAGED_
+    if (used) {
+        #pragma unroll
+        for (int k = 1; k <= HIGHEST_; ++k)
+            if (k < active) {
+                const S_* coefficient = mine + (k - 1) * step;
+                v_b[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
+            }
+    }
+    if (together && !(add && !__any_sync(all, used))) {
+        __syncwarp();
+        #pragma unroll
+        for (int k = 1; k <= HIGHEST_; ++k)
+            if (k <= count)
+                for (int c = 0; c < 3; ++c)
+                    staged[lane * width + (k - 1) * 3 + c] = k < active && used ? b[k] * v[c] : zero;
+        __syncwarp();
+        S_* target = (S_*)v_rows.data + (long long)first * width;
+        for (int e = lane; e < total; e += 32) target[e] = add ? target[e] + staged[e] : staged[e];
+        __syncwarp();
+    }
+    const bool written_above = together;
+#else
+    const bool written_above = false;
+    if (used) {
+        const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
+        for (int k = 1; k < active; ++k) {
+            const S_* coefficient = (const S_*)(mine + (k - 1) * rows.strides[1]);
+            v_b[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
+        }
+    }
+#endif
+    if (row >= 0 && !written_above) {
+        char* target = (char*)v_rows.data + (long long)row * v_rows.strides[0];
+        const int written = used ? active : 1;
+        #pragma unroll
+        for (int k = 1; k <= HIGHEST_; ++k)
+            if (k < written) {
+                S_* gradient = (S_*)(target + (k - 1) * v_rows.strides[1]);
+                for (int c = 0; c < 3; ++c) gradient[c] = add ? gradient[c] + b[k] * v[c] : b[k] * v[c];
+            }
+        if (!add)
+            for (int k = written; k <= count; ++k) {
+                S_* gradient = (S_*)(target + (k - 1) * v_rows.strides[1]);
+                for (int c = 0; c < 3; ++c) gradient[c] = zero;
+            }
+    }
+    return v_b;
+"""
+
+
+def whole_warps(count: int, device: wp.Device) -> int:
+    """Threads to launch for so many rows: on CUDA full warps, whose last lanes pass row -1.
+
+    Args:
+        count: Rows.
+        device: Where.
+    """
+    return -(-count // 32) * 32 if device.is_cuda else count
+
+
+@functools.cache
+def row_functions(dtype: type):
+    """The products.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(add_weighted_row, row_adjoint)``.
+
+        ``add_weighted_row(rows, row, b, active, used, start)``: start + Σ b[k] rows[row, k - 1] over 0 < k < active.
+
+        ``row_adjoint(rows, v_rows, row, b, v, active, used, add)``: adds b[k] v to v_rows[row, k - 1], or with ``add``
+        false overwrites the row, and returns the dot products of rows[row, k - 1] with v, by k.
+
+        Neither reads a row that is not ``used``; its gradient is zero.
+    """
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+
+    @wp.func_native(_source(WEIGHTED, dtype, GAPLESS.format("rows")))
+    def add_weighted_row(
+        rows: wp.array2d(dtype=vec3), row: int, b: vec16, active: int, used: bool, start: vec3
+    ) -> vec3: ...
+
+    gapless = f"{GAPLESS.format('rows')} && {GAPLESS.format('v_rows')}"
+
+    @wp.func_native(_source(ADJOINT, dtype, gapless))
+    def row_adjoint(
+        rows: wp.array2d(dtype=vec3),
+        v_rows: wp.array2d(dtype=vec3),
+        row: int,
+        b: vec16,
+        v: vec3,
+        active: int,
+        used: bool,
+        add: bool,
+    ) -> vec16: ...
+
+    return add_weighted_row, row_adjoint
+
+
+def _source(snippet: str, dtype: type, gapless: str) -> str:
+    """A snippet with its placeholders filled in."""
+    words = {
+        "STAGED_": STAGED,
+        "GAPLESS_": gapless,
+        "HIGHEST_": str(HIGHEST),
+        "BLOCK_": str(BLOCK),
+        "S_": "float" if dtype is wp.float32 else "double",
+    }
+    for word, value in words.items():
+        snippet = snippet.replace(word, value)
+    return snippet

@@ -1,0 +1,79 @@
+"""Noting which of many tensors first held something that is not finite."""
+
+from collections.abc import Sequence
+
+import warp as wp
+
+from warp_kernels.tensor_tables import (
+    BLOCK,
+    PLACES,
+    QUAD,
+    Addresses,
+    Counts,
+    addresses,
+    counts,
+    load_quad,
+    place_of,
+    thread_ends,
+)
+
+LARGEST = 1.8e19
+"""Largest number that passes: beyond it the square, which Adam keeps, is infinite."""
+
+
+@wp.kernel(name="note_bad", enable_backward=False, module="unique")
+def note_bad_kernel(
+    ends: Counts,
+    sizes: Counts,
+    names: Counts,
+    tensors: Addresses,
+    step: wp.array(dtype=wp.int64),
+    # inputs and outputs
+    first_bad_step: wp.array(dtype=wp.int64),
+    # outputs
+    blocked: wp.array(dtype=wp.float32),
+):
+    """Four numbers a thread; whatever thread finds something writes the same."""
+    thread = wp.tid()
+    place = place_of(ends, thread)
+    start = int(0)
+    if place > 0:
+        start = int(ends[place - 1])
+    values = load_quad(tensors[place], wp.static(QUAD) * (thread - start), int(sizes[place]))
+    largest = wp.float32(wp.static(LARGEST))
+    passes = wp.abs(values[0]) <= largest and wp.abs(values[1]) <= largest
+    if not (passes and wp.abs(values[2]) <= largest and wp.abs(values[3]) <= largest):
+        if first_bad_step[int(names[place])] == wp.int64(0):
+            first_bad_step[int(names[place])] = step[0]
+        blocked[0] = 1.0
+
+
+def note_bad(
+    tensors: Sequence[wp.array],
+    names: Sequence[int],
+    step: wp.array,
+    first_bad_step: wp.array,
+    blocked: wp.array,
+) -> None:
+    """Looks at tensors, all in the same launch up to PLACES of them.
+
+    Args:
+        tensors: float32 [n] each, without gaps and not empty.
+        names: place in ``first_bad_step`` of each; several may share one.
+        step: int64 [1], the number of the step, at least 1.
+        first_bad_step: int64 [names], 0 as long as all was finite; gets the step's number.
+        blocked: float32 [1]; gets 1 where something is not finite or beyond LARGEST, and else stays as it is.
+    """
+    for first in range(0, len(tensors), PLACES):
+        some = tensors[first : first + PLACES]
+        sizes = [len(tensor) for tensor in some]
+        ends = thread_ends(sizes)
+        tables = [counts(ends), counts(sizes), counts(names[first : first + PLACES]), addresses(some)]
+        wp.launch(
+            note_bad_kernel,
+            dim=ends[-1],
+            inputs=[*tables, step, first_bad_step, blocked],
+            device=step.device,
+            record_tape=False,
+            block_dim=BLOCK,
+        )

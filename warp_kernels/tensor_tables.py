@@ -1,0 +1,93 @@
+"""One launch over the numbers of many float32 tensors, whose addresses and sizes are arguments of the kernel.
+
+A model has a score of parameters, some of them small; a launch for each leaves the device idle between them. As
+arguments, addresses can be captured in a graph, and nothing is copied to the device for them.
+"""
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import warp as wp
+
+PLACES = 32
+"""Tensors of a launch, at most."""
+
+QUAD = 4
+"""Numbers of a thread."""
+
+BLOCK = 256
+"""Each tensor begins with a new block of threads, so that the threads of a warp do the same."""
+
+Addresses = wp.types.vector(PLACES, wp.uint64)
+Counts = wp.types.vector(PLACES, wp.uint64)  # of int32 nvcc would copy a table to every thread's stack
+
+
+@wp.func
+def place_of(ends: Counts, thread: int):
+    """The tensor that a thread belongs to, by the ends of their threads; those behind the last belong to none."""
+    place = int(0)
+    while place < wp.static(PLACES - 1) and thread >= int(ends[place]):
+        place += 1
+    return place
+
+
+@wp.func_native("""
+    const float* p = (const float*)address + first;
+    wp::vec_t<4, float> values = {};
+#if defined(__CUDA_ARCH__)
+    if (first + 4 <= size && ((unsigned long long)p & 15) == 0) {
+        const float4 all = *(const float4*)p;
+        values[0] = all.x; values[1] = all.y; values[2] = all.z; values[3] = all.w;
+        return values;
+    }
+#endif
+    for (int k = 0; k < 4; ++k)
+        if (first + k < size) values[k] = p[k];
+    return values;
+""")
+def load_quad(address: wp.uint64, first: int, size: int) -> wp.vec4:
+    """Numbers first to first + 3 of a tensor; zeros behind its end."""
+    ...
+
+
+@wp.func_native("""
+    float* p = (float*)address + first;
+#if defined(__CUDA_ARCH__)
+    if (first + 4 <= size && ((unsigned long long)p & 15) == 0) {
+        *(float4*)p = make_float4(values[0], values[1], values[2], values[3]);
+        return;
+    }
+#endif
+    for (int k = 0; k < 4; ++k)
+        if (first + k < size) p[k] = values[k];
+""")
+def store_quad(address: wp.uint64, first: int, size: int, values: wp.vec4):
+    """Overwrites numbers first to first + 3 of a tensor, as far as it goes."""
+    ...
+
+
+def addresses(tensors: Sequence[wp.array]) -> Addresses:
+    """A table of float32 arrays.
+
+    Args:
+        tensors: at most PLACES, without gaps.
+    """
+    return Addresses(*[tensor.ptr for tensor in tensors], *[0] * (PLACES - len(tensors)))
+
+
+def counts(values: Sequence[int]) -> Counts:
+    """A table of numbers.
+
+    Args:
+        values: at most PLACES.
+    """
+    return Counts(*values, *[0] * (PLACES - len(values)))
+
+
+def thread_ends(sizes: Sequence[int]) -> list[int]:
+    """Where each tensor's threads end; the last is the number of threads to launch.
+
+    Args:
+        sizes: numbers in each tensor.
+    """
+    return list(accumulate(-(-size // (QUAD * BLOCK)) * BLOCK for size in sizes))
