@@ -212,7 +212,8 @@ class RecordedLaunch:
         formats, end = ["@"], 0
         for k, kind in enumerate(kinds):
             offset = getattr(layout, f"a{k}").offset
-            code = f"{ctypes.sizeof(kind)}s" if issubclass(kind, ctypes.Structure) else kind._type_
+            code = getattr(kind, "_type_", None)  # a number's; arrays, vectors and structs are bytes
+            code = code if isinstance(code, str) else f"{ctypes.sizeof(kind)}s"
             formats.append(f"{offset - end}x{code}")
             end = offset + ctypes.sizeof(kind)
             # the command's own parameters, which on CUDA it holds the addresses of, become these bytes
@@ -237,9 +238,9 @@ class RecordedLaunch:
 
 
 def _packed(value: Any) -> Any:
-    """An argument as ``struct`` packs it: a number, or an array's bytes."""
+    """An argument as ``struct`` packs it: a number, or the bytes of an array, a struct or a vector."""
     if isinstance(value, (int, float)):
         return value
-    if isinstance(value, wp.array):
+    if hasattr(value, "__ctype__"):
         return bytes(value.__ctype__())
-    return value.value  # a Warp scalar
+    return value.value if hasattr(value, "value") else bytes(value)  # a Warp scalar, or a vector

@@ -18,12 +18,20 @@ def mixed_kernel(
     exact: wp.float64,
     rows: wp.array2d(dtype=wp.float32),
     single: wp.float32,
+    pair: wp.vec2,
     # outputs
     sums: wp.array(dtype=wp.float64),
 ):
     """Arguments of every size that there is, one beside another that is not its own."""
     i = wp.tid()
-    total = wp.float64(values[i][2]) + wp.float64(rows[i, 1]) + exact + wp.float64(single) + wp.float64(large)
+    total = (
+        wp.float64(values[i][2])
+        + wp.float64(rows[i, 1])
+        + exact
+        + wp.float64(single)
+        + wp.float64(large)
+        + wp.float64(pair[1])
+    )
     if flag:
         total = total + wp.float64(small)
     sums[i] = total
@@ -74,10 +82,10 @@ def test_each_launch_has_its_own_arguments(as_views: bool) -> None:
         ]
         sums = arrays[2]
         rows, moved, out = views(arrays[0], arrays[1], sums) if as_views else arrays
-        inputs = [flag, small, rows, large, exact, moved, wp.float32(single), out]
+        inputs = [flag, small, rows, large, exact, moved, wp.float32(single), wp.vec2(7.0, 2.0), out]
         recorded = recorded or RecordedLaunch(mixed_kernel, count, inputs, sums.device, 256)
         recorded.launch(count, inputs)
-        expected = values[:, 2].astype(float) + columns[:, 2] + exact + single + large + (small if flag else 0)
+        expected = values[:, 2].astype(float) + columns[:, 2] + exact + single + large + 2.0 + (small if flag else 0)
         np.testing.assert_allclose(sums.numpy(), expected, rtol=1e-14)
 
 
