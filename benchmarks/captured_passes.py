@@ -41,8 +41,7 @@ class CapturedPasses:
         self._rendered = Rendered(rendered.images, [])  # the list of pairs in info has the length of the room
         captured: list[tuple[torch.cuda.CUDAGraph, Result]] = []
         self._peak_mib = peak_memory(lambda: captured.append(_captured(eager.forward_backward, capacity)), device)
-        self._both, (images, gradients) = captured[0]
-        self._result = [image.detach() for image in images], gradients
+        self._both, self._result = captured[0]
         self.forward_backward()
         capacity.check()
 

@@ -39,7 +39,9 @@ class Passes:
     def forward_backward(self) -> Result:
         """The images and the gradient of every leaf."""
         images = self._render().images
-        return images, torch.autograd.grad(images, self._leaves, self._upstream)
+        gradients = torch.autograd.grad(images, self._leaves, self._upstream)
+        # Whoever keeps the images must not keep the autograd graph, whose nodes belong to the stream it was made on.
+        return [image.detach() for image in images], gradients
 
     def peak_memory(self, device: torch.device) -> float | None:
         """GPU memory that ``forward_backward`` needs beyond what is held before it [MiB]; None on the CPU."""

@@ -37,7 +37,8 @@ class Step:
         self.inputs = leaves(scene, device, torch.float32) | {"deterministic": deterministic}
         self.leaves = [v for v in self.inputs.values() if isinstance(v, Tensor) and v.requires_grad]
         self.function = rasterization_rgbt if rgbt else rasterization
-        self.upstream = upstream_gradients(self.images(), torch.ones(1, scene["height"], scene["width"]))
+        ones = torch.ones(1, scene["height"], scene["width"])
+        self.upstream = [up.to(device, torch.float32) for up in upstream_gradients(self.images(), ones)]
 
     def images(self) -> list[Tensor]:
         """The images alone."""

@@ -75,7 +75,7 @@ CROWDED = 250
 WIDE = 24
 """Channels above which a pixel's sums take most of the registers."""
 
-SEGMENT = 1024
+SEGMENT = 512
 """Pairs that a block of threads walks where lists are cut."""
 
 FEW_TILES = 4096

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from warp_kernels.array_views import empty, nothing, zeros
 from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
@@ -80,10 +81,10 @@ def blend(
     segment = layout.segment
     num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
     length = state_length(channels, thermal_channels)
-    states = wp.empty((num_states, length, bins.tile_size**2), dtype=dtype, device=device)
+    states = empty((num_states, length, bins.tile_size**2), dtype, device)
 
-    nothing = wp.empty((0, 0), dtype=wp.types.vector(max(thermal_channels, 1), dtype), device=device)
-    thermal_render = blended.thermal_render if dual else nothing
+    no_render = nothing(wp.types.vector(max(thermal_channels, 1), dtype), 2, device)
+    thermal_render = blended.thermal_render if dual else no_render
     thermal_transmittance = blended.thermal_transmittance if dual else blended.transmittance
     thermal_last_pairs = blended.thermal_last_pairs if dual else blended.last_pairs
     size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
@@ -119,7 +120,7 @@ def blend(
     if segment > 0:
         launch(
             join_segments_kernel(channels, thermal_channels, dtype, layout),
-            num_tiles * bins.tile_size**2,
+            num_tiles * length * bins.tile_size**2,
             [*size, bins.tile_offsets, segment, blended.render, thermal_render, states],
             device,
         )
@@ -129,7 +130,7 @@ def blend(
     def adjoint() -> None:
         record = wp.types.vector(record_length(channels, thermal_channels, absolute is not None), dtype)
         per_pair = layout.warps if by_slot else 0
-        records = wp.zeros(bins.num_pairs * per_pair if by_slot else len(features), dtype=record, device=device)
+        records = zeros(bins.num_pairs * per_pair if by_slot else len(features), record, device)
         launch_tiles(
             blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absolute is not None, by_slot),
             num_tiles + num_states,

@@ -3,12 +3,13 @@
 A Gaussian's coefficients above degree 0 are one row of up to 45 numbers. Were each thread to read its own, neighbouring
 threads would read 180 bytes apart, and a cache line would be fetched many times. Where the rows of a warp's 32 threads
 lie side by side, as they do but for the last rows of an image, its lanes move all of them together through shared
-memory; float64 and rows with gaps are read directly. On the CPU, where a warp is one lane, rows are always.
+memory; float64 and other rows are read directly. On the CPU, where a warp is one lane, rows are always.
 
 On CUDA all lanes of a warp must call these functions together: see ``whole_warps``.
 """
 
 import functools
+import re
 
 import warp as wp
 
@@ -25,9 +26,9 @@ STAGED = """
     const unsigned all = 0xffffffffu;
     const int lane = threadIdx.x & 31, width = 3 * rows.shape[1];
     const int first = __shfl_sync(all, row, 0);
-    const bool fits = width <= 3 * HIGHEST_ && GAPLESS_ && (row < 0 || row == first + lane);
+    const bool fits = width <= 3 * HIGHEST_ && DENSE_ && (row < 0 || row == first + lane);
     const bool together = sizeof(S_) == sizeof(float) && __all_sync(all, fits);
-    const int total = width * __popc(__ballot_sync(all, row >= 0));
+    const int count_rows = __popc(__ballot_sync(all, row >= 0));
     S_* staged = (S_*)staged_rows[threadIdx.x >> 5];
     const S_* mine = (const S_*)((const char*)rows.data + (long long)row * rows.strides[0]);
     int step = rows.strides[1] / (int)sizeof(S_);
@@ -35,14 +36,28 @@ STAGED = """
         mine = staged + lane * width;
         step = 3;
         if (active > 1 && __any_sync(all, used)) {
-            const S_* source = (const S_*)rows.data + (long long)first * width;
-            for (int e = lane; e < total; e += 32) staged[e] = source[e];
+            const S_* source = (const S_*)((const char*)rows.data + (long long)first * rows.strides[0]);
+            MOVE_(rows, staged[to] = source[at])
             __syncwarp();
         }
     }
 """
 
-GAPLESS = "({0}.strides[0] == width * (int)sizeof(S_) && ({0}.shape[1] < 2 || {0}.strides[1] == 3 * (int)sizeof(S_)))"
+# Whether a row's numbers lie side by side.
+DENSE = "({0}.shape[1] < 2 || {0}.strides[1] == 3 * (int)sizeof(S_))"
+
+# All numbers of the warp's rows, between `at` in memory and `to` in `staged`: in one sweep where nothing lies between
+# the rows, and else (the degree 0 of the next row may) row by row.
+MOVE = """
+    if ({rows}.strides[0] == width * (int)sizeof(S_)) {{
+        for (int at = lane; at < width * count_rows; at += 32) {{ const int to = at; {what}; }}
+    }} else {{
+        const int pitch = {rows}.strides[0] / (int)sizeof(S_);
+        #pragma unroll 4
+        for (int r = 0; r < count_rows; ++r)
+            for (int e = lane; e < width; e += 32) {{ const int at = r * pitch + e, to = r * width + e; {what}; }}
+    }}
+"""
 
 WEIGHTED = """
 #if defined(__CUDA_ARCH__)
@@ -87,8 +102,8 @@ ADJOINT = """
                 for (int c = 0; c < 3; ++c)
                     staged[lane * width + (k - 1) * 3 + c] = k < active && used ? b[k] * v[c] : zero;
         __syncwarp();
-        S_* target = (S_*)v_rows.data + (long long)first * width;
-        for (int e = lane; e < total; e += 32) target[e] = add ? target[e] + staged[e] : staged[e];
+        S_* target = (S_*)((char*)v_rows.data + (long long)first * v_rows.strides[0]);
+        MOVE_(v_rows, target[at] = add ? target[at] + staged[to] : staged[to])
         __syncwarp();
     }
     const bool written_above = together;
@@ -150,14 +165,14 @@ def row_functions(dtype: type):
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
 
-    @wp.func_native(_source(WEIGHTED, dtype, GAPLESS.format("rows")))
+    @wp.func_native(_source(WEIGHTED, dtype, DENSE.format("rows")))
     def add_weighted_row(
         rows: wp.array2d(dtype=vec3), row: int, b: vec16, active: int, used: bool, start: vec3
     ) -> vec3: ...
 
-    gapless = f"{GAPLESS.format('rows')} && {GAPLESS.format('v_rows')}"
+    dense = f"{DENSE.format('rows')} && {DENSE.format('v_rows')}"
 
-    @wp.func_native(_source(ADJOINT, dtype, gapless))
+    @wp.func_native(_source(ADJOINT, dtype, dense))
     def row_adjoint(
         rows: wp.array2d(dtype=vec3),
         v_rows: wp.array2d(dtype=vec3),
@@ -172,11 +187,12 @@ def row_functions(dtype: type):
     return add_weighted_row, row_adjoint
 
 
-def _source(snippet: str, dtype: type, gapless: str) -> str:
+def _source(snippet: str, dtype: type, dense: str) -> str:
     """A snippet with its placeholders filled in."""
+    snippet = snippet.replace("STAGED_", STAGED)
+    snippet = re.sub(r"MOVE_\((\w+), (.*)\)\n", lambda m: MOVE.format(rows=m[1], what=m[2]), snippet)
     words = {
-        "STAGED_": STAGED,
-        "GAPLESS_": gapless,
+        "DENSE_": dense,
         "HIGHEST_": str(HIGHEST),
         "BLOCK_": str(BLOCK),
         "S_": "float" if dtype is wp.float32 else "double",

@@ -16,8 +16,11 @@ import warp as wp
 
 from warp_kernels.blend_layout import BlendLayout
 
-LONG_LIST = 2
+LONG_LIST = 4
 """Segments' worth of pairs that one block walks without a cut."""
+
+CHUNK = 8
+"""Boundaries whose states a thread asks for at once; one after the other, each would wait for memory."""
 
 
 def state_length(channels: int, thermal_channels: int) -> int:
@@ -70,7 +73,7 @@ def list_of_block(block: int, tile_offsets: wp.array(dtype=wp.int32), segment: i
 
 @functools.cache
 def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
-    """Joins the segments of cut lists, one thread a pixel: states as the adjoint needs them, and the whole render.
+    """Joins the segments of cut lists: states as the adjoint needs them, the whole render. One thread a pixel and number.
 
     Args:
         channels: C, channels blended with the first opacity.
@@ -82,14 +85,23 @@ def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layo
         The Warp kernel.
     """
     C, D = channels, max(thermal_channels, 1)
-    dual = thermal_channels > 0
     vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
-    first_behind = 2 if dual else 1
-    first_behind_t = first_behind + C
+    vec_chunk = wp.types.vector(CHUNK, dtype)
+    first_behind = 2 if thermal_channels else 1
+    first_behind_t = first_behind + C + (0 if thermal_channels else 1)  # beyond the last number where there are none
+    length = state_length(channels, thermal_channels)
     lanes, columns, threads = layout.lanes, layout.columns, layout.threads
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
-    one = dtype(1.0)
+    one, zero = dtype(1.0), dtype(0.0)
+
+    add_channel = """image.data[row * image.shape[1] + column][channel] += value;"""
+
+    @wp.func_native(add_channel)
+    def add_to_render(image: wp.array2d(dtype=vecC), row: int, column: int, channel: int, value: dtype): ...
+
+    @wp.func_native(add_channel)
+    def add_to_thermal(image: wp.array2d(dtype=vecD), row: int, column: int, channel: int, value: dtype): ...
 
     @wp.kernel(
         name=f"join_segments_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}",
@@ -110,8 +122,9 @@ def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layo
         states: wp.array3d(dtype=dtype),
     ):
         index = wp.tid() + first
-        tile = index // (tile_size * tile_size)
         place = index % (tile_size * tile_size)
+        number = (index // (tile_size * tile_size)) % length
+        tile = index // (tile_size * tile_size * length)
         begin = tile_offsets[tile]
         end = tile_offsets[tile + 1]
         if end - begin <= wp.static(LONG_LIST) * segment:
@@ -124,31 +137,29 @@ def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layo
         y += place // (threads * columns)
         if x >= width or y >= height:
             return
-        line = (tile // (tiles_x * tiles_y)) * height + y
 
+        # From the front the light that is left, from behind the colours.
+        oldest = begin // segment + 1
         newest = (end - 1) // segment
-        T = one
-        Tt = one
-        for boundary in range(begin // segment + 1, newest + 1):
-            T = T * states[boundary, 0, place]
-            states[boundary, 0, place] = T
-            if wp.static(dual):
-                Tt = Tt * states[boundary, 1, place]
-                states[boundary, 1, place] = Tt
-        behind = vecC()
-        behind_t = vecD()
-        boundary = int(newest)
-        while boundary > begin // segment:
-            for c in range(C):
-                behind[c] += states[boundary, first_behind + c, place]
-                states[boundary, first_behind + c, place] = behind[c]
-            if wp.static(dual):
-                for c in range(D):
-                    behind_t[c] += states[boundary, first_behind_t + c, place]
-                    states[boundary, first_behind_t + c, place] = behind_t[c]
-            boundary -= 1
-        render[line, x] = render[line, x] + behind
-        if wp.static(dual):
-            thermal_render[line, x] = thermal_render[line, x] + behind_t
+        is_light = number < first_behind
+        value = wp.where(is_light, one, zero)
+        done = int(0)
+        while done <= newest - oldest:
+            chunk = vec_chunk()
+            for k in range(wp.static(CHUNK)):
+                boundary = wp.where(is_light, oldest + done + k, newest - done - k)
+                if boundary >= oldest and boundary <= newest:
+                    chunk[k] = states[boundary, number, place]
+            for k in range(wp.static(CHUNK)):
+                boundary = wp.where(is_light, oldest + done + k, newest - done - k)
+                if boundary >= oldest and boundary <= newest:
+                    value = wp.where(is_light, value * chunk[k], value + chunk[k])
+                    states[boundary, number, place] = value
+            done += wp.static(CHUNK)
+        line = (tile // (tiles_x * tiles_y)) * height + y
+        if number >= first_behind_t:
+            add_to_thermal(thermal_render, line, x, number - first_behind_t, value)
+        elif not is_light:
+            add_to_render(render, line, x, number - first_behind, value)
 
     return join_segments_kernel
