@@ -23,6 +23,9 @@ RADIUS = 5
 STRIP = 4
 """Outputs of a thread."""
 
+OPTIONS = {"enable_backward": False, "module": "unique", "launch_bounds": (256, 2)}
+"""Of kernels whose loops, unrolled, would otherwise take so many registers that few threads fit on a multiprocessor."""
+
 REACH = STRIP + 2 * RADIUS
 """Inputs a thread reads."""
 
@@ -41,48 +44,77 @@ def window(sigma: float) -> list[float]:
 
 
 @functools.cache
-def pixel_functions(dtype: type):
-    """What all passes share.
+def plane_functions(dtype: type):
+    """Access to the channels of all pairs, as they are numbered through.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(pixel, of_term)``. Images i0 to i3 are those of the pairs; one of a place that is not used is not read. Pair
-        t has the channels from e(t - 1) up to et, without an end for the last.
+        ``(plane, read, write, of_term, strip_of)``. A thread looks a channel up once (``plane``: its address, and the
+        steps to the next row and column) and reads and writes through that: to choose among four images at every
+        access would take all registers. Pair t has the channels from e(t - 1) up to et, without an end for the last;
+        an image of a place that is not used is not read.
     """
+    scalar = "float" if dtype is wp.float32 else "double"
+    image_type = wp.array3d(dtype=dtype)
+
+    @wp.func_native("return (wp::uint64)((char*)image.data + (long long)c * image.strides[2]);")
+    def address(image: image_type, c: int) -> wp.uint64: ...
+
+    @wp.func_native(f"return (int)(image.strides[axis] / (long long)sizeof({scalar}));")
+    def step(image: image_type, axis: int) -> int: ...
+
+    read_snippet = f"return (({scalar}*)plane)[at];"
+    write_snippet = f"(({scalar}*)plane)[at] = value;"
+
+    @wp.func_native(read_snippet)
+    def read(plane: wp.uint64, at: int) -> dtype: ...
+
+    @wp.func_native(write_snippet)
+    def write(plane: wp.uint64, at: int, value: dtype): ...
 
     @wp.func
-    def pixel(
-        i0: wp.array3d(dtype=dtype),
-        i1: wp.array3d(dtype=dtype),
-        i2: wp.array3d(dtype=dtype),
-        i3: wp.array3d(dtype=dtype),
-        e0: int,
-        e1: int,
-        e2: int,
-        y: int,
-        x: int,
-        c: int,
-    ):
-        """Channel c, as numbered through the images."""
-        value = dtype(0.0)
+    def plane(i0: image_type, i1: image_type, i2: image_type, i3: image_type, e0: int, e1: int, e2: int, c: int):
+        """Address of channel c, steps to the next row and to the next column."""
+        at = wp.uint64(0)
+        row = int(0)
+        column = int(0)
         if c < e0:
-            value = i0[y, x, c]
+            at, row, column = address(i0, c), step(i0, 0), step(i0, 1)
         elif c < e1:
-            value = i1[y, x, c - e0]
+            at, row, column = address(i1, c - e0), step(i1, 0), step(i1, 1)
         elif c < e2:
-            value = i2[y, x, c - e1]
+            at, row, column = address(i2, c - e1), step(i2, 0), step(i2, 1)
         else:
-            value = i3[y, x, c - e2]
-        return value
+            at, row, column = address(i3, c - e2), step(i3, 0), step(i3, 1)
+        return at, row, column
 
     @wp.func
     def of_term(v0: dtype, v1: dtype, v2: dtype, v3: dtype, e0: int, e1: int, e2: int, c: int):
         """The number that belongs to channel c's term."""
         return wp.where(c < e0, v0, wp.where(c < e1, v1, wp.where(c < e2, v2, v3)))
 
-    return pixel, of_term
+    @wp.func
+    def strip_of(index: int, strips: int, e0: int, e1: int, e2: int, channels: int):
+        """Row, strip in it and channel of a thread: neighbours share a pixel, whose channels lie together."""
+        y = index // (strips * channels)
+        rest = index % (strips * channels)
+        begin = int(0)
+        end = e0
+        if rest >= strips * e2:
+            begin = e2
+            end = channels
+        elif rest >= strips * e1:
+            begin = e1
+            end = e2
+        elif rest >= strips * e0:
+            begin = e0
+            end = e1
+        rest = rest - strips * begin
+        return y, rest // (end - begin), begin + rest % (end - begin)
+
+    return plane, read, write, of_term, strip_of
 
 
 @functools.cache
@@ -102,7 +134,7 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
     vecS = wp.types.vector(STRIP, dtype)
     vecW = wp.types.vector(2 * RADIUS + 1, dtype)
     taps = wp.constant(vecW(*window(sigma)))
-    pixel, of_term = pixel_functions(dtype)
+    plane, read, _, of_term, strip_of = plane_functions(dtype)
     zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
     C1, C2, eps = dtype(c1), dtype(c2), dtype(epsilon)
 
@@ -114,7 +146,7 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
             j = 2 * (n - 1) - j
         return wp.clamp(j, 0, n - 1)
 
-    @wp.kernel(name=f"image_loss_blur_rows_{dtype.__name__}", enable_backward=False, module="unique")
+    @wp.kernel(name=f"image_loss_blur_rows_{dtype.__name__}", **OPTIONS)
     def blur_rows_kernel(
         first: int,
         x0: wp.array3d(dtype=dtype),
@@ -131,12 +163,12 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         # outputs
         moments: wp.array3d(dtype=dtype),
     ):
-        height, width = x0.shape[0], x0.shape[1]
+        width = x0.shape[1]
         strips = (width + STRIP - 1) // STRIP
-        index = wp.tid() + first
-        x = (index % strips) * STRIP
-        y = (index // strips) % height
-        c = index // (strips * height)
+        y, strip, c = strip_of(wp.tid() + first, strips, e0, e1, e2, moments.shape[0] // 5)
+        x = strip * STRIP
+        of_x, x_row, x_column = plane(x0, x1, x2, x3, e0, e1, e2, c)
+        of_y, y_row, y_column = plane(y0, y1, y2, y3, e0, e1, e2, c)
         sx = vecS()
         sy = vecS()
         sxx = vecS()
@@ -144,8 +176,8 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         sxy = vecS()
         for k in range(REACH):
             at = reflected(x + k - RADIUS, width)
-            a = pixel(x0, x1, x2, x3, e0, e1, e2, y, at, c)
-            b = pixel(y0, y1, y2, y3, e0, e1, e2, y, at, c)
+            a = read(of_x, y * x_row + at * x_column)
+            b = read(of_y, y * y_row + at * y_column)
             for r in range(STRIP):
                 if k - r >= 0 and k - r <= 2 * RADIUS:
                     w = taps[k - r]
@@ -162,7 +194,7 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
                 moments[5 * c + 3, y, x + r] = syy[r]
                 moments[5 * c + 4, y, x + r] = sxy[r]
 
-    @wp.kernel(name=f"image_loss_finish_columns_{dtype.__name__}", enable_backward=False, module="unique")
+    @wp.kernel(name=f"image_loss_finish_columns_{dtype.__name__}", **OPTIONS)
     def finish_columns_kernel(
         first: int,
         x0: wp.array3d(dtype=dtype),
@@ -194,6 +226,8 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         x = index % width
         y = ((index // width) % strips) * STRIP
         c = index // (width * strips)
+        of_x, x_row, x_column = plane(x0, x1, x2, x3, e0, e1, e2, c)
+        of_y, y_row, y_column = plane(y0, y1, y2, y3, e0, e1, e2, c)
         sx = vecS()
         sy = vecS()
         sxx = vecS()
@@ -229,8 +263,9 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
                 D = sxx[r] + syy[r] - squares + C2
                 inverse = one / (C * D + eps)
                 ssim = A * B * inverse
-                a = pixel(x0, x1, x2, x3, e0, e1, e2, y + r, x, c)
-                b = pixel(y0, y1, y2, y3, e0, e1, e2, y + r, x, c)
+                at = (y + r) * x_row + x * x_column
+                a = read(of_x, at)
+                b = read(of_y, (y + r) * y_row + x * y_column)
                 difference = wp.abs(a - b)
                 if noise > zero:
                     difference = wp.sqrt(difference * difference + noise * noise) - noise
@@ -239,9 +274,9 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
                 squares_sum += error * error
                 if c >= smooth_from and c < smooth_to:
                     if y + r + 1 < height:
-                        variation += wp.abs(pixel(x0, x1, x2, x3, e0, e1, e2, y + r + 1, x, c) - a)
+                        variation += wp.abs(read(of_x, at + x_row) - a)
                     if x + 1 < width:
-                        variation += wp.abs(pixel(x0, x1, x2, x3, e0, e1, e2, y + r, x + 1, c) - a)
+                        variation += wp.abs(read(of_x, at + x_column) - a)
                 if derivatives.shape[0] > 0:
                     # of -λ SSIM by the blurred x, x² and xy
                     by_x = two * inverse * (sy[r] * (B - A) - ssim * sx[r] * (D - C))

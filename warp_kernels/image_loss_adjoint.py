@@ -1,13 +1,14 @@
 """The adjoint of the image losses: blurs the derivatives by the moments back, along columns and then along rows.
 
-The adjoint of a reflection at the border adds what the mirror images receive.
+The adjoint of a reflection at the border adds what the mirror images receive: of input i those at -i and 2 (n - 1) - i,
+of whose windows only the taps towards the image meet it.
 """
 
 import functools
 
 import warp as wp
 
-from warp_kernels.image_loss import RADIUS, REACH, STRIP, pixel_functions, window
+from warp_kernels.image_loss import OPTIONS, RADIUS, REACH, STRIP, plane_functions, window
 
 
 @functools.cache
@@ -24,18 +25,8 @@ def image_loss_adjoint_kernels(dtype: type, sigma: float):
     vecS = wp.types.vector(STRIP, dtype)
     vecW = wp.types.vector(2 * RADIUS + 1, dtype)
     taps = wp.constant(vecW(*window(sigma)))
-    pixel, of_term = pixel_functions(dtype)
+    plane, read, write, of_term, strip_of = plane_functions(dtype)
     zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
-
-    @wp.func
-    def image_center(i: int, image: int, n: int):
-        """Where input i and its two mirror images lie; far outside for a mirror image that no output sees."""
-        center = i
-        if image == 1:
-            center = wp.where(i > 0, -i, -n)
-        if image == 2:
-            center = wp.where(i < n - 1, 2 * (n - 1) - i, 3 * n)
-        return center
 
     @wp.func
     def sign(difference: dtype):
@@ -63,20 +54,25 @@ def image_loss_adjoint_kernels(dtype: type, sigma: float):
                     if k - r >= 0 and k - r <= 2 * RADIUS:
                         total[r] += taps[k - r] * value
         else:
+            for k in range(REACH):
+                at = y + k - RADIUS
+                if at >= 0 and at < height:
+                    value = derivatives[plane, at, x]
+                    for r in range(STRIP):
+                        if k - r >= 0 and k - r <= 2 * RADIUS:
+                            total[r] += taps[k - r] * value
             for r in range(STRIP):
-                image = int(0)
-                while image < 3:
-                    center = image_center(y + r, image, height)
-                    for k in range(2 * RADIUS + 1):
-                        at = center + k - RADIUS
-                        if at >= 0 and at < height:
-                            total[r] += taps[k] * derivatives[plane, at, x]
-                    image += 1
+                i = y + r
+                for k in range(1, RADIUS + 1):
+                    if i > 0 and k >= i:
+                        total[r] += taps[RADIUS + k] * derivatives[plane, k - i, x]
+                    if i < height - 1 and k >= height - 1 - i:
+                        total[r] += taps[RADIUS + k] * derivatives[plane, 2 * (height - 1) - i - k, x]
         for r in range(STRIP):
             if y + r < height:
                 blurred[plane, y + r, x] = total[r]
 
-    @wp.kernel(name=f"image_loss_finish_rows_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
+    @wp.kernel(name=f"image_loss_finish_rows_adjoint_{dtype.__name__}", **OPTIONS)
     def finish_rows_adjoint_kernel(
         first: int,
         x0: wp.array3d(dtype=dtype),
@@ -112,10 +108,11 @@ def image_loss_adjoint_kernels(dtype: type, sigma: float):
     ):
         height, width = x0.shape[0], x0.shape[1]
         strips = (width + STRIP - 1) // STRIP
-        index = wp.tid() + first
-        x = (index % strips) * STRIP
-        y = (index // strips) % height
-        c = index // (strips * height)
+        y, strip, c = strip_of(wp.tid() + first, strips, e0, e1, e2, blurred.shape[0] // 3)
+        x = strip * STRIP
+        of_x, x_row, x_column = plane(x0, x1, x2, x3, e0, e1, e2, c)
+        of_y, y_row, y_column = plane(y0, y1, y2, y3, e0, e1, e2, c)
+        of_v, v_row, v_column = plane(v0, v1, v2, v3, e0, e1, e2, c)
         inside = x > RADIUS and x + STRIP + RADIUS < width
         by_x = vecS()
         by_xx = vecS()
@@ -132,25 +129,38 @@ def image_loss_adjoint_kernels(dtype: type, sigma: float):
                         by_xx[r] += taps[k - r] * d1
                         by_xy[r] += taps[k - r] * d2
         else:
+            for k in range(REACH):
+                at = x + k - RADIUS
+                if at >= 0 and at < width:
+                    d0 = blurred[3 * c, y, at]
+                    d1 = blurred[3 * c + 1, y, at]
+                    d2 = blurred[3 * c + 2, y, at]
+                    for r in range(STRIP):
+                        if k - r >= 0 and k - r <= 2 * RADIUS:
+                            by_x[r] += taps[k - r] * d0
+                            by_xx[r] += taps[k - r] * d1
+                            by_xy[r] += taps[k - r] * d2
             for r in range(STRIP):
-                image = int(0)
-                while image < 3:
-                    center = image_center(x + r, image, width)
-                    for k in range(2 * RADIUS + 1):
-                        at = center + k - RADIUS
-                        if at >= 0 and at < width:
-                            by_x[r] += taps[k] * blurred[3 * c, y, at]
-                            by_xx[r] += taps[k] * blurred[3 * c + 1, y, at]
-                            by_xy[r] += taps[k] * blurred[3 * c + 2, y, at]
-                    image += 1
+                i = x + r
+                for k in range(1, RADIUS + 1):
+                    if i > 0 and k >= i:
+                        by_x[r] += taps[RADIUS + k] * blurred[3 * c, y, k - i]
+                        by_xx[r] += taps[RADIUS + k] * blurred[3 * c + 1, y, k - i]
+                        by_xy[r] += taps[RADIUS + k] * blurred[3 * c + 2, y, k - i]
+                    if i < width - 1 and k >= width - 1 - i:
+                        mirrored = 2 * (width - 1) - i - k
+                        by_x[r] += taps[RADIUS + k] * blurred[3 * c, y, mirrored]
+                        by_xx[r] += taps[RADIUS + k] * blurred[3 * c + 1, y, mirrored]
+                        by_xy[r] += taps[RADIUS + k] * blurred[3 * c + 2, y, mirrored]
         noise = of_term(noise0, noise1, noise2, noise3, e0, e1, e2, c)
         scale = of_term(
             share0 * v_losses[0], share1 * v_losses[1], share2 * v_losses[2], share3 * v_losses[3], e0, e1, e2, c
         )
         for r in range(STRIP):
             if x + r < width:
-                a = pixel(x0, x1, x2, x3, e0, e1, e2, y, x + r, c)
-                b = pixel(y0, y1, y2, y3, e0, e1, e2, y, x + r, c)
+                at = y * x_row + (x + r) * x_column
+                a = read(of_x, at)
+                b = read(of_y, y * y_row + (x + r) * y_column)
                 slope = sign(a - b)
                 if noise > zero:
                     slope = (a - b) / wp.sqrt((a - b) * (a - b) + noise * noise)
@@ -158,21 +168,14 @@ def image_loss_adjoint_kernels(dtype: type, sigma: float):
                 if c >= smooth_from and c < smooth_to:
                     turns = dtype(0.0)
                     if x + r > 0:
-                        turns += sign(a - pixel(x0, x1, x2, x3, e0, e1, e2, y, x + r - 1, c))
+                        turns += sign(a - read(of_x, at - x_column))
                     if x + r + 1 < width:
-                        turns += sign(a - pixel(x0, x1, x2, x3, e0, e1, e2, y, x + r + 1, c))
+                        turns += sign(a - read(of_x, at + x_column))
                     if y > 0:
-                        turns += sign(a - pixel(x0, x1, x2, x3, e0, e1, e2, y - 1, x + r, c))
+                        turns += sign(a - read(of_x, at - x_row))
                     if y + 1 < height:
-                        turns += sign(a - pixel(x0, x1, x2, x3, e0, e1, e2, y + 1, x + r, c))
+                        turns += sign(a - read(of_x, at + x_row))
                     v += smooth_share * v_losses[4] * turns
-                if c < e0:
-                    v0[y, x + r, c] = v
-                elif c < e1:
-                    v1[y, x + r, c - e0] = v
-                elif c < e2:
-                    v2[y, x + r, c - e1] = v
-                else:
-                    v3[y, x + r, c - e2] = v
+                write(of_v, y * v_row + (x + r) * v_column, v)
 
     return blur_columns_adjoint_kernel, finish_rows_adjoint_kernel

@@ -73,7 +73,7 @@ def list_of_block(block: int, tile_offsets: wp.array(dtype=wp.int32), segment: i
 
 @functools.cache
 def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
-    """Joins the segments of cut lists: states as the adjoint needs them, the whole render. One thread a pixel and number.
+    """Joins the segments of cut lists, one thread a number of a pixel: the states, and the whole render.
 
     Args:
         channels: C, channels blended with the first opacity.
