@@ -28,16 +28,17 @@ STAGED = """
     const int first = __shfl_sync(all, row, 0);
     const bool fits = width <= 3 * HIGHEST_ && DENSE_ && (row < 0 || row == first + lane);
     const bool together = sizeof(S_) == sizeof(float) && __all_sync(all, fits);
-    const int count_rows = __popc(__ballot_sync(all, row >= 0));
+    const unsigned present = __ballot_sync(all, row >= 0), in_use = __ballot_sync(all, used);
+    const int count_rows = __popc(present);
     S_* staged = (S_*)staged_rows[threadIdx.x >> 5];
     const S_* mine = (const S_*)((const char*)rows.data + (long long)row * rows.strides[0]);
     int step = rows.strides[1] / (int)sizeof(S_);
     if (together) {
         mine = staged + lane * width;
         step = 3;
-        if (active > 1 && __any_sync(all, used)) {
+        if (active > 1 && in_use) {
             const S_* source = (const S_*)((const char*)rows.data + (long long)first * rows.strides[0]);
-            MOVE_(rows, staged[to] = source[at])
+            MOVE_(rows, in_use, staged[to] = source[at])
             __syncwarp();
         }
     }
@@ -46,16 +47,17 @@ STAGED = """
 # Whether a row's numbers lie side by side.
 DENSE = "({0}.shape[1] < 2 || {0}.strides[1] == 3 * (int)sizeof(S_))"
 
-# All numbers of the warp's rows, between `at` in memory and `to` in `staged`: in one sweep where nothing lies between
-# the rows, and else (the degree 0 of the next row may) row by row.
+# The numbers of the warp's rows in `wanted`, between `at` in memory and `to` in `staged`: in one sweep where all rows are
+# and nothing lies between them (the degree 0 of the next row may), and else row by row.
 MOVE = """
-    if ({rows}.strides[0] == width * (int)sizeof(S_)) {{
+    if ({rows}.strides[0] == width * (int)sizeof(S_) && {wanted} == present) {{
         for (int at = lane; at < width * count_rows; at += 32) {{ const int to = at; {what}; }}
     }} else {{
         const int pitch = {rows}.strides[0] / (int)sizeof(S_);
         #pragma unroll 4
         for (int r = 0; r < count_rows; ++r)
-            for (int e = lane; e < width; e += 32) {{ const int at = r * pitch + e, to = r * width + e; {what}; }}
+            if ({wanted} >> r & 1)
+                for (int e = lane; e < width; e += 32) {{ const int at = r * pitch + e, to = r * width + e; {what}; }}
     }}
 """
 
@@ -94,17 +96,25 @@ ADJOINT = """
                 v_b[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
             }
     }
-    if (together && !(add && !__any_sync(all, used))) {
-        __syncwarp();
-        #pragma unroll
-        for (int k = 1; k <= HIGHEST_; ++k)
-            if (k <= count)
-                for (int c = 0; c < 3; ++c)
-                    staged[lane * width + (k - 1) * 3 + c] = k < active && used ? b[k] * v[c] : zero;
-        __syncwarp();
+    if (together) {
         S_* target = (S_*)((char*)v_rows.data + (long long)first * v_rows.strides[0]);
-        MOVE_(v_rows, target[at] = add ? target[at] + staged[to] : staged[to])
-        __syncwarp();
+        if (in_use) {
+            __syncwarp();
+            #pragma unroll
+            for (int k = 1; k <= HIGHEST_; ++k)
+                if (k <= count)
+                    for (int c = 0; c < 3; ++c)
+                        staged[lane * width + (k - 1) * 3 + c] = k < active && used ? b[k] * v[c] : zero;
+            __syncwarp();
+            if (add) {
+                MOVE_(v_rows, in_use, target[at] += staged[to])
+            } else {
+                MOVE_(v_rows, present, target[at] = staged[to])
+            }
+            __syncwarp();
+        } else if (!add) {
+            MOVE_(v_rows, present, target[at] = zero)
+        }
     }
     const bool written_above = together;
 #else
@@ -190,7 +200,9 @@ def row_functions(dtype: type):
 def _source(snippet: str, dtype: type, dense: str) -> str:
     """A snippet with its placeholders filled in."""
     snippet = snippet.replace("STAGED_", STAGED)
-    snippet = re.sub(r"MOVE_\((\w+), (.*)\)\n", lambda m: MOVE.format(rows=m[1], what=m[2]), snippet)
+    snippet = re.sub(
+        r"MOVE_\((\w+), (\w+), (.*)\)\n", lambda m: MOVE.format(rows=m[1], wanted=m[2], what=m[3]), snippet
+    )
     words = {
         "DENSE_": dense,
         "HIGHEST_": str(HIGHEST),

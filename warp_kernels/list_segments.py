@@ -6,8 +6,8 @@ enters it; a second blends every segment from the transmittance in front of it, 
 ``join_segments`` adds up their colours. What it leaves at each boundary, T there and the colours behind, is where the
 adjoint of a segment begins.
 
-The block of segment k of tile t is number t + k: along the sorted pairs every step from one block to the next raises
-t or k. Tiles whose lists are short have all of it walked by the block of their first segment.
+The first blocks of threads have a tile each: all of its list, or the first segment. Those behind have a boundary each,
+and walk from there to the next where it lies within a long list.
 """
 
 import functools
@@ -16,7 +16,7 @@ import warp as wp
 
 from warp_kernels.blend_layout import BlendLayout
 
-LONG_LIST = 4
+LONG_LIST = 2
 """Segments' worth of pairs that one block walks without a cut."""
 
 CHUNK = 8
@@ -47,27 +47,30 @@ def list_of_block(block: int, tile_offsets: wp.array(dtype=wp.int32), segment: i
         The tile, the first pair, the pair after the last, and whether the list is cut. Where there is nothing to do
         for the block, the first pair is beyond the one after the last.
     """
+    num_tiles = tile_offsets.shape[0] - 1
     tile = int(block)
-    cut = bool(False)
-    if segment > 0:
+    first = int(0)  # pair at which a later segment begins
+    if block >= num_tiles:
+        first = (block - num_tiles) * segment
         tile = int(0)
-        upper = tile_offsets.shape[0] - 2
+        upper = num_tiles - 1
         while tile < upper:
             middle = (tile + upper + 1) // 2
-            if middle + tile_offsets[middle] // segment <= block:
+            if tile_offsets[middle] <= first:
                 tile = middle
             else:
                 upper = middle - 1
     begin = int(tile_offsets[tile])
     end = int(tile_offsets[tile + 1])
-    if segment > 0:
-        number = block - tile
-        cut = end - begin > wp.static(LONG_LIST) * segment
-        if (cut and number * segment >= end) or (not cut and number != begin // segment):
+    cut = segment > 0 and end - begin > wp.static(LONG_LIST) * segment
+    if block >= num_tiles:
+        if cut and first > begin and first < end:
+            begin = first
+            end = first + wp.min(end - first, segment)
+        else:
             begin = end + 1
-        elif cut:
-            begin = wp.max(begin, number * segment)
-            end = number * segment + wp.min(end - number * segment, segment)
+    elif cut:
+        end = (begin // segment + 1) * segment
     return tile, begin, end, cut
 
 
