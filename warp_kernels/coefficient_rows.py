@@ -1,11 +1,12 @@
-"""Products with one row of spherical harmonics coefficients a thread, moved between memory and chip by whole warps.
+"""The adjoint of a sum over one row of spherical harmonics coefficients a thread, moved by whole warps.
 
-A Gaussian's coefficients above degree 0 are one row of up to 45 numbers. Were each thread to read its own, neighbouring
-threads would read 180 bytes apart, and a cache line would be fetched many times. Where the rows of a warp's 32 threads
-lie side by side, as they do but for the last rows of an image, its lanes move all of them together through shared
-memory; float64 and other rows are read directly. On the CPU, where a warp is one lane, rows are always.
+A Gaussian's coefficients above degree 0 are one row of up to 45 numbers, and so is their gradient. Were each thread to
+write its own, neighbouring threads would write 180 bytes apart. Where the rows of a warp's 32 threads follow each
+other, as they do but at the end of an image, its lanes move all of them together through shared memory; float64 and
+other rows are read and written directly. On the CPU, where a warp is one lane, rows are always. (The sum itself reads a row
+directly: a line stays in the cache while its numbers are read one after the other, and nothing is written.)
 
-On CUDA all lanes of a warp must call these functions together: see ``whole_warps``.
+On CUDA all lanes of a warp must call the adjoint together: see ``whole_warps``.
 """
 
 import functools
@@ -47,10 +48,10 @@ STAGED = """
 # Whether a row's numbers lie side by side.
 DENSE = "({0}.shape[1] < 2 || {0}.strides[1] == 3 * (int)sizeof(S_))"
 
-# The numbers of the warp's rows in `wanted`, between `at` in memory and `to` in `staged`: in one sweep where all rows are
-# and nothing lies between them (the degree 0 of the next row may), and else row by row.
+# The numbers of the warp's rows in `wanted`, between `at` in memory and `to` in `staged`: where most rows are, and
+# nothing lies between them (the degree 0 of the next may), in one sweep, and else row by row.
 MOVE = """
-    if ({rows}.strides[0] == width * (int)sizeof(S_) && {wanted} == present) {{
+    if ({rows}.strides[0] == width * (int)sizeof(S_) && 2 * __popc({wanted}) >= count_rows) {{
         for (int at = lane; at < width * count_rows; at += 32) {{ const int to = at; {what}; }}
     }} else {{
         const int pitch = {rows}.strides[0] / (int)sizeof(S_);
@@ -59,27 +60,6 @@ MOVE = """
             if ({wanted} >> r & 1)
                 for (int e = lane; e < width; e += 32) {{ const int at = r * pitch + e, to = r * width + e; {what}; }}
     }}
-"""
-
-WEIGHTED = """
-#if defined(__CUDA_ARCH__)
-    STAGED_
-    if (used) {
-        #pragma unroll
-        for (int k = 1; k <= HIGHEST_; ++k)
-            if (k < active)
-                for (int c = 0; c < 3; ++c) start[c] += b[k] * mine[(k - 1) * step + c];
-    }
-#else
-    if (used) {
-        const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
-        for (int k = 1; k < active; ++k) {
-            const S_* coefficient = (const S_*)(mine + (k - 1) * rows.strides[1]);
-            for (int c = 0; c < 3; ++c) start[c] += b[k] * coefficient[c];
-        }
-    }
-#endif
-    return start;
 """
 
 ADJOINT = """
@@ -157,29 +137,18 @@ def whole_warps(count: int, device: wp.Device) -> int:
 
 
 @functools.cache
-def row_functions(dtype: type):
-    """The products.
+def row_adjoint_function(dtype: type):
+    """The adjoint of Σ b[k] rows[row, k - 1] over 0 < k < active.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(add_weighted_row, row_adjoint)``.
-
-        ``add_weighted_row(rows, row, b, active, used, start)``: start + Σ b[k] rows[row, k - 1] over 0 < k < active.
-
         ``row_adjoint(rows, v_rows, row, b, v, active, used, add)``: adds b[k] v to v_rows[row, k - 1], or with ``add``
-        false overwrites the row, and returns the dot products of rows[row, k - 1] with v, by k.
-
-        Neither reads a row that is not ``used``; its gradient is zero.
+        false overwrites the row, and returns the dot products of rows[row, k - 1] with v, by k. A row that is not
+        ``used`` has a gradient of zero, whatever it holds.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
-
-    @wp.func_native(_source(WEIGHTED, dtype, DENSE.format("rows")))
-    def add_weighted_row(
-        rows: wp.array2d(dtype=vec3), row: int, b: vec16, active: int, used: bool, start: vec3
-    ) -> vec3: ...
-
     dense = f"{DENSE.format('rows')} && {DENSE.format('v_rows')}"
 
     @wp.func_native(_source(ADJOINT, dtype, dense))
@@ -194,7 +163,7 @@ def row_functions(dtype: type):
         add: bool,
     ) -> vec16: ...
 
-    return add_weighted_row, row_adjoint
+    return row_adjoint
 
 
 def _source(snippet: str, dtype: type, dense: str) -> str:

@@ -66,7 +66,7 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     a, device, dtype = arrays, arrays.means.device, arrays.means.dtype._wp_scalar_type_
     a.camera_positions = empty(len(a.viewmats), wp.vec3d, device)
     launch_again(camera_position_kernels(dtype)[0], len(a.viewmats), [a.viewmats, a.camera_positions], device)
-    launch(color_kernel(dtype), whole_warps(len(a.colors), device), _arguments(arrays, settings), device)
+    launch(color_kernel(dtype), len(a.colors), _arguments(arrays, settings), device)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
         record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)

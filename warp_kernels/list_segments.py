@@ -16,7 +16,7 @@ import warp as wp
 
 from warp_kernels.blend_layout import BlendLayout
 
-LONG_LIST = 2
+LONG_LIST = 3
 """Segments' worth of pairs that one block walks without a cut."""
 
 CHUNK = 8

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from warp_kernels.coefficient_rows import row_functions
+from warp_kernels.coefficient_rows import row_adjoint_function
 from warp_kernels.strand_sums import STRANDS
 
 # Normalisation constants of the real basis functions.
@@ -138,10 +138,9 @@ def color_kernel(dtype: type) -> wp.Kernel:
     Returns:
         The Warp kernel.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    vec3 = wp.types.vector(3, dtype)
     basis, _ = basis_functions(dtype)
     direction = direction_function(dtype)
-    add_weighted_row, _ = row_functions(dtype)
 
     @wp.kernel(name=f"sh_colors_{dtype.__name__}", enable_backward=False, module="unique")
     def sh_colors_kernel(
@@ -159,30 +158,23 @@ def color_kernel(dtype: type) -> wp.Kernel:
         colors: wp.array(dtype=vec3),
     ):
         index = wp.tid() + first
-        inside = index < colors.shape[0]
         color = vec3()
-        b = vec16()
-        row = int(-1)
-        used = bool(False)
-        if inside:
+        if radii[index][0] > 0:
             image = index // num_gaussians
             gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
             row = wp.where(per_image, index, gaussian)
-            used = radii[index][0] > 0
-            if used:
-                unit, _ = direction(means[gaussian], camera_positions[image])
-                b = basis(unit, degree)
-                color = b[0] * sh0[row, 0]
-        color = add_weighted_row(shN, row, b, (degree + 1) * (degree + 1), used, color)
-        if used:
+            unit, _ = direction(means[gaussian], camera_positions[image])
+            b = basis(unit, degree)
+            color = b[0] * sh0[row, 0]
+            for k in range(1, (degree + 1) * (degree + 1)):
+                color = color + b[k] * shN[row, k - 1]
             # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
             color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
             for c in range(3):
                 # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
                 if color[c] < dtype(0.0):
                     color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
-        if inside:
-            colors[index] = color
+        colors[index] = color
 
     return sh_colors_kernel
 
@@ -197,12 +189,12 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
     Returns:
         The Warp kernel. It adds to coefficients and means, or with ``store`` writes them, and where there is room for
         it stores the direction's part per (image, Gaussian), whose negative sum is the gradient to the camera position.
-        Both kernels are launched over ``whole_warps``.
+        It is launched over ``whole_warps``.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
     basis, basis_adjoint = basis_functions(dtype)
     direction = direction_function(dtype)
-    _, row_adjoint = row_functions(dtype)
+    row_adjoint = row_adjoint_function(dtype)
 
     @wp.kernel(name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def sh_colors_adjoint_kernel(
