@@ -3,8 +3,8 @@
 A Gaussian's coefficients above degree 0 are one row of up to 45 numbers, and so is their gradient. Were each thread to
 write its own, neighbouring threads would write 180 bytes apart. Where the rows of a warp's 32 threads follow each
 other, as they do but at the end of an image, its lanes move all of them together through shared memory; float64 and
-other rows are read and written directly. On the CPU, where a warp is one lane, rows are always. (The sum itself reads a row
-directly: a line stays in the cache while its numbers are read one after the other, and nothing is written.)
+other rows are read and written directly. On the CPU, where a warp is one lane, rows are always. (The sum itself reads
+a row directly: a line stays in the cache while its numbers are read one after the other, and nothing is written.)
 
 On CUDA all lanes of a warp must call the adjoint together: see ``whole_warps``.
 """
