@@ -1,10 +1,8 @@
 """Adjoint of the blending, back to front, written by hand: Warp's generated adjoint of a dynamic loop is wrong.
 
 Walking a pixel's list backwards, T is recovered by division (so that it does not drift over thousands of layers, faint
-ones add an increment), and the colour behind the current Gaussian enters only
-through one number per pixel and opacity, S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient:
-dL/dα = T (f · dL/dcolour) - S / (1 - α).
-
+ones add an increment), and the colour behind the current Gaussian enters only through one number per pixel and opacity,
+S = Σ_behind w (f · dL/dcolour), seeded by the final transmittance's gradient: dL/dα = T (f · dL/dcolour) - S / (1 - α).
 Segments of long lists are walked from the states that the forward pass left; see list_segments.
 
 Each warp sums a Gaussian's gradient over its pixels into one record; see gradient_records. Those to mean and conic are
@@ -20,13 +18,7 @@ from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import BATCH
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.gradient_records import feature_offset, record_length
-from warp_kernels.lanes import (
-    accumulate_snippet,
-    column_sums_snippet,
-    lane_functions,
-    warp_any,
-    warp_max,
-)
+from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, lane_functions, warp_any, warp_max
 from warp_kernels.list_segments import list_of_block
 from warp_kernels.survivors import HEADER, stages_features, survivor_functions
 
