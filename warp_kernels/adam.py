@@ -19,7 +19,7 @@ from warp_kernels.tensor_tables import (
     addresses,
     counts,
     load_quad,
-    place_of,
+    share_of,
     store_quad,
     thread_ends,
 )
@@ -68,12 +68,7 @@ def adam_update_kernel(
     """Moments and parameters of four numbers; the gradient's shares 1 - β come from the host, where they are exact."""
     if blocked[0] != 0.0:
         return
-    thread = wp.tid()
-    place = place_of(ends, thread)
-    start = int(0)
-    if place > 0:
-        start = int(ends[place - 1])
-    first = wp.static(QUAD) * (thread - start)
+    place, first = share_of(ends, wp.tid())
     size = int(sizes[place])
     if first >= size:
         return

@@ -57,7 +57,7 @@ def blend_kernel(
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
-    whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
+    whiten, alpha, _, row_range = alpha_functions(dtype)
     exp_negative, attenuate, _ = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
@@ -66,7 +66,7 @@ def blend_kernel(
     batch = BATCH
     first_thermal = C - D
     staged, header = stages_features(channels, dtype, layout) and not only_transmittance, HEADER
-    records_of_warp, admit, get, integer = survivor_functions(channels, staged, dtype, layout)
+    candidate, records_of_warp, admit, get, integer = survivor_functions(channels, staged, dual, dtype, layout)
 
     @wp.kernel(
         name=f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + "_transmittance" * only_transmittance,
@@ -175,11 +175,7 @@ def blend_kernel(
             first_end = wp.min(end, (i // batch + 1) * batch)
             if i + lane < first_end:
                 g = gaussian_ids[i + lane]
-                mean = means2d[g]
-                root = roots[g]
-                opacity = opacities[g]
-                if wp.static(dual):
-                    opacity_t = thermal_opacities[g]
+                mean, root, opacity, opacity_t = candidate(g, means2d, roots, opacities, thermal_opacities)
             if first_end + lane < end:
                 g_next = gaussian_ids[first_end + lane]
         while i < end:
@@ -195,24 +191,11 @@ def blend_kernel(
             batch_end = wp.min(end, (i // batch + 1) * batch)
             count = batch_end - i
             if wp.static(cuda):
-                # Candidate of this lane, tested against the warp's whole block.
-                hit = int(0)
-                if lane < count:
-                    bound = opacity
-                    if wp.static(dual):
-                        bound = wp.max(opacity, opacity_t)
-                    x1 = x0 + dtype(block_width - 1)
-                    y1 = y0 + dtype(block_height - 1)
-                    hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
-                count = admit(address, lane, hit, g, mean, root, opacity, opacity_t, features)
+                count = admit(address, lane, count, x0, y0, g, mean, root, opacity, opacity_t, features)
                 # What the next batch begins with is on its way while this one is walked, its identities since the last.
                 g = g_next
                 if batch_end + lane < end:
-                    mean = means2d[g]
-                    root = roots[g]
-                    opacity = opacities[g]
-                    if wp.static(dual):
-                        opacity_t = thermal_opacities[g]
+                    mean, root, opacity, opacity_t = candidate(g, means2d, roots, opacities, thermal_opacities)
                 if batch_end + batch + lane < end:
                     g_next = gaussian_ids[batch_end + batch + lane]
 

@@ -62,7 +62,7 @@ def blend_adjoint_kernel(
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
     warps = layout.warps
-    whiten, alpha, reaches_block, row_range = alpha_functions(dtype)
+    whiten, alpha, _, row_range = alpha_functions(dtype)
     exp_negative, _, reciprocal = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
@@ -70,7 +70,7 @@ def blend_adjoint_kernel(
     batch = BATCH
     first_thermal = C - D
     staged, header = stages_features(channels, dtype, layout), HEADER
-    records_of_warp, admit, get, integer = survivor_functions(channels, staged, dtype, layout)
+    candidate, records_of_warp, admit, get, integer = survivor_functions(channels, staged, dual, dtype, layout)
 
     @wp.func
     def restored(behind: dtype, a: dtype, ra: dtype):
@@ -200,33 +200,17 @@ def blend_adjoint_kernel(
             address = records_of_warp(warp)
             if i - lane >= begin:
                 g = gaussian_ids[i - lane]
-                mean = means2d[g]
-                root = roots[g]
-                opacity = opacities[g]
-                if wp.static(dual):
-                    opacity_t = thermal_opacities[g]
+                mean, root, opacity, opacity_t = candidate(g, means2d, roots, opacities, thermal_opacities)
             if i - batch - lane >= begin:
                 g_next = gaussian_ids[i - batch - lane]
         while i >= begin:
             count = wp.min(batch, i - begin + 1)
             if wp.static(cuda):
-                hit = int(0)
-                if lane < count:
-                    bound = opacity
-                    if wp.static(dual):
-                        bound = wp.max(opacity, opacity_t)
-                    x1 = x0 + dtype(block_width - 1)
-                    y1 = y0 + dtype(block_height - 1)
-                    hit = wp.where(reaches_block(mean, root, bound, x0, y0, x1, y1), 1, 0)
-                count = admit(address, lane, hit, g, mean, root, opacity, opacity_t, features)
+                count = admit(address, lane, count, x0, y0, g, mean, root, opacity, opacity_t, features)
                 # What the next batch begins with is on its way while this one is walked, its identities since the last.
                 g = g_next
                 if i - batch - lane >= begin:
-                    mean = means2d[g]
-                    root = roots[g]
-                    opacity = opacities[g]
-                    if wp.static(dual):
-                        opacity_t = thermal_opacities[g]
+                    mean, root, opacity, opacity_t = candidate(g, means2d, roots, opacities, thermal_opacities)
                 if i - 2 * batch - lane >= begin:
                     g_next = gaussian_ids[i - 2 * batch - lane]
 

@@ -7,13 +7,12 @@ import warp as wp
 from warp_kernels.tensor_tables import (
     BLOCK,
     PLACES,
-    QUAD,
     Addresses,
     Counts,
     addresses,
     counts,
     load_quad,
-    place_of,
+    share_of,
     thread_ends,
 )
 
@@ -34,12 +33,8 @@ def note_bad_kernel(
     blocked: wp.array(dtype=wp.float32),
 ):
     """Four numbers a thread; whatever thread finds something writes the same."""
-    thread = wp.tid()
-    place = place_of(ends, thread)
-    start = int(0)
-    if place > 0:
-        start = int(ends[place - 1])
-    values = load_quad(tensors[place], wp.static(QUAD) * (thread - start), int(sizes[place]))
+    place, start = share_of(ends, wp.tid())
+    values = load_quad(tensors[place], start, int(sizes[place]))
     largest = wp.float32(wp.static(LARGEST))
     passes = wp.abs(values[0]) <= largest and wp.abs(values[1]) <= largest
     if not (passes and wp.abs(values[2]) <= largest and wp.abs(values[3]) <= largest):

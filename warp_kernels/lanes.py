@@ -60,16 +60,6 @@ def count_bits(x: wp.uint32) -> int: ...
 def warp_sync(): ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, x, lane);
-#else
-    return x;
-#endif
-""")
-def broadcast_int(x: int, lane: int) -> int: ...
-
-
 # Branch-free on the CPU, so that a loop over pixels vectorises (a call into libm does not). Valid for x <= 0, which is
 # all the blend needs. x = n ln 2 + f, where ln 2 comes in two parts (the first with so few bits that n times it is
 # exact), then a polynomial of f, fitted for the least relative error on |f| <= ln(2) / 2: relative error 1e-7 for the x

@@ -11,6 +11,7 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.lanes import LANES_CUDA, count_bits, warp_ballot, warp_sync
 
@@ -46,18 +47,22 @@ def _stride(length: int, dtype: type) -> int:
 
 
 @functools.cache
-def survivor_functions(channels: int, staged: bool, dtype: type, layout: BlendLayout) -> tuple[Any, Any, Any, Any]:
-    """Access to the warp's records.
+def survivor_functions(
+    channels: int, staged: bool, dual: bool, dtype: type, layout: BlendLayout
+) -> tuple[Any, Any, Any, Any, Any]:
+    """From a lane's candidate to the warp's records.
 
     Args:
         channels: C, features of a Gaussian.
         staged: records hold them.
+        dual: there are two opacities.
         dtype: ``wp.float32`` or ``wp.float64``.
         layout: deal of pixels to lanes.
 
     Returns:
-        Warp functions ``(records_of_warp, admit, get, integer)``: the address of a warp's records; store each lane's
-        candidate that hit, and count them; read one; the whole number in one of its places.
+        Warp functions ``(candidate, records_of_warp, admit, get, integer)``: the numbers of a Gaussian; the address of
+        a warp's records; store each lane's candidate that reaches the warp's block, whose first pixel centre is
+        (x0, y0), and count them; read one; the whole number in one of its places.
     """
     length = HEADER + (channels if staged else 0)
     stride = _stride(length, dtype)
@@ -83,6 +88,8 @@ def survivor_functions(channels: int, staged: bool, dtype: type, layout: BlendLa
     floats = LANES_CUDA * stride
     word = wp.int32 if dtype is wp.float32 else wp.int64
     vec2, vec3, vecC = (wp.types.vector(count, dtype) for count in (2, 3, channels))
+    _, _, reaches_block, _ = alpha_functions(dtype)
+    across, down, zero = dtype(layout.block_width - 1), dtype(layout.block_height - 1), dtype(0.0)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
     address_snippet = _on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
     put_snippet = _on_cuda(f"{locate}\n{writes}")
@@ -102,10 +109,28 @@ def survivor_functions(channels: int, staged: bool, dtype: type, layout: BlendLa
         return int(wp.cast(x, word))
 
     @wp.func
+    def candidate(
+        g: int,
+        means2d: wp.array(dtype=vec2),
+        roots: wp.array(dtype=vec3),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+    ):
+        mean = means2d[g]
+        root = roots[g]
+        opacity = opacities[g]
+        opacity_t = zero
+        if wp.static(dual):
+            opacity_t = thermal_opacities[g]
+        return mean, root, opacity, opacity_t
+
+    @wp.func
     def admit(
         address: wp.uint64,
         lane: int,
-        hit: int,
+        candidates: int,
+        x0: dtype,
+        y0: dtype,
         g: int,
         mean: vec2,
         root: vec3,
@@ -113,6 +138,12 @@ def survivor_functions(channels: int, staged: bool, dtype: type, layout: BlendLa
         opacity_t: dtype,
         features: wp.array(dtype=vecC),
     ):
+        hit = int(0)
+        if lane < candidates:
+            bound = opacity
+            if wp.static(dual):
+                bound = wp.max(opacity, opacity_t)
+            hit = wp.where(reaches_block(mean, root, bound, x0, y0, x0 + across, y0 + down), 1, 0)
         survivors = warp_ballot(hit)
         warp_sync()
         if hit != 0:
@@ -135,7 +166,7 @@ def survivor_functions(channels: int, staged: bool, dtype: type, layout: BlendLa
         warp_sync()
         return count_bits(survivors)
 
-    return records_of_warp, admit, get, integer
+    return candidate, records_of_warp, admit, get, integer
 
 
 def _on_cuda(source: str, otherwise: str = "") -> str:

@@ -23,12 +23,15 @@ Counts = wp.types.vector(PLACES, wp.uint64)  # of int32 nvcc would copy a table 
 
 
 @wp.func
-def place_of(ends: Counts, thread: int):
-    """The tensor that a thread belongs to, by the ends of their threads; those behind the last belong to none."""
+def share_of(ends: Counts, thread: int):
+    """The tensor that a thread belongs to, by the ends of their threads, and the first number of the thread's share."""
     place = int(0)
     while place < wp.static(PLACES - 1) and thread >= int(ends[place]):
         place += 1
-    return place
+    start = int(0)
+    if place > 0:
+        start = int(ends[place - 1])
+    return place, wp.static(QUAD) * (thread - start)
 
 
 @wp.func_native("""
