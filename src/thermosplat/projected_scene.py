@@ -63,20 +63,19 @@ class ProjectedScene:
         # and what per_image and colors are given; detached when they are counted
         self._inputs = [(self.means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
         bound = opacities.detach().contiguous()
-        self.projected = ProjectedTensors(
-            *Project.apply(
-                self.means,
-                quats,
-                scales,
-                upper,
-                bound,
-                bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
-                self.viewmats,
-                Ks.contiguous(),
-                settings,
-                self.images_shape,
-            )
+        *projected, self._means = Project.apply(
+            self.means,
+            quats,
+            scales,
+            upper,
+            bound,
+            bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
+            self.viewmats,
+            Ks.contiguous(),
+            settings,
+            self.images_shape,
         )
+        self.projected = ProjectedTensors(*projected)
         self._arrays = self.projected.arrays()
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
         self.means2d, self.depths = self.projected.means2d, self.projected.depths
@@ -116,7 +115,7 @@ class ProjectedScene:
             higher_degrees = higher_degrees.contiguous() if higher_degrees.shape[-2] > 0 else None
         settings = ColorSettings(sh_degree, self.settings.num_gaussians, self.settings.num_cameras, per_camera)
         arguments = (colors.contiguous(), higher_degrees, self.projected.radii, settings)
-        return ShColors.apply(self.means, self.viewmats, *arguments)
+        return ShColors.apply(self._means, self.viewmats, *arguments)
 
     def _note(self, coefficients: Tensor) -> None:
         """Remembers coefficients [..., N, K, 3] as an input whose numbers should be finite."""

@@ -50,7 +50,11 @@ class ProjectedTensors(NamedTuple):
 
 
 class Project(torch.autograd.Function):
-    """Projection; see ``projection_step``. Returns the fields of ``ProjectedTensors``."""
+    """Projection; see ``projection_step``. Returns the fields of ``ProjectedTensors``, and the means once more.
+
+    What is computed from the means of projected Gaussians should take those: its gradient is then added to by the
+    projection's adjoint, instead of a second gradient of that size by torch.
+    """
 
     @staticmethod
     def forward(
@@ -83,14 +87,17 @@ class Project(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         outputs = (projected.roots, projected.compensations, projected.radii)
         ctx.save_for_backward(means, quats, scales, covars, opacities, viewmats, Ks, *outputs)
-        return tuple(projected)
+        return *projected, means.view_as(means)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, opacities, viewmats, Ks, roots, compensations, radii = ctx.saved_tensors
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
-        v_means, v_quats, v_scales, v_covars = (_empty(tensor) for tensor in (means, quats, scales, covars))
+        *gradients, v_means = gradients
+        add_to_means = v_means is not None
+        v_means = v_means.contiguous() if add_to_means else torch.empty_like(means)
+        v_quats, v_scales, v_covars = _empty(quats), _empty(scales), _empty(covars)
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
         kinds = kinds_of(means.dtype)
         with on_torch_stream(means.device) as device:
@@ -105,7 +112,7 @@ class Project(torch.autograd.Function):
             for array, gradient in zip(outputs, gradients, strict=False):
                 lend(array, gradient)
             projected = ProjectedArrays(*outputs, view(radii, wp.vec2i), nothing(kinds.vec2, 1, device))
-            project_adjoint(g, ctx.settings, projected, store=True)
+            project_adjoint(g, ctx.settings, projected, store=True, add_to_means=add_to_means)
         return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, None
 
 
