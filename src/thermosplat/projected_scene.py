@@ -180,10 +180,12 @@ class ProjectedScene:
                 self.settings,
                 self.tile_size,
                 room.limit() if room is not None else None,
+                room.listed_limit() if room is not None else None,
                 deterministic=self.deterministic,
             )
             if room is not None:
-                room.note(to_torch(self._bins.pair_ends)[-1:])
+                totals = self._bins.totals
+                room.note(to_torch(self._bins.pair_ends)[-1:] if totals is None else to_torch(totals)[-1])
         return self._bins
 
     def info(self) -> RasterizationInfo:

@@ -6,7 +6,7 @@ initialised where they can. Only what a function saves keeps memory alive until 
 lets go of it. Work runs on torch's current stream.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -94,9 +94,8 @@ class Project(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, opacities, viewmats, Ks, roots, compensations, radii = ctx.saved_tensors
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
-        *gradients, v_means = gradients
-        add_to_means = v_means is not None
-        v_means = v_means.contiguous() if add_to_means else torch.empty_like(means)
+        *v_projected, given = gradients
+        v_means = torch.empty_like(means) if given is None else given.contiguous()
         v_quats, v_scales, v_covars = _empty(quats), _empty(scales), _empty(covars)
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
         kinds = kinds_of(means.dtype)
@@ -109,10 +108,10 @@ class Project(torch.autograd.Function):
             # Of means2d and depths the adjoint reads only the gradients.
             unread = (ArrayView(0, (radii.numel() // 2,), kind, device) for kind in (kinds.vec2, kinds.scalar))
             outputs = (*unread, view(roots, kinds.vec3), view(compensations, kinds.scalar))
-            for array, gradient in zip(outputs, gradients, strict=False):
+            for array, gradient in zip(outputs, v_projected, strict=False):
                 lend(array, gradient)
             projected = ProjectedArrays(*outputs, view(radii, wp.vec2i), nothing(kinds.vec2, 1, device))
-            project_adjoint(g, ctx.settings, projected, store=True, add_to_means=add_to_means)
+            project_adjoint(g, ctx.settings, projected, store=True, add_to_means=given is not None)
         return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, None
 
 
@@ -249,12 +248,13 @@ class Blend(torch.autograd.Function):
             ctx.features = view(features, vector_of(features.shape[-1], dtype))
             ctx.blended = blending_step.BlendedArrays(*arrays)
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
+            bins = _read_by_adjoint(inputs.bins)
             blending_step.blend(
                 ctx.projected,
                 ctx.opacities,
                 ctx.thermal_opacities,
                 ctx.features,
-                _unowned(inputs.bins),
+                _unowned(bins),
                 settings,
                 ctx.blended,
                 ctx.tape,
@@ -264,7 +264,7 @@ class Blend(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
         tensors = (means2d, roots, opacities, thermal_opacities, features, inputs.extents)
-        ctx.save_for_backward(*tensors, *read, *_owners(inputs.bins), *made)
+        ctx.save_for_backward(*tensors, *read, *_owners(bins), *made)
         return tuple(renders)
 
     @staticmethod
@@ -292,6 +292,13 @@ class Blend(torch.autograd.Function):
         return *found, None
 
 
+def _read_by_adjoint(bins: TileBins) -> TileBins:
+    """The lists without those that only binning needed."""
+    if bins.slots is not None:
+        return replace(bins, totals=None)
+    return replace(bins, totals=None, order=None, pair_ends=None)
+
+
 def _unowned(bins: TileBins) -> TileBins:
     """The same lists, as arrays that do not keep their memory alive."""
     arrays = {name: value.unowned() for name, value in vars(bins).items() if isinstance(value, ArrayView)}
@@ -311,6 +318,7 @@ def bin_tiles(
     settings: ProjectionSettings,
     tile_size: int,
     capacity: int | None = None,
+    room: int | None = None,
     *,
     deterministic: bool = False,
 ) -> TileBins:
@@ -324,6 +332,7 @@ def bin_tiles(
         settings: image size.
         tile_size: edge of a tile [px].
         capacity: pairs there is room for; None: their number is read back from the device.
+        room: with ``capacity``, Gaussians with pairs there is room for; None: for all.
         deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
 
     Returns:
@@ -349,6 +358,7 @@ def bin_tiles(
                 tile_size,
                 by_slot=deterministic or not device.is_cuda,
                 capacity=capacity,
+                room=room,
             )
         except binning_step.TooManyPairsError as error:
             raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error

@@ -1,4 +1,4 @@
-"""Stores that a warp does together: the vectors are where plain stores would have put them, and nothing else changed."""
+"""Stores that a warp does together: vectors are where plain stores would put them, and nothing else has changed."""
 
 import functools
 

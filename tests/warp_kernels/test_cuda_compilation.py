@@ -33,7 +33,7 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for to_cameras in (False, True)
         for antialiased in (False, True)
     ]
-    kernels += [*binning_kernels(dtype), tile_ranges_kernel, camera_finish_kernel(dtype)]
+    kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, camera_finish_kernel(dtype)]
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
     kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), *camera_position_kernels(dtype)]
     kernels += [
