@@ -20,6 +20,16 @@ STORE_WHOLE = """
     target.data[index] = value;
 """
 
+STORE_PAIR = """
+#if defined(__CUDA_ARCH__)
+    if (((size_t)target.data & 7) == 0) {
+        *(int2*)(target.data + index) = make_int2(value[0], value[1]);
+        return;
+    }
+#endif
+    target.data[index] = value;
+"""
+
 STORE_VEC3 = """
 #if defined(__CUDA_ARCH__)
     const unsigned all = 0xffffffffu;
@@ -46,6 +56,11 @@ def _source(snippet: str, length: int, dtype: type) -> str:
     numbers = ", ".join(f"(float)value[{k}]" for k in range(length))
     scalar = "float" if dtype is wp.float32 else "double"
     return snippet.replace("LENGTH_", str(length)).replace("NUMBERS_", numbers).replace("S_", scalar)
+
+
+@wp.func_native(STORE_PAIR)
+def store_pair(target: wp.array(dtype=wp.vec2i), index: int, value: wp.vec2i):
+    """Stores a vector of two integers."""
 
 
 @functools.cache

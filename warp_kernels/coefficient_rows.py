@@ -128,6 +128,41 @@ ADJOINT = """
 """
 
 
+# A row's numbers 4 at a time where its memory allows that, all asked for before the first is used.
+SUM = """
+    wp::vec_t<3, S_> total = start;
+    const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
+#if defined(__CUDA_ARCH__)
+    const bool aligned = (((size_t)rows.data | rows.strides[0]) & 15) == 0 && rows.strides[1] == 12;
+    if (sizeof(S_) == 4 && lowest == 0 && aligned) {
+        const int end = 3 * active;
+        float4 quads[12];
+        #pragma unroll
+        for (int j = 0; j < 12; ++j)
+            if (4 * j < end) quads[j] = __ldg((const float4*)mine + j);
+        #pragma unroll
+        for (int j = 0; j < 12; ++j)
+            if (4 * j < end) {
+                const float numbers[4] = {quads[j].x, quads[j].y, quads[j].z, quads[j].w};
+                #pragma unroll
+                for (int i = 0; i < 4; ++i) {
+                    const int at = 4 * j + i;
+                    if (at < end) total[at % 3] += b[at / 3] * (S_)numbers[i];
+                }
+            }
+        return total;
+    }
+#endif
+    #pragma unroll
+    for (int k = 0; k < 16; ++k)
+        if (k >= lowest && k < active) {
+            const S_* coefficient = (const S_*)(mine + (k - lowest) * rows.strides[1]);
+            for (int c = 0; c < 3; ++c) total[c] += b[k] * coefficient[c];
+        }
+    return total;
+"""
+
+
 def whole_warps(count: int, device: wp.Device) -> int:
     """Threads to launch for so many rows: on CUDA full warps, whose last lanes pass row -1.
 
@@ -136,6 +171,25 @@ def whole_warps(count: int, device: wp.Device) -> int:
         device: Where.
     """
     return -(-count // 32) * 32 if device.is_cuda else count
+
+
+@functools.cache
+def row_sum_function(dtype: type):
+    """A row's sum.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``row_sum(rows, lowest, row, b, active, start)``: start + Σ b[k] rows[row, k - lowest] over lowest <= k <
+        active, where rows begin with the coefficient ``lowest``, 0 or 1.
+    """
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+
+    @wp.func_native(SUM.replace("S_", "float" if dtype is wp.float32 else "double"))
+    def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3) -> vec3: ...
+
+    return row_sum
 
 
 @functools.cache

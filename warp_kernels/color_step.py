@@ -56,7 +56,7 @@ class ColorSettings:
 
 
 def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None = None) -> None:
-    """Evaluates spherical harmonics in each Gaussian's view direction; zero where it is culled.
+    """Evaluates spherical harmonics in each Gaussian's view direction; where it is culled no colour is written.
 
     Args:
         arrays: inputs, and the output.
@@ -66,7 +66,9 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     a, device, dtype = arrays, arrays.means.device, arrays.means.dtype._wp_scalar_type_
     a.camera_positions = empty(len(a.viewmats), wp.vec3d, device)
     launch_again(camera_position_kernels(dtype)[0], len(a.viewmats), [a.viewmats, a.camera_positions], device)
-    inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, a.shN, a.radii]
+    joined = _joined(a.sh0, a.shN)
+    rows, lowest = (a.shN, 1) if joined is None else (joined, 0)
+    inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.radii]
     launch(color_kernel(dtype), len(a.colors), [*inputs, a.colors], device)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)

@@ -9,7 +9,7 @@ import functools
 import warp as wp
 
 from warp_kernels.coalesced_stores import store_functions
-from warp_kernels.coefficient_rows import row_adjoint_function
+from warp_kernels.coefficient_rows import row_adjoint_function, row_sum_function
 from warp_kernels.strand_sums import STRANDS
 
 # Normalisation constants of the real basis functions.
@@ -131,16 +131,17 @@ def direction_function(dtype: type):
 
 @functools.cache
 def color_kernel(dtype: type) -> wp.Kernel:
-    """Forward kernel: colour of each (image, Gaussian) pair, zero where the Gaussian is culled.
+    """Forward kernel: colour of each (image, Gaussian) pair, not written where the Gaussian is culled.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        The Warp kernel.
+        The Warp kernel. ``rows`` begin with the coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
     """
     vec3 = wp.types.vector(3, dtype)
     basis, _ = basis_functions(dtype)
+    row_sum = row_sum_function(dtype)
     direction = direction_function(dtype)
 
     @wp.kernel(name=f"sh_colors_{dtype.__name__}", enable_backward=False, module="unique")
@@ -153,29 +154,30 @@ def color_kernel(dtype: type) -> wp.Kernel:
         means: wp.array(dtype=vec3),
         camera_positions: wp.array(dtype=wp.vec3d),
         sh0: wp.array2d(dtype=vec3),
-        shN: wp.array2d(dtype=vec3),
+        rows: wp.array2d(dtype=vec3),
+        lowest: int,
         radii: wp.array(dtype=wp.vec2i),
         # outputs
         colors: wp.array(dtype=vec3),
     ):
         index = wp.tid() + first
-        color = vec3()
         if radii[index][0] > 0:
             image = index // num_gaussians
             gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
             row = wp.where(per_image, index, gaussian)
             unit, _ = direction(means[gaussian], camera_positions[image])
             b = basis(unit, degree)
-            color = b[0] * sh0[row, 0]
-            for k in range(1, (degree + 1) * (degree + 1)):
-                color = color + b[k] * shN[row, k - 1]
+            color = vec3()
+            if lowest > 0:
+                color = b[0] * sh0[row, 0]
+            color = row_sum(rows, lowest, row, b, (degree + 1) * (degree + 1), color)
             # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
             color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
             for c in range(3):
                 # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
                 if color[c] < dtype(0.0):
                     color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
-        colors[index] = color
+            colors[index] = color
 
     return sh_colors_kernel
 

@@ -219,12 +219,12 @@ class ProjectedScene:
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
         depths, tiles = self.depths.detach().flatten(), bins.tiles_x * bins.tiles_y
-        roots = self.projected.roots
+        roots, radii = self.projected.roots, self.projected.radii
         inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
         return RasterizationInfo(
             values,
             {
-                "conics": lambda: conics(roots),
+                "conics": lambda: conics(roots, radii),
                 "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles),
                 "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
             },

@@ -39,7 +39,7 @@ class ProjectedTensors(NamedTuple):
     means2d: Tensor
     depths: Tensor
     roots: Tensor
-    compensations: Tensor
+    compensations: Tensor  # empty in the classic mode
     radii: Tensor  # int32, not differentiable
     extents: Tensor  # not differentiable
 
@@ -75,7 +75,7 @@ class Project(torch.autograd.Function):
             means2d=means.new_empty((*shape, 2)),
             depths=means.new_empty(shape),
             roots=means.new_empty((*shape, 3)),
-            compensations=means.new_empty(shape),
+            compensations=means.new_empty(shape if settings.antialiased else 0),
             radii=means.new_empty((*shape, 2), dtype=torch.int32),
             extents=means.new_empty((*shape, 2)),
         )
@@ -263,7 +263,8 @@ class Blend(torch.autograd.Function):
         ctx.shown_means2d = inputs.shown_means2d
         ctx.set_materialize_grads(False)
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
-        tensors = (means2d, roots, opacities, thermal_opacities, features, inputs.extents)
+        extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
+        tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
         ctx.save_for_backward(*tensors, *read, *_owners(bins), *made)
         return tuple(renders)
 

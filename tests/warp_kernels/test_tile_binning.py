@@ -45,8 +45,8 @@ def bin_scene(name: str, tile_size: int, needles: bool, by_slot: bool = True) ->
 def drawn_tiles(arrays: ProjectedArrays, bins: TileBins, extra: dict, alpha_min: float) -> set[tuple[int, int]]:
     """(tile, flat Gaussian) pairs in which some pixel centre has alpha of at least alpha_min, by trying them all."""
     settings = extra["settings"]
-    means, roots = arrays.means2d.numpy().astype(np.float64), arrays.roots.numpy().astype(np.float64)
     visible = (arrays.radii.numpy() > 0).all(-1)
+    means, roots = (np.where(visible[:, None], a.numpy(), 0).astype(np.float64) for a in (arrays.means2d, arrays.roots))
     x, y = np.meshgrid(np.arange(settings.width), np.arange(settings.height))
     tile_of_pixel = (y // bins.tile_size) * bins.tiles_x + x // bins.tile_size
     pairs = set()
