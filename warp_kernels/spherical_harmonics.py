@@ -144,7 +144,10 @@ def color_kernel(dtype: type) -> wp.Kernel:
     row_sum = row_sum_function(dtype)
     direction = direction_function(dtype)
 
-    @wp.kernel(name=f"sh_colors_{dtype.__name__}", enable_backward=False, module="unique")
+    # A row is 48 registers, and three blocks a multiprocessor keep enough of them under way.
+    bounds = (256, 3) if dtype is wp.float32 else None
+
+    @wp.kernel(name=f"sh_colors_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds)
     def sh_colors_kernel(
         first: int,
         num_gaussians: int,
@@ -200,8 +203,11 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
     direction = direction_function(dtype)
     row_adjoint = row_adjoint_function(dtype)
     _, store3, _ = store_functions(dtype)
+    bounds = (256, 3) if dtype is wp.float32 else None  # as of the forward kernel
 
-    @wp.kernel(name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
+    @wp.kernel(
+        name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds
+    )
     def sh_colors_adjoint_kernel(
         first: int,
         num_gaussians: int,
