@@ -205,9 +205,7 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
     _, store3, _ = store_functions(dtype)
     bounds = (256, 3) if dtype is wp.float32 else None  # as of the forward kernel
 
-    @wp.kernel(
-        name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds
-    )
+    @wp.kernel(name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds)
     def sh_colors_adjoint_kernel(
         first: int,
         num_gaussians: int,
