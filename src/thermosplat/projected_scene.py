@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from thermosplat.pair_capacity import active_pair_capacity
-from thermosplat.rasterization_functions import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles
+from thermosplat.rasterization_functions import Blend, BlendInputs, Project, ProjectedTensors, ShColors
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
+from thermosplat.tile_lists import bin_tiles
 from thermosplat.warp_bridge import to_torch
 from warp_kernels.color_step import ColorSettings
 from warp_kernels.projection import ProjectionSettings

@@ -6,7 +6,7 @@ initialised where they can. Only what a function saves keeps memory alive until 
 lets go of it. Work runs on torch's current stream.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -14,10 +14,10 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.errors import UserError
+from thermosplat.tile_lists import owners, read_by_adjoint, unowned
 from thermosplat.warp_bridge import kinds_of, lend, vector_of, view, warp_device_of
-from thermosplat.warp_streams import joined_capture, kept_apart, on_torch_stream
-from warp_kernels import binning_step, blending_step
+from thermosplat.warp_streams import kept_apart, on_torch_stream
+from warp_kernels import blending_step
 from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
@@ -248,13 +248,13 @@ class Blend(torch.autograd.Function):
             ctx.features = view(features, vector_of(features.shape[-1], dtype))
             ctx.blended = blending_step.BlendedArrays(*arrays)
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
-            bins = _read_by_adjoint(inputs.bins)
+            bins = read_by_adjoint(inputs.bins)
             blending_step.blend(
                 ctx.projected,
                 ctx.opacities,
                 ctx.thermal_opacities,
                 ctx.features,
-                _unowned(bins),
+                unowned(bins),
                 settings,
                 ctx.blended,
                 ctx.tape,
@@ -265,7 +265,7 @@ class Blend(torch.autograd.Function):
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
         extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
         tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
-        ctx.save_for_backward(*tensors, *read, *_owners(bins), *made)
+        ctx.save_for_backward(*tensors, *read, *owners(bins), *made)
         return tuple(renders)
 
     @staticmethod
@@ -291,75 +291,3 @@ class Blend(torch.autograd.Function):
         if ctx.absolute is not None:
             ctx.shown_means2d.absgrad = ctx.absolute
         return *found, None
-
-
-def _read_by_adjoint(bins: TileBins) -> TileBins:
-    """The lists without those that only binning needed."""
-    if bins.slots is not None:
-        return replace(bins, totals=None)
-    return replace(bins, totals=None, order=None, pair_ends=None)
-
-
-def _unowned(bins: TileBins) -> TileBins:
-    """The same lists, as arrays that do not keep their memory alive."""
-    arrays = {name: value.unowned() for name, value in vars(bins).items() if isinstance(value, ArrayView)}
-    return TileBins(**vars(bins) | arrays)
-
-
-def _owners(bins: TileBins) -> list[Tensor]:
-    """What the lists' memory belongs to."""
-    return [value.owner for value in vars(bins).values() if isinstance(value, ArrayView)]
-
-
-def bin_tiles(
-    projected: ProjectedArrays,
-    opacities: Tensor,
-    thermal_opacities: Tensor,
-    features: Tensor,
-    settings: ProjectionSettings,
-    tile_size: int,
-    capacity: int | None = None,
-    room: int | None = None,
-    *,
-    deterministic: bool = False,
-) -> TileBins:
-    """Lists the Gaussians of each tile.
-
-    Args:
-        projected: what ``Project`` returned; radii of Gaussians with non-finite features become zero, in place.
-        opacities: [images · N], compensation included.
-        thermal_opacities: [images · N]; the same tensor where there is one opacity.
-        features: [images · N, D].
-        settings: image size.
-        tile_size: edge of a tile [px].
-        capacity: pairs there is room for; None: their number is read back from the device.
-        room: with ``capacity``, Gaussians with pairs there is room for; None: for all.
-        deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
-
-    Returns:
-        The bins.
-
-    Raises:
-        UserError: if a CUDA graph is captured without ``capacity``, or there are too many pairs to number.
-    """
-    scalar = kinds_of(opacities.dtype).scalar
-    with on_torch_stream(opacities.device) as device, joined_capture(opacities.device) as captured:
-        if captured and capacity is None:
-            raise UserError(
-                "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs back.",
-                "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
-            )
-        try:
-            return binning_step.bin_tiles(
-                projected,
-                view(opacities, scalar),
-                view(thermal_opacities, scalar),
-                view(features, scalar, *features.shape),
-                settings,
-                tile_size,
-                by_slot=deterministic or not device.is_cuda,
-                capacity=capacity,
-                room=room,
-            )
-        except binning_step.TooManyPairsError as error:
-            raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
