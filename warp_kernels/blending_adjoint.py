@@ -35,7 +35,7 @@ def blend_adjoint_kernel(
         dtype: ``wp.float32`` or ``wp.float64``.
         layout: deal of pixels to lanes.
         absgrad: also sum the absolute values of each pixel's mean2d gradient.
-        by_slot: store one record a pair and warp instead of adding atomically per Gaussian.
+        by_slot: store one record a pair and warp instead of adding atomically per Gaussian; on the CPU always.
 
     Returns:
         The Warp kernel.
@@ -53,7 +53,8 @@ def blend_adjoint_kernel(
     vecQ = wp.types.vector(columns, dtype)
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
-    record = wp.types.vector(length, dtype)
+    summed = wp.types.vector(length, dtype)
+    record = summed if by_slot else wp.types.vector(length - C, dtype)  # see gradient_records
     # A lane sums a Gaussian's record over its pixels: on CUDA in registers, on the CPU, where a vector holds a row of
     # pixels, column by column, since a sum over a vector costs more than all else that is done with it.
     spread = 0 if cuda else 1
@@ -77,10 +78,10 @@ def blend_adjoint_kernel(
         """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
-    @wp.func_native(accumulate_snippet(length, dtype, atomic=not by_slot))
-    def accumulate(dst: wp.array(dtype=record), index: int, lane: int, v: record): ...
+    @wp.func_native(accumulate_snippet(length, dtype, apart=None if by_slot else (first_feature, first_feature + C)))
+    def accumulate(dst: wp.array(dtype=record), features: wp.array(dtype=vecC), index: int, lane: int, v: summed): ...
 
-    @wp.func_native(column_sums_snippet(length, columns, dtype))
+    @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")
     def store_column_sums(out: wp.array(dtype=record), index: int, m: matLS): ...
 
     name = f"blend_adjoint_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}"
@@ -120,6 +121,7 @@ def blend_adjoint_kernel(
         v_thermal_transmittance: wp.array2d(dtype=dtype),
         # outputs
         records: wp.array(dtype=record),
+        v_features: wp.array(dtype=vecC),
     ):
         block, thread = wp.tid()
         block = block + first_block
@@ -162,7 +164,8 @@ def blend_adjoint_kernel(
                 if x < width and y < height:
                     line = image * height + y
                     T[p] = transmittance[line, x]
-                    S[p] = v_transmittance[line, x] * T[p]
+                    if v_transmittance.shape[0] > 0:
+                        S[p] = v_transmittance[line, x] * T[p]
                     last[p] = last_pairs[line, x]
                     newest = wp.max(newest, last[p])
                     v = v_render[line, x]
@@ -176,7 +179,8 @@ def blend_adjoint_kernel(
                             S[p] += states[end // segment, first_behind + c, place] * v[c]
                     if wp.static(dual):
                         Tt[p] = thermal_transmittance[line, x]
-                        St[p] = v_thermal_transmittance[line, x] * Tt[p]
+                        if v_thermal_transmittance.shape[0] > 0:
+                            St[p] = v_thermal_transmittance[line, x] * Tt[p]
                         last_t[p] = thermal_last_pairs[line, x]
                         newest = wp.max(newest, last_t[p])
                         vt = v_thermal_render[line, x]
@@ -316,10 +320,10 @@ def blend_adjoint_kernel(
                     if wp.static(by_slot):
                         destination = slots[pair] * warps + warp
                     if wp.static(cuda):
-                        G = record()
+                        G = summed()
                         for k in range(length):
                             G[k] = part[k, 0]
-                        accumulate(records, destination, lane, G)
+                        accumulate(records, v_features, destination, lane, G)
                     else:
                         store_column_sums(records, destination, part)
             i -= batch

@@ -1,6 +1,7 @@
-"""The step that blends each tile's Gaussians front to back: its launches, and its adjoint on a tape."""
+"""The step that blends each tile's Gaussians front to back: its launches, and its adjoint."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import warp as wp
 
@@ -8,12 +9,13 @@ from warp_kernels.array_views import empty, nothing, zeros
 from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.gradient_records import distribute_kernel, record_length
 from warp_kernels.launching import launch, launch_again, launch_tiles
 from warp_kernels.list_segments import join_segments_kernel, state_length
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tape_recording import gradient_of, record_adjoint
+from warp_kernels.tape_recording import given_gradient, gradient_of, record_adjoint
 from warp_kernels.tile_binning import TileBins
 
 
@@ -38,6 +40,19 @@ class BlendedArrays:
     thermal_last_pairs: wp.array | None = None
 
 
+@dataclass(frozen=True)
+class BlendWalk:
+    """How lists were walked, as their adjoint walks them back.
+
+    Attributes:
+        layout: deal of pixels to lanes.
+        states: [boundaries, numbers, pixels of a tile] what each segment of a cut list left; see list_segments.
+    """
+
+    layout: BlendLayout
+    states: wp.array
+
+
 def blend(
     projected: ProjectedArrays,
     opacities: wp.array,
@@ -50,7 +65,7 @@ def blend(
     *,
     absolute: wp.array | None = None,
     layout: BlendLayout | None = None,
-) -> None:
+) -> BlendWalk:
     """Blends features front to back, with one opacity or two in one traversal.
 
     Args:
@@ -65,16 +80,16 @@ def blend(
         absolute: vec2 [images · N]; the adjoint adds the sums of absolute mean2d gradients (AbsGS) here.
         layout: deal of pixels to lanes; None for the device's default.
 
+    Returns:
+        What ``blend_adjoint`` needs beside the arguments.
+
     Raises:
         ValueError: if there are more channels than one traversal can blend.
     """
     device, dtype = opacities.device, opacities.dtype
-    channels = features.dtype._length_
-    dual = blended.thermal_render is not None
-    thermal_channels = blended.thermal_render.dtype._length_ if blended.thermal_render is not None else 0
+    channels, thermal_channels = _channels(features, blended)
     if channels > CHANNELS_MAX:
         raise ValueError(f"features must have at most {CHANNELS_MAX} channels a traversal, got {channels}.")
-    by_slot = bins.slots is not None
     num_tiles = len(bins.tile_offsets) - 1
     if layout is None:
         layout = default_layout(device, bins.tile_size, channels + thermal_channels, dtype, bins.num_pairs, num_tiles)
@@ -83,21 +98,9 @@ def blend(
     length = state_length(channels, thermal_channels)
     states = empty((num_states, length, bins.tile_size**2), dtype, device)
 
-    no_render = nothing(wp.types.vector(max(thermal_channels, 1), dtype), 2, device)
-    thermal_render = blended.thermal_render if dual else no_render
-    thermal_transmittance = blended.thermal_transmittance if dual else blended.transmittance
-    thermal_last_pairs = blended.thermal_last_pairs if dual else blended.last_pairs
-    size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
-    geometry = [
-        *size,
-        projected.means2d,
-        projected.roots,
-        projected.extents,
-        opacities,
-        thermal_opacities,
-        features,
-        bins.gaussian_ids,
-    ]
+    thermal_render = _thermal_render(blended, dtype, device)
+    thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
+    size, geometry = _read(projected, opacities, thermal_opacities, features, bins, settings)
     for only_transmittance in (True, False) if segment > 0 else (False,):
         launch_tiles(
             blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance),
@@ -124,54 +127,125 @@ def blend(
             [*size, bins.tile_offsets, segment, blended.render, thermal_render, states],
             device,
         )
-    if tape is None:
-        return
+    walk = BlendWalk(layout, states)
+    if tape is not None:
+        step = (projected, opacities, thermal_opacities, features, bins, settings, blended, walk)
+        inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
+        images = [blended.render, blended.transmittance, thermal_render, thermal_transmittance]
+        record_adjoint(tape, lambda: blend_adjoint(*step, absolute=absolute), *inputs, *images)
+    return walk
 
-    def adjoint() -> None:
-        record = wp.types.vector(record_length(channels, thermal_channels, absolute is not None), dtype)
-        per_pair = layout.warps if by_slot else 0
-        records = zeros(bins.num_pairs * per_pair if by_slot else len(features), record, device)
-        launch_tiles(
-            blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absolute is not None, by_slot),
-            num_tiles + num_states,
-            layout.threads,
-            [
-                *geometry,
-                bins.slots if by_slot else bins.gaussian_ids,
-                bins.tile_offsets,
-                segment,
-                states,
-                blended.transmittance,
-                blended.last_pairs,
-                thermal_transmittance,
-                thermal_last_pairs,
-                gradient_of(blended.render),
-                gradient_of(blended.transmittance),
-                gradient_of(thermal_render),
-                gradient_of(thermal_transmittance),
-                records,
-            ],
-            device,
-        )
-        ranked = [bins.order, bins.pair_ends] if by_slot else [nothing(k, 1, device) for k in (wp.int32, wp.int64)]
-        launch_again(
-            distribute_kernel(channels, thermal_channels, dtype, absolute is not None, per_pair),
-            len(bins.order) if by_slot else len(features),
-            [
-                *ranked,
-                bins.tiles_per_gaussian,
-                records,
-                projected.roots,
-                gradient_of(projected.means2d),
-                gradient_of(projected.roots),
-                gradient_of(opacities),
-                gradient_of(thermal_opacities),
-                gradient_of(features),
-                absolute if absolute is not None else projected.means2d,
-            ],
-            device,
-        )
 
-    inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
-    images = [blended.render, blended.transmittance, thermal_render, thermal_transmittance]
-    record_adjoint(tape, adjoint, *inputs, *images)
+def blend_adjoint(
+    projected: ProjectedArrays,
+    opacities: wp.array,
+    thermal_opacities: wp.array,
+    features: wp.array,
+    bins: TileBins,
+    settings: ProjectionSettings,
+    blended: BlendedArrays,
+    walk: BlendWalk,
+    *,
+    absolute: wp.array | None = None,
+    store: bool = False,
+) -> None:
+    """The adjoint of ``blend``: from the images' gradients to the inputs'.
+
+    Args:
+        projected: as in ``blend``.
+        opacities: as in ``blend``.
+        thermal_opacities: as in ``blend``.
+        features: as in ``blend``.
+        bins: as in ``blend``.
+        settings: as in ``blend``.
+        blended: what ``blend`` wrote.
+        walk: what ``blend`` returned.
+        absolute: as in ``blend``.
+        store: without ``bins.slots``, gradients of means2d, roots and opacities are not initialised, and written; else
+            they are added to, as those of features are.
+    """
+    device, dtype, layout = opacities.device, opacities.dtype, walk.layout
+    channels, thermal_channels = _channels(features, blended)
+    by_slot, absgrad = bins.slots is not None, absolute is not None
+    length = record_length(channels if by_slot else 0, thermal_channels, absgrad)
+    per_pair = layout.warps if by_slot else 0
+    count = bins.num_pairs * per_pair if by_slot else len(features)
+    records = zeros(count, wp.types.vector(length, dtype), device)
+    v_features = gradient_of(features)
+    thermal_render = _thermal_render(blended, dtype, device)
+    thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
+    launch_tiles(
+        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot),
+        len(bins.tile_offsets) - 1 + len(walk.states),
+        layout.threads,
+        [
+            *_read(projected, opacities, thermal_opacities, features, bins, settings)[1],
+            bins.slots if by_slot else bins.gaussian_ids,
+            bins.tile_offsets,
+            layout.segment,
+            walk.states,
+            blended.transmittance,
+            blended.last_pairs,
+            thermal_transmittance,
+            thermal_last_pairs,
+            gradient_of(blended.render),
+            given_gradient(blended.transmittance),
+            gradient_of(thermal_render),
+            given_gradient(thermal_transmittance),
+            records,
+            v_features,
+        ],
+        device,
+    )
+    ranked = [bins.order, bins.pair_ends] if by_slot else [nothing(k, 1, device) for k in (wp.int32, wp.int64)]
+    launch_again(
+        distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair),
+        whole_warps(len(bins.order) if by_slot else len(features), device),
+        [
+            *ranked,
+            bins.tiles_per_gaussian,
+            records,
+            projected.roots,
+            store and not by_slot,
+            gradient_of(projected.means2d),
+            gradient_of(projected.roots),
+            gradient_of(opacities),
+            gradient_of(thermal_opacities),
+            v_features,
+            absolute if absolute is not None else projected.means2d,
+        ],
+        device,
+    )
+
+
+def _channels(features: wp.array, blended: BlendedArrays) -> tuple[int, int]:
+    """Channels blended with the first opacity and with the second, 0 where there is one."""
+    thermal = blended.thermal_render.dtype._length_ if blended.thermal_render is not None else 0
+    return features.dtype._length_, thermal
+
+
+def _thermal_render(blended: BlendedArrays, dtype: type, device: wp.Device) -> wp.array:
+    if blended.thermal_render is not None:
+        return blended.thermal_render
+    return nothing(wp.types.vector(1, dtype), 2, device)
+
+
+def _thermal_images(blended: BlendedArrays) -> tuple[wp.array, wp.array]:
+    """Transmittance and last pairs of the second opacity, or of the only one."""
+    if blended.thermal_render is not None:
+        return blended.thermal_transmittance, blended.thermal_last_pairs
+    return blended.transmittance, blended.last_pairs
+
+
+def _read(
+    projected: ProjectedArrays,
+    opacities: wp.array,
+    thermal_opacities: wp.array,
+    features: wp.array,
+    bins: TileBins,
+    settings: ProjectionSettings,
+) -> tuple[list[int], list[Any]]:
+    """The image's size, and what both the kernel and its adjoint begin with."""
+    size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
+    gaussians = [projected.means2d, projected.roots, projected.extents, opacities, thermal_opacities, features]
+    return size, [*size, *gaussians, bins.gaussian_ids]

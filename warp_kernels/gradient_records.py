@@ -3,13 +3,16 @@
 A record holds sums over the pixels of a warp for one Gaussian: p z (2) and p z zᵀ (xx, xy, yy), p being the gradient to
 -σ = -½ |z|² and z the pixel's offset in the Gaussian's standard deviations; then the gradients to opacity, [thermal
 opacity], features (C), [|mean2d| gradients (2)]. What the first five mean for mean2d and root is worked out once a
-Gaussian. Records are added atomically per Gaussian, or stored one a (Gaussian, tile) pair and warp and summed per
-Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+Gaussian. Sums are added atomically per Gaussian, those to features, which most of a record may be, where their gradient
+lies and not in the record; or records are stored one a (Gaussian, tile) pair and warp and summed per Gaussian
+afterwards, which is deterministic and lets CPU threads work on disjoint memory.
 """
 
 import functools
 
 import warp as wp
+
+from warp_kernels.coalesced_stores import store_functions
 
 
 def feature_offset(thermal_channels: int) -> int:
@@ -28,7 +31,7 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
     """Numbers in one gradient record.
 
     Args:
-        channels: C, channels blended with the first opacity.
+        channels: C, channels blended with the first opacity; 0 where their gradients are elsewhere.
         thermal_channels: channels blended a second time; 0 for one opacity.
         absgrad: sums of absolute mean2d gradients are wanted.
 
@@ -42,24 +45,27 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
 def distribute_kernel(
     channels: int, thermal_channels: int, dtype: type, absgrad: bool, records_per_pair: int
 ) -> wp.Kernel:
-    """Sums each Gaussian's records and adds them to the gradients, one thread a Gaussian, or a depth rank, as records
-    of pairs lie.
+    """Sums each Gaussian's records and adds them to the gradients, or stores them there, one thread a Gaussian, or a
+    depth rank, as records of pairs lie.
 
     Args:
         channels: C.
         thermal_channels: D, or 0.
         dtype: ``wp.float32`` or ``wp.float64``.
         absgrad: records end with the absolute mean2d gradients.
-        records_per_pair: records of a pair, those of a Gaussian's pairs side by side; 0: one record a Gaussian.
+        records_per_pair: records of a pair, those of a Gaussian's pairs side by side; 0: one record a Gaussian, without
+            features.
 
     Returns:
-        The Warp kernel.
+        The Warp kernel, launched over ``whole_warps``.
     """
-    C, dual = channels, thermal_channels > 0
+    C, dual, by_pair = channels, thermal_channels > 0, records_per_pair > 0
     first_feature = feature_offset(thermal_channels)
-    length = record_length(channels, thermal_channels, absgrad)
+    length = record_length(channels if by_pair else 0, thermal_channels, absgrad)
     record = wp.types.vector(length, dtype)
     vec2, vec3, vecC = wp.types.vector(2, dtype), wp.types.vector(3, dtype), wp.types.vector(C, dtype)
+    store2, store3, _ = store_functions(dtype)
+    zero = dtype(0.0)
 
     @wp.kernel(
         name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}_{records_per_pair}",
@@ -72,6 +78,7 @@ def distribute_kernel(
         tiles_per_gaussian: wp.array(dtype=wp.int32),
         records: wp.array(dtype=record),
         roots: wp.array(dtype=vec3),
+        store: bool,
         # outputs
         v_means2d: wp.array(dtype=vec2),
         v_roots: wp.array(dtype=vec3),
@@ -81,38 +88,59 @@ def distribute_kernel(
         absolute: wp.array(dtype=vec2),
     ):
         rank = wp.tid()
-        g = int(rank)
-        if wp.static(records_per_pair > 0):
-            g = order[rank]
-            if g < 0:
-                return
-        count = tiles_per_gaussian[g]
-        if count == 0:
-            return
-        total = record()
-        if wp.static(records_per_pair > 0):
-            # a capacity may have cut the last ranges off
-            per_pair = wp.int64(records_per_pair)
-            end = int(wp.min(pair_ends[rank] * per_pair, wp.int64(records.shape[0])))
-            first = int(wp.min((pair_ends[rank] - wp.int64(count)) * per_pair, wp.int64(records.shape[0])))
-            for slot in range(first, end):
-                total = total + records[slot]
-        else:
-            total = records[g]
-        # -σ = -½ |U d|² with U = [u, u k; 0, v]
-        u = roots[g][0]
-        k = roots[g][1]
-        v = roots[g][2]
-        v_means2d[g] = v_means2d[g] - vec2(u * total[0], u * k * total[0] + v * total[1])
-        v_roots[g] = v_roots[g] - vec3(total[2] / u, total[3] * u / v, total[4] / v)
-        v_opacities[g] = v_opacities[g] + total[5]
-        if wp.static(dual):
-            v_thermal_opacities[g] = v_thermal_opacities[g] + total[6]
-        v_feature = v_features[g]
-        for c in range(C):
-            v_feature[c] = v_feature[c] + total[first_feature + c]
-        v_features[g] = v_feature
-        if wp.static(absgrad):
-            absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
+        g = int(-1)
+        count = int(0)
+        if wp.static(by_pair):
+            if rank < order.shape[0]:
+                g = order[rank]
+        elif rank < roots.shape[0]:
+            g = rank
+        if g >= 0:
+            count = tiles_per_gaussian[g]
+        v_mean2d = vec2()
+        v_root = vec3()
+        if count > 0:
+            total = record()
+            if wp.static(by_pair):
+                # a capacity may have cut the last ranges off
+                per_pair = wp.int64(records_per_pair)
+                end = int(wp.min(pair_ends[rank] * per_pair, wp.int64(records.shape[0])))
+                first = int(wp.min((pair_ends[rank] - wp.int64(count)) * per_pair, wp.int64(records.shape[0])))
+                for slot in range(first, end):
+                    total = total + records[slot]
+            else:
+                total = records[g]
+            # -σ = -½ |U d|² with U = [u, u k; 0, v]
+            u = roots[g][0]
+            k = roots[g][1]
+            v = roots[g][2]
+            v_mean2d = -vec2(u * total[0], u * k * total[0] + v * total[1])
+            v_root = -vec3(total[2] / u, total[3] * u / v, total[4] / v)
+            v_opacity = total[5]
+            if not store:
+                v_mean2d = v_mean2d + v_means2d[g]
+                v_root = v_root + v_roots[g]
+                v_opacity = v_opacity + v_opacities[g]
+            v_opacities[g] = v_opacity
+            if wp.static(dual):
+                v_opacity_t = total[6]
+                if not store:
+                    v_opacity_t = v_opacity_t + v_thermal_opacities[g]
+                v_thermal_opacities[g] = v_opacity_t
+            if wp.static(by_pair):
+                v_feature = v_features[g]
+                for c in range(C):
+                    v_feature[c] = v_feature[c] + total[first_feature + c]
+                v_features[g] = v_feature
+            if wp.static(absgrad):
+                absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
+        elif store and g >= 0:
+            v_opacities[g] = zero
+            if wp.static(dual):
+                v_thermal_opacities[g] = zero
+        written = wp.where(count > 0 or store, g, -1)
+        if written >= 0:
+            store2(v_means2d, written, v_mean2d)
+        store3(v_roots, written, v_root)
 
     return distribute_records_kernel

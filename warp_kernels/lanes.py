@@ -120,8 +120,8 @@ RECIPROCAL_F32 = """
 RECIPROCAL_F64 = "return 1.0 / x;"
 
 
-def accumulate_snippet(length: int, dtype: type, *, atomic: bool) -> str:
-    """Source of a native function that sums a vector over the warp and adds it to ``dst[index]`` (or stores it).
+def accumulate_snippet(length: int, dtype: type, *, apart: tuple[int, int] | None = None) -> str:
+    """Source of a native function that sums a vector over the warp and stores it in ``dst[index]``, or adds it there.
 
     A transposed butterfly leaves component ``l`` in lane ``l``: for a power of two of components one shuffle a
     component, and one more for each halving that is left to 32, instead of 5 a component; then one coalesced access
@@ -130,13 +130,19 @@ def accumulate_snippet(length: int, dtype: type, *, atomic: bool) -> str:
     Args:
         length: Components of the vector.
         dtype: ``wp.float32`` or ``wp.float64``.
-        atomic: Add atomically (several warps meet in one record) instead of storing (one warp owns the record).
+        apart: None: one warp owns the place and stores all components there. Otherwise several warps meet: components
+            are added atomically, those of this half-open range to ``features[index]``, the others to ``dst[index]``.
 
     Returns:
-        C++ source using the arguments ``dst`` (array of vectors), ``index``, ``lane`` and ``v``.
+        C++ source using the arguments ``dst`` (array of vectors), ``features`` (of another), ``index``, ``lane`` and
+        ``v``.
     """
     scalar = "float" if dtype is wp.float32 else "double"
     lines = [f"{scalar}* p = ({scalar}*)(dst.data + index);"]
+    if apart is not None:
+        begin, behind = apart
+        lines.append(f"{scalar}* f = ({scalar}*)(features.data + index) - {begin};")
+        at = f"(k < {begin} ? p + k : k < {behind} ? f + k : p + k - {behind - begin})"
     for start in range(0, length, 32):
         end, first = min(start + 32, length), start
         lines.append(f"{{ {scalar} total = ({scalar})0;")
@@ -144,8 +150,8 @@ def accumulate_snippet(length: int, dtype: type, *, atomic: bool) -> str:
             lines += _butterfly(width, first, end, scalar)
             lines.append(f"if (lane >= {first - start}) total = r[0]; }}")
             first += width
-        write = f"atomicAdd(p + {start} + lane, total);" if atomic else f"p[{start} + lane] = total;"
-        lines.append(f"if (lane < {end - start}) {write} }}")
+        write = "p[k] = total;" if apart is None else f"atomicAdd({at}, total);"
+        lines.append(f"const int k = {start} + lane; if (lane < {end - start}) {write} }}")
     return "\n#if defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#endif\n"
 
 

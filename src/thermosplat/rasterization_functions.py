@@ -1,7 +1,7 @@
 """Torch autograd over the steps of warp_kernels.
 
 Each step of the rasterizer is one ``torch.autograd.Function``, whose passes look at torch's memory as Warp arrays and
-run the step or its adjoint (the blending's from a ``wp.Tape``). Adjoints store gradients in memory that is not
+run the step or its adjoint. Adjoints store gradients in memory that is not
 initialised where they can. Only what a function saves keeps memory alive until its backward pass, after which torch
 lets go of it. Work runs on torch's current stream.
 """
@@ -228,7 +228,7 @@ class Blend(torch.autograd.Function):
         inputs: BlendInputs,
     ) -> tuple[Tensor, ...]:
         dtype, settings = means2d.dtype, inputs.settings
-        scalar, vec2 = kinds_of(dtype)[:2]
+        scalar = kinds_of(dtype).scalar
         rows = (settings.num_images * settings.height, settings.width)
         shape = (*means2d.shape[:-2], settings.height, settings.width)
         renders, read, arrays = [], [], []
@@ -241,26 +241,16 @@ class Blend(torch.autograd.Function):
                 kinds = ((render, vector_of(channels, dtype)), (transmittance, scalar), (last_pairs, wp.int32))
                 arrays += [view(image, kind, *rows) for image, kind in kinds]
         with on_torch_stream(means2d.device), kept_apart() as made:
-            ctx.absolute = torch.zeros_like(means2d) if inputs.absgrad else None
             ctx.projected = inputs.projected
             ctx.opacities = view(opacities, scalar)
             ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
             ctx.features = view(features, vector_of(features.shape[-1], dtype))
             ctx.blended = blending_step.BlendedArrays(*arrays)
-            ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
             bins = read_by_adjoint(inputs.bins)
-            blending_step.blend(
-                ctx.projected,
-                ctx.opacities,
-                ctx.thermal_opacities,
-                ctx.features,
-                unowned(bins),
-                settings,
-                ctx.blended,
-                ctx.tape,
-                absolute=None if ctx.absolute is None else view(ctx.absolute, vec2),
-            )
-        ctx.shown_means2d = inputs.shown_means2d
+            ctx.bins, ctx.settings = unowned(bins), settings
+            step = (ctx.projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.bins, settings, ctx.blended)
+            ctx.walk = blending_step.blend(*step)
+        ctx.shown_means2d = inputs.shown_means2d if inputs.absgrad else None
         ctx.set_materialize_grads(False)
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
         extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
@@ -274,7 +264,10 @@ class Blend(torch.autograd.Function):
         means2d, roots, opacities, thermal_opacities, features = ctx.saved_tensors[:5]
         inputs = (means2d, roots, opacities, thermal_opacities, features)
         arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
-        found = tuple(_zeros(tensor) for tensor in inputs)
+        # Sums are added to the features' gradient; the others are stored where a thread has a Gaussian and not a rank.
+        made = _zeros if ctx.bins.slots is not None else _empty
+        found = (*(made(tensor) for tensor in inputs[:-1]), _zeros(features))
+        absolute = None if ctx.shown_means2d is None else torch.zeros_like(means2d)
         blended = ctx.blended
         images = [blended.render, blended.transmittance, blended.thermal_render, blended.thermal_transmittance]
         with on_torch_stream(means2d.device):
@@ -283,11 +276,11 @@ class Blend(torch.autograd.Function):
                     array.grad = view(gradient, array.dtype)
             for array, given in zip(images, gradients, strict=False):
                 lend(array, given)
-            if ctx.absolute is not None:
-                ctx.absolute.zero_()
-            ctx.tape.backward()
+            sums = None if absolute is None else view(absolute, kinds_of(means2d.dtype).vec2)
+            step = (*arrays[2:], ctx.bins, ctx.settings, blended, ctx.walk)
+            blending_step.blend_adjoint(ctx.projected, *step, absolute=sums, store=True)
             for image in images[: len(gradients)]:
                 image.grad = None
-        if ctx.absolute is not None:
-            ctx.shown_means2d.absgrad = ctx.absolute
+        if absolute is not None:
+            ctx.shown_means2d.absgrad = absolute
         return *found, None

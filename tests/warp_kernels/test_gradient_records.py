@@ -9,17 +9,19 @@ from warp_kernels.gradient_records import distribute_kernel, feature_offset, rec
 
 @pytest.mark.parametrize("absgrad", [False, True])
 @pytest.mark.parametrize("thermal_channels", [0, 2])
-@pytest.mark.parametrize("per_pair", [0, 1, 3])
-def test_records_are_added_to_the_gradients(per_pair: int, thermal_channels: int, absgrad: bool) -> None:
-    """Each Gaussian's records, by pair or already summed, are added to what its gradients hold; without tiles none.
+@pytest.mark.parametrize(("per_pair", "store"), [(0, False), (0, True), (1, False), (3, False)])
+def test_records_reach_the_gradients(per_pair: int, store: bool, thermal_channels: int, absgrad: bool) -> None:
+    """Each Gaussian's records, by pair or already summed and without features, are added to what its gradients hold.
 
-    With the root (1, 0, 1) moments are the gradients to mean2d and root but for the sign.
+    Stored, gradients of Gaussians without tiles are zeros. With the root (1, 0, 1) moments are the gradients to mean2d
+    and root but for the sign.
     """
     rng = np.random.default_rng(0)
     order = np.array([2, 0, 3, 1])  # depth ranks to Gaussians
     tiles = np.array([3, 0, 1, 2])  # of each Gaussian
     ends = np.cumsum(tiles[order])
-    length = record_length(3, thermal_channels, absgrad)
+    channels = 3 if per_pair else 0
+    length = record_length(channels, thermal_channels, absgrad)
     records = rng.normal(size=(ends[-1] * per_pair if per_pair else 4, length))
     sums = np.zeros((4, length))
     for g, end in zip(order, ends, strict=True):
@@ -40,12 +42,13 @@ def test_records_are_added_to_the_gradients(per_pair: int, thermal_channels: int
             wp.array(tiles, dtype=wp.int32, device="cpu"),
             wp.array(records, dtype=wp.types.vector(length, wp.float64), device="cpu"),
             wp.array(np.tile([1.0, 0.0, 1.0], (4, 1)), dtype=kinds[3], device="cpu"),
+            store,
             *after.values(),
         ],
         device="cpu",
     )
     first = feature_offset(thermal_channels)
-    columns = {"means2d": (0, 2), "roots": (2, 5), "opacities": (5, 6), "features": (first, first + 3)}
+    columns = {"means2d": (0, 2), "roots": (2, 5), "opacities": (5, 6), "features": (first, first + channels)}
     if thermal_channels:
         columns["thermal_opacities"] = (6, 7)
     if absgrad:
@@ -54,5 +57,7 @@ def test_records_are_added_to_the_gradients(per_pair: int, thermal_channels: int
     assert covered == list(range(length))
     for name, values in after.items():
         begin, end = columns.get(name, (0, 0))
-        added = sums[:, begin:end] * (-1.0 if name in ("means2d", "roots") else 1.0) if end else 0.0
-        assert np.allclose(values.numpy().reshape(4, -1), before[name] + added, rtol=0, atol=1e-14), name
+        added = sums[:, begin:end] * (-1.0 if name in ("means2d", "roots") else 1.0) if end > begin else 0.0
+        stored = store and end > begin and name != "absolute"
+        expected = added + (0.0 if stored else before[name])
+        assert np.allclose(values.numpy().reshape(4, -1), expected, rtol=0, atol=1e-14), name

@@ -99,7 +99,7 @@ def test_bit_counts() -> None:
 @pytest.mark.parametrize("length", [1, 7, 9, 17, 18, 31, 32, 33, 42, 74])
 def test_butterfly_sums_over_a_warp(length: int) -> None:
     """The CUDA source of the reduction, replayed in Python lane by lane, sums every component over 32 lanes."""
-    source = accumulate_snippet(length, wp.float32, atomic=True)
+    source = accumulate_snippet(length, wp.float32)
     lane = np.arange(32)
     values = np.random.default_rng(length).normal(size=(32, length))
     stored: dict[int, float] = {}
@@ -129,11 +129,18 @@ def test_butterfly_sums_over_a_warp(length: int) -> None:
             assert f"if (lane >= {first}) total = r[0];" in part
             total = np.where(lane >= first, r[:, 0], total)
             first += width
-        assert f"if (lane < {end}) atomicAdd(p + {start} + lane, total);" in group
+        assert f"const int k = {start} + lane; if (lane < {end}) p[k] = total;" in group
         stored |= {start + k: total[k] for k in range(end)}
     expected = values.sum(0)
     assert len(stored) == length
     assert max(abs(stored[k] - expected[k]) for k in range(length)) < 1e-12
+
+
+def test_sums_go_to_two_arrays() -> None:
+    """Added atomically, the components of a range go to the features' gradient, and what is around it side by side."""
+    source = accumulate_snippet(40, wp.float32, apart=(6, 38))
+    assert "float* f = (float*)(features.data + index) - 6;" in source
+    assert source.count("atomicAdd((k < 6 ? p + k : k < 38 ? f + k : p + k - 32), total);") == 2
 
 
 def test_butterflies_cover_every_count() -> None:
