@@ -96,7 +96,15 @@ class Project(torch.autograd.Function):
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
         *v_projected, given = gradients
         v_means = torch.empty_like(means) if given is None else given.contiguous()
-        v_quats, v_scales, v_covars = _empty(quats), _empty(scales), _empty(covars)
+        v_quats, v_covars = _empty(quats), _empty(covars)
+        v_roots = v_projected[2]
+        if v_roots is not None and scales is not None and ctx.settings.num_cameras == 1:
+            # A thread reads its Gaussian's gradient before it writes: where there was one to the root, one to the
+            # scales. Nobody else has it: roots are not shown.
+            v_roots = v_projected[2] = v_roots.contiguous()
+            v_scales: Tensor | None = v_roots.view_as(scales)
+        else:
+            v_scales = _empty(scales)
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
         kinds = kinds_of(means.dtype)
         with on_torch_stream(means.device) as device:
