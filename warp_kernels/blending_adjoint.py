@@ -25,7 +25,13 @@ from warp_kernels.survivors import HEADER, stages_features, survivor_functions
 
 @functools.cache
 def blend_adjoint_kernel(
-    channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, absgrad: bool, by_slot: bool
+    channels: int,
+    thermal_channels: int,
+    dtype: type,
+    layout: BlendLayout,
+    absgrad: bool,
+    by_slot: bool,
+    first_image: int | None = None,
 ) -> wp.Kernel:
     """The adjoint kernel, one block of threads a list or a segment of a long one.
 
@@ -36,11 +42,13 @@ def blend_adjoint_kernel(
         layout: deal of pixels to lanes.
         absgrad: also sum the absolute values of each pixel's mean2d gradient.
         by_slot: store one record a pair and warp instead of adding atomically per Gaussian; on the CPU always.
+        first_image: channels whose gradients lie in an image of their own, in front of the others; None: all.
 
     Returns:
         The Warp kernel.
     """
     C, D = channels, max(thermal_channels, 1)
+    A = C if first_image is None else first_image
     dual = thermal_channels > 0
     lanes, rows, columns = layout.lanes, layout.rows, layout.columns
     cuda = lanes > 1
@@ -50,6 +58,7 @@ def blend_adjoint_kernel(
     first_feature = feature_offset(thermal_channels)
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
+    vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
     vecQ = wp.types.vector(columns, dtype)
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
@@ -84,7 +93,7 @@ def blend_adjoint_kernel(
     @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")
     def store_column_sums(out: wp.array(dtype=record), index: int, m: matLS): ...
 
-    name = f"blend_adjoint_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}"
+    name = f"blend_adjoint_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + (f"_{A}" if A < C else "")
 
     @wp.kernel(
         name=name + ("_abs" if absgrad else "") + ("_slots" if by_slot else ""),
@@ -115,7 +124,9 @@ def blend_adjoint_kernel(
         last_pairs: wp.array2d(dtype=wp.int32),
         thermal_transmittance: wp.array2d(dtype=dtype),
         thermal_last_pairs: wp.array2d(dtype=wp.int32),
-        v_render: wp.array2d(dtype=vecC),
+        v_render: wp.array2d(dtype=vecA),
+        v_render_rest: wp.array2d(dtype=vecB),
+        sign: dtype,
         v_transmittance: wp.array2d(dtype=dtype),
         v_thermal_render: wp.array2d(dtype=vecD),
         v_thermal_transmittance: wp.array2d(dtype=dtype),
@@ -164,32 +175,40 @@ def blend_adjoint_kernel(
                 if x < width and y < height:
                     line = image * height + y
                     T[p] = transmittance[line, x]
+                    # gradients that are not given are zero
                     if v_transmittance.shape[0] > 0:
-                        S[p] = v_transmittance[line, x] * T[p]
+                        S[p] = sign * v_transmittance[line, x] * T[p]
                     last[p] = last_pairs[line, x]
                     newest = wp.max(newest, last[p])
-                    v = v_render[line, x]
-                    for c in range(C):
-                        v_pixel[c, p] = v[c]
+                    if v_render.shape[0] > 0:
+                        v = v_render[line, x]
+                        for c in range(A):
+                            v_pixel[c, p] = v[c]
+                    if wp.static(A < C):
+                        if v_render_rest.shape[0] > 0:
+                            rest = v_render_rest[line, x]
+                            for c in range(wp.static(C - A)):
+                                v_pixel[A + c, p] = rest[c]
                     place = p * threads + thread
                     # where the pixel was not finished at the boundary, it left a state there
                     if last[p] >= end:
                         T[p] = states[end // segment, 0, place]
                         for c in range(C):
-                            S[p] += states[end // segment, first_behind + c, place] * v[c]
+                            S[p] += states[end // segment, first_behind + c, place] * v_pixel[c, p]
                     if wp.static(dual):
                         Tt[p] = thermal_transmittance[line, x]
                         if v_thermal_transmittance.shape[0] > 0:
-                            St[p] = v_thermal_transmittance[line, x] * Tt[p]
+                            St[p] = sign * v_thermal_transmittance[line, x] * Tt[p]
                         last_t[p] = thermal_last_pairs[line, x]
                         newest = wp.max(newest, last_t[p])
-                        vt = v_thermal_render[line, x]
-                        for c in range(D):
-                            v_pixel_t[c, p] = vt[c]
+                        if v_thermal_render.shape[0] > 0:
+                            vt = v_thermal_render[line, x]
+                            for c in range(D):
+                                v_pixel_t[c, p] = vt[c]
                         if last_t[p] >= end:
                             Tt[p] = states[end // segment, 1, place]
                             for c in range(D):
-                                St[p] += states[end // segment, first_behind_t + c, place] * vt[c]
+                                St[p] += states[end // segment, first_behind_t + c, place] * v_pixel_t[c, p]
 
         # The batch of 32 candidates i - 31 ... i, the last one first: lane k has candidate i - k.
         i = wp.min(int(warp_max(newest)), end - 1)

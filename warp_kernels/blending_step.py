@@ -146,6 +146,8 @@ def blend_adjoint(
     blended: BlendedArrays,
     walk: BlendWalk,
     *,
+    v_images: tuple[Any, Any] | None = None,
+    v_alphas: bool = False,
     absolute: wp.array | None = None,
     store: bool = False,
 ) -> None:
@@ -160,6 +162,9 @@ def blend_adjoint(
         settings: as in ``blend``.
         blended: what ``blend`` wrote.
         walk: what ``blend`` returned.
+        v_images: gradients of the render's first channels and of the others, each an image or without elements, which
+            stands for zeros; None: the render's own gradient.
+        v_alphas: the transmittances' gradients are those to 1 - T.
         absolute: as in ``blend``.
         store: without ``bins.slots``, gradients of means2d, roots and opacities are not initialised, and written; else
             they are added to, as those of features are.
@@ -172,10 +177,13 @@ def blend_adjoint(
     count = bins.num_pairs * per_pair if by_slot else len(features)
     records = zeros(count, wp.types.vector(length, dtype), device)
     v_features = gradient_of(features)
+    if v_images is None:
+        v_images = given_gradient(blended.render), nothing(wp.types.vector(1, dtype), 2, device)
+    v_render, v_render_rest = v_images
     thermal_render = _thermal_render(blended, dtype, device)
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
     launch_tiles(
-        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot),
+        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot, v_render.dtype._length_),
         len(bins.tile_offsets) - 1 + len(walk.states),
         layout.threads,
         [
@@ -188,9 +196,11 @@ def blend_adjoint(
             blended.last_pairs,
             thermal_transmittance,
             thermal_last_pairs,
-            gradient_of(blended.render),
+            v_render,
+            v_render_rest,
+            -1.0 if v_alphas else 1.0,
             given_gradient(blended.transmittance),
-            gradient_of(thermal_render),
+            given_gradient(thermal_render),
             given_gradient(thermal_transmittance),
             records,
             v_features,

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.pair_capacity import active_pair_capacity
-from thermosplat.rasterization_functions import Blend, BlendInputs, Project, ProjectedTensors, ShColors
+from thermosplat.rasterization_functions import Blend, BlendedTensors, BlendInputs, Project, ProjectedTensors, ShColors
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
 from thermosplat.tile_lists import bin_tiles
 from thermosplat.warp_bridge import to_torch
@@ -123,51 +123,48 @@ class ProjectedScene:
         self._inputs.append((coefficients, coefficients.shape[-2] * 3))
 
     def blend(
-        self, features: Tensor, thermal_channels: int, absgrad: bool, *, thermal_opacity: bool = False
-    ) -> list[Tensor]:
+        self,
+        features: Tensor,
+        absgrad: bool,
+        *,
+        first_image: int | None = None,
+        thermal_channels: int = 0,
+        thermal_opacity: bool = False,
+    ) -> BlendedTensors:
         """Blends flat features; with ``thermal_channels``, the last of them a second time at the thermal opacity.
 
-        Returns images [..., C, H, W, channels] and transmittances [..., C, H, W, 1], alternating, a pair an opacity.
+        ``first_image``: channels of the render's first image, where there are to be two.
         """
         opacities = self.opacities
         if thermal_opacity and self.thermal_opacities is not None:
             opacities = self.thermal_opacities
         second = self.thermal_opacities if thermal_channels > 0 else None
-        return list(
-            Blend.apply(
-                self.means2d,
-                self.projected.roots,
-                opacities,
-                second,
-                features,
-                BlendInputs(
-                    self._arrays,
-                    self.projected.extents,
-                    self._bin(features),
-                    self.settings,
-                    thermal_channels,
-                    absgrad,
-                    self.means2d,
-                ),
-            )
+        inputs = BlendInputs(
+            self._arrays,
+            self.projected.extents,
+            self._bin(features),
+            self.settings,
+            features.shape[-1] if first_image is None else first_image,
+            thermal_channels,
+            self.means2d if absgrad else None,
         )
+        return BlendedTensors(*Blend.apply(self.means2d, self.projected.roots, opacities, second, features, inputs))
 
     def blend_in_chunks(
         self, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
-    ) -> tuple[Tensor, Tensor]:
+    ) -> BlendedTensors:
         """Blends flat features of any width, ``chunk`` channels a traversal, at one opacity.
 
-        Returns the image [..., C, H, W, channels] and the first traversal's transmittance [..., C, H, W, 1].
+        The opacity is the first traversal's.
         """
         if features.shape[-1] <= chunk:
-            render, transmittance = self.blend(features, 0, absgrad, thermal_opacity=thermal_opacity)
-            return render, transmittance
+            return self.blend(features, absgrad, thermal_opacity=thermal_opacity)
         self._bin(features)  # all of them are checked for being finite, not only the first chunk
         parts = [
-            self.blend(part.contiguous(), 0, absgrad, thermal_opacity=thermal_opacity)
+            self.blend(part.contiguous(), absgrad, thermal_opacity=thermal_opacity)
             for part in features.split(chunk, dim=-1)
         ]
-        return torch.cat([render for render, _ in parts], -1), parts[0][1]
+        return parts[0]._replace(render=torch.cat([part.render for part in parts], -1))
 
     def _bin(self, features: Tensor) -> TileBins:
         """The bins, made once; ``features`` of the first call are checked for being finite."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.tile_lists import owners, read_by_adjoint, unowned
-from thermosplat.warp_bridge import kinds_of, lend, vector_of, view, warp_device_of
+from thermosplat.warp_bridge import given_view, kinds_of, lend, vector_of, view, warp_device_of
 from thermosplat.warp_streams import kept_apart, on_torch_stream
 from warp_kernels import blending_step
 from warp_kernels.array_views import ArrayView, nothing
@@ -216,14 +216,28 @@ class BlendInputs:
     extents: Tensor
     bins: TileBins
     settings: ProjectionSettings
+    first_image: int
+    """Channels of the first image of the render; the others are a second."""
     thermal_channels: int
-    absgrad: bool
-    shown_means2d: Tensor
-    """The tensor users see as info["means2d"]; its ``absgrad`` attribute is set by the backward pass."""
+    shown_means2d: Tensor | None
+    """The tensor users see as info["means2d"], whose ``absgrad`` attribute the backward pass sets; None: not wanted."""
+
+
+class BlendedTensors(NamedTuple):
+    """What ``Blend`` returns, [..., C, H, W, channels]."""
+
+    render: Tensor
+    rest: Tensor | None
+    """The other channels, a view as ``render`` is where there are any."""
+    alphas: Tensor
+    transmittance: Tensor
+    """1 - alphas before rounding."""
+    thermal_render: Tensor | None
+    thermal_alphas: Tensor | None
 
 
 class Blend(torch.autograd.Function):
-    """Blending with one opacity or two; see ``blending_step``."""
+    """Blending with one opacity or two; see ``blending_step``. Returns the fields of ``BlendedTensors``."""
 
     @staticmethod
     def forward(
@@ -234,12 +248,13 @@ class Blend(torch.autograd.Function):
         thermal_opacities: Tensor | None,
         features: Tensor,
         inputs: BlendInputs,
-    ) -> tuple[Tensor, ...]:
+    ) -> BlendedTensors:
         dtype, settings = means2d.dtype, inputs.settings
         scalar = kinds_of(dtype).scalar
         rows = (settings.num_images * settings.height, settings.width)
         shape = (*means2d.shape[:-2], settings.height, settings.width)
-        renders, read, arrays = [], [], []
+        renders: list[Tensor] = []
+        read, arrays = [], []
         for channels in (features.shape[-1], inputs.thermal_channels):
             if channels > 0:
                 render, transmittance = means2d.new_empty((*shape, channels)), means2d.new_empty((*shape, 1))
@@ -255,40 +270,62 @@ class Blend(torch.autograd.Function):
             ctx.features = view(features, vector_of(features.shape[-1], dtype))
             ctx.blended = blending_step.BlendedArrays(*arrays)
             bins = read_by_adjoint(inputs.bins)
-            ctx.bins, ctx.settings = unowned(bins), settings
+            ctx.bins, ctx.inputs = unowned(bins), (settings, inputs.first_image, inputs.shown_means2d)
             step = (ctx.projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.bins, settings, ctx.blended)
             ctx.walk = blending_step.blend(*step)
-        ctx.shown_means2d = inputs.shown_means2d if inputs.absgrad else None
         ctx.set_materialize_grads(False)
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
         extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
         tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
         ctx.save_for_backward(*tensors, *read, *owners(bins), *made)
-        return tuple(renders)
+        render, transmittance = renders[:2]
+        rest = None
+        if inputs.first_image < render.shape[-1]:
+            render, rest = render[..., : inputs.first_image], render[..., inputs.first_image :]
+        thermal_render = renders[2] if len(renders) > 2 else None
+        thermal_alphas = 1.0 - renders[3] if len(renders) > 2 else None
+        return BlendedTensors(render, rest, 1.0 - transmittance, transmittance, thermal_render, thermal_alphas)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means2d, roots, opacities, thermal_opacities, features = ctx.saved_tensors[:5]
+        settings, first_image, shown_means2d = ctx.inputs
         inputs = (means2d, roots, opacities, thermal_opacities, features)
         arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
         # Sums are added to the features' gradient; the others are stored where a thread has a Gaussian and not a rank.
         made = _zeros if ctx.bins.slots is not None else _empty
         found = (*(made(tensor) for tensor in inputs[:-1]), _zeros(features))
-        absolute = None if ctx.shown_means2d is None else torch.zeros_like(means2d)
-        blended = ctx.blended
-        images = [blended.render, blended.transmittance, blended.thermal_render, blended.thermal_transmittance]
-        with on_torch_stream(means2d.device):
+        absolute = None if shown_means2d is None else torch.zeros_like(means2d)
+        v_render, v_rest, v_alphas, v_transmittance, v_thermal_render, v_thermal_alphas = gradients
+        if v_transmittance is not None:
+            v_alphas = -v_transmittance if v_alphas is None else v_alphas - v_transmittance
+        blended, dtype = ctx.blended, means2d.dtype
+        images = (
+            (blended.transmittance, v_alphas),
+            (blended.thermal_render, v_thermal_render),
+            (blended.thermal_transmittance, v_thermal_alphas),
+        )
+        rest = features.shape[-1] - first_image
+        kinds = (vector_of(channels, dtype) for channels in (first_image, max(rest, 1)))
+        with on_torch_stream(means2d.device) as device:
             for array, gradient in zip(arrays, found, strict=True):
                 if gradient is not None:
                     array.grad = view(gradient, array.dtype)
-            for array, given in zip(images, gradients, strict=False):
+            for array, given in images:
                 lend(array, given)
-            sums = None if absolute is None else view(absolute, kinds_of(means2d.dtype).vec2)
-            step = (*arrays[2:], ctx.bins, ctx.settings, blended, ctx.walk)
-            blending_step.blend_adjoint(ctx.projected, *step, absolute=sums, store=True)
-            for image in images[: len(gradients)]:
-                image.grad = None
+            v_images = [
+                nothing(kind, 2, device) if given is None else given_view(given, kind, *blended.last_pairs.shape)
+                for kind, given in zip(kinds, (v_render, v_rest), strict=True)
+            ]
+            sums = None if absolute is None else view(absolute, kinds_of(dtype).vec2)
+            step = (*arrays[2:], ctx.bins, settings, blended, ctx.walk)
+            blending_step.blend_adjoint(
+                ctx.projected, *step, v_images=tuple(v_images), v_alphas=True, absolute=sums, store=True
+            )
+            for image, given in images:
+                if given is not None:
+                    image.grad = None
         if absolute is not None:
-            ctx.shown_means2d.absgrad = absolute
+            shown_means2d.absgrad = absolute
         return *found, None

@@ -4,7 +4,7 @@ Conventions are gsplat 1.5.3's: quaternions (w, x, y, z) of any length, world-to
 pixel centres at half-integers. Leading dimensions ``...`` of the Gaussians are scenes; each scene has C cameras.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -202,14 +202,14 @@ def rasterization(
                 backgrounds = torch.cat([backgrounds, zero], -1) if "RGB" in render_mode else zero
         features = columns[0] if len(columns) == 1 else torch.cat(columns, -1)
 
-        render_colors, transmittance = scene.blend_in_chunks(features, min(channel_chunk, CHANNELS_MAX), absgrad)
-        render_alphas = 1.0 - transmittance
+        blended = scene.blend_in_chunks(features, min(channel_chunk, CHANNELS_MAX), absgrad)
+        render_colors = blended.render
         if backgrounds is not None:
-            render_colors = render_colors + transmittance * backgrounds[..., None, None, :]
+            render_colors = render_colors + blended.transmittance * backgrounds[..., None, None, :]
         if "ED" in render_mode:
             expected = render_colors[..., -2:-1] / render_colors[..., -1:].clamp(min=1e-10)
             render_colors = torch.cat([render_colors[..., :-2], expected], -1)
-        return render_colors, render_alphas, scene.info()
+        return render_colors, blended.alphas, scene.info()
 
 
 @torch.compiler.disable
@@ -312,21 +312,20 @@ def rasterization_rgbt(
         )
         both = torch.cat([flat_colors, flat_features], -1)
         channels, dim = flat_colors.shape[-1], flat_features.shape[-1]
-        render_thermal, thermal_alphas = None, None
-        if thermal_opacities is not None and channels + 2 * dim <= CHANNELS_MAX:
-            render, transmittance, render_thermal, thermal_transmittance = scene.blend(both, dim, absgrad)
-            thermal_alphas = 1.0 - thermal_transmittance
+        thermal_channels = 0 if thermal_opacities is None else dim
+        if channels + dim + thermal_channels <= CHANNELS_MAX:
+            blended = scene.blend(both, absgrad, first_image=channels, thermal_channels=thermal_channels)
         else:
-            render, transmittance = scene.blend_in_chunks(both, CHANNELS_MAX, absgrad)
+            blended = scene.blend_in_chunks(both, CHANNELS_MAX, absgrad)
+            render_colors, render_features = blended.render.split([channels, dim], dim=-1)
+            blended = blended._replace(render=render_colors, rest=render_features)
             if thermal_opacities is not None:
-                render_thermal, thermal_transmittance = scene.blend_in_chunks(
-                    flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True
-                )
-                thermal_alphas = 1.0 - thermal_transmittance
-        # one copy in the backward pass, not two
-        render_colors, render_features = render.split([channels, dim], dim=-1)
+                thermal = scene.blend_in_chunks(flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True)
+                blended = blended._replace(thermal_render=thermal.render, thermal_alphas=thermal.alphas)
+        render_colors = blended.render
         if backgrounds is not None:
-            render_colors = render_colors + transmittance * backgrounds[..., None, None, :]
+            render_colors = render_colors + blended.transmittance * backgrounds[..., None, None, :]
+        render_features = cast("Tensor", blended.rest)  # there are two images
         return RGBTRender(
-            render_colors, render_features, render_thermal, 1.0 - transmittance, thermal_alphas, scene.info()
+            render_colors, render_features, blended.thermal_render, blended.alphas, blended.thermal_alphas, scene.info()
         )

@@ -92,6 +92,23 @@ def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
     return ArrayView(tensor.data_ptr(), shape, kind, warp_device_of(tensor.device))
 
 
+def given_view(gradient: Tensor, kind: Any, *shape: int) -> ArrayView:
+    """A gradient that autograd brought, as ``view``, made contiguous and kept alive by the array.
+
+    Args:
+        gradient: any strides.
+        kind: as in ``view``.
+        shape: as in ``view``.
+
+    Returns:
+        The array.
+    """
+    gradient = gradient.contiguous()
+    array = view(gradient, kind, *shape)
+    array.owner = gradient
+    return array
+
+
 def lend(array: ArrayView, gradient: Tensor | None) -> ArrayView:
     """Gives an array a gradient to read, made contiguous and kept alive.
 
@@ -103,9 +120,7 @@ def lend(array: ArrayView, gradient: Tensor | None) -> ArrayView:
         The array.
     """
     if gradient is not None:
-        gradient = gradient.contiguous()
-        array.grad = view(gradient, array.dtype, *array.shape)
-        array.grad.owner = gradient
+        array.grad = given_view(gradient, array.dtype, *array.shape)
     return array
 
 

@@ -91,7 +91,8 @@ def test_blending_compiles_for_cuda_in_all_layouts(
     for number, layout in enumerate(sorted(cuda_layouts(tile_size, channels + thermal_channels, dtype), key=str)):
         kernels = [blend_kernel(channels, thermal_channels, dtype, layout)]
         absgrad = by_slot = number == 0
-        kernels.append(blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot))
+        first_image = channels - thermal_channels  # of a frame with two opacities, colours have an image of their own
+        kernels.append(blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot, first_image))
         if layout.segment > 0:
             kernels.append(blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance=True))
             kernels.append(join_segments_kernel(channels, thermal_channels, dtype, layout))
