@@ -173,7 +173,10 @@ class ShColors(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, v_colors: Tensor) -> tuple[Tensor | None, ...]:
         means, viewmats, sh0, shN, radii, colors = ctx.saved_tensors
-        v_means, v_sh0, v_shN = torch.empty_like(means), torch.empty_like(sh0), _empty(shN)
+        v_colors = v_colors.contiguous()
+        # As with roots and scales in Project: the gradient to the colours of one camera becomes the one to the means.
+        v_means = v_colors.view_as(means) if ctx.settings.num_cameras == 1 else torch.empty_like(means)
+        v_sh0, v_shN = torch.empty_like(sh0), _empty(shN)
         v_viewmats = _zeros(viewmats, ctx.needs_input_grad[1])
         with on_torch_stream(means.device):
             arrays = _color_arrays(means, viewmats, sh0, shN, radii, colors)
@@ -206,6 +209,20 @@ def _by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[ArrayView, ArrayView]:
     strides, device = (vector * count, vector), warp_device_of(sh0.device)
     first = ArrayView(sh0.data_ptr(), (rows, 1), kind, device, strides=strides)
     return first, ArrayView(sh0.data_ptr() + vector, (rows, count - 1), kind, device, strides=strides)
+
+
+class Join(torch.autograd.Function):
+    """Colours and features side by side, [M, C] and [M, D]; torch's own would return gradients that keep both alive."""
+
+    @staticmethod
+    def forward(ctx: Any, colors: Tensor, features: Tensor) -> Tensor:
+        ctx.channels = colors.shape[-1]
+        return torch.cat([colors, features], -1)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, v_both: Tensor) -> tuple[Tensor, Tensor]:
+        return v_both[:, : ctx.channels].contiguous(), v_both[:, ctx.channels :].contiguous()
 
 
 @dataclass

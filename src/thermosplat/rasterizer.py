@@ -20,6 +20,7 @@ from thermosplat.rasterization_arguments import (
     checked_settings,
     refuse_unsupported,
 )
+from thermosplat.rasterization_functions import Join
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.constants import CHANNELS_MAX
 
@@ -310,7 +311,7 @@ def rasterization_rgbt(
         flat_features = scene.colors(
             features, features_sh_degree, per_camera=features_per_camera, higher_degrees=features_rest
         )
-        both = torch.cat([flat_colors, flat_features], -1)
+        both = Join.apply(flat_colors, flat_features)
         channels, dim = flat_colors.shape[-1], flat_features.shape[-1]
         thermal_channels = 0 if thermal_opacities is None else dim
         if channels + dim + thermal_channels <= CHANNELS_MAX:
