@@ -44,16 +44,18 @@ class ArrayView:
         owner: Any = None,
         strides: tuple[int, ...] | None = None,
     ) -> None:
-        if strides is None:
-            strides = contiguous_strides(shape, dtype)
-        self.ptr, self.shape, self.strides, self.dtype, self.device = ptr, shape, strides, dtype, device
-        self.owner, self.grad = owner, None
         ndim = len(shape)
         if ndim == 1:  # nearly all, in half the time
+            if strides is None:
+                strides = (_size_in_bytes(dtype),)
             self.packed = _pack_array(ptr, 0, shape[0], 0, 0, 0, strides[0], 0, 0, 0, 1, 0)
         else:
+            if strides is None:
+                strides = contiguous_strides(shape, dtype)
             padding = (0,) * (4 - ndim)
             self.packed = _pack_array(ptr, 0, *shape, *padding, *strides, *padding, ndim, 0)
+        self.ptr, self.shape, self.strides, self.dtype, self.device = ptr, shape, strides, dtype, device
+        self.owner, self.grad = owner, None
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -109,8 +111,6 @@ def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
         The strides [bytes].
     """
     stride = _size_in_bytes(dtype)
-    if len(shape) == 1:
-        return (stride,)
     strides = []
     for extent in reversed(shape):
         strides.append(stride)
