@@ -131,6 +131,7 @@ def _checked(
             continue
         if peer is peers[0]:
             references[near] = found
+            row["results_mib"] = round(sum(tensor.nbytes for part in found for tensor in part) / 2**20, 1)
         else:
             if near not in references:
                 references[near] = result(thermosplat_peer(near).renderer, inputs)

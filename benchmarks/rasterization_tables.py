@@ -94,8 +94,8 @@ def _resources(rows: list[Row]) -> Iterator[str]:
                 "-" if host is None else f"{host:.2f}",
             ]
             cells.append(" / ".join(numbers) if name in row["forward"] else "")
-        body.append(cells)
-    yield from _table(["scene", "case", *names], body)
+        body.append([*cells, f"{row['results_mib']:.0f}" if "results_mib" in row else ""])
+    yield from _table(["scene", "case", *names, "images and gradients [MiB]"], body)
 
 
 def _errors(rows: list[Row]) -> Iterator[str]:

@@ -36,6 +36,8 @@ def test_geometric_mean_and_worst_case_against_the_targets() -> None:
     memory = by_label["peak memory"]
     assert (memory["worst"], memory["mean"]) == (pytest.approx(0.9), pytest.approx(0.6))
     assert not memory["reached"]
+    with_results = summary([one | {"results_mib": 30.0} for one in rows], "gsplat")["targets"]
+    assert {e["measure"]: e["mean"] for e in with_results}["results"] == pytest.approx(0.3)
     assert {entry["label"] for entry in summary(rows[1:], "gsplat")["targets"] if entry["reached"]} >= {"D = 11"}
 
 
