@@ -44,18 +44,20 @@ class ArrayView:
         owner: Any = None,
         strides: tuple[int, ...] | None = None,
     ) -> None:
-        ndim = len(shape)
-        if ndim == 1:  # nearly all, in half the time
-            if strides is None:
-                strides = (_size_in_bytes(dtype),)
-            self.packed = _pack_array(ptr, 0, shape[0], 0, 0, 0, strides[0], 0, 0, 0, 1, 0)
-        else:
-            if strides is None:
-                strides = contiguous_strides(shape, dtype)
-            padding = (0,) * (4 - ndim)
-            self.packed = _pack_array(ptr, 0, *shape, *padding, *strides, *padding, ndim, 0)
-        self.ptr, self.shape, self.strides, self.dtype, self.device = ptr, shape, strides, dtype, device
+        if strides is None:
+            strides = (_size_in_bytes(dtype),) if len(shape) == 1 else contiguous_strides(shape, dtype)
+        self.shape, self.strides, self.dtype, self.device = shape, strides, dtype, device
         self.owner, self.grad = owner, None
+        self.place(ptr)
+
+    def place(self, ptr: int) -> None:
+        """Puts the array elsewhere: to where its memory's content was moved."""
+        self.ptr, ndim = ptr, len(self.shape)
+        if ndim == 1:  # nearly all, in half the time
+            self.packed = _pack_array(ptr, 0, self.shape[0], 0, 0, 0, self.strides[0], 0, 0, 0, 1, 0)
+        else:
+            padding = (0,) * (4 - ndim)
+            self.packed = _pack_array(ptr, 0, *self.shape, *padding, *self.strides, *padding, ndim, 0)
 
     def __len__(self) -> int:
         return self.shape[0]

@@ -5,8 +5,9 @@ import math
 import torch
 from torch import Tensor
 
+from thermosplat.blend_function import Blend, BlendedTensors, BlendInputs
 from thermosplat.pair_capacity import active_pair_capacity
-from thermosplat.rasterization_functions import Blend, BlendedTensors, BlendInputs, Project, ProjectedTensors, ShColors
+from thermosplat.rasterization_functions import Project, ProjectedTensors, ShColors
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
 from thermosplat.tile_lists import bin_tiles
 from thermosplat.warp_bridge import to_torch

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
+from thermosplat.blend_function import Join
 from thermosplat.projected_scene import ProjectedScene
 from thermosplat.rasterization_arguments import (
     CameraModel,
@@ -20,7 +21,6 @@ from thermosplat.rasterization_arguments import (
     checked_settings,
     refuse_unsupported,
 )
-from thermosplat.rasterization_functions import Join
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.constants import CHANNELS_MAX
 
