@@ -8,16 +8,14 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from thermosplat.decoders import Decoders
 from thermosplat.spectrum_decoders import SpectrumDecoders
-
-if TYPE_CHECKING:
-    from thermosplat.training.fused_decoders import FusedDecoders
+from thermosplat.training.fused_decoders import FusedDecoders, fits
 
 Precision = Literal["float32", "tf32", "bfloat16"]
 
@@ -67,14 +65,10 @@ class FastDecoders:
             torch.set_float32_matmul_precision(precision)
 
 
-def _fused(decoders: Decoders | SpectrumDecoders) -> "FusedDecoders | None":
+def _fused(decoders: Decoders | SpectrumDecoders) -> FusedDecoders | None:
     """The decoders by fused kernels; None where there are none for them."""
-    if next(decoders.parameters()).device.type != "cuda":
-        return None
-    # Imported here: Triton comes with PyTorch for CUDA only.
-    from thermosplat.training.fused_decoders import FusedDecoders, fits
-
-    return FusedDecoders(decoders) if isinstance(decoders, Decoders) and fits(decoders) else None
+    device = next(decoders.parameters()).device
+    return FusedDecoders(decoders) if isinstance(decoders, Decoders) and fits(decoders, device) else None
 
 
 def _in_bfloat16(branch: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,57 +1,50 @@
-"""The decoders' two branches as one Triton kernel each: activations of a pixel do not leave the chip.
+"""The decoders' two branches as Warp kernels: activations of a pixel do not leave the chip.
 
 PyTorch writes every layer's activations to memory and reads them back for the gradient; at 64 channels a pixel that
-traffic, not the arithmetic, is what decoding costs. Here a program holds the activations of a block of pixels, and the
-backward pass computes them again. For the gradients of the weights, sums over all pixels that do not fit a program's
-registers beside the rest, it writes what they are products of, in 16 bits, and a further kernel sums.
+traffic, not the arithmetic, is what decoding costs. ``warp_kernels.decoder_networks`` says how a warp keeps them.
 
-Matrix products round their inputs to float16, which has the 10 bits of mantissa of TensorFloat-32, and sum in float32;
-gradients are brought into float16's range by a power of two, taken from the largest of the image's.
-
-The networks are those of decoders.py with two shared layers; ``fits`` says for which this file has kernels.
+The networks are those of decoders.py with two shared layers; ``fits`` says for which there are kernels, and on which
+devices.
 """
 
 from collections.abc import Sequence
 from typing import Any
 
 import torch
-import triton
-import triton.language as tl
+import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.decoders import Decoders
-from thermosplat.training.decoder_kernels import (
-    backward_kernel,
-    forward_kernel,
-    weights_kernel,
-)
+from thermosplat.warp_bridge import view, warp_device_of
+from thermosplat.warp_streams import on_torch_stream
+from warp_kernels.array_views import ArrayView
+from warp_kernels.decoder_memory import NARROW, THREADS, layout_of
+from warp_kernels.decoder_networks import HIDDEN, decoder_kernels
+from warp_kernels.launching import launch_again
 
-PAD = 16
-"""Fewest rows and columns of a matrix product: features and image channels are padded to it."""
+RESERVED = 2048
+"""Bytes of a block's shared memory that Warp takes for itself and CUDA adds."""
 
-PROGRAMS = 256
-"""Partial sums of the weights' gradients."""
-
-OPERAND = tl.float16
-"""Type that inputs of matrix products are rounded to."""
-
-_STORED = {tl.float16: torch.float16, tl.float32: torch.float32}
-
-BLOCK_FORWARD, BLOCK_BACKWARD, WARPS = 64, 64, 4
-"""Pixels a program holds at a time, and its warps; see benchmarks/notes.md."""
+OLDEST = (8, 0)
+"""Compute capability from which there are the matrix products the kernels use."""
 
 
-def fits(decoders: Decoders) -> bool:
-    """Whether decoders have the shape these kernels are written for.
+def fits(decoders: Decoders, device: torch.device) -> bool:
+    """Whether decoders have the shape these kernels are written for, and the device what they need.
 
     Args:
         decoders: Any of that class.
+        device: Where they are.
     """
+    if device.type != "cuda" or torch.cuda.get_device_capability(device) < OLDEST:
+        return False
     if decoders.modulation is None or len(decoders.shared_encoder) != 4:  # two layers and their activations
         return False
     hidden, dim = next(decoders.shared_encoder.parameters()).shape
-    return hidden in (16, 32, 64) and dim <= PAD
+    if hidden not in HIDDEN or dim >= NARROW:
+        return False
+    return layout_of(hidden, True).size <= warp_device_of(device).max_shared_memory_per_block - RESERVED
 
 
 class FusedDecoders:
@@ -93,24 +86,12 @@ class _Branch(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, features: Tensor, *parameters: Any) -> Tensor:
-        pixels = _pixels(features)
-        dim, hidden, channels = pixels.shape[1], parameters[0].shape[0], parameters[-1].shape[0]
-        image = features.new_empty(*features.shape[:-1], channels)
-        forward_kernel[(triton.cdiv(len(pixels), BLOCK_FORWARD),)](
-            pixels,
-            image,
-            *_pointers(parameters),
-            len(pixels),
-            pixels.stride(0),
-            D=dim,
-            H=hidden,
-            C=channels,
-            MODULATED=parameters[6] is not None,
-            BLOCK=BLOCK_FORWARD,
-            PADDED=PAD,
-            OPERAND=OPERAND,
-            num_warps=WARPS,
-        )
+        pixels, weights = _pixels(features), _views(parameters)
+        image = features.new_empty(*features.shape[:-1], parameters[-1].shape[0])
+        kernel, _ = _kernels(parameters)
+        programs = 2 * _multiprocessors(features.device)
+        with on_torch_stream(features.device):
+            _launch(kernel, programs, [_rows(pixels), *weights, _rows(_flat(image))], features.device)
         ctx.save_for_backward(features, image, *parameters)
         return image
 
@@ -118,35 +99,17 @@ class _Branch(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, v_image: Tensor) -> tuple[Tensor | None, ...]:
         features, image, *parameters = ctx.saved_tensors
-        pixels = _pixels(features)
-        dim, hidden, channels = pixels.shape[1], parameters[0].shape[0], image.shape[-1]
-        modulated = parameters[6] is not None
+        pixels, weights = _pixels(features), _views(parameters)
         v_features, v_image = features.new_empty(features.shape), v_image.contiguous()
         largest = torch.linalg.vector_norm(v_image, torch.inf)
         sizes = [0 if parameter is None else parameter.numel() for parameter in parameters]
-        slots = 9 if modulated else 6
-        factors = torch.empty(slots, len(pixels), hidden, dtype=_STORED[OPERAND], device=features.device)
-        blocks = triton.cdiv(len(pixels), BLOCK_BACKWARD)
-        shape: dict[str, Any] = {"D": dim, "H": hidden, "C": channels, "MODULATED": modulated, "PADDED": PAD}
-        shape |= {"OPERAND": OPERAND, "BLOCK": BLOCK_BACKWARD, "num_warps": WARPS}
-        backward_kernel[(blocks,)](
-            pixels,
-            image,
-            v_image,
-            largest,
-            *_pointers(parameters),
-            v_features,
-            factors,
-            len(pixels),
-            pixels.stride(0),
-            **shape,
-        )
-        programs = min(PROGRAMS, blocks)
+        _, kernel = _kernels(parameters)
+        programs = _multiprocessors(features.device)
         partial = features.new_empty(programs, sum(sizes))
-        shape |= {"TURNS": triton.cdiv(blocks, programs)}
-        weights_kernel[(programs, 5 if modulated else 3)](
-            pixels, image, v_image, largest, factors, partial, len(pixels), pixels.stride(0), sum(sizes), **shape
-        )
+        with on_torch_stream(features.device):
+            images = [_rows(_flat(image)), _rows(_flat(v_image)), view(largest, wp.float32, 1)]
+            outputs = [_rows(_flat(v_features)), _rows(partial)]
+            _launch(kernel, programs, [_rows(pixels), *images, *weights, *outputs], features.device)
         sums = partial.sum(0).split(sizes)
         v_parameters = [
             None if parameter is None else total.view(parameter.shape)
@@ -155,12 +118,37 @@ class _Branch(torch.autograd.Function):
         return v_features, *v_parameters
 
 
+def _kernels(parameters: Sequence[Tensor | None]) -> tuple[wp.Kernel, wp.Kernel]:
+    return decoder_kernels(parameters[0].shape[0], parameters[6] is not None)  # type: ignore[union-attr]
+
+
+def _launch(kernel: wp.Kernel, programs: int, inputs: list[Any], device: torch.device) -> None:
+    launch_again(kernel, (programs, THREADS), [programs, *inputs], warp_device_of(device), THREADS)
+
+
+def _multiprocessors(device: torch.device) -> int:
+    return torch.cuda.get_device_properties(device).multi_processor_count
+
+
+def _flat(tensor: Tensor) -> Tensor:
+    return tensor.view(-1, tensor.shape[-1])
+
+
 def _pixels(features: Tensor) -> Tensor:
     """[..., d] as [pixels, d] on the same memory where the channels lie side by side, as in a slice of a render."""
     rows = features.reshape(-1, features.shape[-1]) if features.is_contiguous() else features.flatten(0, -2)
     return rows if rows.stride(1) == 1 else rows.contiguous()
 
 
-def _pointers(parameters: Sequence[Tensor | None]) -> list[Tensor | None]:
-    """Parameters for the kernels; where there is no modulation they are given the first weight, and do not read it."""
-    return [parameters[0] if parameter is None else parameter for parameter in parameters]
+def _rows(tensor: Tensor) -> ArrayView:
+    """A tensor [rows, columns], columns side by side, for the kernels."""
+    size = tensor.element_size()
+    strides = (tensor.stride(0) * size, size)
+    device = warp_device_of(tensor.device)
+    return ArrayView(tensor.data_ptr(), tuple(tensor.shape), wp.float32, device, None, strides)
+
+
+def _views(parameters: Sequence[Tensor | None]) -> list[ArrayView]:
+    """Parameters for the kernels; where there is no modulation they are given the first layer, and do not read it."""
+    given = [parameters[k % 2] if value is None else value for k, value in enumerate(parameters)]
+    return [view(value.detach(), wp.float32, *value.shape) for value in given]  # type: ignore[union-attr]
