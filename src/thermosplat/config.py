@@ -187,7 +187,8 @@ class DensificationConfig:
     growth: float = 0.05
     """MCMC: share of the Gaussians that a refinement adds. 3DGS-MCMC."""
     position_noise: float = 5e5
-    """MCMC: standard deviation of the noise on the means, times their learning rate and covariance. 3DGS-MCMC."""
+    """MCMC: standard deviation of the noise on the means, times their learning rate and covariance, in scene extents.
+    3DGS-MCMC, there in the capture's own units."""
     sample_by: Literal["opacity", "gradient"] = "opacity"
     """MCMC: Gaussians are doubled with a probability proportional to their larger opacity (3DGS-MCMC), or to the mean
     gradient of means2d, of both spectra, that the default strategy compares with its threshold (open choice)."""
