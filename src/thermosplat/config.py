@@ -116,6 +116,11 @@ class LossConfig:
     """η: factor of the second feature term, A_f(t)[3] against the thermal intensity. ThermoSplat."""
     thermal_smoothness: float = 0.3
     """λ_sm: weight of the mean absolute image gradient of the thermal image. ThermoSplat."""
+    thermal_smoothness_noise: float = 0.0
+    """Noise of the training thermal images (standard deviation, of the range 0 to 1, Immerkaer 1996 with stripes) from
+    which on that weight is taken in full; with less it falls in proportion. 0: it is taken as it is. Open choice."""
+    thermal_smoothness_least: float = 0.05
+    """With ``thermal_smoothness_noise``, the weight where there is no noise. Open choice."""
     thermal_charbonnier: float = 0.0
     """ε of sqrt(d² + ε²) - ε in place of |d| in the losses on thermal images, in their units (0 to 1): differences
     within the sensor's noise count by their square, larger ones as before. Charbonnier et al. 1994. 0: plain L1."""
