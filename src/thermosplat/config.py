@@ -246,9 +246,9 @@ class AutoBudgetConfig:
     """What a Gaussian matters: the squared change of the images where it alone is left out, or its share of all
     blending weights. Open choice: at half the Gaussians of a short run of the sample the former changes images by 0.4
     of what the latter does."""
-    prune_change: float = 0.05
+    prune_change: float = 0.02
     """Largest change of training images by one removal, before anything is fine-tuned: their squared change, as a share
-    of their squared error, in the spectrum where that is larger. 0.05 is 0.2 dB of the training views' PSNR if no
+    of their squared error, in the spectrum where that is larger. 0.02 is 0.09 dB of the training views' PSNR if no
     step followed. Held-out views have larger errors, so that the same change costs them less. Open choice."""
     offset_shrinkage: float = 0.02
     """λ: soft threshold of the thermal opacity offsets after a step, as a multiple of their learning rate."""
