@@ -244,8 +244,8 @@ class AutoBudgetConfig:
     choice); the last leaves a fifth of the run to do so."""
     prune_by: Literal["removal", "weights"] = "removal"
     """What a Gaussian matters: the squared change of the images where it alone is left out, or its share of all
-    blending weights. Open choice: at half the Gaussians of a short run of the sample the former changes images by 0.4
-    of what the latter does."""
+    blending weights, which does not see that it may have the colour of what it hides. Open choice;
+    benchmarks/bench_budget.py compares them."""
     prune_change: float = 0.02
     """Largest change of training images by one removal, before anything is fine-tuned: their squared change, as a share
     of their squared error, in the spectrum where that is larger. 0.02 is 0.09 dB of the training views' PSNR if no
