@@ -39,6 +39,7 @@ from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_e
 from thermosplat.training.random_streams import random_stream
 from thermosplat.training.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.run_logger import RunLogger, StepRecord
+from thermosplat.training.thermal_noise import with_measured_smoothness
 from thermosplat.training.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
 from thermosplat.training.training_step import StepKind, TrainingStep
@@ -83,10 +84,10 @@ class Trainer:
         self.state = TrainingState(self.model, config, capture.scene_extent, self.device, len(self.frames))
         if checkpoint is not None:
             self.state.load(checkpoint)
-        auto = config.budget == "auto"
-        self.budget = AutoBudget(config, self.state, self.frames, self.schedule) if auto else None
+        self.budget = AutoBudget(config, self.state, self.frames, self.schedule) if config.budget == "auto" else None
         self.guard = FiniteGuard(self.device)
-        self.device_step = TrainingStep(config, self.state, self.guard, PairCapacity(self.device))
+        measured, self.noise_notes = with_measured_smoothness(config, self.frames)
+        self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device))
         self.captured: CapturedSteps | None = None
         on_cuda = self.device.type == "cuda"
         if self.model.decoders is not None and (on_cuda or config.decoder_precision == "bfloat16"):
@@ -238,7 +239,7 @@ class Trainer:
     def _greet(self, lpips: str) -> None:
         """Say once what is trained on what, and what the capture has to say."""
         say, step = self.logger.say, self.state.step
-        for note in (*self.capture.notes, lpips):
+        for note in (*self.capture.notes, *self.noise_notes, lpips):
             say(note)
         if self.device.type == "cpu":
             why = "Training on the CPU" if torch.cuda.is_available() else "No CUDA device: training on the CPU"
