@@ -17,7 +17,8 @@ import warp as wp
 from benchmark_scenes import BenchmarkScene, garden_scene
 from trained_scene import trained_scene
 
-from thermosplat.rasterization_functions import Project, ProjectedTensors, bin_tiles
+from thermosplat.rasterization_functions import Project, ProjectedTensors
+from thermosplat.tile_lists import bin_tiles
 from thermosplat.warp_bridge import to_torch, wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.blend_layout import BlendLayout
@@ -45,7 +46,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
     settings = ProjectionSettings(width, height, count, 1, 1)
     opacities, thermal = scene.opacities, scene.thermal_opacities
     with torch.no_grad():
-        projected = Project.apply(
+        *projected, _ = Project.apply(
             scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
             scene.intrinsics(width, height)[None], settings, (1,),
         )  # fmt: skip

@@ -11,9 +11,9 @@ from thermosplat.warp_bridge import wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.binning_step import bin_tiles
 from warp_kernels.blending_step import BlendedArrays, blend
-from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors
+from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
 from warp_kernels.projection import GaussianArrays, ProjectionSettings
-from warp_kernels.projection_step import project
+from warp_kernels.projection_step import project, project_adjoint
 from warp_kernels.rasterization import allocate_projected, scalar_view
 
 
@@ -76,21 +76,27 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
     calls: dict[str, Callable[[], object]] = {}
     adjoints: dict[str, Callable[[], object]] = {}
 
-    project_tape = wp.Tape()
-    project(gaussians, settings, projected, project_tape)
+    # Gradients of Gaussians are stored and not added, as torch's functions ask for them.
+    project(gaussians, settings, projected)
     calls["projection"] = lambda: project(gaussians, settings, projected)
-    adjoints["projection adjoint"] = project_tape.backward
+    adjoints["projection adjoint"] = lambda: project_adjoint(
+        gaussians, settings, projected, store=True, add_to_means="sh" in t
+    )
 
     parts = [t["features"]] if "features" in t else []
     if "sh" in t:
         colors = wp.empty(count, dtype=vector(3, dtype), device=device, requires_grad=True)
-        coefficients = [array(part, vector(3, dtype)) for part in (t["sh"][:, :1], t["sh"][:, 1:])]
+        v_sh = torch.empty_like(t["sh"])
+        coefficients = []
+        for part in (slice(0, 1), slice(1, None)):
+            coefficients.append(wrap(t["sh"][:, part], vector(3, dtype)))
+            coefficients[-1].grad = wrap(v_sh[:, part], vector(3, dtype))
         arrays = ColorArrays(gaussians.means, gaussians.viewmats, *coefficients, projected.radii, colors)
-        color_settings, color_tape = ColorSettings(3, count, 1), wp.Tape()
-        sh_colors(arrays, color_settings, color_tape)
+        color_settings = ColorSettings(3, count, 1)
+        sh_colors(arrays, color_settings)
         colors.grad.fill_(0.01)
         calls["colors"] = lambda: sh_colors(arrays, color_settings)
-        adjoints["colors adjoint"] = color_tape.backward
+        adjoints["colors adjoint"] = lambda: sh_colors_adjoint(arrays, color_settings, store=True)
         parts.insert(0, wp.to_torch(colors, requires_grad=False))
     features = array(torch.cat(parts, -1), vector(channels, dtype))
 

@@ -17,7 +17,10 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SH", ("sh_colors", "camera_positions", "ShColors")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "strand_sums", "BlendBackward")),
     ("blending", ("blend_", "join_segments", "Blend")),
-    ("binning", ("count_tiles", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan")),
+    (
+        "binning",
+        ("count_tiles", "compact_gaussians", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan"),
+    ),
     ("optimizer", ("adam", "Adam")),
     ("bookkeeping", ("note_bad", "note_density")),
     (

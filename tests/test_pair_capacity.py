@@ -8,6 +8,13 @@ import torch
 from gaussian_scenes import leaves, random_scene
 from thermosplat import PairCapacity, UserError, rasterization
 from thermosplat.pair_capacity import CALLS, SPARE
+from warp_kernels import binning_step
+
+
+@pytest.fixture(autouse=True, params=[True, False], ids=["compacted", "all"])
+def compacted(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every test with the Gaussians that have pairs counted and sorted alone, as of many, and with all sorted."""
+    monkeypatch.setattr(binning_step, "COMPACTED", 0 if request.param else 2**18)
 
 
 def _gradients(inputs: dict) -> dict[str, torch.Tensor]:

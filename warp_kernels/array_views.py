@@ -147,9 +147,9 @@ class WarpMemory:
         """Sets the first ``count`` numbers of an array of integers."""
         array[:count].fill_(value)
 
-    def last(self, array: Any) -> int:
-        """The last number of an array of integers. Waits for the device."""
-        return int(array[len(array) - 1 :].numpy()[0])
+    def last(self, array: Any) -> Any:
+        """The last number, or numbers, of an array of integers. Waits for the device."""
+        return array[len(array) - 1 :].numpy()[0].tolist()
 
 
 class _Memory(threading.local):

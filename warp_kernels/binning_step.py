@@ -2,10 +2,15 @@
 
 import warp as wp
 
-from warp_kernels.array_views import empty, memory
+from warp_kernels.array_views import empty, memory, nothing
+from warp_kernels.coefficient_rows import whole_warps
+from warp_kernels.lanes import LANES_CUDA
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import TileBins, binning_kernels, tile_ranges_kernel
+from warp_kernels.tile_binning import TileBins, Totals, binning_kernels, tile_ranges_kernel
+
+COMPACTED = 2**18
+"""Gaussians above which those without tiles are left out before the sort by depth; fewer are sorted in no time."""
 
 
 class TooManyPairsError(ValueError):
@@ -22,6 +27,7 @@ def bin_tiles(
     *,
     by_slot: bool,
     capacity: int | None = None,
+    room: int | None = None,
 ) -> TileBins:
     """Lists the Gaussians of each tile in depth order.
 
@@ -38,6 +44,7 @@ def bin_tiles(
         tile_size: edge of a tile [px].
         by_slot: number the pairs, for an adjoint that writes one record a pair.
         capacity: pairs there is room for; None for as many as there are.
+        room: with ``capacity``, Gaussians with pairs there is room for, which are sorted; None for all.
 
     Returns:
         The bins.
@@ -46,48 +53,53 @@ def bin_tiles(
         TooManyPairsError: if the pairs exceed what 32-bit indices can number.
     """
     device, dtype = opacities.device, opacities.dtype
-    count_kernel, gather_kernel, emit_kernel = binning_kernels(dtype)
+    lanes = LANES_CUDA if device.is_cuda else 1
+    count_kernel, compact_kernel, gather_kernel, emit_kernel = binning_kernels(dtype, lanes)
     entries = len(projected.means2d)
     tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)
     num_tiles = settings.num_images * tiles_x * tiles_y
 
     tiles_per_gaussian = empty(entries, wp.int32, device)
+    counted = [
+        settings.width,
+        settings.height,
+        tile_size,
+        projected.means2d,
+        projected.roots,
+        projected.extents,
+        projected.depths,
+        opacities,
+        thermal_opacities,
+        features,
+        projected.radii,
+        tiles_per_gaussian,
+    ]
+    compacted, ranks, num_pairs, totals = entries > COMPACTED, entries, capacity, None
+    if compacted:
+        totals = empty(-(-entries // lanes), Totals, device)
+        unsorted = [nothing(dtype, 1, device), nothing(wp.int32, 1, device)]
+        launch(count_kernel, whole_warps(entries, device), [*counted, totals, *unsorted], device)
+        wp.utils.array_scan(totals, totals, inclusive=True)
+        if capacity is None:
+            num_pairs, ranks = memory.source.last(totals)
+        else:
+            ranks = min(entries, capacity, entries if room is None else room)
     # radix_sort_pairs sorts in place and needs room for a second copy
-    depth_keys = empty(2 * entries, dtype, device)
-    order = empty(2 * entries, wp.int32, device)
-    launch(
-        count_kernel,
-        entries,
-        [
-            settings.width,
-            settings.height,
-            tile_size,
-            projected.means2d,
-            projected.roots,
-            projected.extents,
-            projected.depths,
-            opacities,
-            thermal_opacities,
-            features,
-            projected.radii,
-            tiles_per_gaussian,
-            depth_keys,
-            order,
-        ],
-        device,
-    )
-    pair_ends = empty(entries, wp.int64, device)
-    num_pairs = 0
-    if entries > 0:
-        wp.utils.radix_sort_pairs(depth_keys, order, entries)
-        launch_again(
-            gather_kernel,
-            entries,
-            [order, tiles_per_gaussian, pair_ends],
-            device,
-        )
+    depth_keys, unsorted = empty(2 * ranks, dtype, device), empty(2 * ranks, wp.int32, device)
+    if compacted:
+        inputs = [ranks, tiles_per_gaussian, totals, projected.depths, depth_keys, unsorted]
+        launch(compact_kernel, whole_warps(entries, device), inputs, device)
+    else:
+        inputs = [*counted, nothing(Totals, 1, device), depth_keys, unsorted]
+        launch(count_kernel, whole_warps(entries, device), inputs, device)
+    order, pair_ends = empty(ranks, wp.int32, device), empty(ranks, wp.int64, device)
+    if ranks > 0:
+        wp.utils.radix_sort_pairs(depth_keys, unsorted, ranks)
+        launch_again(gather_kernel, ranks, [unsorted, tiles_per_gaussian, order, pair_ends], device)
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
-        num_pairs = memory.source.last(pair_ends) if capacity is None else capacity
+    if num_pairs is None:
+        num_pairs = memory.source.last(pair_ends) if ranks > 0 else 0
+    del depth_keys, unsorted
     if num_pairs >= 2**31 or num_tiles >= 2**31:
         raise TooManyPairsError(
             f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with {num_tiles:,} tiles of {tile_size} "
@@ -113,7 +125,7 @@ def bin_tiles(
             memory.source.fill(keys, num_pairs, num_tiles)
         launch(
             emit_kernel,
-            entries,
+            ranks,
             [
                 settings.num_gaussians,
                 settings.width,
@@ -147,8 +159,9 @@ def bin_tiles(
     return TileBins(
         gaussian_ids=gaussian_ids,
         tile_offsets=tile_offsets,
-        order=order[:entries] if entries else order,
+        order=order,
         pair_ends=pair_ends,
+        totals=totals,
         tiles_per_gaussian=tiles_per_gaussian,
         slots=values if by_slot else None,
         num_pairs=num_pairs,

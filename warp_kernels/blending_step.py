@@ -153,12 +153,12 @@ def blend(
             ],
             device,
         )
+        ranked = [bins.order, bins.pair_ends] if by_slot else [nothing(k, 1, device) for k in (wp.int32, wp.int64)]
         launch_again(
             distribute_kernel(channels, thermal_channels, dtype, absolute is not None, per_pair),
-            len(features),
+            len(bins.order) if by_slot else len(features),
             [
-                bins.order,
-                bins.pair_ends,
+                *ranked,
                 bins.tiles_per_gaussian,
                 records,
                 projected.roots,

@@ -1,128 +1,165 @@
 """The adjoint of a sum over one row of spherical harmonics coefficients a thread, moved by whole warps.
 
-A Gaussian's coefficients above degree 0 are one row of up to 45 numbers, and so is their gradient. Were each thread to
-write its own, neighbouring threads would write 180 bytes apart. Where the rows of a warp's 32 threads follow each
-other, as they do but at the end of an image, its lanes move all of them together through shared memory; float64 and
-other rows are read and written directly. On the CPU, where a warp is one lane, rows are always. (The sum itself reads
-a row directly: a line stays in the cache while its numbers are read one after the other, and nothing is written.)
+A Gaussian's coefficients are one row of up to 48 numbers, and so is their gradient: basis value times colour gradient.
+Were each thread to write its own, neighbouring threads would write 192 bytes apart. Where the rows of a warp's 32
+threads follow each other, as they do but at the end of an image, its lanes walk all of them as one run: the basis
+values and colour gradients lie in shared memory, a row nobody uses is only written, and 4 numbers are written at once
+where nothing lies between rows. Other rows are read and written directly; on the CPU, where a warp is one lane, they
+all are.
 
 On CUDA all lanes of a warp must call the adjoint together: see ``whole_warps``.
 """
 
 import functools
-import re
 
 import warp as wp
-
-HIGHEST = 15
-"""Coefficients above degree 0, at most."""
 
 BLOCK = 256
 """Threads a block on CUDA; Warp's default."""
 
-# Every lane's row, side by side, in `staged`; `mine` is this lane's, there or in memory. `row` is negative in a lane
-# behind the last row.
-STAGED = """
-    __shared__ float staged_rows[BLOCK_ / 32][32 * 3 * HIGHEST_];
-    const unsigned all = 0xffffffffu;
-    const int lane = threadIdx.x & 31, width = 3 * rows.shape[1];
-    const int first = __shfl_sync(all, row, 0);
-    const bool fits = width <= 3 * HIGHEST_ && DENSE_ && (row < 0 || row == first + lane);
-    const bool together = sizeof(S_) == sizeof(float) && __all_sync(all, fits);
-    const unsigned present = __ballot_sync(all, row >= 0), in_use = __ballot_sync(all, used);
-    const int count_rows = __popc(present);
-    S_* staged = (S_*)staged_rows[threadIdx.x >> 5];
-    const S_* mine = (const S_*)((const char*)rows.data + (long long)row * rows.strides[0]);
-    int step = rows.strides[1] / (int)sizeof(S_);
-    if (together) {
-        mine = staged + lane * width;
-        step = 3;
-        if (active > 1 && in_use) {
-            const S_* source = (const S_*)((const char*)rows.data + (long long)first * rows.strides[0]);
-            MOVE_(rows, in_use, staged[to] = source[at])
-            __syncwarp();
-        }
-    }
-"""
-
-# Whether a row's numbers lie side by side.
-DENSE = "({0}.shape[1] < 2 || {0}.strides[1] == 3 * (int)sizeof(S_))"
-
-# The numbers of the warp's rows in `wanted`, between `at` in memory and `to` in `staged`: where most rows are, and
-# nothing lies between them (the degree 0 of the next may), in one sweep, and else row by row.
-MOVE = """
-    if ({rows}.strides[0] == width * (int)sizeof(S_) && 2 * __popc({wanted}) >= count_rows) {{
-        for (int at = lane; at < width * count_rows; at += 32) {{ const int to = at; {what}; }}
-    }} else {{
-        const int pitch = {rows}.strides[0] / (int)sizeof(S_);
-        #pragma unroll 4
-        for (int r = 0; r < count_rows; ++r)
-            if ({wanted} >> r & 1)
-                for (int e = lane; e < width; e += 32) {{ const int at = r * pitch + e, to = r * width + e; {what}; }}
-    }}
-"""
-
 ADJOINT = """
     wp::vec_t<16, S_> v_b = {};
     const S_ zero = 0;
-    const int count = rows.shape[1];
+    const int count = rows.shape[1], held = count + lowest < 16 ? count + lowest : 16;
+    const int end = active < held ? active : held;
+    bool together = false;
 #if defined(__CUDA_ARCH__)
-    STAGED_
-    if (used) {
+    __shared__ S_ staged_values[BLOCK_ / 32][32 * 17];
+    __shared__ S_ staged_v[BLOCK_ / 32][32 * 3];
+    const unsigned all = 0xffffffffu;
+    const unsigned present = __ballot_sync(all, row >= 0), in_use = __ballot_sync(all, used);
+    if (count == 0 || (add && !in_use)) return v_b;
+    const int lane = threadIdx.x & 31, width = 3 * count, count_rows = __popc(present);
+    const int leader = __shfl_sync(all, row, 0);
+    const bool dense = count < 2 || (rows.strides[1] == 3 * (int)sizeof(S_) && v_rows.strides[1] == rows.strides[1]);
+    together = __all_sync(all, dense && (row < 0 || row == leader + lane));
+    S_* all_values = staged_values[threadIdx.x >> 5];
+    S_* all_v = staged_v[threadIdx.x >> 5];
+    S_* values = all_values + lane * 17;  // this lane's; an odd distance apart, so that lanes meet in no bank
+    if (in_use) {
         #pragma unroll
-        for (int k = 1; k <= HIGHEST_; ++k)
-            if (k < active) {
-                const S_* coefficient = mine + (k - 1) * step;
-                v_b[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
-            }
+        for (int k = 0; k < 16; ++k) values[k] = used && k < end ? b[k] : zero;
+        #pragma unroll
+        for (int c = 0; c < 3; ++c) all_v[lane * 3 + c] = used ? v[c] : zero;
+        __syncwarp();
     }
     if (together) {
-        S_* target = (S_*)((char*)v_rows.data + (long long)first * v_rows.strides[0]);
-        if (in_use) {
+        // Gradients: a sweep of the warp writes `sweep` numbers; this lane's are those from `e` of row `r` on.
+        const int pitch = v_rows.strides[0] / (int)sizeof(S_), total = width * count_rows;
+        S_* target = (S_*)((char*)v_rows.data + (long long)leader * v_rows.strides[0]);
+        const bool wide = sizeof(S_) == 4 && pitch == width && !add && ((size_t)target & 15) == 0;
+        const int sweep = wide ? 128 : 32, next_r = sweep / width, next_e = sweep % width;
+        int r = lane * (sweep / 32) / width, e = lane * (sweep / 32) % width;
+        for (int f = lane * (sweep / 32); f < total; f += sweep) {
+            if (wide) {
+                float quad[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+                if (in_use) {
+                    int row_at = r, at = e;
+                    #pragma unroll
+                    for (int j = 0; j < 4; ++j) {
+                        const int k = at / 3;
+                        if (k + lowest < 16 && f + j < total)
+                            quad[j] = (float)(all_values[row_at * 17 + k + lowest] * all_v[row_at * 3 + at - 3 * k]);
+                        if (++at == width) { at = 0; ++row_at; }
+                    }
+                }
+                if (f + 3 < total) *(float4*)(target + f) = make_float4(quad[0], quad[1], quad[2], quad[3]);
+                else
+                    for (int j = 0; f + j < total; ++j) target[f + j] = quad[j];
+            } else if (!add || in_use >> r & 1) {
+                const int k = e / 3;
+                const bool any = in_use && k + lowest < 16;
+                const S_ value = any ? all_values[r * 17 + k + lowest] * all_v[r * 3 + e - 3 * k] : zero;
+                S_* gradient = target + r * pitch + e;
+                *gradient = add ? *gradient + value : value;
+            }
+            r += next_r;
+            e += next_e;
+            if (e >= width) { e -= width; ++r; }
+        }
+        // Dot products, in the places of the basis values.
+        if (in_use && end > 1) {
             __syncwarp();
-            #pragma unroll
-            for (int k = 1; k <= HIGHEST_; ++k)
-                if (k <= count)
-                    for (int c = 0; c < 3; ++c)
-                        staged[lane * width + (k - 1) * 3 + c] = k < active && used ? b[k] * v[c] : zero;
-            __syncwarp();
-            if (add) {
-                MOVE_(v_rows, in_use, target[at] += staged[to])
-            } else {
-                MOVE_(v_rows, present, target[at] = staged[to])
+            const S_* source = (const S_*)((const char*)rows.data + (long long)leader * rows.strides[0]);
+            const int pitch = rows.strides[0] / (int)sizeof(S_), products = end - 1;
+            const int next_r = 32 / products, next_k = 32 % products;
+            int r = lane / products, k = lane % products + 1;
+            #pragma unroll 4
+            for (int item = lane; item < products * count_rows; item += 32) {
+                const S_ *c = source + r * pitch + (k - lowest) * 3, *w = all_v + r * 3;
+                if (in_use >> r & 1) all_values[r * 17 + k] = c[0] * w[0] + c[1] * w[1] + c[2] * w[2];
+                r += next_r;
+                k += next_k;
+                if (k >= end) { k -= products; ++r; }
             }
             __syncwarp();
-        } else if (!add) {
-            MOVE_(v_rows, present, target[at] = zero)
         }
     }
-    const bool written_above = together;
 #else
-    const bool written_above = false;
-    if (used) {
-        const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
-        for (int k = 1; k < active; ++k) {
-            const S_* coefficient = (const S_*)(mine + (k - 1) * rows.strides[1]);
-            v_b[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
-        }
-    }
+    S_ values[16];
+    for (int k = 0; k < 16; ++k) values[k] = b[k];
 #endif
-    if (row >= 0 && !written_above) {
+    if (row >= 0 && !together) {
+        const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
         char* target = (char*)v_rows.data + (long long)row * v_rows.strides[0];
-        const int written = used ? active : 1;
-        #pragma unroll
-        for (int k = 1; k <= HIGHEST_; ++k)
-            if (k < written) {
-                S_* gradient = (S_*)(target + (k - 1) * v_rows.strides[1]);
-                for (int c = 0; c < 3; ++c) gradient[c] = add ? gradient[c] + b[k] * v[c] : b[k] * v[c];
-            }
+        const int written = used ? end : lowest;
+        #pragma unroll 1
+        for (int k = lowest; k < written; ++k) {
+            const S_* coefficient = (const S_*)(mine + (k - lowest) * rows.strides[1]);
+            S_* gradient = (S_*)(target + (k - lowest) * v_rows.strides[1]);
+            for (int c = 0; c < 3; ++c) gradient[c] = add ? gradient[c] + values[k] * v[c] : values[k] * v[c];
+            values[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
+        }
         if (!add)
-            for (int k = written; k <= count; ++k) {
-                S_* gradient = (S_*)(target + (k - 1) * v_rows.strides[1]);
+            #pragma unroll 1
+            for (int k = written; k < count + lowest; ++k) {
+                S_* gradient = (S_*)(target + (k - lowest) * v_rows.strides[1]);
                 for (int c = 0; c < 3; ++c) gradient[c] = zero;
             }
     }
+    if (used)
+        #pragma unroll
+        for (int k = 1; k < 16; ++k)
+            if (k < end) v_b[k] = values[k];
+#if defined(__CUDA_ARCH__)
+    __syncwarp();
+#endif
     return v_b;
+"""
+
+
+# A row's numbers 4 at a time where its memory allows that, all asked for before the first is used.
+SUM = """
+    wp::vec_t<3, S_> total = start;
+    const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
+#if defined(__CUDA_ARCH__)
+    const bool aligned = (((size_t)rows.data | rows.strides[0]) & 15) == 0 && rows.strides[1] == 12;
+    if (sizeof(S_) == 4 && lowest == 0 && aligned) {
+        const int end = 3 * active;
+        float4 quads[12];
+        #pragma unroll
+        for (int j = 0; j < 12; ++j)
+            if (4 * j < end) quads[j] = __ldg((const float4*)mine + j);
+        #pragma unroll
+        for (int j = 0; j < 12; ++j)
+            if (4 * j < end) {
+                const float numbers[4] = {quads[j].x, quads[j].y, quads[j].z, quads[j].w};
+                #pragma unroll
+                for (int i = 0; i < 4; ++i) {
+                    const int at = 4 * j + i;
+                    if (at < end) total[at % 3] += b[at / 3] * (S_)numbers[i];
+                }
+            }
+        return total;
+    }
+#endif
+    #pragma unroll
+    for (int k = 0; k < 16; ++k)
+        if (k >= lowest && k < active) {
+            const S_* coefficient = (const S_*)(mine + (k - lowest) * rows.strides[1]);
+            for (int c = 0; c < 3; ++c) total[c] += b[k] * coefficient[c];
+        }
+    return total;
 """
 
 
@@ -137,24 +174,45 @@ def whole_warps(count: int, device: wp.Device) -> int:
 
 
 @functools.cache
-def row_adjoint_function(dtype: type):
-    """The adjoint of Σ b[k] rows[row, k - 1] over 0 < k < active.
+def row_sum_function(dtype: type):
+    """A row's sum.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``row_adjoint(rows, v_rows, row, b, v, active, used, add)``: adds b[k] v to v_rows[row, k - 1], or with ``add``
-        false overwrites the row, and returns the dot products of rows[row, k - 1] with v, by k. A row that is not
-        ``used`` has a gradient of zero, whatever it holds.
+        ``row_sum(rows, lowest, row, b, active, start)``: start + Σ b[k] rows[row, k - lowest] over lowest <= k <
+        active, where rows begin with the coefficient ``lowest``, 0 or 1.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
-    dense = f"{DENSE.format('rows')} && {DENSE.format('v_rows')}"
 
-    @wp.func_native(_source(ADJOINT, dtype, dense))
+    @wp.func_native(SUM.replace("S_", "float" if dtype is wp.float32 else "double"))
+    def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3) -> vec3: ...
+
+    return row_sum
+
+
+@functools.cache
+def row_adjoint_function(dtype: type):
+    """The adjoint of Σ b[k] rows[row, k - lowest] over lowest <= k < active.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``row_adjoint(rows, v_rows, lowest, row, b, v, active, used, add)``, where rows begin with the coefficient
+        ``lowest``, 0 or 1: adds b[k] v to v_rows[row, k - lowest], or with ``add`` false overwrites the row, and
+        returns the dot products of rows[row, k - lowest] with v, by k; that of 0, whose basis is constant, is left out.
+        A row that is not ``used`` is not read and has a gradient of zero.
+    """
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    scalar = "float" if dtype is wp.float32 else "double"
+
+    @wp.func_native(ADJOINT.replace("BLOCK_", str(BLOCK)).replace("S_", scalar))
     def row_adjoint(
         rows: wp.array2d(dtype=vec3),
         v_rows: wp.array2d(dtype=vec3),
+        lowest: int,
         row: int,
         b: vec16,
         v: vec3,
@@ -164,20 +222,3 @@ def row_adjoint_function(dtype: type):
     ) -> vec16: ...
 
     return row_adjoint
-
-
-def _source(snippet: str, dtype: type, dense: str) -> str:
-    """A snippet with its placeholders filled in."""
-    snippet = snippet.replace("STAGED_", STAGED)
-    snippet = re.sub(
-        r"MOVE_\((\w+), (\w+), (.*)\)\n", lambda m: MOVE.format(rows=m[1], wanted=m[2], what=m[3]), snippet
-    )
-    words = {
-        "DENSE_": dense,
-        "HIGHEST_": str(HIGHEST),
-        "BLOCK_": str(BLOCK),
-        "S_": "float" if dtype is wp.float32 else "double",
-    }
-    for word, value in words.items():
-        snippet = snippet.replace(word, value)
-    return snippet

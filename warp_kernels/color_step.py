@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from warp_kernels.array_views import empty, nothing
+from warp_kernels.array_views import ArrayView, empty, nothing
 from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
@@ -56,7 +56,7 @@ class ColorSettings:
 
 
 def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None = None) -> None:
-    """Evaluates spherical harmonics in each Gaussian's view direction; zero where it is culled.
+    """Evaluates spherical harmonics in each Gaussian's view direction; where it is culled no colour is written.
 
     Args:
         arrays: inputs, and the output.
@@ -66,7 +66,10 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     a, device, dtype = arrays, arrays.means.device, arrays.means.dtype._wp_scalar_type_
     a.camera_positions = empty(len(a.viewmats), wp.vec3d, device)
     launch_again(camera_position_kernels(dtype)[0], len(a.viewmats), [a.viewmats, a.camera_positions], device)
-    launch(color_kernel(dtype), len(a.colors), _arguments(arrays, settings), device)
+    joined = _joined(a.sh0, a.shN)
+    rows, lowest = (a.shN, 1) if joined is None else (joined, 0)
+    inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.radii]
+    launch(color_kernel(dtype), len(a.colors), [*inputs, a.colors], device)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
         record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)
@@ -85,11 +88,16 @@ def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bo
     vec3, images = a.colors.dtype, len(a.viewmats)
     to_cameras = a.viewmats.grad is not None
     v_offsets = empty(len(a.colors), vec3, device) if to_cameras else nothing(vec3, 1, device)
-    gradients = [gradient_of(a.sh0), gradient_of(a.shN), gradient_of(a.means)]
+    v_sh0, v_shN = gradient_of(a.sh0), gradient_of(a.shN)
+    rows, v_rows = _joined(a.sh0, a.shN), _joined(v_sh0, v_shN)
+    lowest = 0
+    if rows is None or v_rows is None:
+        rows, v_rows, lowest = a.shN, v_shN, 1
+    inputs = [*_counts(settings), a.means, a.camera_positions, rows, a.radii, a.colors, gradient_of(a.colors)]
     launch(
         color_adjoint_kernel(dtype),
         whole_warps(len(a.means), device),
-        [*_arguments(arrays, settings), gradient_of(a.colors), store, *gradients, v_offsets],
+        [*inputs, lowest, store, v_sh0, v_rows, gradient_of(a.means), v_offsets],
         device,
     )
     if to_cameras:
@@ -101,8 +109,14 @@ def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bo
         )
 
 
-def _arguments(arrays: ColorArrays, settings: ColorSettings) -> list[Any]:
+def _counts(settings: ColorSettings) -> list[Any]:
     """What the kernel and its adjoint begin with."""
-    a, s = arrays, settings
-    counts = [s.num_gaussians, s.num_cameras, s.per_image, s.degree]
-    return [*counts, a.means, a.camera_positions, a.sh0, a.shN, a.radii, a.colors]
+    return [settings.num_gaussians, settings.num_cameras, settings.per_image, settings.degree]
+
+
+def _joined(sh0: Any, shN: Any) -> ArrayView | None:
+    """Rows of all coefficients, where those of degree 0 lie in front of the others; None where they lie apart."""
+    vector = sh0.strides[1]
+    if shN.shape[1] == 0 or shN.ptr != sh0.ptr + vector or sh0.strides[0] != shN.strides[0] or shN.strides[1] != vector:
+        return None
+    return ArrayView(sh0.ptr, (sh0.shape[0], 1 + shN.shape[1]), sh0.dtype, sh0.device, strides=shN.strides)

@@ -84,6 +84,8 @@ def distribute_kernel(
         g = int(rank)
         if wp.static(records_per_pair > 0):
             g = order[rank]
+            if g < 0:
+                return
         count = tiles_per_gaussian[g]
         if count == 0:
             return

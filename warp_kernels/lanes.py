@@ -54,6 +54,16 @@ def count_bits(x: wp.uint32) -> int: ...
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __reduce_add_sync(0xffffffffu, x);
+#else
+    return x;
+#endif
+""")
+def warp_sum(x: wp.uint32) -> wp.uint32: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __syncwarp();
 #endif
 """)

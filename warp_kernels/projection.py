@@ -18,6 +18,7 @@ from typing import Literal
 
 import warp as wp
 
+from warp_kernels.coalesced_stores import store_functions, store_pair
 from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN, FOV_MARGIN
 from warp_kernels.rotation import rotation_functions
 
@@ -139,11 +140,20 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     normalize, _, to_matrix, _ = rotation_functions(dtype)
     camera_position, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
+    store2, _, _ = store_functions(dtype)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
     alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
     largest_radius = dtype(1.0e9)  # fits an int32
     sharpest = dtype(1.0e30 if dtype is wp.float32 else 1.0e300)  # times pixels squared stays finite
+
+    @wp.func
+    def outside(center: dtype, row: vec3, largest: dtype, eps2d: dtype, size: int):
+        """Whether a Gaussian is certain to be culled: ``row`` leads to one image axis, to which all of its standard
+        deviations are at most ``largest``. False for what is not a number."""
+        deviation = (wp.abs(row[0]) + wp.abs(row[1]) + wp.abs(row[2])) * largest + wp.sqrt(eps2d)
+        reach = wp.static(dtype(1.001)) * extent_max * deviation + two
+        return center + reach < zero or center - reach > dtype(size)
 
     @wp.kernel(
         name=f"project_{camera_model}_{'covars' if from_covars else 'quats'}_{dtype.__name__}",
@@ -181,13 +191,12 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         image = index // num_gaussians
         gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
 
-        # A culled Gaussian: everything zero, so that nothing undefined is ever read.
-        means2d[index] = vec2()
+        # A culled Gaussian: zero what users see, or multiply with.
+        store2(means2d, index, vec2())
         depths[index] = zero
-        roots[index] = vec3()
-        compensations[index] = zero
-        radii[index] = wp.vec2i(0, 0)
-        extents[index] = vec2()
+        store_pair(radii, index, wp.vec2i(0, 0))
+        if compensations.shape[0] > 0:
+            compensations[index] = zero
 
         view = viewmats[image]
         K = Ks[image]
@@ -209,18 +218,22 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         M = J * R
         m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
         m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
+        mean2d = project_mean(exact, K)
         xx, xy, yy, det = zero, zero, zero, zero
         if wp.static(from_covars):
             xx, xy, yy, det = from_covariance(m0, m1, symmetric(covars[gaussian]))
         else:
-            rotation = to_matrix(normalize(quats[gaussian]))
             s = scales[gaussian]
+            # A sphere around it outside of the image, and nothing else need be read.
+            largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
+            if outside(mean2d[0], m0, largest, eps2d, width) or outside(mean2d[1], m1, largest, eps2d, height):
+                return
+            rotation = to_matrix(normalize(quats[gaussian]))
             back = wp.transpose(rotation)
             xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
         det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
         xx = xx + eps2d
         yy = yy + eps2d
-        mean2d = project_mean(exact, K)
         if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d)):
             return
         root = vec3(wp.sqrt(yy / det_blurred), -xy / yy, one / wp.sqrt(yy))
@@ -247,12 +260,13 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         if mean2d[1] + ry <= zero or mean2d[1] - ry >= dtype(height):
             return
 
-        means2d[index] = mean2d
+        store2(means2d, index, mean2d)
         depths[index] = p[2]
         roots[index] = root
-        compensations[index] = compensation
-        radii[index] = wp.vec2i(int(rx), int(ry))
-        extents[index] = vec2(ex, ey)
+        if compensations.shape[0] > 0:
+            compensations[index] = compensation
+        store_pair(radii, index, wp.vec2i(int(rx), int(ry)))
+        store2(extents, index, vec2(ex, ey))
 
     return project_kernel
 
@@ -284,15 +298,18 @@ class GaussianArrays:
 
 @dataclass
 class ProjectedArrays:
-    """What the projection writes, one entry an (image, Gaussian) pair; all zero where the Gaussian is culled.
+    """What the projection writes, one entry an (image, Gaussian) pair.
 
     Attributes:
-        means2d: vec2 [images · N], px.
-        depths: [images · N], camera z in world units.
-        roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module).
-        compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one).
+        means2d: vec2 [images · N], px; 0 where culled.
+        depths: [images · N], camera z in world units; 0 where culled.
+        roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module); not
+            written where culled.
+        compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one); 0 where culled. May
+            be empty in the classic mode.
         radii: vec2i [images · N], px; 0 where culled.
-        extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN.
+        extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN; not written where
+            culled.
     """
 
     means2d: wp.array

@@ -13,16 +13,16 @@ import functools
 
 import warp as wp
 
+from warp_kernels.camera_gradients import CAMERA_RECORD
+from warp_kernels.coalesced_stores import store_functions
 from warp_kernels.projection import CameraModel, covariance_functions, projection_functions
 from warp_kernels.rotation import rotation_functions
-from warp_kernels.strand_sums import STRANDS
-
-CAMERA_RECORD = 16
-"""Numbers per record of camera gradients: rotation 9 (row-major), translation 3, fx, fy, cx, cy."""
 
 
 @functools.cache
-def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covars: bool, to_cameras: bool) -> wp.Kernel:
+def projection_adjoint_kernel(
+    dtype: type, camera_model: CameraModel, from_covars: bool, to_cameras: bool, antialiased: bool
+) -> wp.Kernel:
     """The adjoint kernel, one thread a Gaussian of a scene.
 
     Args:
@@ -30,11 +30,13 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         camera_model: "pinhole" or "ortho".
         from_covars: 3D covariances were given instead of quaternions and scales.
         to_cameras: Also write gradients to view matrices and intrinsics.
+        antialiased: The projection's compensations were used.
 
     Returns:
-        The Warp kernel.
+        The Warp kernel, launched over ``whole_warps``.
     """
     vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
+    _, store3, store4 = store_functions(dtype)
     vec6, record = wp.types.vector(6, dtype), wp.types.vector(CAMERA_RECORD, dtype)
     mat23, mat33, mat44 = (wp.types.matrix(shape, dtype) for shape in ((2, 3), (3, 3), (4, 4)))
     normalize, inverse_norm, to_matrix, matrix_adjoint = rotation_functions(dtype)
@@ -42,7 +44,9 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
     pinhole = camera_model == "pinhole"
-    suffix = f"{camera_model}_{'covars' if from_covars else 'quats'}{'_cameras' if to_cameras else ''}"
+    suffix = f"{camera_model}_{'covars' if from_covars else 'quats'}{'_cameras' * to_cameras}{'_aa' * antialiased}"
+    # Two blocks a multiprocessor: most Gaussians may be out of view, which only waits for memory.
+    bounds = (256, 2) if dtype is wp.float32 else None
 
     @wp.func
     def clamp_adjoint(position: dtype, depth: dtype, focal: dtype, center: dtype, size: dtype, v: dtype):
@@ -58,7 +62,9 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
             v_center = -v * depth / focal
         return v_position, v_depth, v_focal, v_center
 
-    @wp.kernel(name=f"project_adjoint_{suffix}_{dtype.__name__}", enable_backward=False, module="unique")
+    @wp.kernel(
+        name=f"project_adjoint_{suffix}_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds
+    )
     def project_adjoint_kernel(
         first: int,
         num_gaussians: int,
@@ -72,7 +78,6 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         width: int,
         height: int,
         eps2d: dtype,
-        antialiased: bool,
         roots: wp.array(dtype=vec3),
         compensations: wp.array(dtype=dtype),
         radii: wp.array(dtype=wp.vec2i),
@@ -81,6 +86,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         v_roots: wp.array(dtype=vec3),
         v_compensations: wp.array(dtype=dtype),
         store: bool,
+        store_means: bool,
         # outputs
         v_means: wp.array(dtype=vec3),
         v_quats: wp.array(dtype=vec4),
@@ -88,22 +94,31 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         v_covars: wp.array(dtype=vec6),
         v_cameras: wp.array(dtype=record),
     ):
-        gaussian = wp.tid() + first
+        thread = wp.tid() + first
+        inside = thread < means.shape[0]
+        gaussian = wp.min(thread, means.shape[0] - 1)
         scene = gaussian // num_gaussians
-        mean = means[gaussian]
+        seen = bool(False)
+        for camera in range(num_cameras):
+            if radii[(scene * num_cameras + camera) * num_gaussians + gaussian % num_gaussians][0] > 0:
+                seen = inside
+
+        # Nothing else is read of a Gaussian that no camera sees.
+        mean = vec3()
         s = vec3()
-        q = vec4()
-        rotation = mat33()
+        raw = vec4()
         covariance = mat33()
-        if wp.static(from_covars):
-            covariance = symmetric(covars[gaussian])
-        else:
-            q = normalize(quats[gaussian])
-            rotation = to_matrix(q)
-            s = scales[gaussian]
+        if seen:
+            mean = means[gaussian]
+            if wp.static(from_covars):
+                covariance = symmetric(covars[gaussian])
+            else:
+                raw = quats[gaussian]
+                s = scales[gaussian]
+        q = normalize(raw)
+        rotation = to_matrix(q)
         back = wp.transpose(rotation)
 
-        seen = bool(False)
         given = bool(True)
         g_mean = vec3()
         g_scale = vec3()
@@ -112,8 +127,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
         for camera in range(num_cameras):
             image = scene * num_cameras + camera
             index = image * num_gaussians + gaussian % num_gaussians
-            if radii[index][0] > 0:
-                seen = True
+            if seen and radii[index][0] > 0:
                 view = viewmats[image]
                 K = Ks[image]
                 R = mat33(
@@ -180,7 +194,7 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                 v_m1 = k * v_m0 + v * v_n1
 
                 # compensation -> determinant and blur
-                if antialiased:
+                if wp.static(antialiased):
                     rho = compensations[index]
                     if rho > zero:
                         xx, xy, yy, det = zero, zero, zero, zero
@@ -278,73 +292,35 @@ def projection_adjoint_kernel(dtype: type, camera_model: CameraModel, from_covar
                     if finite and not wp.isfinite(G):
                         G = record()
                     v_cameras[index] = G
-            else:
+            elif inside:
                 if wp.static(to_cameras):
                     v_cameras[index] = record()
 
         g_quat = vec4()
         if wp.static(not from_covars):
             if seen:
-                g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(quats[gaussian])
+                g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(raw)
         held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
         # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
         seen = seen and (held or not given)
         if not seen:
-            if not store:
-                return
             g_mean, g_quat, g_scale, g_covar = vec3(), vec4(), vec3(), vec6()
-        elif not store:
-            g_mean = v_means[gaussian] + g_mean
+        written = wp.where(inside and (seen or store), gaussian, -1)
+        if seen and not store:
             if wp.static(from_covars):
                 g_covar = v_covars[gaussian] + g_covar
             else:
                 g_scale = v_scales[gaussian] + g_scale
                 g_quat = v_quats[gaussian] + g_quat
-        v_means[gaussian] = g_mean
+        if seen and not store_means:
+            g_mean = v_means[gaussian] + g_mean
+        store3(v_means, wp.where(inside and (seen or store_means), gaussian, -1), g_mean)
         if wp.static(from_covars):
-            v_covars[gaussian] = g_covar
+            if written >= 0:
+                v_covars[gaussian] = g_covar
         else:
-            v_scales[gaussian] = g_scale
-            v_quats[gaussian] = g_quat
+            store3(v_scales, written, g_scale)
+            if written >= 0:
+                store4(v_quats, gaussian, g_quat)
 
     return project_adjoint_kernel
-
-
-@functools.cache
-def camera_finish_kernel(dtype: type) -> wp.Kernel:
-    """Adds the strands of each image and hands the result to the gradients, one thread an image.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``, of the gradients.
-
-    Returns:
-        The Warp kernel.
-    """
-    record64 = wp.types.vector(CAMERA_RECORD, wp.float64)
-    mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
-
-    @wp.kernel(name=f"finish_camera_gradients_{dtype.__name__}", enable_backward=False, module="unique")
-    def finish_camera_gradients_kernel(
-        partial_sums: wp.array(dtype=record64),
-        # outputs
-        v_viewmats: wp.array(dtype=mat44),
-        v_Ks: wp.array(dtype=mat33),
-    ):
-        image = wp.tid()
-        total = record64()
-        for strand in range(wp.static(STRANDS)):
-            total = total + partial_sums[image * wp.static(STRANDS) + strand]
-        view = v_viewmats[image]
-        for i in range(3):
-            for j in range(3):
-                view[i, j] = view[i, j] + dtype(total[3 * i + j])
-            view[i, 3] = view[i, 3] + dtype(total[9 + i])
-        v_viewmats[image] = view
-        K = v_Ks[image]
-        K[0, 0] = K[0, 0] + dtype(total[12])
-        K[1, 1] = K[1, 1] + dtype(total[13])
-        K[0, 2] = K[0, 2] + dtype(total[14])
-        K[1, 2] = K[1, 2] + dtype(total[15])
-        v_Ks[image] = K
-
-    return finish_camera_gradients_kernel

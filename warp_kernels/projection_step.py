@@ -3,9 +3,11 @@
 import warp as wp
 
 from warp_kernels.array_views import empty, nothing
+from warp_kernels.camera_gradients import CAMERA_RECORD, camera_finish_kernel
+from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings, projection_kernel
-from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
+from warp_kernels.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.strand_sums import strand_sums
 from warp_kernels.tape_recording import given_gradient, gradient_of, record_adjoint
 
@@ -61,7 +63,12 @@ def project(
 
 
 def project_adjoint(
-    gaussians: GaussianArrays, settings: ProjectionSettings, projected: ProjectedArrays, *, store: bool = False
+    gaussians: GaussianArrays,
+    settings: ProjectionSettings,
+    projected: ProjectedArrays,
+    *,
+    store: bool = False,
+    add_to_means: bool = False,
 ) -> None:
     """The adjoint of ``project``: from the gradients of its outputs, those not given being zero, to its inputs'.
 
@@ -70,6 +77,7 @@ def project_adjoint(
         settings: as in ``project``.
         projected: what ``project`` wrote.
         store: gradients of Gaussians are not initialised, and written; else they are added to, as those of cameras are.
+        add_to_means: also with ``store``, the means' gradient is added to.
     """
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
     to_cameras = gaussians.viewmats.grad is not None or gaussians.Ks.grad is not None
@@ -80,9 +88,10 @@ def project_adjoint(
         else nothing(record, 1, device)
     )
     covars = _covars(gaussians)
+    variant = (settings.camera_model, gaussians.covars is not None, to_cameras, settings.antialiased)
     launch(
-        projection_adjoint_kernel(dtype, settings.camera_model, gaussians.covars is not None, to_cameras),
-        len(gaussians.means),
+        projection_adjoint_kernel(dtype, *variant),
+        whole_warps(len(gaussians.means), device),
         [
             settings.num_gaussians,
             settings.num_cameras,
@@ -95,7 +104,6 @@ def project_adjoint(
             settings.width,
             settings.height,
             settings.eps2d,
-            settings.antialiased,
             projected.roots,
             projected.compensations,
             projected.radii,
@@ -104,6 +112,7 @@ def project_adjoint(
             given_gradient(projected.roots),
             given_gradient(projected.compensations),
             store,
+            store and not add_to_means,
             gradient_of(gaussians.means),
             gradient_of(gaussians.quats),
             gradient_of(gaussians.scales),

@@ -8,7 +8,8 @@ import functools
 
 import warp as wp
 
-from warp_kernels.coefficient_rows import row_adjoint_function
+from warp_kernels.coalesced_stores import store_functions
+from warp_kernels.coefficient_rows import row_adjoint_function, row_sum_function
 from warp_kernels.strand_sums import STRANDS
 
 # Normalisation constants of the real basis functions.
@@ -130,19 +131,23 @@ def direction_function(dtype: type):
 
 @functools.cache
 def color_kernel(dtype: type) -> wp.Kernel:
-    """Forward kernel: colour of each (image, Gaussian) pair, zero where the Gaussian is culled.
+    """Forward kernel: colour of each (image, Gaussian) pair, not written where the Gaussian is culled.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        The Warp kernel.
+        The Warp kernel. ``rows`` begin with the coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
     """
     vec3 = wp.types.vector(3, dtype)
     basis, _ = basis_functions(dtype)
+    row_sum = row_sum_function(dtype)
     direction = direction_function(dtype)
 
-    @wp.kernel(name=f"sh_colors_{dtype.__name__}", enable_backward=False, module="unique")
+    # A row is 48 registers, and three blocks a multiprocessor keep enough of them under way.
+    bounds = (256, 3) if dtype is wp.float32 else None
+
+    @wp.kernel(name=f"sh_colors_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds)
     def sh_colors_kernel(
         first: int,
         num_gaussians: int,
@@ -152,29 +157,30 @@ def color_kernel(dtype: type) -> wp.Kernel:
         means: wp.array(dtype=vec3),
         camera_positions: wp.array(dtype=wp.vec3d),
         sh0: wp.array2d(dtype=vec3),
-        shN: wp.array2d(dtype=vec3),
+        rows: wp.array2d(dtype=vec3),
+        lowest: int,
         radii: wp.array(dtype=wp.vec2i),
         # outputs
         colors: wp.array(dtype=vec3),
     ):
         index = wp.tid() + first
-        color = vec3()
         if radii[index][0] > 0:
             image = index // num_gaussians
             gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
             row = wp.where(per_image, index, gaussian)
             unit, _ = direction(means[gaussian], camera_positions[image])
             b = basis(unit, degree)
-            color = b[0] * sh0[row, 0]
-            for k in range(1, (degree + 1) * (degree + 1)):
-                color = color + b[k] * shN[row, k - 1]
+            color = vec3()
+            if lowest > 0:
+                color = b[0] * sh0[row, 0]
+            color = row_sum(rows, lowest, row, b, (degree + 1) * (degree + 1), color)
             # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
             color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
             for c in range(3):
                 # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
                 if color[c] < dtype(0.0):
                     color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
-        colors[index] = color
+            colors[index] = color
 
     return sh_colors_kernel
 
@@ -189,14 +195,17 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
     Returns:
         The Warp kernel. It adds to coefficients and means, or with ``store`` writes them, and where there is room for
         it stores the direction's part per (image, Gaussian), whose negative sum is the gradient to the camera position.
-        It is launched over ``whole_warps``.
+        ``rows`` begin with the coefficient ``lowest``; where that is 1, ``v_sh0`` takes the gradient of degree 0. It
+        is launched over ``whole_warps``.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
     basis, basis_adjoint = basis_functions(dtype)
     direction = direction_function(dtype)
     row_adjoint = row_adjoint_function(dtype)
+    _, store3, _ = store_functions(dtype)
+    bounds = (256, 3) if dtype is wp.float32 else None  # as of the forward kernel
 
-    @wp.kernel(name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
+    @wp.kernel(name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds)
     def sh_colors_adjoint_kernel(
         first: int,
         num_gaussians: int,
@@ -205,15 +214,15 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         degree: int,
         means: wp.array(dtype=vec3),
         camera_positions: wp.array(dtype=wp.vec3d),
-        sh0: wp.array2d(dtype=vec3),
-        shN: wp.array2d(dtype=vec3),
+        rows: wp.array2d(dtype=vec3),
         radii: wp.array(dtype=wp.vec2i),
         colors: wp.array(dtype=vec3),
         v_colors: wp.array(dtype=vec3),
+        lowest: int,
         store: bool,
         # outputs
         v_sh0: wp.array2d(dtype=vec3),
-        v_shN: wp.array2d(dtype=vec3),
+        v_rows: wp.array2d(dtype=vec3),
         v_means: wp.array(dtype=vec3),
         v_offsets: wp.array(dtype=vec3),
     ):
@@ -242,15 +251,15 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                         v[c] = dtype(0.0)
             add = not store or (camera > 0 and not per_image)
             active = (degree + 1) * (degree + 1)
-            v_basis = row_adjoint(shN, v_shN, wp.where(inside, row, -1), b, v, active, used, add)
+            v_basis = row_adjoint(rows, v_rows, lowest, wp.where(inside, row, -1), b, v, active, used, add)
             if inside:
-                if add:
-                    v_sh0[row, 0] = v_sh0[row, 0] + b[0] * v
-                else:
-                    v_sh0[row, 0] = b[0] * v
+                if lowest > 0:
+                    if add:
+                        v_sh0[row, 0] = v_sh0[row, 0] + b[0] * v
+                    else:
+                        v_sh0[row, 0] = b[0] * v
                 v_offset = vec3()
                 if used:
-                    v_basis[0] = wp.dot(sh0[row, 0], v)
                     v_unit = basis_adjoint(unit, degree, v_basis)
                     v_offset = (v_unit - wp.dot(v_unit, unit) * unit) * inverse
                     if wp.isfinite(v) and not wp.isfinite(v_offset):
@@ -258,11 +267,9 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
                 if v_offsets.shape[0] > 0:
                     v_offsets[index] = v_offset
                 total = total + v_offset
-        if inside:
-            if store:
-                v_means[gaussian] = total
-            else:
-                v_means[gaussian] = v_means[gaussian] + total
+        if inside and not store:
+            total = v_means[gaussian] + total
+        store3(v_means, wp.where(inside, gaussian, -1), total)
 
     return sh_colors_adjoint_kernel
 

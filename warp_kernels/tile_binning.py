@@ -1,6 +1,7 @@
-"""Which Gaussians touch which tile, in depth order: count, scan, emit, sort, tile ranges. No gradient.
+"""Which Gaussians touch which tile, in depth order: count, compact, sort, scan, emit, sort, tile ranges. No gradient.
 
-Gaussians are first sorted by depth (stable, so that equal depths keep their index order); pairs are emitted in that
+Of many Gaussians those without tiles are left out first, keeping the order of the others. Then Gaussians are sorted by
+depth (stable, so that equal depths keep their index order); pairs are emitted in that
 order and sorted, again stably, by tile alone, whose keys have few bits. A *pair* is one (Gaussian, tile) overlap; the
 pairs of one Gaussian are contiguous before the second sort, which is what the deterministic adjoint sums over.
 
@@ -15,11 +16,16 @@ from dataclasses import dataclass
 import warp as wp
 
 from warp_kernels.constants import ALPHA_MIN
+from warp_kernels.lanes import count_bits, warp_ballot, warp_sum
 
 # The bounds are widened a little, because the blend evaluates alpha in its own rounding: relative on the exponent,
 # and in pixels on the span. Pairs admitted in excess cost time, never correctness.
 EXPONENT_MARGIN = 1.0e-5
 PIXEL_MARGIN = 1.0e-3
+
+
+Totals = wp.types.vector(2, wp.int64)
+"""Pairs, and Gaussians with any."""
 
 
 @functools.cache
@@ -91,20 +97,21 @@ def overlap_functions(dtype: type):
 
 
 @functools.cache
-def binning_kernels(dtype: type):
+def binning_kernels(dtype: type, lanes: int):
     """The kernels of this stage.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the projected Gaussians.
+        lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
 
     Returns:
-        ``(count, gather, emit)``.
+        ``(count, compact, gather, emit)``. Count and compact are launched over ``whole_warps``.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     tile_rows, tile_span, cut_exponent = overlap_functions(dtype)
     infinity = dtype(float("inf"))
 
-    @wp.kernel(name=f"count_tiles_{dtype.__name__}", enable_backward=False, module="unique")
+    @wp.kernel(name=f"count_tiles_{dtype.__name__}_{lanes}", enable_backward=False, module="unique")
     def count_tiles_kernel(
         first: int,
         width: int,
@@ -120,12 +127,15 @@ def binning_kernels(dtype: type):
         # outputs
         radii: wp.array(dtype=wp.vec2i),
         tiles_per_gaussian: wp.array(dtype=wp.int32),
+        warp_totals: wp.array(dtype=Totals),
         depth_keys: wp.array(dtype=dtype),
         order: wp.array(dtype=wp.int32),
     ):
+        """With ``warp_totals`` notes each warp's pairs and Gaussians, without writes the keys to sort by."""
         index = wp.tid() + first
+        inside = index < radii.shape[0]
         count = int(0)
-        if radii[index][0] > 0:
+        if inside and radii[index][0] > 0:
             finite = bool(True)
             for c in range(features.shape[1]):
                 if not wp.isfinite(features[index, c]):
@@ -142,19 +152,60 @@ def binning_kernels(dtype: type):
             else:
                 # A Gaussian whose colour or features are not finite would spread over every pixel it touches.
                 radii[index] = wp.vec2i(0, 0)
-        tiles_per_gaussian[index] = count
-        depth_keys[index] = wp.where(count > 0, depths[index], infinity)
-        order[index] = index
+        if inside:
+            tiles_per_gaussian[index] = count
+        if warp_totals.shape[0] > 0:
+            pairs = warp_sum(wp.uint32(count))
+            gaussians = count_bits(warp_ballot(wp.where(count > 0, 1, 0)))
+            if index % lanes == 0:
+                warp_totals[index // lanes] = Totals(wp.int64(pairs), wp.int64(gaussians))
+        elif inside:
+            depth_keys[index] = wp.where(count > 0, depths[index], infinity)
+            order[index] = index
+
+    @wp.kernel(name=f"compact_gaussians_{dtype.__name__}_{lanes}", enable_backward=False, module="unique")
+    def compact_gaussians_kernel(
+        first: int,
+        room: int,
+        tiles_per_gaussian: wp.array(dtype=wp.int32),
+        totals: wp.array(dtype=Totals),
+        depths: wp.array(dtype=dtype),
+        # outputs
+        depth_keys: wp.array(dtype=dtype),
+        order: wp.array(dtype=wp.int32),
+    ):
+        """Lists the Gaussians with tiles in the order of their indices; what remains of the room is marked -1."""
+        index = wp.tid() + first
+        inside = index < tiles_per_gaussian.shape[0]
+        lists = bool(False)
+        if inside:
+            lists = tiles_per_gaussian[index] > 0
+        listed = warp_ballot(wp.where(lists, 1, 0))
+        behind = listed >> wp.uint32(index % lanes)  # this lane's and those of the lanes after it
+        if lists:
+            place = int(totals[index // lanes][1]) - count_bits(behind)
+            if place < room:
+                depth_keys[place] = depths[index]
+                order[place] = index
+        if index < room and wp.int64(index) >= totals[totals.shape[0] - 1][1]:
+            depth_keys[index] = infinity
+            order[index] = -1
 
     @wp.kernel(name="gather_counts", enable_backward=False, module="unique")
     def gather_counts_kernel(
-        order: wp.array(dtype=wp.int32),
+        sorted_gaussians: wp.array(dtype=wp.int32),
         tiles_per_gaussian: wp.array(dtype=wp.int32),
         # outputs
+        order: wp.array(dtype=wp.int32),
         counts: wp.array(dtype=wp.int64),
     ):
         rank = wp.tid()
-        counts[rank] = wp.int64(tiles_per_gaussian[order[rank]])
+        index = sorted_gaussians[rank]
+        count = wp.int64(0)
+        if index >= 0:
+            count = wp.int64(tiles_per_gaussian[index])
+        order[rank] = index
+        counts[rank] = count
 
     @wp.kernel(name=f"emit_pairs_{dtype.__name__}", enable_backward=False, module="unique")
     def emit_pairs_kernel(
@@ -182,6 +233,8 @@ def binning_kernels(dtype: type):
     ):
         rank = wp.tid() + first
         index = order[rank]
+        if index < 0:
+            return
         count = tiles_per_gaussian[index]
         if count == 0:
             return
@@ -207,7 +260,7 @@ def binning_kernels(dtype: type):
                 start += 1
             row += 1
 
-    return count_tiles_kernel, gather_counts_kernel, emit_pairs_kernel
+    return count_tiles_kernel, compact_gaussians_kernel, gather_counts_kernel, emit_pairs_kernel
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -252,8 +305,11 @@ class TileBins:
     Attributes:
         gaussian_ids: [num_pairs] flat (image, Gaussian) index of each sorted pair.
         tile_offsets: [images · tiles + 1] first sorted pair of each tile; the last entry is the number of pairs.
-        order: [images · N] flat indices in depth order, Gaussians without tiles last.
-        pair_ends: int64 [images · N] end of each depth rank's range of unsorted pairs.
+        order: [ranks] flat indices in depth order; those without tiles, or -1 in their place, are last or left out.
+        pair_ends: int64 [ranks] end of each depth rank's range of unsorted pairs. The blending reads this and ``order``
+            only with ``slots``.
+        totals: the last entry holds the pairs and the Gaussians there are, room for them or not; None where
+            ``pair_ends`` has all Gaussians.
         tiles_per_gaussian: [images · N] number of tiles.
         slots: [pairs] unsorted position of each sorted pair; None unless the adjoint writes one record a pair.
         num_pairs: number of pairs, or the capacity where one was given; ``tile_offsets`` ends with the pairs there are.
@@ -264,8 +320,9 @@ class TileBins:
 
     gaussian_ids: wp.array
     tile_offsets: wp.array
-    order: wp.array
-    pair_ends: wp.array
+    order: wp.array | None
+    pair_ends: wp.array | None
+    totals: wp.array | None
     tiles_per_gaussian: wp.array
     slots: wp.array | None
     num_pairs: int

@@ -1,6 +1,7 @@
 """Room for the (Gaussian, tile) pairs of a step known beforehand, so that no rasterization waits for the device.
 
-A rasterization reads the number of its pairs back to the host, to allocate what they need. A step that is captured in a
+A rasterization reads the numbers of its pairs and of the Gaussians that have any back to the host, to allocate what
+they need. A step that is captured in a
 CUDA graph cannot: it gets a fixed room instead, measured on the steps before, and says on the device what did not fit.
 """
 
@@ -32,7 +33,7 @@ class PairCapacity:
     With a fixed room ``rasterization`` and ``rasterization_rgbt`` never wait for the device, forward or backward, and
     can be captured with ``torch.cuda.graph`` or ``torch.cuda.make_graphed_callables``. Measure on the views that will
     be rendered, forward and backward, with the options of later: that also compiles and loads the kernels, which cannot
-    be captured. Pairs that find no room, those of the farthest Gaussians, are not drawn and get no gradient;
+    be captured. Pairs that find no room, most of them of the farthest Gaussians, are not drawn and get no gradient;
     ``overflow`` and :meth:`check` tell.
 
     Args:
@@ -41,6 +42,7 @@ class PairCapacity:
 
     Attributes:
         most: int64 [CALLS], most pairs of each call of a step so far.
+        most_listed: int64 [CALLS], most Gaussians with pairs; 0 where that was not counted, as there were few.
         overflow: float32 scalar on the device, 1 where a call of the last step (or replay) had more pairs than room.
 
     Example:
@@ -60,9 +62,11 @@ class PairCapacity:
 
     def __init__(self, device: torch.device | str, spare: float = SPARE) -> None:
         self.most = torch.zeros(CALLS, dtype=torch.int64, device=device)
+        self.most_listed = torch.zeros_like(self.most)
         self.overflow = torch.zeros((), device=device)
         self.spare = spare
         self._limits: list[int] = []
+        self._listed_limits: list[int] = []
         self._calls = 0
         self._fixed = False
 
@@ -91,11 +95,24 @@ class PairCapacity:
 
     def measure(self) -> None:
         """Make room for the most that was seen. Waits for the device."""
-        self._limits = [max(LEAST, math.ceil(self.spare * count)) for count in self.most.tolist()]
+        self._limits, self._listed_limits = (
+            [max(LEAST, math.ceil(self.spare * count)) for count in most.tolist()]
+            for most in (self.most, self.most_listed)
+        )
 
     def is_short(self) -> bool:
-        """Whether there were more pairs than room since the last :meth:`measure`. Waits for the device."""
-        return any(count > limit for count, limit in zip(self.most.tolist(), self._limits))
+        """Whether there was more than room since the last :meth:`measure`. Waits for the device."""
+        return next(self._short(), None) is not None
+
+    def _short(self) -> Iterator[tuple[int, str, int, int]]:
+        """Calls that had more than room: number, of what, how many, and the room."""
+        for what, most, limits in (
+            ("(Gaussian, tile) pairs", self.most, self._limits),
+            ("Gaussians in the image", self.most_listed, self._listed_limits),
+        ):
+            for call, (count, limit) in enumerate(zip(most.tolist(), limits)):
+                if count > limit:
+                    yield call, what, count, limit
 
     def check(self) -> None:
         """See whether all pairs had room since the last :meth:`measure`. Waits for the device.
@@ -103,13 +120,11 @@ class PairCapacity:
         Raises:
             UserError: naming the pairs and the room, if a render left some out.
         """
-        for call, (count, limit) in enumerate(zip(self.most.tolist(), self._limits)):
-            if count > limit:
-                raise UserError(
-                    f"Rasterization {call + 1} of a step had {count:,} (Gaussian, tile) pairs and room for {limit:,}; "
-                    "the farthest were left out.",
-                    "Call PairCapacity.measure() and capture the step again.",
-                )
+        for call, what, count, limit in self._short():
+            raise UserError(
+                f"Rasterization {call + 1} of a step had {count:,} {what} and room for {limit:,}; some were left out.",
+                "Call PairCapacity.measure() and capture the step again.",
+            )
 
     def limit(self) -> int | None:
         """Room of the next call of this step; None: it reads its number of pairs back.
@@ -123,18 +138,25 @@ class PairCapacity:
             )
         return self._limits[self._calls] if self._fixed else None
 
+    def listed_limit(self) -> int | None:
+        """Room of the next call for Gaussians that have pairs; None: it reads their number back."""
+        return self._listed_limits[self._calls] if self._fixed else None
+
     @torch.no_grad()
-    def note(self, pairs: Tensor) -> None:
-        """Note the pairs of a call.
+    def note(self, totals: Tensor) -> None:
+        """Note the pairs of a call, room for them or not.
 
         Args:
-            pairs: int64 [1] on the device, all pairs, also those there was no room for; [0] without Gaussians.
+            totals: int64 on the device: [1] all pairs, or [2] and the Gaussians that have any; [0] without Gaussians.
         """
-        if pairs.numel() > 0:
-            most = self.most[self._calls : self._calls + 1]
-            most.copy_(torch.maximum(most, pairs))
+        numbers = totals.split(1) if totals.numel() > 0 else ()
+        for total, most, limits in zip(
+            numbers, (self.most, self.most_listed), (self._limits, self._listed_limits), strict=False
+        ):
+            here = most[self._calls : self._calls + 1]
+            here.copy_(torch.maximum(here, total))
             if self._fixed:
-                short = (pairs > self._limits[self._calls]).to(self.overflow.dtype).squeeze()
+                short = (total > limits[self._calls]).to(self.overflow.dtype).squeeze()
                 self.overflow.copy_(torch.maximum(self.overflow, short))
         self._calls += 1
 

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from thermosplat.pair_capacity import active_pair_capacity
-from thermosplat.rasterization_functions import Blend, BlendInputs, Project, ProjectedTensors, ShColors, bin_tiles
+from thermosplat.rasterization_functions import Blend, BlendInputs, Project, ProjectedTensors, ShColors
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
+from thermosplat.tile_lists import bin_tiles
 from thermosplat.warp_bridge import to_torch
 from warp_kernels.color_step import ColorSettings
 from warp_kernels.projection import ProjectionSettings
@@ -63,20 +64,19 @@ class ProjectedScene:
         # and what per_image and colors are given; detached when they are counted
         self._inputs = [(self.means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
         bound = opacities.detach().contiguous()
-        self.projected = ProjectedTensors(
-            *Project.apply(
-                self.means,
-                quats,
-                scales,
-                upper,
-                bound,
-                bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
-                self.viewmats,
-                Ks.contiguous(),
-                settings,
-                self.images_shape,
-            )
+        *projected, self._means = Project.apply(
+            self.means,
+            quats,
+            scales,
+            upper,
+            bound,
+            bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
+            self.viewmats,
+            Ks.contiguous(),
+            settings,
+            self.images_shape,
         )
+        self.projected = ProjectedTensors(*projected)
         self._arrays = self.projected.arrays()
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
         self.means2d, self.depths = self.projected.means2d, self.projected.depths
@@ -116,7 +116,7 @@ class ProjectedScene:
             higher_degrees = higher_degrees.contiguous() if higher_degrees.shape[-2] > 0 else None
         settings = ColorSettings(sh_degree, self.settings.num_gaussians, self.settings.num_cameras, per_camera)
         arguments = (colors.contiguous(), higher_degrees, self.projected.radii, settings)
-        return ShColors.apply(self.means, self.viewmats, *arguments)
+        return ShColors.apply(self._means, self.viewmats, *arguments)
 
     def _note(self, coefficients: Tensor) -> None:
         """Remembers coefficients [..., N, K, 3] as an input whose numbers should be finite."""
@@ -181,10 +181,12 @@ class ProjectedScene:
                 self.settings,
                 self.tile_size,
                 room.limit() if room is not None else None,
+                room.listed_limit() if room is not None else None,
                 deterministic=self.deterministic,
             )
             if room is not None:
-                room.note(to_torch(self._bins.pair_ends)[-1:])
+                totals = self._bins.totals
+                room.note(to_torch(self._bins.pair_ends)[-1:] if totals is None else to_torch(totals)[-1])
         return self._bins
 
     def info(self) -> RasterizationInfo:
@@ -218,12 +220,12 @@ class ProjectedScene:
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
         depths, tiles = self.depths.detach().flatten(), bins.tiles_x * bins.tiles_y
-        roots = self.projected.roots
+        roots, radii = self.projected.roots, self.projected.radii
         inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
         return RasterizationInfo(
             values,
             {
-                "conics": lambda: conics(roots),
+                "conics": lambda: conics(roots, radii),
                 "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles),
                 "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
             },

@@ -14,10 +14,10 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.errors import UserError
+from thermosplat.tile_lists import owners, read_by_adjoint, unowned
 from thermosplat.warp_bridge import kinds_of, lend, vector_of, view, warp_device_of
-from thermosplat.warp_streams import joined_capture, kept_apart, on_torch_stream
-from warp_kernels import binning_step, blending_step
+from thermosplat.warp_streams import kept_apart, on_torch_stream
+from warp_kernels import blending_step
 from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
@@ -39,7 +39,7 @@ class ProjectedTensors(NamedTuple):
     means2d: Tensor
     depths: Tensor
     roots: Tensor
-    compensations: Tensor
+    compensations: Tensor  # empty in the classic mode
     radii: Tensor  # int32, not differentiable
     extents: Tensor  # not differentiable
 
@@ -50,7 +50,11 @@ class ProjectedTensors(NamedTuple):
 
 
 class Project(torch.autograd.Function):
-    """Projection; see ``projection_step``. Returns the fields of ``ProjectedTensors``."""
+    """Projection; see ``projection_step``. Returns the fields of ``ProjectedTensors``, and the means once more.
+
+    What is computed from the means of projected Gaussians should take those: its gradient is then added to by the
+    projection's adjoint, instead of a second gradient of that size by torch.
+    """
 
     @staticmethod
     def forward(
@@ -71,7 +75,7 @@ class Project(torch.autograd.Function):
             means2d=means.new_empty((*shape, 2)),
             depths=means.new_empty(shape),
             roots=means.new_empty((*shape, 3)),
-            compensations=means.new_empty(shape),
+            compensations=means.new_empty(shape if settings.antialiased else 0),
             radii=means.new_empty((*shape, 2), dtype=torch.int32),
             extents=means.new_empty((*shape, 2)),
         )
@@ -83,14 +87,16 @@ class Project(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         outputs = (projected.roots, projected.compensations, projected.radii)
         ctx.save_for_backward(means, quats, scales, covars, opacities, viewmats, Ks, *outputs)
-        return tuple(projected)
+        return *projected, means.view_as(means)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, opacities, viewmats, Ks, roots, compensations, radii = ctx.saved_tensors
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
-        v_means, v_quats, v_scales, v_covars = (_empty(tensor) for tensor in (means, quats, scales, covars))
+        *v_projected, given = gradients
+        v_means = torch.empty_like(means) if given is None else given.contiguous()
+        v_quats, v_scales, v_covars = _empty(quats), _empty(scales), _empty(covars)
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
         kinds = kinds_of(means.dtype)
         with on_torch_stream(means.device) as device:
@@ -102,10 +108,10 @@ class Project(torch.autograd.Function):
             # Of means2d and depths the adjoint reads only the gradients.
             unread = (ArrayView(0, (radii.numel() // 2,), kind, device) for kind in (kinds.vec2, kinds.scalar))
             outputs = (*unread, view(roots, kinds.vec3), view(compensations, kinds.scalar))
-            for array, gradient in zip(outputs, gradients, strict=False):
+            for array, gradient in zip(outputs, v_projected, strict=False):
                 lend(array, gradient)
             projected = ProjectedArrays(*outputs, view(radii, wp.vec2i), nothing(kinds.vec2, 1, device))
-            project_adjoint(g, ctx.settings, projected, store=True)
+            project_adjoint(g, ctx.settings, projected, store=True, add_to_means=given is not None)
         return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, None
 
 
@@ -242,12 +248,13 @@ class Blend(torch.autograd.Function):
             ctx.features = view(features, vector_of(features.shape[-1], dtype))
             ctx.blended = blending_step.BlendedArrays(*arrays)
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
+            bins = read_by_adjoint(inputs.bins)
             blending_step.blend(
                 ctx.projected,
                 ctx.opacities,
                 ctx.thermal_opacities,
                 ctx.features,
-                _unowned(inputs.bins),
+                unowned(bins),
                 settings,
                 ctx.blended,
                 ctx.tape,
@@ -256,8 +263,9 @@ class Blend(torch.autograd.Function):
         ctx.shown_means2d = inputs.shown_means2d
         ctx.set_materialize_grads(False)
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
-        tensors = (means2d, roots, opacities, thermal_opacities, features, inputs.extents)
-        ctx.save_for_backward(*tensors, *read, *_owners(inputs.bins), *made)
+        extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
+        tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
+        ctx.save_for_backward(*tensors, *read, *owners(bins), *made)
         return tuple(renders)
 
     @staticmethod
@@ -283,65 +291,3 @@ class Blend(torch.autograd.Function):
         if ctx.absolute is not None:
             ctx.shown_means2d.absgrad = ctx.absolute
         return *found, None
-
-
-def _unowned(bins: TileBins) -> TileBins:
-    """The same lists, as arrays that do not keep their memory alive."""
-    arrays = {name: value.unowned() for name, value in vars(bins).items() if isinstance(value, ArrayView)}
-    return TileBins(**vars(bins) | arrays)
-
-
-def _owners(bins: TileBins) -> list[Tensor]:
-    """What the lists' memory belongs to."""
-    return [value.owner for value in vars(bins).values() if isinstance(value, ArrayView)]
-
-
-def bin_tiles(
-    projected: ProjectedArrays,
-    opacities: Tensor,
-    thermal_opacities: Tensor,
-    features: Tensor,
-    settings: ProjectionSettings,
-    tile_size: int,
-    capacity: int | None = None,
-    *,
-    deterministic: bool = False,
-) -> TileBins:
-    """Lists the Gaussians of each tile.
-
-    Args:
-        projected: what ``Project`` returned; radii of Gaussians with non-finite features become zero, in place.
-        opacities: [images · N], compensation included.
-        thermal_opacities: [images · N]; the same tensor where there is one opacity.
-        features: [images · N, D].
-        settings: image size.
-        tile_size: edge of a tile [px].
-        capacity: pairs there is room for; None: their number is read back from the device.
-        deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
-
-    Returns:
-        The bins.
-
-    Raises:
-        UserError: if a CUDA graph is captured without ``capacity``, or there are too many pairs to number.
-    """
-    scalar = kinds_of(opacities.dtype).scalar
-    with on_torch_stream(opacities.device) as device, joined_capture(opacities.device) as captured:
-        if captured and capacity is None:
-            raise UserError(
-                "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs back.",
-                "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
-            )
-        try:
-            return binning_step.bin_tiles(
-                projected,
-                view(opacities, scalar),
-                view(thermal_opacities, scalar),
-                view(features, scalar, *features.shape),
-                settings,
-                tile_size,
-                by_slot=deterministic or not device.is_cuda,
-                capacity=capacity,
-            )
-        except binning_step.TooManyPairsError as error:
-            raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error

@@ -71,12 +71,14 @@ def num_nonfinite(inputs: Iterable[tuple[Tensor, int]], scenes: int, num_gaussia
     return int((~torch.stack(finite).all(0)).sum())
 
 
-def conics(roots: Tensor) -> Tensor:
+def conics(roots: Tensor, radii: Tensor) -> Tensor:
     """Inverse 2D covariances [..., 3] (xx, xy, yy) [1/px²] of their roots (u, k, v) [..., 3]: Uᵀ U, U = [u, u k; 0, v].
+
+    Zero where ``radii`` [..., 2] are: there roots are not defined.
 
     Differentiable: a loss on them reaches the Gaussians. (The image's own gradient goes through the roots.)
     """
-    u, k, v = roots.unbind(-1)
+    u, k, v = torch.where(radii[..., :1] > 0, roots, 0.0).unbind(-1)
     uk = u * k
     return torch.stack([u * u, u * uk, uk * uk + v * v], -1)
 

@@ -64,9 +64,9 @@ class TorchMemory:
         """Sets the first ``count`` numbers of an array made here."""
         array.owner[:count].fill_(value)
 
-    def last(self, array: ArrayView) -> int:
-        """The last number of an array made here. Waits for the device."""
-        return int(array.owner[-1])
+    def last(self, array: ArrayView) -> Any:
+        """The last number, or numbers, of an array made here. Waits for the device."""
+        return array.owner[-1].tolist()
 
 
 class _Kept(threading.local):

@@ -26,6 +26,7 @@ def adjoint_kernel(dtype: type) -> wp.Kernel:
         rows: wp.array2d(dtype=vec3),
         b: wp.array(dtype=vec16),
         v: wp.array(dtype=vec3),
+        lowest: int,
         active: int,
         add: bool,
         # outputs
@@ -42,7 +43,7 @@ def adjoint_kernel(dtype: type) -> wp.Kernel:
             needed = used[row] != 0
             weights = b[row]
             gradient = v[row]
-        dots = row_adjoint(rows, v_rows, row, weights, gradient, active, needed, add)
+        dots = row_adjoint(rows, v_rows, lowest, row, weights, gradient, active, needed, add)
         if row >= 0:
             v_b[row] = dots
 
@@ -51,12 +52,13 @@ def adjoint_kernel(dtype: type) -> wp.Kernel:
 
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 @pytest.mark.parametrize("shuffled", [False, True])
-@pytest.mark.parametrize(("count", "active"), [(15, 16), (15, 9), (8, 9), (3, 1), (24, 16)])
+@pytest.mark.parametrize(("count", "active"), [(15, 16), (15, 9), (8, 9), (16, 16), (3, 1), (24, 16)])
 @pytest.mark.parametrize("gaps", [False, True])
+@pytest.mark.parametrize("lowest", [0, 1])
 def test_products_are_plain_sums(
-    device: torch.device, dtype: type, shuffled: bool, count: int, active: int, gaps: bool
+    device: torch.device, dtype: type, shuffled: bool, count: int, active: int, gaps: bool, lowest: int
 ) -> None:
-    """Rows side by side, out of order or with gaps between; all or some coefficients in use; unused rows unread."""
+    """Rows side by side, out of order or with gaps, with degree 0 or without; some in use, the others unread."""
     rng = np.random.default_rng(count + active)
     rows, before = rng.normal(size=(2, ROWS, count, 3))
     b, v = rng.normal(size=(ROWS, 16)), rng.normal(size=(ROWS, 3))
@@ -80,16 +82,16 @@ def test_products_are_plain_sums(
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
     shared = [array(order, int), array(used.astype(int), int), spread(rows), array(b, vec16)]
     threads = whole_warps(ROWS, where)
-    weights = np.where(np.arange(1, count + 1) < active, 1.0, 0.0)
+    weights = np.where(np.arange(lowest, count + lowest) < min(active, 16), 1.0, 0.0)
     kept = np.where(used[:, None, None], np.nan_to_num(rows), 0.0) * weights[:, None]
-    padded_b = np.pad(b, ((0, 0), (0, max(0, count - 15))))[:, 1 : count + 1]
+    padded_b = np.pad(b, ((0, 0), (0, count)))[:, lowest : count + lowest]
     tolerance = 1e-12 if dtype is wp.float64 else 2e-5
 
     outer = np.where(used[:, None, None], padded_b[..., None] * v[:, None], 0.0) * weights[:, None]
     for add in (True, False):
         v_rows, v_b = spread(before if add else np.full_like(before, np.nan)), wp.zeros(ROWS, vec16, device=where)
-        inputs = [*shared, array(v, vec3), active, add, v_rows, v_b]
+        inputs = [*shared, array(v, vec3), lowest, active, add, v_rows, v_b]
         wp.launch(adjoint, dim=threads, inputs=inputs, device=where, block_dim=256)
         np.testing.assert_allclose(v_rows.numpy(), before + outer if add else outer, atol=tolerance)
-        dots = np.einsum("nkc,nc->nk", kept, v)[:, :15]
+        dots = np.einsum("nkc,nc->nk", kept, v)[:, 1 - lowest :][:, :15]  # that of degree 0 is left out
         np.testing.assert_allclose(v_b.numpy()[:, 1 : 1 + dots.shape[1]], dots, atol=tolerance)

@@ -9,10 +9,11 @@ import warp as wp
 from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.camera_gradients import CAMERA_RECORD, camera_finish_kernel
 from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.list_segments import join_segments_kernel
 from warp_kernels.projection import projection_kernel
-from warp_kernels.projection_adjoint import CAMERA_RECORD, camera_finish_kernel, projection_adjoint_kernel
+from warp_kernels.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sum_kernel
 from warp_kernels.tile_binning import binning_kernels, tile_ranges_kernel
@@ -26,12 +27,13 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for from_covars in (False, True)
     ]
     kernels += [
-        projection_adjoint_kernel(dtype, camera_model, from_covars, to_cameras)
+        projection_adjoint_kernel(dtype, camera_model, from_covars, to_cameras, antialiased)
         for camera_model in ("pinhole", "ortho")
         for from_covars in (False, True)
         for to_cameras in (False, True)
+        for antialiased in (False, True)
     ]
-    kernels += [*binning_kernels(dtype), tile_ranges_kernel, camera_finish_kernel(dtype)]
+    kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, camera_finish_kernel(dtype)]
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
     kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), *camera_position_kernels(dtype)]
     kernels += [

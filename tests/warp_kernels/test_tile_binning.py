@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 from warp_scene import image_opacities, projected, warp_scene
 
+from warp_kernels import binning_step
 from warp_kernels.binning_step import bin_tiles
 from warp_kernels.constants import ALPHA_MIN
 from warp_kernels.projection import ProjectedArrays
@@ -18,6 +19,12 @@ SCENES = {
     "ragged": {"n": 150, "width": 77, "height": 51, "cameras": 2},
     "wide": {"n": 100, "width": 130, "height": 9},
 }
+
+
+@pytest.fixture(autouse=True, params=[True, False], ids=["compacted", "all"])
+def compacted(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every test with Gaussians without tiles left out before the sort, as of many, and with all of them sorted."""
+    monkeypatch.setattr(binning_step, "COMPACTED", 0 if request.param else 2**18)
 
 
 def bin_scene(name: str, tile_size: int, needles: bool, by_slot: bool = True) -> tuple[ProjectedArrays, TileBins, dict]:
@@ -38,8 +45,8 @@ def bin_scene(name: str, tile_size: int, needles: bool, by_slot: bool = True) ->
 def drawn_tiles(arrays: ProjectedArrays, bins: TileBins, extra: dict, alpha_min: float) -> set[tuple[int, int]]:
     """(tile, flat Gaussian) pairs in which some pixel centre has alpha of at least alpha_min, by trying them all."""
     settings = extra["settings"]
-    means, roots = arrays.means2d.numpy().astype(np.float64), arrays.roots.numpy().astype(np.float64)
     visible = (arrays.radii.numpy() > 0).all(-1)
+    means, roots = (np.where(visible[:, None], a.numpy(), 0).astype(np.float64) for a in (arrays.means2d, arrays.roots))
     x, y = np.meshgrid(np.arange(settings.width), np.arange(settings.height))
     tile_of_pixel = (y // bins.tile_size) * bins.tiles_x + x // bins.tile_size
     pairs = set()
@@ -103,7 +110,7 @@ def test_slots_are_contiguous_per_gaussian() -> None:
     counts = bins.tiles_per_gaussian.numpy()
     slots, ids = bins.slots.numpy()[: bins.num_pairs], bins.gaussian_ids.numpy()
     assert sorted(slots.tolist()) == list(range(bins.num_pairs))
-    rank = np.empty(len(order), int)
+    rank = np.empty(len(counts), int)
     rank[order] = np.arange(len(order))
     last = ends[rank[ids]]
     assert (slots < last).all()
@@ -131,6 +138,33 @@ def test_culled_and_non_finite_gaussians_are_not_listed() -> None:
     assert not {4, 7, 9} & set(bins.gaussian_ids.numpy().tolist())
     assert (bins.tiles_per_gaussian.numpy()[[4, 7, 9]] == 0).all()
     assert (arrays.radii.numpy()[[4, 7, 9]] == 0).all()
+
+
+def test_gaussians_beyond_the_room_are_left_out() -> None:
+    """A room for fewer Gaussians than have tiles is filled, and the totals say how many there are."""
+    scene = warp_scene(n=80, width=60, height=40)
+    arrays, opacities = projected(scene), image_opacities(scene, scene.gaussians.opacities)
+    lists = {}
+    for room in (None, 5, 79):
+        bins = bin_tiles(
+            arrays,
+            opacities,
+            opacities,
+            scalar_view(scene.features),
+            scene.settings,
+            16,
+            by_slot=False,
+            capacity=500,
+            room=room,
+        )
+        pairs = bins.tile_offsets.numpy()[-1]
+        counts = np.bincount(bins.gaussian_ids.numpy()[:pairs], minlength=80)
+        lists[room] = counts
+        if bins.totals is not None:
+            listed = bins.tiles_per_gaussian.numpy()
+            assert bins.totals.numpy()[-1].tolist() == [listed.sum(), (listed > 0).sum()]
+            assert (counts > 0).sum() == min(room or 80, (listed > 0).sum()) > 0
+    assert (lists[None] == lists[79]).all() == ((lists[None] > 0).sum() <= 79)
 
 
 def test_second_opacity_widens_the_lists() -> None:
