@@ -24,7 +24,7 @@ def worst_difference(hidden: int, dim: int, thermal_channels: int, device: torch
     for parameter in decoders.parameters():
         torch.nn.init.normal_(parameter, std=0.3, generator=generator)
     decoders = decoders.to(device)
-    assert fits(decoders, device)
+    assert fits(decoders)
     render = torch.randn(17, 13, 3 + dim, generator=generator).to(device).requires_grad_()
     thermal = torch.randn(17, 13, dim, generator=generator).to(device).requires_grad_()
     # as small as gradients of a mean over many pixels are
@@ -78,9 +78,9 @@ def test_training_on_cuda_uses_them() -> None:
 @pytest.mark.parametrize(("change", "dim"), [({"modulation": False}, 8), ({"hidden_layers": 3}, 8), ({}, 16)])
 def test_other_decoders_are_left_alone(change: dict, dim: int) -> None:
     """Shapes without kernels."""
-    assert not fits(Decoders(DecoderConfig(**change), dim, 3), torch.device("cuda"))
+    assert not fits(Decoders(DecoderConfig(**change), dim, 3).cuda())
 
 
 def test_there_are_none_on_the_cpu() -> None:
     """They are made of CUDA's matrix products."""
-    assert not fits(Decoders(DecoderConfig(), 8, 3), torch.device("cpu"))
+    assert not fits(Decoders(DecoderConfig(), 8, 3))

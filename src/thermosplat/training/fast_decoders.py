@@ -67,8 +67,7 @@ class FastDecoders:
 
 def _fused(decoders: Decoders | SpectrumDecoders) -> FusedDecoders | None:
     """The decoders by fused kernels; None where there are none for them."""
-    device = next(decoders.parameters()).device
-    return FusedDecoders(decoders) if isinstance(decoders, Decoders) and fits(decoders, device) else None
+    return FusedDecoders(decoders) if isinstance(decoders, Decoders) and fits(decoders) else None
 
 
 def _in_bfloat16(branch: Callable[..., Any]) -> Callable[..., Any]:

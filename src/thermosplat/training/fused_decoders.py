@@ -30,13 +30,13 @@ OLDEST = (8, 0)
 """Compute capability from which there are the matrix products the kernels use."""
 
 
-def fits(decoders: Decoders, device: torch.device) -> bool:
-    """Whether decoders have the shape these kernels are written for, and the device what they need.
+def fits(decoders: Decoders) -> bool:
+    """Whether decoders have the shape these kernels are written for, and their device what they need.
 
     Args:
         decoders: Any of that class.
-        device: Where they are.
     """
+    device = next(decoders.parameters()).device
     if device.type != "cuda" or torch.cuda.get_device_capability(device) < OLDEST:
         return False
     if decoders.modulation is None or len(decoders.shared_encoder) != 4:  # two layers and their activations
