@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import INTERRUPTED, run_command
+from thermosplat.cli.host_settings import prepare_host
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
@@ -34,6 +35,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _train(argv: list[str]) -> int:
     config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
+    prepare_host()
 
     from thermosplat.cli.warp_start import start_warp
     from thermosplat.training.interruption import TrainingInterrupted
