@@ -1,7 +1,7 @@
 """Structural similarity as training and evaluation use it: one window, one border rule, one data range.
 
 ``kornia.metrics.ssim`` is the definition (tests hold this file to it). It filters five maps one by one and builds its
-window anew at every call; here kornia filters all of an image's in one call, which is several times faster at every size.
+window anew at every call; here kornia filters all of an image's maps in one call, several times faster at every size.
 """
 
 import functools

@@ -53,5 +53,5 @@ def test_freed_memory_is_kept() -> None:
 def test_the_environment_has_the_last_word() -> None:
     """Who sets the thresholds or the spinning themselves gets them."""
     faults, spins = faults_and_spins({"MALLOC_TRIM_THRESHOLD_": "131072", "GOMP_SPINCOUNT": "7"})
-    assert faults > 0.5 * PAGES
+    assert faults > faults_and_spins({})[0] + 10 * 6  # at least one for every array
     assert spins == "7"

@@ -1,6 +1,7 @@
 """What a training process asks of the C library and of OpenMP: memory and cores for thousands of equal steps.
 
-Neither changes a result. On two cores they take a sixth off a step of ``thermosplat-train sample`` (benchmarks/notes.md).
+Neither changes a result. On two cores they take a sixth off a step of ``thermosplat-train sample``, as
+benchmarks/notes.md has it.
 """
 
 import ctypes
