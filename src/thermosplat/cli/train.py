@@ -7,6 +7,7 @@ thermosplat-train --resume results/shed   go on after an interruption
 
 import shlex
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from thermosplat.cli.host_settings import prepare_host
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
+    from thermosplat.datasets.capture import Capture
     from thermosplat.training.trainer import Trainer
 
 
@@ -52,31 +54,42 @@ def _train(argv: list[str]) -> int:
 
 
 def _new_trainer(config: "TrainConfig") -> "Trainer":
-    from thermosplat.datasets import load_capture
     from thermosplat.run_directory import RunDirectory
-    from thermosplat.training.trainer import Trainer
 
-    capture = load_capture(
-        config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
-    )
+    capture, trainer_class = _capture_and_trainer(config)
     folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
     data = config.data if config.data == "sample" else str(Path(config.data).resolve())  # holds from any directory
-    trainer = Trainer(replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder))
+    trainer = trainer_class(
+        replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder)
+    )
     # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
     RunDirectory.create(folder, overwrite=config.overwrite)
     return trainer
 
 
 def _resumed_trainer(config: "TrainConfig") -> "Trainer":
-    from thermosplat.datasets import load_capture
     from thermosplat.run_directory import RunDirectory
-    from thermosplat.training.trainer import Trainer
 
     run = RunDirectory.open(str(config.resume))
-    capture = load_capture(
-        config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
-    )
-    return Trainer.resume(replace(config, resume=None), capture, run)
+    capture, trainer_class = _capture_and_trainer(config)
+    return trainer_class.resume(replace(config, resume=None), capture, run)
+
+
+def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Trainer"]]:
+    """The capture, and the trainer's class: images are read while modules are imported."""
+    from thermosplat.datasets import load_capture
+
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        reading = thread.submit(
+            load_capture,
+            config.data,
+            data_factor=config.data_factor,
+            test_every=config.test_every,
+            thermal=config.thermal,
+        )
+        from thermosplat.training.trainer import Trainer
+
+        return reading.result(), Trainer
 
 
 def _say_where(trainer: "Trainer") -> None:
