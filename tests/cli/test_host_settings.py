@@ -1,5 +1,6 @@
 """What a training process asks of the C library: memory that is freed can be had again without page faults."""
 
+import gc
 import os
 import platform
 import subprocess
@@ -7,6 +8,8 @@ import sys
 from collections.abc import Mapping
 
 import pytest
+
+from thermosplat.cli.host_settings import importing
 
 ROUNDS = """
 import os, resource
@@ -55,3 +58,18 @@ def test_the_environment_has_the_last_word() -> None:
     faults, spins = faults_and_spins({"MALLOC_TRIM_THRESHOLD_": "131072", "GOMP_SPINCOUNT": "7"})
     assert faults > faults_and_spins({})[0] + 10 * 6  # at least one for every array
     assert spins == "7"
+
+
+def test_garbage_is_collected_again_after_imports() -> None:
+    """Also after an import that failed, and not where the user had switched collection off."""
+    with pytest.raises(ImportError), importing():
+        assert not gc.isenabled()
+        raise ImportError
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with importing():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

@@ -1,12 +1,15 @@
-"""What a training process asks of the C library and of OpenMP: memory and cores for thousands of equal steps.
+"""What a training process asks of the C library, OpenMP and Python: memory and cores for thousands of equal steps.
 
-Neither changes a result. On two cores they take a sixth off a step of ``thermosplat-train sample``, as
+Nothing of it changes a result. On two cores memory and spinning take a sixth off a step of ``thermosplat-train sample``, as
 benchmarks/notes.md has it.
 """
 
 import ctypes
+import gc
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 KEPT_BYTES = 2**31 - 1
 """Freed memory that stays with the process; the largest number that ``mallopt`` takes."""
@@ -33,3 +36,20 @@ def prepare_host() -> None:
         if mallopt is not None:
             mallopt(_M_MMAP_THRESHOLD, LARGEST_KEPT)
             mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+@contextmanager
+def importing() -> Iterator[None]:
+    """Around imports: no garbage is looked for.
+
+    Torch and what it brings make some 400,000 objects that all stay; to go through them again and again takes a fifth
+    of the time.
+    """
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import INTERRUPTED, run_command
-from thermosplat.cli.host_settings import prepare_host
+from thermosplat.cli.host_settings import importing, prepare_host
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
@@ -38,12 +38,12 @@ def main(argv: list[str] | None = None) -> int:
 def _train(argv: list[str]) -> int:
     config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
     prepare_host()
+    with importing():
+        from thermosplat.cli.warp_start import start_warp
+        from thermosplat.training.interruption import TrainingInterrupted
 
-    from thermosplat.cli.warp_start import start_warp
-    from thermosplat.training.interruption import TrainingInterrupted
-
-    start_warp()
-    trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
+        start_warp()
+        trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
     try:
         trainer.train()
     except TrainingInterrupted as stop:
