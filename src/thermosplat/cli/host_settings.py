@@ -1,7 +1,7 @@
 """What a training process asks of the C library, OpenMP and Python: memory and cores for thousands of equal steps.
 
-Nothing of it changes a result. On two cores memory and spinning take a sixth off a step of ``thermosplat-train sample``, as
-benchmarks/notes.md has it.
+Nothing of it changes a result. On two cores memory and spinning take a sixth off a step of ``thermosplat-train
+sample``, as benchmarks/notes.md has it.
 """
 
 import ctypes
