@@ -69,13 +69,14 @@ def split(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor, genera
         generator: Draws the new means; a CPU generator, so that every device draws the same.
     """
     parameters = dict(gaussians.named_parameters())
-    scales = parameters["log_scales"][selected].exp()
+    indices = torch.where(selected)[0]  # once: every selection by a mask waits for the device
+    scales = parameters["log_scales"][indices].exp()
     noise = torch.randn(2, *scales.shape, generator=generator, dtype=scales.dtype).to(scales.device)
-    samples = rotate(parameters["quats"][selected], noise * scales)  # [2, n, 3]
+    samples = rotate(parameters["quats"][indices], noise * scales)  # [2, n, 3]
 
     added = {}
     for name, parameter in parameters.items():
-        chosen = parameter[selected]
+        chosen = parameter[indices]
         if name == "means":
             added[name] = (chosen + samples).reshape(-1, 3)
         elif name == "log_scales":

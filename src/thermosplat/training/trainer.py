@@ -33,7 +33,7 @@ from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.fast_decoders import FastDecoders, can_compile
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.gaussian_ops import become_copy
-from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts
+from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts, meanwhile
 from thermosplat.training.modality_schedule import ModalitySchedule, Span
 from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.random_streams import random_stream
@@ -157,8 +157,9 @@ class Trainer:
                     self._evaluate()
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
-            self._save()  # before the evaluation, so that nothing which goes wrong there costs the training
-            metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+            with meanwhile(self._save):  # nothing which goes wrong in here costs the training
+                metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+                export_scene(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
             state.seconds.wall = time.perf_counter() - started
             finished = self._finish(metrics)
             write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
@@ -271,8 +272,7 @@ class Trainer:
         return metrics
 
     def _finish(self, evaluated: dict[str, Any]) -> dict[str, Any]:
-        """Export the Gaussians and write metrics.json."""
-        export_scene(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
+        """Write metrics.json, last of all: where it is, everything is."""
         seconds = self.state.seconds
         metrics = {
             "rgb": evaluated["rgb"],
