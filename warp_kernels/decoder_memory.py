@@ -1,4 +1,4 @@
-"""What a block of warps that decodes holds in shared memory, and how pixels and gradients come from memory and go there.
+"""What warps that decode hold in shared memory, and how pixels and gradients come from memory and go there.
 
 Bodies on CUDA only, as in matrix_fragments.py, which says how a warp holds a matrix of 16 pixels.
 """
@@ -71,7 +71,8 @@ def layout_of(hidden: int, modulated: bool) -> Layout:
 
 
 @wp.func_native(on_cuda("__syncthreads();"))
-def sync(): ...
+def sync():
+    """All warps of the block have come here, and what they wrote to shared memory is seen."""
 
 
 @wp.func_native(
@@ -86,7 +87,8 @@ def sync(): ...
         }}"""
     )
 )
-def load_weight(w: MATRIX, rows: int, columns: int, address: Address, thread: int): ...
+def load_weight(w: MATRIX, rows: int, columns: int, address: Address, thread: int):
+    """Writes a weight [., .] to shared memory, in float16 and padded with zeros to rows x columns."""
 
 
 @wp.func_native(
@@ -96,10 +98,11 @@ def load_weight(w: MATRIX, rows: int, columns: int, address: Address, thread: in
                 :: "r"(address + 4 * k), "f"(k < b.shape[0] ? b.data[k] : 0.0f) : "memory");"""
     )
 )
-def load_bias(b: ARRAY, columns: int, address: Address, thread: int): ...
+def load_bias(b: ARRAY, columns: int, address: Address, thread: int):
+    """Writes a bias to shared memory, padded with zeros."""
 
 
-read_features_snippet = f"wp::vec_t<4, wp::uint32> p;" + on_cuda(
+read_features_snippet = "wp::vec_t<4, wp::uint32> p;" + on_cuda(
     f"""{PACK}
     const int channels = features.shape[1], column = 2 * (lane & 3);
     #pragma unroll
@@ -117,10 +120,13 @@ read_features_snippet = f"wp::vec_t<4, wp::uint32> p;" + on_cuda(
 
 
 @wp.func_native(read_features_snippet + "return p;")
-def read_features(features: MATRIX, pixel: int, lane: int) -> _packed: ...
+def read_features(features: MATRIX, pixel: int, lane: int) -> _packed:
+    """A warp's pixels from a matrix [pixels, channels], any distance apart, and a 1 behind the channels.
+
+    What multiplies the 1 is summed like a weight's gradient, and is a bias's.
+    """
 
 
-# y = sigmoid(z), and the gradient to z of one to y, of the 8 of the 16 columns that an image has at most
 @wp.func_native(
     on_cuda(
         """const int channels = image.shape[1], column = 2 * (lane & 3);
@@ -132,7 +138,8 @@ def read_features(features: MATRIX, pixel: int, lane: int) -> _packed: ...
         }"""
     )
 )
-def write_image(z: _sums, image: MATRIX, pixel: int, lane: int): ...
+def write_image(z: _sums, image: MATRIX, pixel: int, lane: int):
+    """A warp's pixels, y = sigmoid(z), to an image [pixels, channels] of at most 8 channels."""
 
 
 read_gradient_snippet = "wp::vec_t<8, wp::float32> v;" + on_cuda(
@@ -151,7 +158,8 @@ read_gradient_snippet = "wp::vec_t<8, wp::float32> v;" + on_cuda(
 
 
 @wp.func_native(read_gradient_snippet + "return v;")
-def read_gradient(image: MATRIX, v_image: MATRIX, factor: wp.float32, pixel: int, lane: int) -> _sums: ...
+def read_gradient(image: MATRIX, v_image: MATRIX, factor: wp.float32, pixel: int, lane: int) -> _sums:
+    """Scaled gradient to z of an image [pixels, channels] that is sigmoid(z)."""
 
 
 @wp.func_native(
@@ -165,12 +173,22 @@ def read_gradient(image: MATRIX, v_image: MATRIX, factor: wp.float32, pixel: int
         }"""
     )
 )
-def write_features(v: _sums, v_features: MATRIX, unscaled: wp.float32, pixel: int, lane: int): ...
+def write_features(v: _sums, v_features: MATRIX, unscaled: wp.float32, pixel: int, lane: int):
+    """A warp's pixels to a matrix [pixels, channels], scaled back."""
 
 
 @functools.cache
 def stored(down: int, across: int) -> wp.Function:
-    """Stores part of a weight's gradient, its columns that there are, and where they are given those of the bias behind."""
+    """Stores a part of a weight's gradient, of it what is not padding.
+
+    Args:
+        down: 16 rows each.
+        across: 8 columns each.
+
+    Returns:
+        A function (sums as ``add_outer`` gives them, array, the weight's place in it, the weight's rows and columns,
+        the part's first row and column, whether a further column is the bias's, factor, lane).
+    """
     total = wp.types.vector(4 * down * across, wp.float32)
     snippet = on_cuda(
         f"""#pragma unroll
@@ -179,7 +197,8 @@ def stored(down: int, across: int) -> wp.Function:
             for (int n = 0; n < {across}; ++n)
                 #pragma unroll
                 for (int k = 0; k < 4; ++k) {{
-                    const int r = row + 16 * m + (lane >> 2) + 8 * (k >> 1), c = column + 8 * n + 2 * (lane & 3) + (k & 1);
+                    const int r = row + 16 * m + (lane >> 2) + 8 * (k >> 1);
+                    const int c = column + 8 * n + 2 * (lane & 3) + (k & 1);
                     const float x = v.c[4 * (m * {across} + n) + k] * unscaled;
                     if (r < rows && c < columns) out.data[first + r * columns + c] = x;
                     if (r < rows && c == columns && with_bias) out.data[first + rows * columns + r] = x;
@@ -204,4 +223,5 @@ def stored(down: int, across: int) -> wp.Function:
         }"""
     )
 )
-def store_sums(v: FOUR, out: ARRAY, first: int, rows: int, row: int, unscaled: wp.float32, lane: int): ...
+def store_sums(v: FOUR, out: ARRAY, first: int, rows: int, row: int, unscaled: wp.float32, lane: int):
+    """What add_columns summed, to a bias's place from ``first`` on."""

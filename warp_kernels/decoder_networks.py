@@ -32,7 +32,6 @@ from warp_kernels.decoder_memory import (
     write_features,
     write_image,
 )
-
 from warp_kernels.matrix_fragments import (
     PIXELS,
     Address,
@@ -64,7 +63,7 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
     """
     at, label = layout_of(hidden, modulated), f"{hidden}{'_modulated' if modulated else ''}"
     narrow, wide = fragments(NARROW), fragments(hidden)
-    packed16, packed, sums16, sums = narrow.packed, wide.packed, narrow.sums, wide.sums
+    sums16, sums = narrow.sums, wide.sums
     put_narrow, put = narrow.put, wide.put
     rounded16, rounded, widened, silu, silu_slope = (
         narrow.rounded,
@@ -107,7 +106,8 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
     @wp.func
     def load_parameters(
         base: Address,
-        w1: MATRIX, b1: ARRAY, w2: MATRIX, b2: ARRAY, w3: MATRIX, b3: ARRAY, wm: MATRIX, bm: ARRAY, wh: MATRIX, bh: ARRAY,
+        w1: MATRIX, b1: ARRAY, w2: MATRIX, b2: ARRAY, w3: MATRIX, b3: ARRAY,
+        wm: MATRIX, bm: ARRAY, wh: MATRIX, bh: ARRAY,
         thread: int,
     ):  # fmt: skip
         load_weight(w1, hidden, NARROW, base + Address(wp.static(at.w1)), thread)
@@ -132,7 +132,8 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
     def forward(
         programs: int,
         features: MATRIX,
-        w1: MATRIX, b1: ARRAY, w2: MATRIX, b2: ARRAY, w3: MATRIX, b3: ARRAY, wm: MATRIX, bm: ARRAY, wh: MATRIX, bh: ARRAY,
+        w1: MATRIX, b1: ARRAY, w2: MATRIX, b2: ARRAY, w3: MATRIX, b3: ARRAY,
+        wm: MATRIX, bm: ARRAY, wh: MATRIX, bh: ARRAY,
         image: MATRIX,
     ):  # fmt: skip
         program, thread = wp.tid()
@@ -162,7 +163,8 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
         image: MATRIX,
         v_image: MATRIX,
         largest: ARRAY,
-        w1: MATRIX, b1: ARRAY, w2: MATRIX, b2: ARRAY, w3: MATRIX, b3: ARRAY, wm: MATRIX, bm: ARRAY, wh: MATRIX, bh: ARRAY,
+        w1: MATRIX, b1: ARRAY, w2: MATRIX, b2: ARRAY, w3: MATRIX, b3: ARRAY,
+        wm: MATRIX, bm: ARRAY, wh: MATRIX, bh: ARRAY,
         v_features: MATRIX,
         partial: MATRIX,
     ):  # fmt: skip

@@ -126,7 +126,8 @@ def fragments(columns: int) -> Fragments:
     widened_snippet = (
         to_sums
         + on_cuda(
-            f"""{each} asm("{{.reg .b16 low, high; mov.b32 {{low, high}}, %2; cvt.f32.f16 %0, low; cvt.f32.f16 %1, high;}}"
+            f"""{each}
+            asm("{{.reg .b16 low, high; mov.b32 {{low, high}}, %2; cvt.f32.f16 %0, low; cvt.f32.f16 %1, high;}}"
                 : "=f"(z.c[2 * k]), "=f"(z.c[2 * k + 1]) : "r"(p.c[k]));"""
         )
         + "return z;"
@@ -274,7 +275,8 @@ def add_outer(rows: int, columns: int, outputs: int, inputs: int, warps: int) ->
     # with an odd number of 8 columns the last load's second half goes unused, and may lie in a row's padding
     snippet = f"wp::vec_t<{4 * down * across}, wp::float32> c = added;" + on_cuda(
         f"""{MMA} {LOAD_TRANSPOSED}
-        const unsigned of_v = v + ((lane & 7) + 8 * (lane >> 4)) * {row_bytes(outputs)} + 2 * row + (lane >> 3 & 1) * 16;
+        const unsigned at_v = ((lane & 7) + 8 * (lane >> 4)) * {row_bytes(outputs)} + (lane >> 3 & 1) * 16;
+        const unsigned of_v = v + at_v + 2 * row;
         const unsigned of_x = x + (lane & 15) * {row_bytes(inputs)} + 2 * column + (lane >> 4) * 16;
         #pragma unroll
         for (int step = 0; step < {warps}; ++step) {{
@@ -316,7 +318,8 @@ def add_columns(outputs: int, warps: int) -> wp.Function:
     total = wp.types.vector(4, wp.float32)
     snippet = "wp::vec_t<4, wp::float32> c = added;" + on_cuda(
         f"""{MMA} {LOAD_TRANSPOSED}
-        const unsigned of_v = v + ((lane & 7) + 8 * (lane >> 4)) * {row_bytes(outputs)} + 2 * column + (lane >> 3 & 1) * 16;
+        const unsigned at_v = ((lane & 7) + 8 * (lane >> 4)) * {row_bytes(outputs)} + (lane >> 3 & 1) * 16;
+        const unsigned of_v = v + at_v + 2 * column;
         const unsigned ones = lane < 4 ? 0x3c003c00u : 0u;  // the first column of the other factor
         #pragma unroll
         for (int step = 0; step < {warps}; ++step) {{

@@ -301,9 +301,9 @@ class TrainConfig:
     graph: bool = True
     """On CUDA, record the work of a step once and replay it as a CUDA graph (--no-graph: launch it line by line)."""
     compile: bool = True
-    """On CUDA, decode by fused Triton kernels, or where there are none for the decoders or their precision let
-    torch.compile fuse them (half a minute at the first step, kept for later runs); skipped where Triton or a C compiler
-    is missing. --no-compile: plain PyTorch."""
+    """On CUDA, decode by fused kernels, or where there are none for the decoders, their precision or the device let
+    torch.compile fuse them (half a minute at the first step, kept for later runs; left out where Triton or a C compiler
+    is missing). --no-compile: plain PyTorch."""
     decoder_precision: Literal["float32", "tf32", "bfloat16"] = "tf32"
     """Precision of the decoders in training steps; parameters and evaluation are always float32. With "tf32" matrix
     products round their inputs to 10 bits of mantissa (TensorFloat-32, or float16 in the fused kernels); on the CPU it

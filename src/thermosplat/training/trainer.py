@@ -30,7 +30,7 @@ from thermosplat.pair_capacity import PairCapacity
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training.auto_budget import AutoBudget
 from thermosplat.training.captured_steps import CapturedSteps
-from thermosplat.training.fast_decoders import FastDecoders, can_compile
+from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.gaussian_ops import become_copy
 from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts, meanwhile
@@ -91,8 +91,9 @@ class Trainer:
         self.captured: CapturedSteps | None = None
         on_cuda = self.device.type == "cuda"
         if self.model.decoders is not None and (on_cuda or config.decoder_precision == "bfloat16"):
-            compiled = on_cuda and config.compile and can_compile()
-            fast = FastDecoders(self.model.decoders, compiled=compiled, precision=config.decoder_precision)
+            fast = FastDecoders(
+                self.model.decoders, compiled=on_cuda and config.compile, precision=config.decoder_precision
+            )
             self.device_step.decoding = fast.active
         if on_cuda and config.graph:
             self.captured = CapturedSteps(self.device_step, len(self.frames))

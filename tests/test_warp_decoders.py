@@ -6,7 +6,7 @@ import torch
 from thermosplat.config import DecoderConfig
 from thermosplat.decoders import Decoders
 from thermosplat.training.fast_decoders import BRANCHES, FastDecoders
-from thermosplat.training.fused_decoders import FusedDecoders, fits
+from thermosplat.warp_decoders import FusedDecoders, fits
 
 SHAPES = [(64, 8, 3), (32, 5, 1), (64, 15, 8)]
 """hidden, features, thermal channels"""
