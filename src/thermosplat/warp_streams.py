@@ -184,8 +184,8 @@ def joined_capture(device: torch.device) -> Iterator[bool]:
 def captured_in(graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
     """Captures torch's and Warp's work in one CUDA graph instead of doing it.
 
-    Unlike ``torch.cuda.graph`` it leaves torch's cache of free memory as it is while the driver has as much again: to
-    give the cache back and ask for it anew at every capture takes time.
+    Unlike ``torch.cuda.graph`` it leaves torch's cache of free memory as it is: to give that back to the driver and ask
+    for it again at every capture would take longer than the capture.
 
     Args:
         graph: Empty; holds the work afterwards.
@@ -193,8 +193,6 @@ def captured_in(graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
     """
     device = torch.device("cuda", torch.cuda.current_device())
     torch.cuda.synchronize(device)  # the pool's memory may still be in use by a graph that was dropped
-    if torch.cuda.mem_get_info(device)[0] < torch.cuda.memory_reserved(device):
-        torch.cuda.empty_cache()  # which torch cannot do any more, should memory run out, once it captures
     with torch.cuda.stream(_capture_stream(device)):
         # thread_local: other threads (a progress line, a loader) may use the device meanwhile
         graph.capture_begin(pool=pool, capture_error_mode="thread_local")
