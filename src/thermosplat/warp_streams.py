@@ -184,26 +184,12 @@ def joined_capture(device: torch.device) -> Iterator[bool]:
 def captured_in(graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
     """Captures torch's and Warp's work in one CUDA graph instead of doing it.
 
-    Unlike ``torch.cuda.graph`` it leaves torch's cache of free memory as it is: to give that back to the driver and ask
-    for it again at every capture would take longer than the capture.
-
     Args:
         graph: Empty; holds the work afterwards.
         pool: Memory pool of the graph (the id of a ``torch.cuda.MemPool``).
     """
-    device = torch.device("cuda", torch.cuda.current_device())
-    torch.cuda.synchronize(device)  # the pool's memory may still be in use by a graph that was dropped
-    with torch.cuda.stream(_capture_stream(device)):
-        # thread_local: other threads (a progress line, a loader) may use the device meanwhile
-        graph.capture_begin(pool=pool, capture_error_mode="thread_local")
-        try:
-            with on_torch_stream(device) as warp_device, wp.ScopedCapture(warp_device, external=True):
-                yield
-        finally:
-            graph.capture_end()
-
-
-@functools.cache
-def _capture_stream(device: torch.device) -> torch.cuda.Stream:
-    """One for all captures: the blocks of a memory pool belong to the stream that first asked for them."""
-    return torch.cuda.Stream(device)
+    # thread_local: other threads (a progress line, a loader) may use the device meanwhile
+    with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
+        device = torch.device("cuda", torch.cuda.current_device())
+        with on_torch_stream(device) as warp_device, wp.ScopedCapture(warp_device, external=True):
+            yield
