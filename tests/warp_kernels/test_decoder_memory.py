@@ -1,5 +1,7 @@
 """What a block that decodes holds in shared memory."""
 
+import itertools
+
 import pytest
 
 from warp_kernels.decoder_memory import NARROW, WARPS, layout_of
@@ -31,7 +33,7 @@ def test_nothing_overlaps(hidden: int, modulated: bool) -> None:
         at.factors[1]: pixels * row_bytes(hidden),
     }
     starts = sorted(ends)
-    assert all(start + ends[start] <= following for start, following in zip(starts, starts[1:], strict=False))
+    assert all(start + ends[start] <= following for start, following in itertools.pairwise(starts))
     assert all(start % 16 == 0 for start in starts)
     assert starts[-1] + ends[starts[-1]] == at.size
     assert at.b_head < at.forward_size <= at.features
