@@ -141,8 +141,10 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
         load_parameters(base, w1, b1, w2, b2, w3, b3, wm, bm, wh, bh, thread)
         lane = thread & 31
         pixel = program * pixels_of_block + (thread >> 5) * PIXELS
+        following = read_features(features, pixel, lane)
         while pixel < image.shape[0]:
-            x = read_features(features, pixel, lane)
+            x = following
+            following = read_features(features, pixel + programs * pixels_of_block, lane)  # while these are decoded
             a = silu(first_layer(x, base + Address(wp.static(at.w1)), base + Address(wp.static(at.b1)), lane))
             encoded = silu(layer(a, base + Address(wp.static(at.w2)), base + Address(wp.static(at.b2)), lane))
             top = silu(layer(encoded, base + Address(wp.static(at.w3)), base + Address(wp.static(at.b3)), lane))
@@ -199,10 +201,10 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
         v_w1 = FOUR()
         v_wh = FOUR()
         v_bh = FOUR()
-        block = program
-        while block * pixels_of_block < image.shape[0]:
-            pixel = block * pixels_of_block + warp * PIXELS
-            x = read_features(features, pixel, lane)
+        pixel = program * pixels_of_block + warp * PIXELS
+        x = read_features(features, pixel, lane)
+        v = rounded16(read_gradient(image, v_image, factor, pixel, lane))
+        while pixel - warp * PIXELS < image.shape[0]:
             put_narrow(x, all_x + mine_narrow, lane)
             z = first_layer(x, weight1, base + Address(wp.static(at.b1)), lane)
             a = silu(z)
@@ -215,7 +217,6 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
             prior = silu(z)
             slope3 = silu_slope(z)
             put(prior, all_prior + mine, lane)
-            v = rounded16(read_gradient(image, v_image, factor, pixel, lane))
             put_narrow(v, all_v + mine_narrow, lane)
             v_encoded = sums()
             v_prior = sums()
@@ -265,12 +266,15 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
             z = first_layer(x, weight1, base + Address(wp.static(at.b1)), lane)  # again: quick, and takes no registers
             v_z = rounded(wp.cw_mul(back(v_z, weight2, sums(), lane), widened(silu_slope(z))))
             put(v_z, even + mine, lane)
+            following = pixel + programs * pixels_of_block
+            x = read_features(features, following, lane)  # the next, while these are finished
+            v = rounded16(read_gradient(image, v_image, factor, following, lane))
             sync()
             if warp * 8 < hidden:
                 v_w1 = beside_features(even, all_x, (warp >> 1) * 16, (warp & 1) * 8, v_w1, lane)
             write_features(to_features(v_z, weight1, sums16(), lane), v_features, 1.0 / factor, pixel, lane)
             sync()
-            block += programs
+            pixel = following
         unscaled = 1.0 / factor
         out = partial[program]
         dim, channels = features.shape[1], image.shape[1]

@@ -43,16 +43,24 @@ LOAD = """
 LOAD_TRANSPOSED = LOAD.replace("auto load", "auto load_transposed").replace("x4.shared", "x4.trans.shared")
 
 PACK = """
-    auto pack = [](const float low, const float high) {
+    auto pack = [](const float low, const float high, const bool above = true, const bool below = true) {
         unsigned both;
         asm("cvt.rn.f16x2.f32 %0, %1, %2;" : "=r"(both) : "f"(high), "f"(low));
-        asm("min.NaN.f16x2 %0, %0, %1;" : "+r"(both) : "r"(0x7bff7bffu));
-        asm("max.NaN.f16x2 %0, %0, %1;" : "+r"(both) : "r"(0xfbfffbffu));
+        if (above) asm("min.NaN.f16x2 %0, %0, %1;" : "+r"(both) : "r"(0x7bff7bffu));
+        if (below) asm("max.NaN.f16x2 %0, %0, %1;" : "+r"(both) : "r"(0xfbfffbffu));
         return both;
     };
 """
 
-SIGMOID = "auto sigmoid = [](const float z) { return __fdividef(1.0f, 1.0f + __expf(-z)); };"
+# Of approximate powers and quotients those that take one instruction, for the result is rounded to fewer bits.
+SIGMOID = """
+    auto sigmoid = [](const float z) {
+        float power, quotient;
+        asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(power) : "f"(-1.4426950408889634f * z));
+        asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(quotient) : "f"(1.0f + power));
+        return quotient;
+    };
+"""
 
 
 def on_cuda(source: str, otherwise: str = "") -> str:
@@ -110,7 +118,9 @@ def fragments(columns: int) -> Fragments:
     silu_snippet = (
         to_packed
         + on_cuda(
-            PACK + SIGMOID + f"{each} p.c[k] = pack(z.c[2*k] * sigmoid(z.c[2*k]), z.c[2*k+1] * sigmoid(z.c[2*k+1]));"
+            f"""{PACK} {SIGMOID}
+            auto silu = [&](const float z) {{ return z * sigmoid(z); }};
+            {each} p.c[k] = pack(silu(z.c[2 * k]), silu(z.c[2 * k + 1]), true, false);"""
         )
         + "return p;"
     )
@@ -119,7 +129,7 @@ def fragments(columns: int) -> Fragments:
         + on_cuda(
             f"""{PACK} {SIGMOID}
             auto slope = [&](const float z) {{ const float s = sigmoid(z); return s * (1.0f + z * (1.0f - s)); }};
-            {each} p.c[k] = pack(slope(z.c[2 * k]), slope(z.c[2 * k + 1]));"""
+            {each} p.c[k] = pack(slope(z.c[2 * k]), slope(z.c[2 * k + 1]), false, false);"""
         )
         + "return p;"
     )
@@ -173,9 +183,9 @@ def linear(columns: int, outputs: int) -> wp.Function:
         products = f"""
         const unsigned at = weights + (lane & 7) * {pitch} + (lane >> 3) * 16;
         #pragma unroll
-        for (int n = 0; n < {outputs // 8}; ++n)
+        for (int j = 0; j < {steps}; j += 2)  // outside, or neighbouring products would wait for each other
             #pragma unroll
-            for (int j = 0; j < {steps}; j += 2) {{
+            for (int n = 0; n < {outputs // 8}; ++n) {{
                 unsigned b[4];
                 load(b, at + n * {8 * pitch} + j * 32);
                 multiply_add(&y.c[4 * n], &x.c[4 * j], b[0], b[1]);
@@ -227,9 +237,9 @@ def linear_adjoint(columns: int, outputs: int) -> wp.Function:
         products = f"""
         const unsigned at = weights + lane * {pitch};
         #pragma unroll
-        for (int n = 0; n < {columns // 8}; ++n)
+        for (int j = 0; j < {steps}; j += 2)
             #pragma unroll
-            for (int j = 0; j < {steps}; j += 2) {{
+            for (int n = 0; n < {columns // 8}; ++n) {{
                 unsigned b[4];
                 load_transposed(b, at + j * {16 * pitch} + n * 16);
                 multiply_add(&y.c[4 * n], &v.c[4 * j], b[0], b[1]);
