@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch.utils.checkpoint import checkpoint
 
 import reference_rasterizer
 from gaussian_scenes import leaves, random_rgbt_scene, random_scene, relative_error
@@ -23,6 +24,30 @@ def test_depths_retain_their_gradient(device: torch.device, render_mode: str) ->
     assert colors.grad.norm() > 0
     assert info["depths"].grad.shape == (2, 60)
     assert relative_error(info["depths"].grad.cpu(), colors.grad[..., 0]) < 1e-11
+
+
+@pytest.mark.parametrize("keep", ["copies", "checkpoint"])
+def test_what_is_saved_may_come_back_elsewhere(device: torch.device, keep: str) -> None:
+    """Gradients are the same where torch moves what the backward pass reads, or makes it again."""
+    inputs = leaves(random_rgbt_scene(cameras=2), device, torch.float64)
+    names = [name for name, value in inputs.items() if isinstance(value, torch.Tensor) and value.requires_grad]
+
+    def render() -> torch.Tensor:
+        return torch.cat(rasterization_rgbt(**inputs)[:5], -1)
+
+    def gradients(image: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        torch.full((1_000_000,), torch.nan, device=image.device)  # where memory was given back
+        return torch.autograd.grad(image.square().sum(), [inputs[name] for name in names])
+
+    expected = gradients(render())
+    if keep == "copies":
+        with torch.autograd.graph.saved_tensors_hooks(torch.clone, lambda tensor: tensor):
+            image = render()
+    else:
+        image = checkpoint(render, use_reentrant=False)
+    for name, one, other in zip(names, expected, gradients(image), strict=True):
+        assert one.norm() > 0, name
+        assert relative_error(other, one) < 1e-12, name
 
 
 def test_opacities_retain_their_gradients(device: torch.device) -> None:

@@ -46,14 +46,22 @@ class ArrayView:
     ) -> None:
         if strides is None:
             strides = contiguous_strides(shape, dtype)
-        self.ptr, self.shape, self.strides, self.dtype, self.device = ptr, shape, strides, dtype, device
+        self.shape, self.strides, self.dtype, self.device = shape, strides, dtype, device
         self.owner, self.grad = owner, None
-        ndim = len(shape)
+        self.place(ptr)
+
+    def place(self, ptr: int) -> None:
+        """Puts the array elsewhere: to where its memory's content was moved.
+
+        Args:
+            ptr: address.
+        """
+        self.ptr, ndim = ptr, len(self.shape)
         if ndim == 1:  # nearly all, in half the time
-            self.packed = _pack_array(ptr, 0, shape[0], 0, 0, 0, strides[0], 0, 0, 0, 1, 0)
+            self.packed = _pack_array(ptr, 0, self.shape[0], 0, 0, 0, self.strides[0], 0, 0, 0, 1, 0)
         else:
             padding = (0,) * (4 - ndim)
-            self.packed = _pack_array(ptr, 0, *shape, *padding, *strides, *padding, ndim, 0)
+            self.packed = _pack_array(ptr, 0, *self.shape, *padding, *self.strides, *padding, ndim, 0)
 
     def __len__(self) -> int:
         return self.shape[0]

@@ -14,7 +14,7 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.tile_lists import owners, read_by_adjoint, unowned
+from thermosplat.tile_lists import owners, read_by_adjoint, unowned, views
 from thermosplat.warp_bridge import kinds_of, lend, vector_of, view, warp_device_of
 from thermosplat.warp_streams import kept_apart, on_torch_stream
 from warp_kernels import blending_step
@@ -249,12 +249,13 @@ class Blend(torch.autograd.Function):
             ctx.blended = blending_step.BlendedArrays(*arrays)
             ctx.tape = wp.Tape() if any(ctx.needs_input_grad) else None
             bins = read_by_adjoint(inputs.bins)
+            lists = unowned(bins)
             blending_step.blend(
                 ctx.projected,
                 ctx.opacities,
                 ctx.thermal_opacities,
                 ctx.features,
-                unowned(bins),
+                lists,
                 settings,
                 ctx.blended,
                 ctx.tape,
@@ -265,13 +266,22 @@ class Blend(torch.autograd.Function):
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
         extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
         tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
-        ctx.save_for_backward(*tensors, *read, *owners(bins), *made)
+        ctx.save_for_backward(*tensors, *read, *owners(bins), *(tensor for _, tensor in made))
+        projected = (ctx.projected.means2d, ctx.projected.roots)
+        gaussians = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.projected.extents)
+        images = [array for image in range(0, len(arrays), 3) for array in arrays[image + 1 : image + 3]]
+        ctx.arrays = (*gaussians, *images, *views(lists), *(array for array, _ in made))  # of the saved tensors
         return tuple(renders)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        means2d, roots, opacities, thermal_opacities, features = ctx.saved_tensors[:5]
+        saved = ctx.saved_tensors
+        for array, tensor in zip(ctx.arrays, saved, strict=True):
+            # What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
+            if tensor is not None and tensor.data_ptr() != array.ptr:
+                array.place(tensor.data_ptr())
+        means2d, roots, opacities, thermal_opacities, features = saved[:5]
         inputs = (means2d, roots, opacities, thermal_opacities, features)
         arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
         found = tuple(_zeros(tensor) for tensor in inputs)

@@ -103,4 +103,16 @@ def owners(bins: TileBins) -> list[Tensor]:
     Returns:
         The tensors.
     """
-    return [value.owner for value in vars(bins).values() if isinstance(value, ArrayView)]
+    return [array.owner for array in views(bins)]
+
+
+def views(bins: TileBins) -> list[ArrayView]:
+    """The lists' arrays.
+
+    Args:
+        bins: any.
+
+    Returns:
+        The arrays, in the order of ``owners``.
+    """
+    return [value for value in vars(bins).values() if isinstance(value, ArrayView)]

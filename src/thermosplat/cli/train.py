@@ -39,11 +39,12 @@ def _train(argv: list[str]) -> int:
     config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
     prepare_host()
     with importing():
-        from thermosplat.cli.warp_start import start_warp
+        from thermosplat.cli.warp_start import compiled_meanwhile, start_warp
         from thermosplat.training.interruption import TrainingInterrupted
 
         start_warp()
-        trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
+        with compiled_meanwhile(config):
+            trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
     try:
         trainer.train()
     except TrainingInterrupted as stop:
