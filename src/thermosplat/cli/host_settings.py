@@ -1,6 +1,6 @@
 """What a training process asks of the C library, OpenMP and Python: memory and cores for thousands of equal steps.
 
-Nothing of it changes a result. On two cores memory and spinning take a sixth off a step of ``thermosplat-train
+Nothing of it changes a result. On two cores memory and spinning take a fifth off a step of ``thermosplat-train
 sample``, as benchmarks/notes.md has it.
 """
 
