@@ -166,6 +166,31 @@ def fragments(columns: int) -> Fragments:
     return Fragments(sums, packed, rounded, widened, silu, silu_slope, put)
 
 
+def _products(operand: str, steps: int, tiles: int, load: str, step_bytes: int, tile_bytes: int) -> str:
+    """Adds ``operand`` times a matrix in shared memory to ``y``, of which a lane's first row is at ``at``.
+
+    Args:
+        operand: packed.
+        steps: 16 of its columns each. Where they are even a load brings two of them, otherwise two tiles.
+        tiles: 8 columns of ``y`` each.
+        load: the function that loads.
+        step_bytes: from one step to the next in shared memory.
+        tile_bytes: from one tile to the next there.
+    """
+    step, tile = (2, 1) if steps % 2 == 0 else (1, 2)
+    # Tiles inside, or neighbouring products would wait for each other.
+    return f"""
+        #pragma unroll
+        for (int j = 0; j < {steps}; j += {step})
+            #pragma unroll
+            for (int n = 0; n < {tiles}; n += {tile}) {{
+                unsigned b[4];
+                {load}(b, at + n * {tile_bytes} + j * {step_bytes});
+                multiply_add(&y.c[4 * n], &{operand}.c[4 * j], b[0], b[1]);
+                multiply_add(&y.c[4 * (n + {tile - 1})], &{operand}.c[4 * (j + {step - 1})], b[2], b[3]);
+            }}"""
+
+
 @functools.cache
 def linear(columns: int, outputs: int) -> wp.Function:
     """x Wᵀ + b, of W [outputs, columns] in shared memory.
@@ -179,30 +204,8 @@ def linear(columns: int, outputs: int) -> wp.Function:
     """
     packed, sums = fragments(columns).packed, fragments(outputs).sums
     pitch, steps = row_bytes(columns), columns // 16
-    if steps % 2 == 0:  # a load brings two steps of 16 columns of 8 rows
-        products = f"""
-        const unsigned at = weights + (lane & 7) * {pitch} + (lane >> 3) * 16;
-        #pragma unroll
-        for (int j = 0; j < {steps}; j += 2)  // outside, or neighbouring products would wait for each other
-            #pragma unroll
-            for (int n = 0; n < {outputs // 8}; ++n) {{
-                unsigned b[4];
-                load(b, at + n * {8 * pitch} + j * 32);
-                multiply_add(&y.c[4 * n], &x.c[4 * j], b[0], b[1]);
-                multiply_add(&y.c[4 * n], &x.c[4 * j + 4], b[2], b[3]);
-            }}"""
-    else:  # or one step of 16 rows
-        products = f"""
-        const unsigned at = weights + ((lane & 7) + 8 * (lane >> 4)) * {pitch} + (lane >> 3 & 1) * 16;
-        #pragma unroll
-        for (int n = 0; n < {outputs // 8}; n += 2)
-            #pragma unroll
-            for (int j = 0; j < {steps}; ++j) {{
-                unsigned b[4];
-                load(b, at + n * {8 * pitch} + j * 32);
-                multiply_add(&y.c[4 * n], &x.c[4 * j], b[0], b[1]);
-                multiply_add(&y.c[4 * n + 4], &x.c[4 * j], b[2], b[3]);
-            }}"""
+    of_two_steps = f"(lane & 7) * {pitch} + (lane >> 3) * 16"
+    of_two_tiles = f"((lane & 7) + 8 * (lane >> 4)) * {pitch} + (lane >> 3 & 1) * 16"
     snippet = f"""wp::vec_t<{outputs // 2}, wp::float32> y;""" + on_cuda(
         f"""{MMA} {LOAD}
         #pragma unroll
@@ -211,7 +214,9 @@ def linear(columns: int, outputs: int) -> wp.Function:
                 : "r"(bias + 32 * n + 8 * (lane & 3)) : "memory");
             y.c[4 * n + 2] = y.c[4 * n];
             y.c[4 * n + 3] = y.c[4 * n + 1];
-        }} {products}"""
+        }}
+        const unsigned at = weights + {of_two_steps if steps % 2 == 0 else of_two_tiles};
+        {_products("x", steps, outputs // 8, "load", 32, 8 * pitch)}"""
     )
 
     @wp.func_native(snippet + "return y;")
@@ -233,31 +238,12 @@ def linear_adjoint(columns: int, outputs: int) -> wp.Function:
     """
     packed, sums = fragments(outputs).packed, fragments(columns).sums
     pitch, steps = row_bytes(columns), outputs // 16
-    if steps % 2 == 0:  # a load brings two steps of 16 rows of 8 columns
-        products = f"""
-        const unsigned at = weights + lane * {pitch};
-        #pragma unroll
-        for (int j = 0; j < {steps}; j += 2)
-            #pragma unroll
-            for (int n = 0; n < {columns // 8}; ++n) {{
-                unsigned b[4];
-                load_transposed(b, at + j * {16 * pitch} + n * 16);
-                multiply_add(&y.c[4 * n], &v.c[4 * j], b[0], b[1]);
-                multiply_add(&y.c[4 * n], &v.c[4 * j + 4], b[2], b[3]);
-            }}"""
-    else:  # or one step of 16 columns
-        products = f"""
-        const unsigned at = weights + (lane & 15) * {pitch} + (lane >> 4) * 16;
-        #pragma unroll
-        for (int n = 0; n < {columns // 8}; n += 2)
-            #pragma unroll
-            for (int j = 0; j < {steps}; ++j) {{
-                unsigned b[4];
-                load_transposed(b, at + j * {16 * pitch} + n * 16);
-                multiply_add(&y.c[4 * n], &v.c[4 * j], b[0], b[1]);
-                multiply_add(&y.c[4 * n + 4], &v.c[4 * j], b[2], b[3]);
-            }}"""
-    snippet = f"wp::vec_t<{columns // 2}, wp::float32> y = added;" + on_cuda(MMA + LOAD_TRANSPOSED + products)
+    of_two_steps, of_two_tiles = f"lane * {pitch}", f"(lane & 15) * {pitch} + (lane >> 4) * 16"
+    snippet = f"wp::vec_t<{columns // 2}, wp::float32> y = added;" + on_cuda(
+        f"""{MMA} {LOAD_TRANSPOSED}
+        const unsigned at = weights + {of_two_steps if steps % 2 == 0 else of_two_tiles};
+        {_products("v", steps, columns // 8, "load_transposed", 16 * pitch, 16)}"""
+    )
 
     @wp.func_native(snippet + "return y;")
     def linear_adjoint(v: packed, weights: Address, added: sums, lane: int) -> sums: ...
