@@ -239,9 +239,9 @@ class AutoBudgetConfig:
     """How ``--budget auto`` finds the size of the model; without it nothing of this happens."""
 
     prune_at: tuple[float, ...] = (0.5, 0.6, 0.7, 0.8)
-    """Shares of the run after which the Gaussians that matter least are removed. Growth ends with the first. Several
-    small cuts with training between them take away more than one, as what is left makes up for what is gone (open
-    choice); the last leaves a fifth of the run to do so."""
+    """Shares of the run after which the Gaussians that matter least are removed, where growth has ended; it ends with
+    the last. Several small cuts with training between them take away more than one, as what is left makes up for what
+    is gone (open choice); the last leaves a fifth of the run to do so."""
     prune_by: Literal["removal", "weights"] = "removal"
     """What a Gaussian matters: the squared change of the images where it alone is left out, or its share of all
     blending weights, which does not see that it may have the colour of what it hides. Open choice;

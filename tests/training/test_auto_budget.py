@@ -59,6 +59,21 @@ def test_pruning_ends_growth_and_frees_the_validation_views(tmp_path: Path) -> N
     assert withheld < {trainer.schedule.frame(step).name for step in range(20, 40)}  # a whole epoch of all twenty
 
 
+def test_a_run_too_short_to_have_grown_is_not_cut_at_its_first_share(tmp_path: Path) -> None:
+    """While Gaussians are added none are removed; the last share ends that."""
+    trainer = toy_trainer(tmp_path, budget_config(prune_at=(0.25, 0.45)), many_frames(toy_capture(), FRAMES))
+    advance(trainer, 9)
+    before = trainer.model.num_gaussians
+    advance(trainer, 10)
+    assert trainer.state.growing
+    assert trainer.model.num_gaussians >= before
+    advance(trainer, 17)
+    before = trainer.model.num_gaussians
+    advance(trainer, 18)
+    assert not trainer.state.growing
+    assert trainer.model.num_gaussians < before
+
+
 def test_pruning_changes_the_images_little(tmp_path: Path) -> None:
     """By blending weights as by what removal changes: fewer Gaussians, and images within the tolerance."""
     capture = many_frames(toy_capture(), FRAMES)

@@ -4,7 +4,7 @@
   growth stops and they are trained on like the others. Held-out test views steer nothing.
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
-  Growth ends with the first removal at the latest.
+  Nothing is removed while it still grows, which ends with the last share at the latest.
 - Thermal opacity offsets shrink, and at the last removal those that do next to nothing go (offset_shrinkage.py).
 - At the end spherical harmonics are dropped (sh_bands.py) and parameters rounded (rounding.py) as far as those images
   do not show it, and the checkpoint stores only what is left (packed_parameters.py).
@@ -60,7 +60,7 @@ class AutoBudget:
         return self.prunes_at(step) or self._validates_at(step) or self._growth_is_over(step)
 
     def prunes_at(self, step: int) -> bool:
-        """Whether Gaussians are removed after this step, and captured steps no longer fit."""
+        """Whether Gaussians may be removed after this step, and captured steps no longer fit."""
         return step in self._prune_steps
 
     def after_step(self, step: int, sh_degree: int) -> None:
@@ -74,10 +74,12 @@ class AutoBudget:
             self._validate(step, sh_degree)
         if self._growth_is_over(step):
             self._stop_growing()
-        if self.prunes_at(step):
+        is_last = step == max(self._prune_steps, default=0)
+        if is_last:
             self._stop_growing()
+        if self.prunes_at(step) and not self.state.growing:  # a short run may have far to grow after its first share
             self._prune(sh_degree)
-        if step == max(self._prune_steps, default=0):
+        if is_last:
             self.drop_offsets(sh_degree)
 
     def finish(self, sh_degree: int) -> None:
