@@ -27,6 +27,7 @@ from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.config_files import load_config
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
+from thermosplat.method_matrix.cell_result import write_text
 from thermosplat.method_matrix.render_speed import frames_per_second
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training.pruning import least
@@ -138,11 +139,6 @@ def plot(scenes: dict[str, Rows], path: Path) -> bool:
     return True
 
 
-def write(path: Path, text: str) -> None:
-    """Puts a text into a file, whole or not at all."""
-    write_atomically(path, lambda temporary: cast(None, temporary.write_text(text)))
-
-
 def trained(out: Path, data: str, options: argparse.Namespace, capture: Capture) -> RunDirectory:
     """A finished run of a capture in a folder: as it is there, gone on with, or made."""
     preset = load_config(options.config)
@@ -205,9 +201,9 @@ def main() -> None:
                 break
             run = finished or trained(folder / "full", data, options, capture)
             rows.append(measured(run, capture, folder / f"budget_{round(1000 * budget):04d}", budget, settings))
-            write(path, json.dumps(report, indent=2))
+            write_text(path, json.dumps(report, indent=2))
     text = "\n".join(f"{name}\n\n{table(rows)}" for name, rows in scenes.items() if rows)
-    write(options.out / "budget.md", text)
+    write_text(options.out / "budget.md", text)
     print(text)
     if not plot({name: rows for name, rows in scenes.items() if rows}, options.out / "budget.png"):
         print("No plot: pip install matplotlib.")

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_kernels.matrix_fragments import PACK, PIXELS, Address, fragments, on_cuda, row_bytes
+from warp_kernels.lanes import on_cuda
+from warp_kernels.matrix_fragments import PACK, PADDING, PIXELS, Address, fragments, row_bytes
 
 WARPS = 8
 """Warps of a block; the parts of a weight's gradient are dealt to two by four of them."""
@@ -70,6 +71,24 @@ def layout_of(hidden: int, modulated: bool) -> Layout:
     return Layout(*starts[:15], (starts[15], starts[16]), starts[10], starts[17])
 
 
+@functools.cache
+def shared_address(size: int) -> tuple[int, wp.Function]:
+    """A block's shared memory.
+
+    Args:
+        size: of it [bytes], a multiple of 4.
+
+    Returns:
+        The words of a tile of int32 in shared memory of that size, and a function from such a tile to its address.
+    """
+    words = size // 4
+
+    @wp.func_native(on_cuda("return (wp::uint32)__cvta_generic_to_shared(scratch.data.ptr);", "return 0;"))
+    def address(scratch: wp.tile[wp.int32, words]) -> Address: ...
+
+    return words, address
+
+
 @wp.func_native(on_cuda("__syncthreads();"))
 def sync():
     """All warps of the block have come here, and what they wrote to shared memory is seen."""
@@ -83,7 +102,7 @@ def sync():
             const bool given = row < w.shape[0] && column < w.shape[1];
             const unsigned short x = (unsigned short)pack(given ? w.data[row * w.shape[1] + column] : 0.0f, 0.0f);
             asm volatile("st.shared.b16 [%0], %1;"
-                :: "r"(address + row * (2 * columns + 16) + 2 * column), "h"(x) : "memory");
+                :: "r"(address + row * (2 * columns + {PADDING}) + 2 * column), "h"(x) : "memory");
         }}"""
     )
 )
@@ -125,6 +144,11 @@ def read_features(features: MATRIX, pixel: int, lane: int) -> _packed:
 
     What multiplies the 1 is summed like a weight's gradient, and is a bias's.
     """
+
+
+@wp.func_native("return exp2f(-ceilf(log2f(fmaxf(largest, 1e-30f))));")
+def factor_of(largest: wp.float32) -> wp.float32:
+    """The power of two that brings gradients up to so large a one into float16's range, to at most 1."""
 
 
 @wp.func_native(

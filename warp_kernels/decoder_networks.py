@@ -21,11 +21,13 @@ from warp_kernels.decoder_memory import (
     NARROW,
     THREADS,
     WARPS,
+    factor_of,
     layout_of,
     load_bias,
     load_weight,
     read_features,
     read_gradient,
+    shared_address,
     store_sums,
     stored,
     sync,
@@ -40,14 +42,11 @@ from warp_kernels.matrix_fragments import (
     fragments,
     linear,
     linear_adjoint,
-    on_cuda,
     row_bytes,
 )
 
 HIDDEN = (32, 64)
 """Channels of hidden layers that there are kernels for."""
-
-FACTOR_SNIPPET = "return exp2f(-ceilf(log2f(fmaxf(largest, 1e-30f))));"
 
 
 @functools.cache
@@ -65,21 +64,12 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
     narrow, wide = fragments(NARROW), fragments(hidden)
     sums16, sums = narrow.sums, wide.sums
     put_narrow, put = narrow.put, wide.put
-    rounded16, rounded, widened, silu, silu_slope = (
-        narrow.rounded,
-        wide.rounded,
-        wide.widened,
-        wide.silu,
-        wide.silu_slope,
-    )
+    rounded16, rounded, widened = narrow.rounded, wide.rounded, wide.widened
+    silu, silu_slope = wide.silu, wide.silu_slope
     first_layer, layer, head = linear(NARROW, hidden), linear(hidden, hidden), linear(hidden, NARROW)
-    to_features, back, from_head = (
-        linear_adjoint(NARROW, hidden),
-        linear_adjoint(hidden, hidden),
-        linear_adjoint(hidden, NARROW),
-    )
-    side = hidden // 2  # a warp's part of a square weight's gradient: 2 parts down, 4 across
-    part_rows, part_columns = side, side // 2
+    to_features, back = linear_adjoint(NARROW, hidden), linear_adjoint(hidden, hidden)
+    from_head = linear_adjoint(hidden, NARROW)
+    part_rows, part_columns = hidden // 2, hidden // 4  # a warp's part of a square weight's gradient
     square = add_outer(part_rows, part_columns, hidden, hidden, WARPS)
     beside_features = add_outer(16, 8, hidden, NARROW, WARPS)
     beside_image = add_outer(16, 8, NARROW, hidden, WARPS)
@@ -90,18 +80,8 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
     pixels_of_block = WARPS * PIXELS
     group_narrow, group_wide = PIXELS * row_bytes(NARROW), PIXELS * row_bytes(hidden)
 
-    def scratch_words(size: int) -> int:
-        return (size + 3) // 4
-
-    forward_words, adjoint_words = scratch_words(at.forward_size), scratch_words(at.size)
-
-    address_snippet = on_cuda("return (wp::uint32)__cvta_generic_to_shared(scratch.data.ptr);", "return 0;")
-
-    @wp.func_native(address_snippet)
-    def forward_address(scratch: wp.tile[wp.int32, forward_words]) -> Address: ...
-
-    @wp.func_native(address_snippet)
-    def adjoint_address(scratch: wp.tile[wp.int32, adjoint_words]) -> Address: ...
+    forward_words, forward_address = shared_address(at.forward_size)
+    adjoint_words, adjoint_address = shared_address(at.size)
 
     @wp.func
     def load_parameters(
@@ -122,9 +102,6 @@ def decoder_kernels(hidden: int, modulated: bool) -> tuple[wp.Kernel, wp.Kernel]
             load_weight(wm, 2 * hidden, hidden, base + Address(wp.static(at.modulation)), thread)
             load_bias(bm, 2 * hidden, base + Address(wp.static(at.b_modulation)), thread)
         sync()
-
-    @wp.func_native(FACTOR_SNIPPET)
-    def factor_of(largest: wp.float32) -> wp.float32: ...
 
     store_square, store_tile = stored(part_rows // 16, part_columns // 8), stored(1, 1)
 

@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+from warp_kernels.lanes import on_cuda
+
 PIXELS = 16
 """Rows of a warp's matrix."""
 
@@ -61,16 +63,6 @@ SIGMOID = """
         return quotient;
     };
 """
-
-
-def on_cuda(source: str, otherwise: str = "") -> str:
-    """A snippet that has a body on CUDA only.
-
-    Args:
-        source: the body.
-        otherwise: what stands there on the CPU.
-    """
-    return f"\n#if defined(__CUDA_ARCH__)\n{source}\n#else\n{otherwise}\n#endif\n"
 
 
 def row_bytes(columns: int) -> int:

@@ -10,6 +10,7 @@ from warp_kernels.blend_layout import default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.gradient_records import distribute_kernel
+from warp_kernels.launching import num_threads
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
@@ -49,11 +50,10 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
     ]
 
 
-def compile_for_cpu(kernels: list[wp.Kernel], cores: int) -> None:
-    """Compiles kernels for the CPU, or loads them from the cache. Nothing else may compile meanwhile.
+def compile_for_cpu(kernels: list[wp.Kernel]) -> None:
+    """Compiles kernels for the CPU on all its cores, or loads them from the cache. Nothing else may compile meanwhile.
 
     Args:
         kernels: any.
-        cores: threads to compile on.
     """
-    wp.force_load("cpu", [kernel.module for kernel in kernels], block_dim=1, max_workers=cores)
+    wp.force_load("cpu", [kernel.module for kernel in kernels], block_dim=1, max_workers=num_threads())

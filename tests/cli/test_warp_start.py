@@ -25,7 +25,7 @@ def test_kernels_are_compiled_before_the_block_ends(
     """Those of the configuration's step, on the CPU, where both spectra share their Gaussians."""
     compiled: list[Any] = []
     monkeypatch.setattr(step_kernels, "cpu_step_kernels", lambda *shape: shape)
-    monkeypatch.setattr(step_kernels, "compile_for_cpu", lambda shape, cores: compiled.append(shape))
+    monkeypatch.setattr(step_kernels, "compile_for_cpu", lambda shape: compiled.append(shape))
     config = replace(TrainConfig(), device=changes.pop("device", "cpu"))
     model = replace(config.model, **{key.removeprefix("model."): value for key, value in changes.items()})
     with compiled_meanwhile(replace(config, model=model)):

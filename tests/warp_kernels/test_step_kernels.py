@@ -15,7 +15,7 @@ from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels
 dual = sys.argv[1] == "True"
 wp.init()
 kernels = cpu_step_kernels(11, 8 if dual else 0)
-compile_for_cpu(kernels, 2)
+compile_for_cpu(kernels)
 ahead = {kernel.module.name for kernel in kernels}
 launched = {module.name for module in wp._src.context.user_modules.values() if module.execs}
 assert launched == ahead, launched ^ ahead

@@ -60,6 +60,6 @@ def compiled_meanwhile(config: "TrainConfig") -> Iterator[None]:
     antialiased = model.rasterize_mode == "antialiased"
     kernels = cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased)
     with ThreadPoolExecutor(max_workers=1) as thread:
-        compiling = thread.submit(compile_for_cpu, kernels, os.cpu_count() or 1)
+        compiling = thread.submit(compile_for_cpu, kernels)
         yield
         compiling.result()

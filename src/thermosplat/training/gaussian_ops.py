@@ -6,6 +6,8 @@ the new tensors and then puts them in place, so that running out of memory half-
 """
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
@@ -15,6 +17,22 @@ Optimizers = dict[str, torch.optim.Adam]
 
 SPLIT_SCALE = 1.6
 """The two halves of a split Gaussian are this much smaller. 3DGS: 0.8 x 2."""
+
+
+@contextmanager
+def opacities_restored(gaussians: nn.Module) -> Iterator[None]:
+    """A block that may overwrite opacities; behind it all are as they were.
+
+    Args:
+        gaussians: The Gaussians.
+    """
+    saved = [(value, value.detach().clone()) for name, value in gaussians.named_parameters() if "opacit" in name]
+    try:
+        yield
+    finally:
+        with torch.no_grad():
+            for value, before in saved:
+                value.copy_(before)
 
 
 @torch.no_grad()

@@ -8,7 +8,7 @@ With random signs s_p = ±1 the gradient of Σ_p s_p I_p is Σ_p s_p ∂I_p/∂o
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import torch
 from torch import Tensor
@@ -16,6 +16,7 @@ from torch import Tensor
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.gaussians import Gaussians
 from thermosplat.model import SceneModel
+from thermosplat.training.gaussian_ops import opacities_restored
 
 _OPAQUE = 0.99
 """Opacities are looked at no higher than this: alpha is clamped at 0.999, where an image no longer changes with it."""
@@ -37,7 +38,8 @@ def opacity_sensitivities(
         first row. Estimated with the same signs at every call.
     """
     signs = torch.Generator().manual_seed(0)
-    found = {name: torch.zeros(2, len(model.gaussians(name)), device=model.background.device) for name in _names(model)}
+    device = model.background.device
+    found = {name: torch.zeros(2, len(model.gaussians(name)), device=device) for name in model.gaussian_sets}
     with _translucent(model):
         for frame in frames:
             for name, gradients in _gradients(model, frame, sh_degree, weights, signs).items():
@@ -82,7 +84,7 @@ def _gradients(
         if image is not None and weight is not None:
             drawn = 2 * torch.randint(2, image.shape, generator=signs, dtype=torch.int8) - 1
             total = total + weight**0.5 * (image * drawn.to(image)).sum()
-    logits = {name: _logits(model.gaussians(name)) for name in _names(model)}
+    logits = {name: _logits(model.gaussians(name)) for name in model.gaussian_sets}
     every = [tensor for tensors in logits.values() for tensor in tensors]
     if not total.requires_grad:
         return {}
@@ -114,21 +116,12 @@ def _of_opacities(gaussians: Gaussians, gradients: list[Tensor]) -> Tensor:
 @contextmanager
 def _translucent(model: SceneModel) -> Iterator[None]:
     """While this is open no opacity is above ``_OPAQUE``."""
-    saved = [(tensor, tensor.detach().clone()) for name in _names(model) for tensor in _logits(model.gaussians(name))]
     limit = torch.logit(torch.tensor(_OPAQUE)).item()
-    try:
-        with torch.no_grad():
-            for name in _names(model):
-                gaussians = model.gaussians(name)
-                everyone = torch.arange(len(gaussians), device=gaussians.means.device)
-                visible, thermal = gaussians.logit_opacities.clone(), gaussians.thermal_logits.clone()
-                gaussians.set_opacity_logits(everyone, visible.clamp(max=limit), thermal.clamp(max=limit))
+    with ExitStack() as restored:
+        for name in model.gaussian_sets:
+            gaussians = model.gaussians(name)
+            restored.enter_context(opacities_restored(gaussians))
+            everyone = torch.arange(len(gaussians), device=gaussians.means.device)
+            visible, thermal = gaussians.logit_opacities.detach(), gaussians.thermal_logits.detach()
+            gaussians.set_opacity_logits(everyone, visible.clamp(max=limit), thermal.clamp(max=limit))
         yield
-    finally:
-        with torch.no_grad():
-            for tensor, value in saved:
-                tensor.copy_(value)
-
-
-def _names(model: SceneModel) -> list[str]:
-    return list(model.gaussian_sets)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.gaussians import Gaussians
-from thermosplat.training.gaussian_ops import Optimizers, prune
+from thermosplat.training.gaussian_ops import Optimizers, opacities_restored, prune
 from thermosplat.training.image_change import ImageChange, most_within
 
 _INVISIBLE = -30.0
@@ -35,7 +35,6 @@ def dispensable(gaussians: Gaussians, scores: Tensor, change: ImageChange, toler
     """
     everyone = torch.arange(len(gaussians), device=scores.device)
     visible, thermal = gaussians.logit_opacities.clone(), gaussians.thermal_logits.clone()
-    saved = {name: value.clone() for name, value in gaussians.named_parameters() if "opacit" in name}
 
     def hide(count: int) -> None:
         hidden = least(scores, count)
@@ -43,11 +42,8 @@ def dispensable(gaussians: Gaussians, scores: Tensor, change: ImageChange, toler
             everyone, visible.masked_fill(hidden, _INVISIBLE), thermal.masked_fill(hidden, _INVISIBLE)
         )
 
-    try:
+    with opacities_restored(gaussians):
         count = most_within(change, len(gaussians) - 1, hide, tolerance)
-    finally:
-        for name, value in saved.items():
-            gaussians.get_parameter(name).copy_(value)
     return least(scores, count)
 
 

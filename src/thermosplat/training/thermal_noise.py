@@ -42,8 +42,8 @@ def image_noise(image: Tensor) -> ThermalNoise:
     Args:
         image: [H, W, C] in 0 to 1, H and W at least 3.
     """
-    across, down = _second_differences(image, 1), _second_differences(image, 0)
-    response = _second_differences(across, 0)
+    across, down = image.diff(n=2, dim=1), image.diff(n=2, dim=0)
+    response = across.diff(n=2, dim=0)
     stripes = math.hypot(_stripes(across, along=0), _stripes(down, along=1))
     return ThermalNoise(_FROM_MEAN * response.abs().mean().item() / 6.0, stripes)
 
@@ -97,10 +97,6 @@ def with_measured_smoothness(config: TrainConfig, frames: TrainFrames) -> tuple[
         f"smoothness weight {weight:.3f}."
     )
     return replace(config, loss=replace(loss, thermal_smoothness=weight)), (note,)
-
-
-def _second_differences(image: Tensor, dim: int) -> Tensor:
-    return image.diff(n=2, dim=dim)
 
 
 def _stripes(differences: Tensor, *, along: int) -> float:
