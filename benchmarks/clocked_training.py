@@ -3,7 +3,7 @@
     python benchmarks/clocked_training.py FILE DATA [flags of thermosplat-train]
 
 Writes to FILE (JSON) the seconds in which Warp compiled kernels, in all and after the first step: another layout of the
-blending kernels, say, is compiled when the scene first asks for it. Triton's kernels are compiled in the first step.
+blending kernels, say, is compiled when the scene first asks for it. The decoders' in the first step.
 """
 
 import json

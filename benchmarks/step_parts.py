@@ -26,7 +26,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     (
         "decoders",
         (
-            *("forward_kernel", "backward_kernel", "weights_kernel", "gemm", "triton", "_Branch"),
+            *("decode_", "gemm", "triton", "_Branch"),
             *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu", "cover_"),
         ),
     ),

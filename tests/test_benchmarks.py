@@ -48,13 +48,24 @@ def test_accuracy_benchmark_names_its_cases() -> None:
 
 
 def test_budget_benchmark_runs(tmp_path: Path) -> None:
-    """A short training is pruned to each budget and measured; fewer Gaussians take fewer bytes."""
+    """A short training is pruned to each budget and measured; fewer Gaussians take fewer bytes; what is there stays."""
     options = ["sample", "--config", "demo", "--device", "cpu", "--data-factor", "8", "--max-steps", "3"]
-    done = run_script("bench_budget.py", *options, "--fine-tune", "2", "--budgets", "0.1", "1", "--out", str(tmp_path))
+    options += ["--fine-tune", "2", "--out", str(tmp_path)]
+    done = run_script("bench_budget.py", *options, "--budgets", "0.1", "1")
     assert done.returncode == 0, done.stdout + done.stderr
-    tenth, full = json.loads((tmp_path / "budget.json").read_text())["rows"]
+    ((name, (full, tenth)),) = json.loads((tmp_path / "budget.json").read_text())["scenes"].items()
     assert tenth["num_gaussians"] == pytest.approx(0.1 * full["num_gaussians"], abs=1)
     assert tenth["model_bytes"] < 0.2 * full["model_bytes"]
     assert full["thermal_offsets_kept"] > 0.5
     assert all(row["rgb_psnr"] > 5 and row["thermal_psnr"] > 5 and row["ms"] > 0 for row in (tenth, full))
     assert "100%" in (tmp_path / "budget.md").read_text()
+    trained = (tmp_path / name / "full" / "metrics.json").stat().st_mtime_ns
+    done = run_script("bench_budget.py", *options, "--budgets", "0.1", "0.5", "1")
+    assert done.returncode == 0, done.stdout + done.stderr
+    (rows,) = json.loads((tmp_path / "budget.json").read_text())["scenes"].values()
+    assert rows[:2] == [full, tenth]
+    assert [row["budget"] for row in rows] == [1.0, 0.1, 0.5]
+    assert (tmp_path / name / "full" / "metrics.json").stat().st_mtime_ns == trained
+    done = run_script("bench_budget.py", *options, "--budgets", "0.02", "--time-limit", "0")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(json.loads((tmp_path / "budget.json").read_text())["scenes"][name]) == 3

@@ -37,7 +37,7 @@ def changed(key: str, value: Any) -> TrainConfig:
         ("thermal.range_celsius", (30.0, 20.0), "--thermal.range-celsius must rise"),
         ("densification.max_gaussians", 0, "--densification.max-gaussians must be at least 1"),
         ("auto_budget.prune_at", (0.5, 1.0), "--auto-budget.prune-at must be shares of the run between 0 and 1"),
-        ("auto_budget.prune_share", 1.5, "--auto-budget.prune-share must lie between 0 and 1"),
+        ("auto_budget.prune_change", -1.0, "--auto-budget.prune-change must be at least 0"),
         ("densification.strategy", "mcmc", "mcmc grows to a budget, and there is none"),
         ("densification.growth", -0.1, "--densification.growth must be at least 0"),
         ("densification.decompose_threshold", 2e-4, "needs a shared set with a thermal opacity of its own"),

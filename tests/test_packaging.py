@@ -63,7 +63,7 @@ def test_all_imported_packages_are_declared() -> None:
     names = {re.split(r"[<>=\[;]", line)[0].lower() for line in declared}
     files = [path for folder in ("src/thermosplat", "warp_kernels") for path in (REPOSITORY / folder).rglob("*.py")]
     imported = {module for path in files for module in _imports(path)}
-    own = {"thermosplat", "warp_kernels", "triton"}  # Triton comes with torch for CUDA, and is left alone elsewhere
+    own = {"thermosplat", "warp_kernels"}
     third_party = imported - sys.stdlib_module_names - own
     missing = {module for module in third_party if _distribution(module, modules) not in names}
     assert {"torch", "numpy", "warp", "kornia", "cv2", "pycolmap", "tyro", "rich", "yaml"} <= third_party

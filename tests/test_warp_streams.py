@@ -44,12 +44,12 @@ def test_threads_have_contexts_of_their_own() -> None:
 
 
 def test_arrays_kept_apart_do_not_hold_their_memory(device: torch.device) -> None:
-    """Their tensors are handed over instead."""
+    """Their tensors are handed over beside them."""
     with on_torch_stream(device) as warp_device:
         with kept_apart() as made:
             array = empty(5, wp.float32, warp_device)
         assert array.owner is None
-        assert [tensor.data_ptr() for tensor in made] == [array.ptr]
+        assert [(one, tensor.data_ptr()) for one, tensor in made] == [(array, array.ptr)]
         assert empty(5, wp.float32, warp_device).owner is not None
 
 

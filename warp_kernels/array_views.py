@@ -45,13 +45,17 @@ class ArrayView:
         strides: tuple[int, ...] | None = None,
     ) -> None:
         if strides is None:
-            strides = (_size_in_bytes(dtype),) if len(shape) == 1 else contiguous_strides(shape, dtype)
+            strides = contiguous_strides(shape, dtype)
         self.shape, self.strides, self.dtype, self.device = shape, strides, dtype, device
         self.owner, self.grad = owner, None
         self.place(ptr)
 
     def place(self, ptr: int) -> None:
-        """Puts the array elsewhere: to where its memory's content was moved."""
+        """Puts the array elsewhere: to where its memory's content was moved.
+
+        Args:
+            ptr: address.
+        """
         self.ptr, ndim = ptr, len(self.shape)
         if ndim == 1:  # nearly all, in half the time
             self.packed = _pack_array(ptr, 0, self.shape[0], 0, 0, 0, self.strides[0], 0, 0, 0, 1, 0)
@@ -113,6 +117,8 @@ def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
         The strides [bytes].
     """
     stride = _size_in_bytes(dtype)
+    if len(shape) == 1:
+        return (stride,)
     strides = []
     for extent in reversed(shape):
         strides.append(stride)

@@ -33,9 +33,10 @@ STORE_PAIR = """
 STORE_VEC3 = """
 #if defined(__CUDA_ARCH__)
     const unsigned all = 0xffffffffu;
-    const int lane = threadIdx.x & 31, leader = __shfl_sync(all, index, 0);
+    const int lane = threadIdx.x & 31;
+    const unsigned present = __ballot_sync(all, index >= 0);
+    const int leader = __shfl_sync(all, index - lane, __ffs(present) - 1 & 31);
     if (sizeof(S_) == 4 && __all_sync(all, index < 0 || index == leader + lane)) {
-        const int total = 3 * __popc(__ballot_sync(all, index >= 0));
         S_* numbers = (S_*)(target.data + leader);
         #pragma unroll
         for (int at = lane; at < 96; at += 32) {
@@ -43,7 +44,7 @@ STORE_VEC3 = """
             const S_ x = __shfl_sync(all, value[0], from);
             const S_ y = __shfl_sync(all, value[1], from);
             const S_ z = __shfl_sync(all, value[2], from);
-            if (at < total) numbers[at] = c == 0 ? x : c == 1 ? y : z;
+            if (present >> from & 1) numbers[at] = c == 0 ? x : c == 1 ? y : z;
         }
         return;
     }

@@ -12,6 +12,16 @@ import warp as wp
 LANES_CUDA = 32
 
 
+def on_cuda(source: str, otherwise: str = "") -> str:
+    """A snippet that has its body on CUDA only.
+
+    Args:
+        source: the body.
+        otherwise: what stands there on the CPU.
+    """
+    return f"\n#if defined(__CUDA_ARCH__)\n{source}\n#else\n{otherwise}\n#endif\n"
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     return __any_sync(0xffffffffu, x);

@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
-from warp_kernels.lanes import LANES_CUDA, count_bits, warp_ballot, warp_sync
+from warp_kernels.lanes import LANES_CUDA, count_bits, on_cuda, warp_ballot, warp_sync
 
 HEADER = 9
 """Numbers before the features: mean2d (2), root (3), opacity, thermal opacity, lane of the candidate, its index."""
@@ -91,9 +91,9 @@ def survivor_functions(
     _, _, reaches_block, _ = alpha_functions(dtype)
     across, down, zero = dtype(layout.block_width - 1), dtype(layout.block_height - 1), dtype(0.0)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
-    address_snippet = _on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
-    put_snippet = _on_cuda(f"{locate}\n{writes}")
-    get_snippet = f"wp::vec_t<{length}, {scalar}> r;" + _on_cuda(f"const {locate}\n{reads}") + "return r;"
+    address_snippet = on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
+    put_snippet = on_cuda(f"{locate}\n{writes}")
+    get_snippet = f"wp::vec_t<{length}, {scalar}> r;" + on_cuda(f"const {locate}\n{reads}") + "return r;"
 
     @wp.func_native(address_snippet)
     def records_of_warp(warp: int) -> wp.uint64: ...
@@ -167,7 +167,3 @@ def survivor_functions(
         return count_bits(survivors)
 
     return candidate, records_of_warp, admit, get, integer
-
-
-def _on_cuda(source: str, otherwise: str = "") -> str:
-    return f"\n#if defined(__CUDA_ARCH__)\n{source}\n#else\n{otherwise}\n#endif\n"

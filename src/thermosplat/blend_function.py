@@ -104,11 +104,11 @@ class Blend(torch.autograd.Function):
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
         extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
         tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
-        ctx.save_for_backward(*tensors, *read, *owners(bins), *made)
+        ctx.save_for_backward(*tensors, *read, *owners(bins), *(tensor for _, tensor in made))
         projected = (ctx.projected.means2d, ctx.projected.roots)
         gaussians = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.projected.extents)
         images = [array for image in range(0, len(arrays), 3) for array in arrays[image + 1 : image + 3]]
-        ctx.arrays = (*gaussians, *images, *views(ctx.bins), ctx.walk.states)  # of the saved tensors
+        ctx.arrays = (*gaussians, *images, *views(ctx.bins), *(array for array, _ in made))  # of the saved tensors
         render, transmittance = renders[:2]
         rest = None
         if inputs.first_image < render.shape[-1]:

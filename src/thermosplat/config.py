@@ -116,6 +116,11 @@ class LossConfig:
     """η: factor of the second feature term, A_f(t)[3] against the thermal intensity. ThermoSplat."""
     thermal_smoothness: float = 0.3
     """λ_sm: weight of the mean absolute image gradient of the thermal image. ThermoSplat."""
+    thermal_smoothness_noise: float = 0.0
+    """Noise of the training thermal images (standard deviation, of the range 0 to 1, Immerkaer 1996 with stripes) from
+    which on that weight is taken in full; with less it falls in proportion. 0: it is taken as it is. Open choice."""
+    thermal_smoothness_least: float = 0.05
+    """With ``thermal_smoothness_noise``, the weight where there is no noise. Open choice."""
     thermal_charbonnier: float = 0.0
     """ε of sqrt(d² + ε²) - ε in place of |d| in the losses on thermal images, in their units (0 to 1): differences
     within the sensor's noise count by their square, larger ones as before. Charbonnier et al. 1994. 0: plain L1."""
@@ -187,7 +192,8 @@ class DensificationConfig:
     growth: float = 0.05
     """MCMC: share of the Gaussians that a refinement adds. 3DGS-MCMC."""
     position_noise: float = 5e5
-    """MCMC: standard deviation of the noise on the means, times their learning rate and covariance. 3DGS-MCMC."""
+    """MCMC: standard deviation of the noise on the means, times their learning rate and covariance, in scene extents.
+    3DGS-MCMC, there in the capture's own units."""
     sample_by: Literal["opacity", "gradient"] = "opacity"
     """MCMC: Gaussians are doubled with a probability proportional to their larger opacity (3DGS-MCMC), or to the mean
     gradient of means2d, of both spectra, that the default strategy compares with its threshold (open choice)."""
@@ -232,31 +238,41 @@ class DensificationConfig:
 class AutoBudgetConfig:
     """How ``--budget auto`` finds the size of the model; without it nothing of this happens."""
 
-    prune_at: tuple[float, ...] = (0.6, 0.75)
-    """Shares of the run after which the Gaussians of least contribution are removed. Growth ends with the first."""
-    prune_share: float = 0.005
-    """Share of all contributions, over the training views and both spectra, of what is removed each time. Open choice:
-    the faintest half of the Gaussians often has no more."""
-    prune_by: Literal["weights", "squares"] = "squares"
-    """What a contribution is: the sum of a Gaussian's blending weights over all pixels, or of their squares, which
-    spares those that have some pixels to themselves (open choice)."""
+    prune_at: tuple[float, ...] = (0.5, 0.6, 0.7, 0.8)
+    """Shares of the run after which the Gaussians that matter least are removed, where growth has ended; it ends with
+    the last. Several small cuts with training between them take away more than one, as what is left makes up for what
+    is gone (open choice); the last leaves a fifth of the run to do so."""
+    prune_by: Literal["removal", "weights"] = "removal"
+    """What a Gaussian matters: the squared change of the images where it alone is left out, or its share of all
+    blending weights, which does not see that it may have the colour of what it hides. Open choice;
+    benchmarks/bench_budget.py compares them."""
+    prune_change: float = 0.02
+    """Largest change of training images by one removal, before anything is fine-tuned: their squared change, as a share
+    of their squared error, in the spectrum where that is larger. 0.02 is 0.09 dB of the training views' PSNR if no
+    step followed. Held-out views have larger errors, so that the same change costs them less. Open choice."""
     offset_shrinkage: float = 0.02
     """λ: soft threshold of the thermal opacity offsets after a step, as a multiple of their learning rate."""
-    offset_tolerance: float = 0.02
-    """At the last pruning, offsets that change an opacity by at most this become zero for good; the others shrink no
-    further."""
-    sh_tolerance: float = 0.01
-    """Largest change of a training image by the spherical harmonics that are dropped at the end, of the range 0 to 1.
-    Open choice: an upper bound, which costs about 0.01 dB."""
-    validation_views: int = 4
+    offset_change: float = 0.02
+    """Largest such change by the thermal opacity offsets that become zero for good at the last pruning; the others
+    shrink no further. Open choice: offsets are a hundredth of the model, so little is risked for them."""
+    sh_change: float = 0.01
+    """Largest such change by the spherical harmonics that are dropped at the end, after which nothing is fine-tuned:
+    0.04 dB. Open choice."""
+    rounding_change: float = 0.002
+    """Largest such change by parameters that are rounded to float16 at the end: 0.01 dB. 0: none are. Open choice."""
+    measured_views: int = 12
+    """Training views, spread over all, whose change is looked at: a bisection renders them ten times. Open choice."""
+    validation_views: int = 2
     """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
-    ends with ``densification.stop_step`` or the first pruning. None are taken where that would be over a quarter."""
+    ends with ``densification.stop_step`` or the first pruning. None are taken where that would be over a tenth: what
+    they would have shown is worth more. Open choice."""
     validate_every: int = 250
     """Steps between looks at the validation views."""
     least_gain: float = 0.02
     """Rise of the validation views' PSNR [dB], mean over views and spectra, that justifies more Gaussians."""
-    patience: int = 2000
-    """Growth stops when there was no such rise for this many steps: longer than an opacity reset is felt."""
+    patience: int = 3000
+    """Growth stops when there was no such rise for this many steps: as long as from one opacity reset to the next. Too
+    many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
 
 
 @dataclass(frozen=True)
@@ -285,9 +301,9 @@ class TrainConfig:
     graph: bool = True
     """On CUDA, record the work of a step once and replay it as a CUDA graph (--no-graph: launch it line by line)."""
     compile: bool = True
-    """On CUDA, decode by fused Triton kernels, or where there are none for the decoders or their precision let
-    torch.compile fuse them (half a minute at the first step, kept for later runs); skipped where Triton or a C compiler
-    is missing. --no-compile: plain PyTorch."""
+    """On CUDA, decode by fused kernels, or where there are none for the decoders, their precision or the device let
+    torch.compile fuse them (half a minute at the first step, kept for later runs; left out where Triton or a C compiler
+    is missing). --no-compile: plain PyTorch."""
     decoder_precision: Literal["float32", "tf32", "bfloat16"] = "tf32"
     """Precision of the decoders in training steps; parameters and evaluation are always float32. With "tf32" matrix
     products round their inputs to 10 bits of mantissa (TensorFloat-32, or float16 in the fused kernels); on the CPU it

@@ -23,7 +23,11 @@ _AT_LEAST: dict[str, float] = {
     "densification.max_gaussians": 1,
     "densification.growth": 0,
     "auto_budget.offset_shrinkage": 0,
-    "auto_budget.sh_tolerance": 0,
+    "auto_budget.prune_change": 0,
+    "auto_budget.offset_change": 0,
+    "auto_budget.sh_change": 0,
+    "auto_budget.rounding_change": 0,
+    "auto_budget.measured_views": 1,
     "auto_budget.validation_views": 0,
     "auto_budget.validate_every": 1,
     "auto_budget.patience": 1,
@@ -43,8 +47,6 @@ _SHARES = (
     "densification.keep_opacity",
     "schedule.thermal_from",
     "schedule.rgb_until",
-    "auto_budget.prune_share",
-    "auto_budget.offset_tolerance",
 )
 _POSITIVE = (
     "model.init_scale",

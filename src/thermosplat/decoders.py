@@ -84,10 +84,12 @@ class Decoders(nn.Module):
             ValueError: If the decoders were made without thermal channels.
         """
         encoded = self.shared_encoder(torch.stack([visible_features, thermal_features]))
+        # unbind, not [0] and [1], whose gradients would each be added to zeros of the whole
+        visible, thermal = encoded.unbind()
         if self.modulation is None:
-            return self._rgb_from(encoded[0], None), self._thermal_from(self.thermal_prior(encoded[1]))
-        prior = self.thermal_prior(encoded)
-        return self._rgb_from(encoded[0], prior[0]), self._thermal_from(prior[1])
+            return self._rgb_from(visible, None), self._thermal_from(self.thermal_prior(thermal))
+        visible_prior, thermal_prior = self.thermal_prior(encoded).unbind()
+        return self._rgb_from(visible, visible_prior), self._thermal_from(thermal_prior)
 
     def _rgb_from(self, encoded: Tensor, prior: Tensor | None) -> Tensor:
         """The RGB branch after the shared layers: modulation by the prior, where there is one, and the head."""

@@ -4,6 +4,7 @@ import csv
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -41,6 +42,13 @@ class RenderedView:
     """Thermal only."""
     celsius: Tensor | None
     """[H, W]; thermal only, where there are degrees."""
+
+    @cached_property
+    def intensity(self) -> Tensor:
+        """Scalar intensity of a thermal render in [0, 1], on the CPU, [H, W]; to invert a palette takes a while."""
+        if self.scale is None:
+            raise ValueError("Only thermal images have an intensity.")
+        return thermal_intensity(self.image, self.scale)
 
 
 def rendered_views(
@@ -148,8 +156,7 @@ def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | Non
     if result.scale is not None:
         numbers["mae_celsius"] = None
         if result.celsius is not None:
-            intensity = thermal_intensity(result.image, result.scale)
-            numbers["mae_celsius"] = mae_celsius(intensity, result.celsius, result.scale)
+            numbers["mae_celsius"] = mae_celsius(result.intensity, result.celsius, result.scale)
     return {name: _finite(number) for name, number in numbers.items()}
 
 
@@ -168,7 +175,7 @@ def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
     if result.celsius is None or result.scale.range_celsius is None:
         return Comparison("thermal", score, *shown, error, LARGEST_ERROR)
     low, high = result.scale.range_celsius
-    celsius = result.scale.celsius(thermal_intensity(result.image, result.scale).numpy())
+    celsius = result.scale.celsius(result.intensity.numpy())
     degrees = np.nan_to_num(np.abs(celsius - result.celsius.cpu().numpy()))  # unmeasured pixels show as no error
     return Comparison("thermal", score, *shown, degrees, LARGEST_ERROR_CELSIUS * (high - low), unit="C")
 

@@ -17,7 +17,6 @@ from thermosplat.datasets.capture import Capture, Frame, Modality
 from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.datasets.ground_truth import LABELS, GroundTruth, read_ground_truth
 from thermosplat.evaluation import RenderedView, rendered_views
-from thermosplat.metrics import thermal_intensity
 from thermosplat.model import SceneModel
 from thermosplat.run_directory import RunDirectory
 
@@ -168,7 +167,7 @@ def _image_errors(view: RenderedView) -> dict[str, NDArray[np.float64]]:
         "absolute": difference.abs().mean(dim=-1).cpu().numpy(),
     }
     if view.scale is not None and view.celsius is not None:
-        celsius = np.asarray(view.scale.celsius(thermal_intensity(view.image, view.scale).numpy()), dtype=np.float64)
+        celsius = np.asarray(view.scale.celsius(view.intensity.numpy()), dtype=np.float64)
         errors["celsius"] = np.abs(celsius - view.celsius.cpu().double().numpy())
     return errors
 

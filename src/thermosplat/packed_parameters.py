@@ -1,7 +1,7 @@
 """Parameters of Gaussians without what is zero: spherical harmonics to each one's own degree, offsets that count.
 
-Training keeps dense tensors; checkpoints hold these. Every packed tensor unpacks to an equal one, and what would not
-shrink stays as it is.
+Training keeps dense float32 tensors; checkpoints hold these. Where all numbers of a tensor are ones that float16 has,
+they are stored as such. Every packed tensor unpacks to an equal one, and what would not shrink stays as it is.
 """
 
 import torch
@@ -30,7 +30,7 @@ def pack(parameters: dict[str, Tensor]) -> dict[str, Tensor]:
         elif name in _SPARSE:
             parts = {f"{name}.kept": value != 0, f"{name}.values": value[value != 0]}
         packed |= parts if parts and num_bytes(parts) < num_bytes({name: value}) else {name: value}
-    return packed
+    return {name: _halved(value) for name, value in packed.items()}
 
 
 def unpack(packed: dict[str, Tensor], num_bases: int) -> dict[str, Tensor]:
@@ -40,6 +40,7 @@ def unpack(packed: dict[str, Tensor], num_bases: int) -> dict[str, Tensor]:
         packed: What ``pack`` returned.
         num_bases: Spherical harmonics above degree 0, K - 1.
     """
+    packed = {name: value.float() if value.dtype == torch.float16 else value for name, value in packed.items()}
     parameters = {name: value for name, value in packed.items() if "." not in name}
     for name in {key.partition(".")[0] for key in packed if "." in key}:
         values = packed[f"{name}.values"]
@@ -65,6 +66,14 @@ def sh_degrees(shN: Tensor) -> Tensor:
     used = (shN != 0).any(dim=-1)  # [N, K-1]
     degrees = torch.tensor([_degree(base) for base in range(shN.shape[1])], device=shN.device, dtype=torch.uint8)
     return (used * degrees).amax(dim=1)
+
+
+def _halved(value: Tensor) -> Tensor:
+    """The same numbers as float16 where that has them all."""
+    if value.dtype != torch.float32:
+        return value
+    half = value.half()
+    return half if torch.equal(half.float(), value) else value
 
 
 def _degree(base: int) -> int:

@@ -22,7 +22,7 @@ _TABLE_SAMPLES = 512
 """Points of the curve that compete for a cell of the table."""
 _WINDOW = 1 / 64
 """Share of the curve to either side of the table's answer within which the inverse looks for the nearest segment."""
-_CHUNK = 1 << 12
+_CHUNK = 1 << 13
 """Pixels treated at once, so that the intermediate arrays stay in the cache."""
 
 
@@ -105,16 +105,32 @@ class Palette:
         """Exact projection [m] onto the segments around the one that the table names for each colour [m, 3]."""
         cell = np.clip((color * _TABLE_SIZE).astype(np.intp), 0, _TABLE_SIZE - 1)
         centre = self._table[cell[:, 0], cell[:, 1], cell[:, 2]]
+        red, green, blue = np.ascontiguousarray(color.T)
+        (red0, green0, blue0), (red1, green1, blue1), squared_lengths = self._segments
         best = np.full(len(color), np.inf, np.float32)
         position = np.zeros(len(color), np.float32)
         window = 1 + int(_WINDOW * len(self.colors))
         for offset in range(-window, window + 1):
             segment = np.clip(centre + offset, 0, len(self.colors) - 2)
-            along, squared = _project_on_segments(color, self.colors[segment], self.colors[segment + 1])
+            # a channel at a time, several times faster than rows of three; from the segment's start to the colour
+            x, y, z = red - red0.take(segment), green - green0.take(segment), blue - blue0.take(segment)
+            dx, dy, dz = red1.take(segment), green1.take(segment), blue1.take(segment)
+            along = np.clip((x * dx + y * dy + z * dz) / squared_lengths.take(segment), 0, 1)
+            x -= along * dx
+            y -= along * dy
+            z -= along * dz
+            squared = x * x + y * y + z * z
             closer = squared < best
             best = np.where(closer, squared, best)
             position = np.where(closer, segment + along, position)
         return (position / np.float32(len(self.colors) - 1)).astype(np.float32), np.sqrt(best)
+
+    @cached_property
+    def _segments(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """First colour and direction of each segment, both channels first [3, n-1], and its squared length [n-1]."""
+        starts = np.ascontiguousarray(self.colors[:-1].T)
+        directions = np.ascontiguousarray(np.diff(self.colors, axis=0).T)
+        return starts, directions, np.maximum((directions * directions).sum(axis=0), np.float32(1e-12))
 
     @cached_property
     def _table(self) -> NDArray[np.intp]:
@@ -130,18 +146,6 @@ class Palette:
         ]
         segment = (intensity[np.concatenate(parts)] * (len(self.colors) - 1)).astype(np.intp)
         return segment.reshape(_TABLE_SIZE, _TABLE_SIZE, _TABLE_SIZE)
-
-
-def _project_on_segments(
-    color: NDArray[np.float32], start: NDArray[np.float32], end: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Position in [0, 1] along a segment each [m], and squared distance to it [m]."""
-    direction = end - start
-    length = np.maximum(np.einsum("mc,mc->m", direction, direction), np.float32(1e-12))
-    offset = color - start
-    along = np.clip(np.einsum("mc,mc->m", offset, direction) / length, 0, 1)
-    offset -= along[:, None] * direction
-    return along, np.einsum("mc,mc->m", offset, offset)
 
 
 def _flir_iron() -> Palette:

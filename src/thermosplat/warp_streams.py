@@ -55,10 +55,11 @@ class TorchMemory:
         scalar, inner = _scalar_and_shape(dtype)
         shape = (shape,) if isinstance(shape, int) else shape
         tensor = make(shape + inner, dtype=scalar, device=self.device)
-        if _kept.tensors is None:
+        if _kept.made is None:
             return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
-        _kept.tensors.append(tensor)
-        return ArrayView(tensor.data_ptr(), shape, dtype, device)
+        array = ArrayView(tensor.data_ptr(), shape, dtype, device)
+        _kept.made.append((array, tensor))
+        return array
 
     def fill(self, array: ArrayView, count: int, value: int) -> None:
         """Sets the first ``count`` numbers of an array made here."""
@@ -70,26 +71,26 @@ class TorchMemory:
 
 
 class _Kept(threading.local):
-    """Tensors of the arrays this thread made inside ``kept_apart``; None outside."""
+    """Arrays that this thread made inside ``kept_apart``, and their tensors; None outside."""
 
-    tensors: list[torch.Tensor] | None = None
+    made: list[tuple[ArrayView, torch.Tensor]] | None = None
 
 
 _kept = _Kept()
 
 
 @contextmanager
-def kept_apart() -> Iterator[list[torch.Tensor]]:
+def kept_apart() -> Iterator[list[tuple[ArrayView, torch.Tensor]]]:
     """Arrays that are made here do not keep their memory alive.
 
     Yields:
-        Their tensors, which do: torch frees those that a function saved when its backward pass is done.
+        The arrays with their tensors, which do: torch frees those that a function saved when its backward pass is done.
     """
-    outer, _kept.tensors = _kept.tensors, []
+    outer, _kept.made = _kept.made, []
     try:
-        yield _kept.tensors
+        yield _kept.made
     finally:
-        _kept.tensors = outer
+        _kept.made = outer
 
 
 @functools.cache

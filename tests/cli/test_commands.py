@@ -269,6 +269,9 @@ def test_export_elsewhere(run: Run, finished: Path, tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["splat_thermal.ply"]
     original = finished / "ply" / "splat_thermal.ply"
     assert (tmp_path / "out" / "splat_thermal.ply").read_bytes() == original.read_bytes()
+    assert run(export.main, finished, "--modality", "thermal", "--output", tmp_path / "small", "--compact")[0] == 0
+    small = tmp_path / "small" / "splat_thermal.ply"
+    assert small.stat().st_size < 0.35 * original.stat().st_size  # 17 of 62 properties
 
 
 def test_run_of_one_spectrum(run: Run, tmp_path: Path) -> None:

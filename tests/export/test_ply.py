@@ -67,6 +67,21 @@ def test_layout_is_inrias(sh_degree: int, tmp_path: Path) -> None:
         np.testing.assert_array_equal(columns(*names), expected)
 
 
+@pytest.mark.parametrize(("used", "count"), [(0, 0), (1, 3), (2, 8), (3, 15)])
+def test_compact_files_have_the_degrees_in_use(used: int, count: int, tmp_path: Path) -> None:
+    """As many f_rest as the highest degree of any Gaussian needs, channel by channel; the rest is the same."""
+    splats = random_splats(7, 3)
+    splats.shN[:, (used + 1) ** 2 - 1 :] = 0.0
+    splats.shN[1:, 3:] = 0.0
+    vertex = plyfile.PlyData.read(str(write_splats(tmp_path / "splat.ply", splats, compact=True).path))["vertex"]
+    names = [prop.name for prop in vertex.properties]
+    assert names == [n for n in INRIA_ORDER if not n.startswith("f_rest") or int(n.split("_")[2]) < 3 * count]
+    for channel in range(3):
+        for base in range(count):
+            np.testing.assert_array_equal(vertex[f"f_rest_{count * channel + base}"], splats.shN[:, base, channel])
+    np.testing.assert_array_equal(vertex["scale_2"], splats.log_scales[:, 2])
+
+
 def test_broken_and_invisible_gaussians_are_dropped_and_counted(tmp_path: Path) -> None:
     """A NaN anywhere, or an opacity below 1/255, keeps a Gaussian out of the file; the others keep their order."""
     splats = random_splats(6, 1)

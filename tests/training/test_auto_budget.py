@@ -16,19 +16,20 @@ from thermosplat.training.offset_shrinkage import drop_offsets
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
 
-FRAMES = 9  # of which 8 are trained on
+FRAMES = 21  # of which 20 are trained on
 
 
-def budget_config(max_steps: int = 24, **changes: Any) -> TrainConfig:
+def budget_config(max_steps: int = 40, **changes: Any) -> TrainConfig:
     settings = {
-        "prune_at": (0.75,),
-        "prune_share": 0.1,
+        "prune_at": (0.45,),
+        "prune_change": 0.02,
         "validation_views": 2,
         "validate_every": 2,
         "patience": 1000,
-        "sh_tolerance": 0.05,
+        "sh_change": 0.01,
         "offset_shrinkage": 0.1,
-        "offset_tolerance": 1e-4,
+        "offset_change": 0.0,
+        "measured_views": 3,
     }
     return toy_run_config(max_steps, budget="auto", auto_budget=AutoBudgetConfig(**(settings | changes)))
 
@@ -53,9 +54,37 @@ def test_pruning_ends_growth_and_frees_the_validation_views(tmp_path: Path) -> N
     assert trainer.model.num_gaussians < before
     assert not trainer.state.growing
     pruned = trainer.model.num_gaussians
-    advance(trainer, 24)
+    advance(trainer, 40)
     assert trainer.model.num_gaussians <= pruned
-    assert withheld < {trainer.schedule.frame(step).name for step in range(16, 24)}  # a whole epoch of all eight
+    assert withheld < {trainer.schedule.frame(step).name for step in range(20, 40)}  # a whole epoch of all twenty
+
+
+def test_a_run_too_short_to_have_grown_is_not_cut_at_its_first_share(tmp_path: Path) -> None:
+    """While Gaussians are added none are removed; the last share ends that."""
+    trainer = toy_trainer(tmp_path, budget_config(prune_at=(0.25, 0.45)), many_frames(toy_capture(), FRAMES))
+    advance(trainer, 9)
+    before = trainer.model.num_gaussians
+    advance(trainer, 10)
+    assert trainer.state.growing
+    assert trainer.model.num_gaussians >= before
+    advance(trainer, 17)
+    before = trainer.model.num_gaussians
+    advance(trainer, 18)
+    assert not trainer.state.growing
+    assert trainer.model.num_gaussians < before
+
+
+def test_pruning_changes_the_images_little(tmp_path: Path) -> None:
+    """By blending weights as by what removal changes: fewer Gaussians, and images within the tolerance."""
+    capture = many_frames(toy_capture(), FRAMES)
+    for prune_by in ("removal", "weights"):
+        trainer = toy_trainer(tmp_path / prune_by, budget_config(prune_by=prune_by), capture)
+        assert trainer.budget is not None
+        advance(trainer, 6)
+        change, before = trainer.budget.images(1), trainer.model.num_gaussians
+        trainer.budget._prune(1)
+        assert trainer.model.num_gaussians < before
+        assert change.now() <= 0.02
 
 
 def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
@@ -83,42 +112,60 @@ def test_a_full_budget_ends_growth(tmp_path: Path) -> None:
 
 
 def test_no_validation_views_where_there_are_too_few(tmp_path: Path) -> None:
-    """Of four training frames none is withheld."""
-    trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), 5))
+    """Of nineteen training frames two would be more than a tenth: none is withheld."""
+    trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES - 1))
     assert trainer.budget is not None
     assert trainer.budget.validation == ()
 
 
 def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
-    """metrics.json says how small; the checkpoint holds as much and comes back equal."""
+    """metrics.json says how small; the checkpoint holds as much, without moments, and comes back equal."""
     capture = many_frames(toy_capture(), FRAMES)
     trainer = toy_trainer(tmp_path / "auto", budget_config(), capture)
     advance(trainer, 18)  # where offsets are dropped: half of them are zero from now on
     gaussians = trainer.model.gaussians("shared")
-    with torch.no_grad():
-        gaussians.thermal_opacity_offsets[::2] = 0.0
-    drop_offsets(gaussians, trainer.state.optimizers["shared"], 0.0)
+    some = torch.arange(len(gaussians)) % 2 == 0
+    drop_offsets(gaussians, trainer.state.optimizers["shared"], some)
     trainer.train()
     metrics = json.loads(trainer.run.metrics_json.read_text())
     dense = sum(4 * parameter.numel() for parameter in trainer.model.parameters())
-    assert metrics["model_bytes"] == trainer.model.num_bytes < dense
+    assert metrics["model_bytes"] == trainer.model.num_bytes < 0.8 * dense
     assert 0.3 < metrics["thermal_offsets_kept"] < 0.6
-    checkpoint = load_checkpoint(trainer.run.checkpoint(24))
-    restored = SceneModel.from_checkpoint(checkpoint, "cpu")
+    path = trainer.run.checkpoint(40)
+    restored = SceneModel.from_checkpoint(load_checkpoint(path), "cpu")
     assert restored.num_bytes == metrics["model_bytes"]
     fixed = toy_trainer(tmp_path / "fixed", dataclasses.replace(budget_config(), budget="fixed"), capture)
     assert fixed.budget is None
+    fixed.train()
+    assert path.stat().st_size < 0.5 * fixed.run.checkpoint(40).stat().st_size
 
 
-@pytest.mark.parametrize("stop", [7, 20])
+def test_a_finished_run_is_trimmed_once_and_may_go_on(tmp_path: Path) -> None:
+    """Resumed without a further step it stays what it is; with more steps it trains on and is trimmed again."""
+    config, capture = budget_config(20), many_frames(toy_capture(), FRAMES)
+    trainer = toy_trainer(tmp_path, config, capture)
+    trainer.train()
+    again = Trainer.resume(config, capture, trainer.run)
+    again.train()
+    assert_same_state(state_tensors(again), state_tensors(trainer))
+    longer = Trainer.resume(dataclasses.replace(config, max_steps=24), capture, trainer.run)
+    assert longer.state.trimmed
+    advance(longer, 22)
+    assert not longer.state.trimmed
+    assert longer.state.checkpoint(longer.config, 1, None)["training"]["optimizers"] is not None
+    longer.train()
+    assert longer.state.trimmed
+
+
+@pytest.mark.parametrize("stop", [7, 30])
 def test_resumed_run_is_the_same(tmp_path: Path, stop: int) -> None:
     """A run that stopped before or after pruning ends as one that did not."""
     config, capture = budget_config(), many_frames(toy_capture(), FRAMES)
     whole = toy_trainer(tmp_path / "whole", config, capture)
-    advance(whole, 24)
+    advance(whole, 36)
     half = toy_trainer(tmp_path / "half", config, capture)
     advance(half, stop)
     half._save()
     resumed = Trainer.resume(config, capture, half.run)
-    advance(resumed, 24)
+    advance(resumed, 36)
     assert_same_state(state_tensors(resumed), state_tensors(whole))

@@ -1,4 +1,4 @@
-"""Contributions are sums of blending weights; the least of them go."""
+"""Contributions are sums of blending weights."""
 
 from typing import Any
 
@@ -8,8 +8,7 @@ import torch
 from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.model import SceneModel
 from thermosplat.rasterizer import rasterization
-from thermosplat.training.contributions import contributions, least, negligible, prune_sets
-from thermosplat.training.optimizers import gaussian_optimizers
+from thermosplat.training.contributions import contributions
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model
 
 SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
@@ -67,23 +66,3 @@ def test_separate_sets_have_shares_of_their_own() -> None:
     model = toy_model(toy_config(**SEPARATE), capture)
     shares = contributions(model, [frame_tensors(capture.train[0], capture.thermal_scale, "cpu")])
     assert {name: round(values.sum().item(), 4) for name, values in shares.items()} == {"rgb": 1.0, "thermal": 1.0}
-
-
-def test_who_is_negligible() -> None:
-    """As many of the smallest as together stay within the share; or a number of them."""
-    shares = torch.tensor([0.5, 0.01, 0.4, 0.03, 0.06])
-    assert negligible(shares, 0.05).tolist() == [False, True, False, True, False]
-    assert negligible(shares, 0.0).tolist() == [False] * 5
-    assert least(shares, 3).tolist() == [False, True, False, True, True]
-
-
-def test_no_set_is_emptied() -> None:
-    """Pruning all of a set leaves it as it is."""
-    model = toy_model(toy_config(), toy_capture())
-    gaussians = model.gaussians("shared")
-    optimizers = {"shared": gaussian_optimizers(gaussians, toy_config().optimizer)}
-    some = torch.arange(len(gaussians)) < 7
-    prune_sets({"shared": gaussians}, optimizers, {"shared": some})
-    assert len(gaussians) == len(some) - 7
-    prune_sets({"shared": gaussians}, optimizers, {"shared": torch.ones(len(gaussians), dtype=torch.bool)})
-    assert len(gaussians) == len(some) - 7

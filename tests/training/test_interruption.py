@@ -1,12 +1,13 @@
 """Ctrl-C waits for what must not stop half-way, and is not forgotten."""
 
+import contextlib
 import os
 import signal
 import threading
 
 import pytest
 
-from thermosplat.training.interruption import deferred_interrupts
+from thermosplat.training.interruption import deferred_interrupts, meanwhile
 
 
 @pytest.fixture(autouse=True)
@@ -76,3 +77,30 @@ def test_other_threads_can_use_it() -> None:
     thread.start()
     thread.join()
     assert done == [1]
+
+
+@pytest.mark.parametrize("error", [None, KeyboardInterrupt, ZeroDivisionError])
+def test_meanwhile_is_done_at_the_end(error: type[BaseException] | None) -> None:
+    """Work beside a block is complete after it, whether the block ends by itself, by Ctrl-C or by an error."""
+    entered, done = threading.Event(), []
+
+    def work() -> None:
+        entered.wait(10)
+        done.append(1)
+
+    with pytest.raises(error) if error is not None else contextlib.nullcontext(), meanwhile(work):
+        assert done == []
+        entered.set()
+        if error is not None:
+            raise error
+    assert done == [1]
+
+
+def test_meanwhile_raises_what_the_work_raised() -> None:
+    """An error in the other thread is not lost."""
+
+    def work() -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError), meanwhile(work):
+        pass

@@ -1,6 +1,7 @@
 """Density control by sampling: dead Gaussians move, the number grows to a budget, noise moves faint ones."""
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any
 
@@ -105,9 +106,28 @@ def test_noise_has_the_covariance_it_should() -> None:
     strategy.move(gaussians, optimizers, FINE, torch.Generator().manual_seed(0))
     rate = optimizers["means"].param_groups[0]["lr"]
     gate = torch.sigmoid(torch.tensor(0.5)).item()
-    expected = 100.0 * rate * gate * torch.tensor([0.1, 0.2, 0.05]) ** 2
+    expected = 100.0 * rate / 3.0**2 * gate * torch.tensor([0.1, 0.2, 0.05]) ** 2
     torch.testing.assert_close(gaussians.means[:10_000].std(dim=0), expected, rtol=0.1, atol=0)
     assert gaussians.means[10_000:].abs().max() < 1e-30
+
+
+def test_noise_is_the_same_in_all_units() -> None:
+    """A scene ten times as large, with means' rates ten times as large, is shaken by ten times as much."""
+    moves = []
+    for unit in (1.0, 10.0):
+        gaussians = random_gaussians(50)
+        optimizers = stepped_optimizers(gaussians)
+        with torch.no_grad():
+            gaussians.log_scales += math.log(unit)
+            gaussians.logit_opacities.fill_(-20.0)
+            gaussians.thermal_opacity_offsets.zero_()
+        optimizers["means"].param_groups[0]["lr"] *= unit
+        strategy = McmcStrategy(DensificationConfig(strategy="mcmc", max_gaussians=50), 3.0 * unit, 50, "cpu")
+        before = gaussians.means.detach().clone()
+        strategy.move(gaussians, optimizers, FINE, torch.Generator().manual_seed(0))
+        moves.append(gaussians.means.detach() - before)
+    assert moves[0].abs().max() > 1e-6
+    torch.testing.assert_close(moves[1], 10.0 * moves[0], rtol=1e-3, atol=1e-5)
 
 
 def test_a_run_grows_to_its_budget(tmp_path: Path) -> None:

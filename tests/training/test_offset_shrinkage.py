@@ -4,7 +4,10 @@ import pytest
 import torch
 from random_gaussians import random_gaussians, stepped_optimizers
 
-from thermosplat.training.offset_shrinkage import drop_offsets, hold_zeros, shrink_offsets
+from thermosplat.training.image_change import ImageChange
+from thermosplat.training.offset_shrinkage import drop_offsets, hold_zeros, idle_offsets, shrink_offsets
+from thermosplat.training.opacity_sensitivities import offset_effects, opacity_sensitivities
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
 
 FINE = torch.zeros(())
 
@@ -38,14 +41,13 @@ def test_only_what_was_trained() -> None:
 
 
 def test_dropped_offsets_stay_zero() -> None:
-    """Offsets that hardly change an opacity become zero; training moves the others only."""
+    """Training moves the others only."""
     gaussians = random_gaussians(3)
     optimizers = stepped_optimizers(gaussians)
     offsets = gaussians.thermal_opacity_offsets
     with torch.no_grad():
-        gaussians.logit_opacities.copy_(torch.tensor([0.0, 0.0, -7.0]))
-        offsets.copy_(torch.tensor([0.04, 1.0, 1.0]))  # opacity changes 0.01, 0.23 and 0.0016
-    drop_offsets(gaussians, optimizers, 0.02)
+        offsets.copy_(torch.tensor([0.04, 1.0, 1.0]))
+    drop_offsets(gaussians, optimizers, torch.tensor([True, False, True]))
     assert offsets.tolist() == [0.0, 1.0, 0.0]
     for _ in range(3):
         offsets.grad = torch.ones(3)
@@ -54,5 +56,24 @@ def test_dropped_offsets_stay_zero() -> None:
     assert offsets[[0, 2]].tolist() == [0.0, 0.0]
     assert offsets[1] != 1.0
     plain = random_gaussians(3, thermal=False)
-    drop_offsets(plain, stepped_optimizers(plain), 0.02)
     hold_zeros(plain)
+
+
+def test_idle_offsets_are_those_that_images_do_not_miss() -> None:
+    """The most that change the images within the tolerance, of least effect; none without a tolerance, all with any."""
+    capture = toy_capture()
+    model = toy_model(toy_config(), capture)
+    gaussians, frame = model.gaussians("shared"), toy_frame(capture)
+    with torch.no_grad():
+        gaussians.thermal_opacity_offsets[:20] *= 0.01
+    before = gaussians.thermal_opacity_offsets.detach().clone()
+    effects = offset_effects(gaussians, opacity_sensitivities(model, [frame] * 8, 1, {"thermal": 1.0})["shared"])
+    change = ImageChange(model, [frame], 1)
+    some = idle_offsets(gaussians, effects, change, 1e-4)
+    assert torch.equal(gaussians.thermal_opacity_offsets, before)
+    assert some[:20].all()
+    assert some.sum() < 60
+    assert idle_offsets(gaussians, effects, change, 1e9).all()
+    with torch.no_grad():
+        gaussians.thermal_opacity_offsets[some] = 0.0
+    assert 0 < change.now() <= 1e-4

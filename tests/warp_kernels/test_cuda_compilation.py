@@ -10,6 +10,7 @@ from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.camera_gradients import CAMERA_RECORD, camera_finish_kernel
+from warp_kernels.decoder_networks import HIDDEN, decoder_kernels
 from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.list_segments import join_segments_kernel
 from warp_kernels.projection import projection_kernel
@@ -67,6 +68,16 @@ def test_blending_compiles_for_cuda(tmp_path: Path) -> None:
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Projection, colours, binning, sums."""
     compile_all(gaussian_kernels(dtype), arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [80, 90])
+def test_decoders_compile_for_cuda(arch: int, tmp_path: Path) -> None:
+    """All sizes, with and without a modulation."""
+    kernels = [
+        kernel for hidden in HIDDEN for modulated in (False, True) for kernel in decoder_kernels(hidden, modulated)
+    ]
+    compile_all(kernels, arch, tmp_path)
 
 
 def cuda_layouts(tile_size: int, channels: int, dtype: type) -> set[BlendLayout]:

@@ -19,6 +19,9 @@ class ExportArguments(RunArguments):
     """Which spectrum. None: all that were trained."""
     output: str | None = None
     """Folder for the files. None: ply/ in the result folder."""
+    compact: bool = False
+    """Leave out spherical harmonics that are zero everywhere: thermal files of decoded scenes shrink to a quarter. The
+    original viewer wants all of them; many others do not."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -44,7 +47,9 @@ def _export(arguments: ExportArguments) -> int:
     else:
         modalities = ("rgb", "thermal") if arguments.modality == "both" else (arguments.modality,)
     folder = loaded.directory.ply if arguments.output is None else Path(arguments.output)
-    written = export_scene(loaded.model, folder, thermal_scale=loaded.thermal_scale, modalities=modalities)
+    written = export_scene(
+        loaded.model, folder, thermal_scale=loaded.thermal_scale, modalities=modalities, compact=arguments.compact
+    )
     for ply in written.values():
         dropped = f", {ply.num_dropped:,} invisible or broken ones left out" if ply.num_dropped else ""
         print(f"{ply.path}: {ply.num_gaussians:,} Gaussians{dropped}")

@@ -7,15 +7,18 @@ thermosplat-train --resume results/shed   go on after an interruption
 
 import shlex
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import INTERRUPTED, run_command
+from thermosplat.cli.host_settings import importing, prepare_host
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
+    from thermosplat.datasets.capture import Capture
     from thermosplat.training.trainer import Trainer
 
 
@@ -34,12 +37,14 @@ def main(argv: list[str] | None = None) -> int:
 
 def _train(argv: list[str]) -> int:
     config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
+    prepare_host()
+    with importing():
+        from thermosplat.cli.warp_start import compiled_meanwhile, start_warp
+        from thermosplat.training.interruption import TrainingInterrupted
 
-    from thermosplat.cli.warp_start import start_warp
-    from thermosplat.training.interruption import TrainingInterrupted
-
-    start_warp()
-    trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
+        start_warp()
+        with compiled_meanwhile(config):
+            trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
     try:
         trainer.train()
     except TrainingInterrupted as stop:
@@ -50,31 +55,42 @@ def _train(argv: list[str]) -> int:
 
 
 def _new_trainer(config: "TrainConfig") -> "Trainer":
-    from thermosplat.datasets import load_capture
     from thermosplat.run_directory import RunDirectory
-    from thermosplat.training.trainer import Trainer
 
-    capture = load_capture(
-        config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
-    )
+    capture, trainer_class = _capture_and_trainer(config)
     folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
     data = config.data if config.data == "sample" else str(Path(config.data).resolve())  # holds from any directory
-    trainer = Trainer(replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder))
+    trainer = trainer_class(
+        replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder)
+    )
     # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
     RunDirectory.create(folder, overwrite=config.overwrite)
     return trainer
 
 
 def _resumed_trainer(config: "TrainConfig") -> "Trainer":
-    from thermosplat.datasets import load_capture
     from thermosplat.run_directory import RunDirectory
-    from thermosplat.training.trainer import Trainer
 
     run = RunDirectory.open(str(config.resume))
-    capture = load_capture(
-        config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
-    )
-    return Trainer.resume(replace(config, resume=None), capture, run)
+    capture, trainer_class = _capture_and_trainer(config)
+    return trainer_class.resume(replace(config, resume=None), capture, run)
+
+
+def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Trainer"]]:
+    """The capture, and the trainer's class: images are read while modules are imported."""
+    from thermosplat.datasets import load_capture
+
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        reading = thread.submit(
+            load_capture,
+            config.data,
+            data_factor=config.data_factor,
+            test_every=config.test_every,
+            thermal=config.thermal,
+        )
+        from thermosplat.training.trainer import Trainer
+
+        return reading.result(), Trainer
 
 
 def _say_where(trainer: "Trainer") -> None:

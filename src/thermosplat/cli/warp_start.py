@@ -1,16 +1,25 @@
-"""Starting Warp without the warning that its native library prints on every machine without an NVIDIA driver."""
+"""Starting Warp: without a needless warning, and with a step's kernels compiled while other things are done."""
 
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import warp as wp
+
+if TYPE_CHECKING:
+    from thermosplat.config import TrainConfig
 
 EXPECTED_WITHOUT_CUDA = b"Could not find or load the NVIDIA CUDA driver"
 
 
 def start_warp() -> None:
-    """Initialise Warp. The commands say themselves that there is no CUDA device; everything else it prints stays.
+    """Initialise Warp, without the warning that its native library prints where there is no NVIDIA driver.
+
+    The commands say themselves that there is no CUDA device; everything else it prints stays.
 
     The warning comes from C and is written to the file descriptor, where Python cannot filter it: standard error goes
     through a file meanwhile.
@@ -29,3 +38,28 @@ def start_warp() -> None:
             for line in printed:
                 if EXPECTED_WITHOUT_CUDA not in line:
                     os.write(2, line)
+
+
+@contextmanager
+def compiled_meanwhile(config: "TrainConfig") -> Iterator[None]:
+    """Around imports and the reading of images: where a training will run on the CPU, its kernels are compiled.
+
+    On two cores that is a few seconds of the first run. On CUDA, which kernels blend depends on the frame.
+
+    Args:
+        config: The training's. Gaussians of one spectrum each have kernels of their own, compiled when they are needed.
+    """
+    on_cpu = config.device == "cpu" or (config.device == "auto" and wp.get_cuda_device_count() == 0)
+    model = config.model
+    if not on_cpu or model.gaussian_sets != "shared" or model.feature_dim == 0:
+        yield
+        return
+    from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels
+
+    thermal_channels = model.feature_dim if model.geometric_decoupling else 0
+    antialiased = model.rasterize_mode == "antialiased"
+    kernels = cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased)
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        compiling = thread.submit(compile_for_cpu, kernels)
+        yield
+        compiling.result()

@@ -14,16 +14,28 @@ import torch
 from torch import Tensor
 
 from thermosplat.checkpoint import write_atomically
+from thermosplat.packed_parameters import sh_degrees
 
 REST_COEFFICIENTS = 15  # SH degrees 1 to 3
-PROPERTIES = (
-    *("x", "y", "z", "nx", "ny", "nz"),
-    *(f"f_dc_{i}" for i in range(3)),
-    *(f"f_rest_{i}" for i in range(3 * REST_COEFFICIENTS)),
-    "opacity",
-    *(f"scale_{i}" for i in range(3)),
-    *(f"rot_{i}" for i in range(4)),
-)
+
+
+def properties(rest_coefficients: int) -> tuple[str, ...]:
+    """Names in file order.
+
+    Args:
+        rest_coefficients: SH coefficients of a channel above degree 0: 0, 3, 8 or 15.
+    """
+    return (
+        *("x", "y", "z", "nx", "ny", "nz"),
+        *(f"f_dc_{i}" for i in range(3)),
+        *(f"f_rest_{i}" for i in range(3 * rest_coefficients)),
+        "opacity",
+        *(f"scale_{i}" for i in range(3)),
+        *(f"rot_{i}" for i in range(4)),
+    )
+
+
+PROPERTIES = properties(REST_COEFFICIENTS)
 INVISIBLE_OPACITY = 1.0 / 255.0
 """Fainter Gaussians never reach the renderer's smallest blended alpha, 1/255 (3DGS, gsplat)."""
 
@@ -58,21 +70,23 @@ class WrittenPly:
     """Gaussians left out: a value that is not finite, or an opacity below 1/255."""
 
 
-def write_splats(path: Path, splats: Splats, comments: Iterable[str] = ()) -> WrittenPly:
+def write_splats(path: Path, splats: Splats, comments: Iterable[str] = (), *, compact: bool = False) -> WrittenPly:
     """Write Gaussians as PLY; the file appears at once and whole.
 
     Args:
         path: Where to write; its folder must exist.
         splats: The Gaussians.
         comments: Lines for the header; text outside ASCII is written as "?".
+        compact: Leave out the SH degrees that are zero everywhere.
 
     Returns:
         The path and how many Gaussians went in and were left out.
     """
-    table = _table(splats)
+    rest = _used_coefficients(splats.shN) if compact else REST_COEFFICIENTS
+    table = _table(splats, rest)
     visible = torch.sigmoid(splats.logit_opacities.detach()).cpu().numpy() >= INVISIBLE_OPACITY
     kept = table[np.isfinite(table).all(axis=1) & visible]
-    header = _header(len(kept), comments)
+    header = _header(len(kept), comments, properties(rest))
 
     def write(temporary: Path) -> None:
         with temporary.open("wb") as file:
@@ -83,16 +97,23 @@ def write_splats(path: Path, splats: Splats, comments: Iterable[str] = ()) -> Wr
     return WrittenPly(path, len(kept), len(table) - len(kept))
 
 
-def _table(splats: Splats) -> np.ndarray:
-    """All properties in file order, float32 [N, 62]."""
-    count, bases, _ = splats.shN.shape
-    rest = splats.shN.new_zeros(count, 3, REST_COEFFICIENTS)
-    rest[..., :bases] = splats.shN.detach().transpose(1, 2)  # the file runs through a channel's bases, then the next
+def _used_coefficients(shN: Tensor) -> int:
+    """Coefficients of a channel above degree 0, up to the highest degree that is not zero everywhere."""
+    degree = int(sh_degrees(shN).max()) if shN.numel() > 0 else 0
+    return (degree + 1) ** 2 - 1
+
+
+def _table(splats: Splats, rest_coefficients: int) -> np.ndarray:
+    """All properties in file order, float32 [N, properties]."""
+    count, bases = len(splats.shN), min(splats.shN.shape[1], rest_coefficients)
+    rest = splats.shN.new_zeros(count, 3, rest_coefficients)
+    # the file runs through a channel's bases, then the next
+    rest[..., :bases] = splats.shN[:, :bases].detach().transpose(1, 2)
     columns = [
         splats.means,
         torch.zeros_like(splats.means),
         splats.sh0.reshape(count, 3),
-        rest.reshape(count, 3 * REST_COEFFICIENTS),
+        rest.reshape(count, 3 * rest_coefficients),
         splats.logit_opacities.reshape(count, 1),
         splats.log_scales,
         torch.nn.functional.normalize(splats.quats, dim=-1),  # not every viewer normalises
@@ -100,8 +121,8 @@ def _table(splats: Splats) -> np.ndarray:
     return torch.cat([column.detach().float() for column in columns], dim=1).cpu().numpy()
 
 
-def _header(count: int, comments: Iterable[str]) -> bytes:
+def _header(count: int, comments: Iterable[str], names: Iterable[str]) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {' '.join(comment.split())}" for comment in comments]
-    lines += [f"element vertex {count}", *(f"property float {name}" for name in PROPERTIES), "end_header"]
+    lines += [f"element vertex {count}", *(f"property float {name}" for name in names), "end_header"]
     return ("\n".join(lines) + "\n").encode("ascii", errors="replace")

@@ -24,7 +24,12 @@ Modality = Literal["rgb", "thermal"]
 
 
 def export_scene(
-    model: SceneModel, folder: Path, *, thermal_scale: ThermalScale | None, modalities: Iterable[Modality] | None = None
+    model: SceneModel,
+    folder: Path,
+    *,
+    thermal_scale: ThermalScale | None,
+    modalities: Iterable[Modality] | None = None,
+    compact: bool = False,
 ) -> dict[Modality, WrittenPly]:
     """Write ``splat_rgb.ply`` and ``splat_thermal.ply``.
 
@@ -33,6 +38,7 @@ def export_scene(
         folder: Folder to write into; made where there is none.
         thermal_scale: What the thermal values mean; None for a model without thermal images.
         modalities: Which files to write. None: every modality that is modelled.
+        compact: Leave out spherical harmonics that are zero everywhere (``ply.write_splats``).
 
     Returns:
         What was written, by modality.
@@ -47,6 +53,7 @@ def export_scene(
             folder / f"splat_{modality}.ply",
             modality_splats(model, modality, thermal_scale),
             _comments(model, modality, thermal_scale),
+            compact=compact,
         )
         for modality in modalities
     }

@@ -37,7 +37,7 @@ class CellResult:
     num_gaussians: int
     """Gaussians in all sets."""
     model_bytes: int
-    """All parameters, Gaussians' and decoders', as they are trained (float32)."""
+    """All parameters, Gaussians' and decoders', as a checkpoint stores them: see ``SceneModel.num_bytes``."""
     train_minutes: float
     """Time in training steps [min]."""
     peak_memory_bytes: int | None

@@ -46,7 +46,7 @@ class Margin(NamedTuple):
 def margins_table(results: Results) -> Table:
     """Margins of every method that is neither baseline nor ablation, and of the full method over its ablations."""
     scenes = results.scenes()
-    duels = _duels(results.methods())
+    duels = duels_of(results.methods())
     rows: list[tuple[str, ...]] = []
     for modality in _SPECTRA:
         metrics = {"psnr": METRICS["psnr"]} if modality == "both" else METRICS
@@ -92,7 +92,12 @@ def margin(scores: Mapping[str, float | None], duel: Duel, metric: str) -> Margi
     return Margin(sign * own - others[best], best)
 
 
-def _duels(methods: Sequence[str]) -> list[Duel]:
+def duels_of(methods: Sequence[str]) -> list[Duel]:
+    """Who is compared with whom.
+
+    Args:
+        methods: All that there are.
+    """
     baselines = [method for method in methods if method_group(method) == "baselines"]
     ablations = [method for method in methods if method_group(method) == "ablations"]
     duels = []

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.margins_table import margins_table
+from thermosplat.method_matrix.paired_table import paired_table
 from thermosplat.method_matrix.paper_tables import all_tables
 from thermosplat.method_matrix.region_table import region_table
 from thermosplat.method_matrix.results import Results
@@ -31,8 +32,7 @@ def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:
         message = f"{out} has no finished cell yet."
         raise UserError(message, "Name scenes to train: thermosplat-benchmark SCENES --out FOLDER.")
     results.write(out)
-    margins = margins_table(results)
-    tables = [*all_tables(results), *([margins] if margins.rows else [])]
+    tables = [*all_tables(results), *(table for table in (margins_table(results), paired_table(results)) if table.rows)]
     write_tables(out, tables)
     regions = region_table(results)
     if regions is not None:

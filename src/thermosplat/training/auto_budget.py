@@ -2,25 +2,29 @@
 
 - Some training views are withheld while the number of Gaussians grows; when their PSNR has not risen for a while,
   growth stops and they are trained on like the others. Held-out test views steer nothing.
-- At set shares of the run the Gaussians that contribute least to the training views are removed (contributions.py);
-  the rest of the run fine-tunes what is left. Growth ends with the first removal at the latest.
+- At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
+  many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
+  Nothing is removed while it still grows, which ends with the last share at the latest.
 - Thermal opacity offsets shrink, and at the last removal those that do next to nothing go (offset_shrinkage.py).
-- At the end spherical harmonics that change no training view are dropped (sh_bands.py), and the checkpoint stores only
-  what is not zero (packed_parameters.py).
+- At the end spherical harmonics are dropped (sh_bands.py) and parameters rounded (rounding.py) as far as those images
+  do not show it, and the checkpoint stores only what is left (packed_parameters.py).
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
 from thermosplat.config import TrainConfig
-from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.metrics import psnr
-from thermosplat.training.contributions import contributions, negligible, prune_sets
+from thermosplat.training.contributions import contributions
+from thermosplat.training.image_change import ImageChange
 from thermosplat.training.modality_schedule import ModalitySchedule
-from thermosplat.training.offset_shrinkage import drop_offsets
+from thermosplat.training.offset_shrinkage import drop_offsets, idle_offsets
+from thermosplat.training.opacity_sensitivities import offset_effects, opacity_sensitivities, removal_effects
+from thermosplat.training.pruning import dispensable, prune_sets
+from thermosplat.training.rounding import round_to_half
 from thermosplat.training.sh_bands import drop_bands
 from thermosplat.training.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
@@ -44,7 +48,7 @@ class AutoBudget:
         self.frames = frames
         self.schedule = schedule
         self.settings = config.auto_budget
-        self.validation = _spread(len(frames), self.settings.validation_views)
+        self.validation = _validation_views(len(frames), self.settings.validation_views)
         self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
         if state.growing:
             schedule.withhold(self.validation)
@@ -56,7 +60,7 @@ class AutoBudget:
         return self.prunes_at(step) or self._validates_at(step) or self._growth_is_over(step)
 
     def prunes_at(self, step: int) -> bool:
-        """Whether Gaussians are removed after this step, and captured steps no longer fit."""
+        """Whether Gaussians may be removed after this step, and captured steps no longer fit."""
         return step in self._prune_steps
 
     def after_step(self, step: int, sh_degree: int) -> None:
@@ -70,19 +74,26 @@ class AutoBudget:
             self._validate(step, sh_degree)
         if self._growth_is_over(step):
             self._stop_growing()
-        if self.prunes_at(step):
+        is_last = step == max(self._prune_steps, default=0)
+        if is_last:
             self._stop_growing()
-            self._prune()
-        if step == max(self._prune_steps, default=0):
-            self._drop_offsets()
+        if self.prunes_at(step) and not self.state.growing:  # a short run may have far to grow after its first share
+            self._prune(sh_degree)
+        if is_last:
+            self.drop_offsets(sh_degree)
 
     def finish(self, sh_degree: int) -> None:
-        """Drop what is not needed once training is over.
+        """Drop what is not needed once training is over; again only after further steps.
 
         Args:
             sh_degree: Degree of the spherical harmonics in use.
         """
-        drop_bands(self.state.model, self._all_frames(), sh_degree, self.settings.sh_tolerance)
+        if self.state.trimmed:
+            return
+        model, settings = self.state.model, self.settings
+        drop_bands(model, self.frames, sh_degree, self.images(sh_degree), settings.sh_change)
+        round_to_half(model, self.images(sh_degree), settings.rounding_change)
+        self.state.trimmed = True
 
     def _validates_at(self, step: int) -> bool:
         settings, started = self.settings, self.config.densification.start_step
@@ -118,26 +129,72 @@ class AutoBudget:
             strategy.growing = False
         self.schedule.withhold(())
 
-    def _prune(self) -> None:
+    def scores(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
+        """What each Gaussian is worth to the training images, [N] by name of the set.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+            change: Some of the images as they are now.
+        """
+        model = self.state.model
+        if self.settings.prune_by == "weights":
+            return contributions(model, self.frames)
+        sensitivities = self._sensitivities(sh_degree, change)
+        return {name: removal_effects(model.gaussians(name), found) for name, found in sensitivities.items()}
+
+    def remove(self, removed: Mapping[str, Tensor]) -> None:
+        """Remove Gaussians, by masks [N] by name of the set."""
         state = self.state
-        squared = self.settings.prune_by == "squares"
-        shares: dict[str, Tensor] = contributions(state.model, self._all_frames(), squared=squared)
-        removed = {name: negligible(values, self.settings.prune_share) for name, values in shares.items()}
         prune_sets(state.gaussian_sets, state.optimizers, removed)
         for name, strategy in state.strategies.items():
             strategy.forget(len(state.gaussian_sets[name]))
 
-    def _drop_offsets(self) -> None:
-        self.state.offsets_dropped = True
-        for name, gaussians in self.state.gaussian_sets.items():
-            drop_offsets(gaussians, self.state.optimizers[name], self.settings.offset_tolerance)
+    def drop_offsets(self, sh_degree: int) -> None:
+        """Make those thermal opacity offsets zero, for good, that the training images do not miss.
 
-    def _all_frames(self) -> Iterator[FrameTensors]:
-        return (self.frames[index] for index in range(len(self.frames)))
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+        """
+        state = self.state
+        state.offsets_dropped = True
+        if not any("thermal_opacity_offsets" in optimizers for optimizers in state.optimizers.values()):
+            return
+        change = self.images(sh_degree)
+        for name, sensitivities in self._sensitivities(sh_degree, change).items():
+            gaussians = state.gaussian_sets[name]
+            effects = offset_effects(gaussians, sensitivities)
+            dropped = idle_offsets(gaussians, effects, change, self.settings.offset_change)
+            drop_offsets(gaussians, state.optimizers[name], dropped)
+
+    def images(self, sh_degree: int) -> ImageChange:
+        """Some training images as they are now.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+        """
+        looked_at = _spread(len(self.frames), min(self.settings.measured_views, len(self.frames)))
+        return ImageChange(self.state.model, [self.frames[index] for index in looked_at], sh_degree)
+
+    def _prune(self, sh_degree: int) -> None:
+        change = self.images(sh_degree)
+        self.remove(
+            {
+                name: dispensable(self.state.gaussian_sets[name], values, change, self.settings.prune_change)
+                for name, values in self.scores(sh_degree, change).items()
+            }
+        )
+
+    def _sensitivities(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
+        """Of the images to opacities; a spectrum counts the more the smaller its error is, as ``change`` has it."""
+        weights = {modality: 1.0 / error for modality, error in change.errors.items()}
+        return opacity_sensitivities(self.state.model, self.frames, sh_degree, weights)
+
+
+def _validation_views(num_frames: int, count: int) -> tuple[int, ...]:
+    """Indices of ``count`` frames to withhold; none where that would be more than a tenth of them."""
+    return () if 10 * count > num_frames else _spread(num_frames, count)
 
 
 def _spread(num_frames: int, count: int) -> tuple[int, ...]:
-    """Indices of ``count`` frames spread over all; none where that would be more than a quarter of them."""
-    if count == 0 or 4 * count > num_frames:
-        return ()
+    """Indices of ``count`` frames spread over all."""
     return tuple(round((i + 0.5) * num_frames / count - 0.5) for i in range(count))

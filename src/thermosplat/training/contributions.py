@@ -1,4 +1,4 @@
-"""How much each Gaussian contributes to the training images, and removing those that contribute least.
+"""How much each Gaussian contributes to the training images.
 
 A render is A = Σ_i a_i w_i with blending weights w_i (equation 1), so the gradient of the sum of all pixels with
 respect to a_i is the sum of the Gaussian's weights over the image: one backward pass a view gives those of all
@@ -9,7 +9,7 @@ own count for more than a trace in many. With random signs s_p = ±1 on the pixe
 Σ s_p w_p, whose square has the expected value Σ w_p² (Hutchinson 1990); each colour channel of each view is a sample.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor
@@ -18,7 +18,6 @@ from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
 from thermosplat.gaussians import Gaussians
 from thermosplat.model import SceneModel
 from thermosplat.rasterizer import rasterization, rasterization_rgbt
-from thermosplat.training.gaussian_ops import Optimizers, prune
 
 
 def contributions(model: SceneModel, frames: Iterable[FrameTensors], *, squared: bool = False) -> dict[str, Tensor]:
@@ -46,41 +45,6 @@ def contributions(model: SceneModel, frames: Iterable[FrameTensors], *, squared:
                 name = spectrum if spectrum in model.gaussian_sets else "shared"
                 weights[name][row] += _weights(model, name, view, signs, thermal=spectrum == "thermal")
     return {name: _shares(both) for name, both in weights.items()}
-
-
-def negligible(shares: Tensor, together: float) -> Tensor:
-    """Mask of the Gaussians of least contribution, as many as together have this share of all.
-
-    Args:
-        shares: As ``contributions`` gives them, shape [N].
-        together: 0 to 1.
-    """
-    order = torch.argsort(shares.double(), stable=True)
-    removed = torch.zeros_like(shares, dtype=torch.bool)
-    removed[order] = shares.double()[order].cumsum(dim=0) <= together
-    return removed
-
-
-def least(shares: Tensor, count: int) -> Tensor:
-    """Mask of the ``count`` Gaussians of least contribution, of shares [N]."""
-    removed = torch.zeros_like(shares, dtype=torch.bool)
-    removed[torch.argsort(shares, stable=True)[:count]] = True
-    return removed
-
-
-def prune_sets(
-    gaussian_sets: Mapping[str, Gaussians], optimizers: Mapping[str, Optimizers], removed: Mapping[str, Tensor]
-) -> None:
-    """Remove Gaussians from several sets, but never all of one.
-
-    Args:
-        gaussian_sets: The sets by name.
-        optimizers: Their optimizers.
-        removed: Masks [N] by name of the set.
-    """
-    for name, mask in removed.items():
-        if bool(mask.any()) and not bool(mask.all()):
-            prune(gaussian_sets[name], optimizers[name], mask)
 
 
 @torch.enable_grad()

@@ -8,16 +8,14 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from thermosplat.decoders import Decoders
 from thermosplat.spectrum_decoders import SpectrumDecoders
-
-if TYPE_CHECKING:
-    from thermosplat.training.fused_decoders import FusedDecoders
+from thermosplat.warp_decoders import FusedDecoders, fits
 
 Precision = Literal["float32", "tf32", "bfloat16"]
 
@@ -31,8 +29,8 @@ class FastDecoders:
     Args:
         decoders: The decoders.
         compiled: On CUDA, let fused kernels decode where there are some for the decoders and the precision
-            (fused_decoders.py); otherwise let torch.compile join element-wise work into few kernels, which takes some
-            seconds once a size.
+            (warp_decoders.py); otherwise let torch.compile, where it works, join element-wise work into few kernels,
+            which takes some seconds once a size.
         precision: Of activations and matrix products: "float32"; "tf32", whose products round their inputs to 10 bits
             of mantissa; "bfloat16", which also keeps activations in 16 bits, 7 of them mantissa, and halves the
             traffic. Parameters, their updates and the images are float32 in any case.
@@ -50,7 +48,7 @@ class FastDecoders:
             branch = getattr(decoders, name)
             if precision == "bfloat16":
                 branch = _in_bfloat16(branch)
-            self._branches[name] = torch.compile(branch, dynamic=False) if compiled else branch
+            self._branches[name] = torch.compile(branch, dynamic=False) if compiled and can_compile() else branch
 
     @contextmanager
     def active(self) -> Iterator[None]:
@@ -67,13 +65,8 @@ class FastDecoders:
             torch.set_float32_matmul_precision(precision)
 
 
-def _fused(decoders: Decoders | SpectrumDecoders) -> "FusedDecoders | None":
+def _fused(decoders: Decoders | SpectrumDecoders) -> FusedDecoders | None:
     """The decoders by fused kernels; None where there are none for them."""
-    if next(decoders.parameters()).device.type != "cuda":
-        return None
-    # Imported here: Triton comes with PyTorch for CUDA only.
-    from thermosplat.training.fused_decoders import FusedDecoders, fits
-
     return FusedDecoders(decoders) if isinstance(decoders, Decoders) and fits(decoders) else None
 
 

@@ -6,6 +6,8 @@ the new tensors and then puts them in place, so that running out of memory half-
 """
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
@@ -15,6 +17,22 @@ Optimizers = dict[str, torch.optim.Adam]
 
 SPLIT_SCALE = 1.6
 """The two halves of a split Gaussian are this much smaller. 3DGS: 0.8 x 2."""
+
+
+@contextmanager
+def opacities_restored(gaussians: nn.Module) -> Iterator[None]:
+    """A block that may overwrite opacities; behind it all are as they were.
+
+    Args:
+        gaussians: The Gaussians.
+    """
+    saved = [(value, value.detach().clone()) for name, value in gaussians.named_parameters() if "opacit" in name]
+    try:
+        yield
+    finally:
+        with torch.no_grad():
+            for value, before in saved:
+                value.copy_(before)
 
 
 @torch.no_grad()
@@ -69,13 +87,14 @@ def split(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor, genera
         generator: Draws the new means; a CPU generator, so that every device draws the same.
     """
     parameters = dict(gaussians.named_parameters())
-    scales = parameters["log_scales"][selected].exp()
+    indices = torch.where(selected)[0]  # once: every selection by a mask waits for the device
+    scales = parameters["log_scales"][indices].exp()
     noise = torch.randn(2, *scales.shape, generator=generator, dtype=scales.dtype).to(scales.device)
-    samples = rotate(parameters["quats"][selected], noise * scales)  # [2, n, 3]
+    samples = rotate(parameters["quats"][indices], noise * scales)  # [2, n, 3]
 
     added = {}
     for name, parameter in parameters.items():
-        chosen = parameter[selected]
+        chosen = parameter[indices]
         if name == "means":
             added[name] = (chosen + samples).reshape(-1, 3)
         elif name == "log_scales":

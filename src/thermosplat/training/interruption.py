@@ -2,7 +2,8 @@
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -47,3 +48,19 @@ def deferred_interrupts(redeliver: bool = True) -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
     if pending and redeliver:
         signal.raise_signal(signal.SIGINT)  # to whoever listened before: KeyboardInterrupt, or the block around this
+
+
+@contextmanager
+def meanwhile(work: Callable[[], object]) -> Iterator[None]:
+    """Do something in another thread during a block. It is done when the block ends, however that ends.
+
+    Args:
+        work: What to do: something that the block does not disturb. What it raises is raised at the end of the block.
+    """
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        working = thread.submit(work)
+        try:
+            yield
+        finally:
+            with deferred_interrupts():
+                working.result()

@@ -3,10 +3,12 @@
 Gaussians are samples of where the scene is. Those that fade away are not deleted but moved onto others (relocation.py),
 their number grows by a fixed share up to a budget, and after every step noise moves each of them,
 
-    μ += λ σ(-k (o - t)) Σ η,    η ~ N(0, I),  λ = position_noise · learning rate of the means,  k = 100,  t = 0.005,
+    μ += λ σ(-k (o - t)) Σ η,  η ~ N(0, I), λ = position_noise · learning rate of the means / R², k = 100, t = 0.005,
 
 within its own extent and only while it is faint: a clear Gaussian does not move. With two opacities o is the larger
-one: a Gaussian that either spectrum sees is neither faint nor dead.
+one: a Gaussian that either spectrum sees is neither faint nor dead. R is the scene's extent: Σ has the square of a
+length and the rate a length, so without R the same scene in other units would be shaken otherwise (the publication's
+code leaves it out; gsplat trains in units in which cameras lie at about distance 1).
 """
 
 from typing import Any
@@ -112,7 +114,8 @@ class McmcStrategy(DefaultStrategy):
         # Σ η = R S² Rᵀ η; the inverse rotation is that of the conjugate quaternion
         conjugates = torch.cat([gaussians.quats[:, :1], -gaussians.quats[:, 1:]], dim=-1)
         within = rotate(gaussians.quats, gaussians.scales.square() * rotate(conjugates, noise))
-        offset = (self.config.position_noise * rate) * gate[:, None] * within
+        strength = self.config.position_noise / self.scene_extent**2
+        offset = (strength * rate) * gate[:, None] * within
         means.add_(torch.where(blocked == 0, offset, 0.0))
 
     def _weights(self, gaussians: Gaussians) -> Tensor:

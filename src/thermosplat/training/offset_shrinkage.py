@@ -3,8 +3,8 @@
 First all are held down by the proximal step of an L1 penalty, Δ ← sign(Δ) max(|Δ| - λ r, 0) after every update of rate
 r (iterative soft thresholding, Daubechies et al. 2004). Adam moves an offset by up to r a step where its gradient keeps
 its sign and by less where it is noise, so λ is compared with |mean gradient| / root mean square gradient, whatever the
-scale of the loss. Adam's noise alone keeps offsets from staying at zero, so then, once, those that hardly change an
-opacity become zero for good, and the others are trained on without the penalty, which had made them too small.
+scale of the loss. Adam's noise alone keeps offsets from staying at zero, so then, once, those that the training images
+do not miss become zero for good, and the others are trained on without the penalty, which had made them too small.
 """
 
 import torch
@@ -12,6 +12,8 @@ from torch import Tensor
 
 from thermosplat.gaussians import Gaussians
 from thermosplat.training.gaussian_ops import Optimizers
+from thermosplat.training.image_change import ImageChange, most_within
+from thermosplat.training.pruning import least
 
 
 @torch.no_grad()
@@ -33,18 +35,41 @@ def shrink_offsets(gaussians: Gaussians, optimizers: Optimizers, amount: float, 
 
 
 @torch.no_grad()
-def drop_offsets(gaussians: Gaussians, optimizers: Optimizers, tolerance: float) -> None:
-    """Set the offsets to zero that change an opacity by no more than the tolerance; Adam forgets those.
+def idle_offsets(gaussians: Gaussians, effects: Tensor, change: ImageChange, tolerance: float) -> Tensor:
+    """The most offsets, least effect first, without which the images change by no more than the tolerance.
 
     Args:
-        gaussians: A set; nothing happens where it has no offsets.
-        optimizers: Its optimizers.
-        tolerance: Largest |α_t - α| that is dropped.
+        gaussians: A set with offsets, of the model that ``change`` renders; it is left as it is.
+        effects: What each offset does (``opacity_sensitivities.offset_effects``), shape [N].
+        change: The images from before.
+        tolerance: Largest change (``ImageChange.now``).
+
+    Returns:
+        Mask [N].
     """
-    if "thermal_opacity_offsets" not in optimizers:
-        return
     offsets = gaussians.thermal_opacity_offsets
-    dropped = (gaussians.thermal_opacities - gaussians.opacities).abs() <= tolerance
+    saved = offsets.clone()
+
+    def drop(count: int) -> None:
+        offsets.copy_(saved.masked_fill(least(effects, count), 0.0))
+
+    try:
+        count = most_within(change, len(effects), drop, tolerance)
+    finally:
+        offsets.copy_(saved)
+    return least(effects, count)
+
+
+@torch.no_grad()
+def drop_offsets(gaussians: Gaussians, optimizers: Optimizers, dropped: Tensor) -> None:
+    """Set offsets to zero; Adam forgets those.
+
+    Args:
+        gaussians: A set with offsets.
+        optimizers: Its optimizers.
+        dropped: Mask [N].
+    """
+    offsets = gaussians.thermal_opacity_offsets
     offsets.masked_fill_(dropped, 0.0)
     for key, moment in optimizers["thermal_opacity_offsets"].state.get(offsets, {}).items():
         if key != "step":

@@ -123,10 +123,14 @@ class RunLogger:
     def step(self, record: StepRecord) -> None:
         """Take note of a step, and write a line if one is due."""
         squared_errors = {f"psnr_{modality}": value for modality, value in record.squared_errors.items()}
-        for name, value in {**record.losses, **squared_errors}.items():
-            # a copy, since the next step may overwrite the value
-            self._sums[name] = self._sums[name] + value if name in self._sums else value.detach().clone()
+        values = {name: value.detach() for name, value in {**record.losses, **squared_errors}.items()}
+        known = [name for name in values if name in self._sums]
+        if known:  # all in one kernel
+            torch._foreach_add_([self._sums[name] for name in known], [values[name] for name in known])
+        for name, value in values.items():
             self._counts[name] = self._counts.get(name, 0) + 1
+            if name not in known:
+                self._sums[name] = value.clone()  # the next step may overwrite the value
         if self._rate_from is None:
             self._rate_from = (record.step, record.train_seconds)  # after the first step, which may have compiled
         due = record.step % self.log_every == 0 or record.step == self.max_steps

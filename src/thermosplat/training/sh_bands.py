@@ -1,12 +1,13 @@
-"""Spherical harmonics that no training view needs, set to zero Gaussian by Gaussian.
+"""Spherical harmonics that the training images do not miss, set to zero Gaussian by Gaussian.
 
-A pixel's colour is Σ_i w_i c_i plus background with Σ_i w_i <= 1. If every colour c_i changes by at most τ in a view,
-no pixel of it changes by more than τ. A Gaussian therefore keeps the lowest degree whose colour stays within τ of its
-full colour in all training views it is seen from; what is above goes.
+A pixel's colour is Σ_i w_i c_i. Where a Gaussian keeps degree d alone its colour changes by Δc_i, and the images by
+about D_i(d) = Σ w_i² |Δc_i|², summed over pixels and views. Each Gaussian keeps the degree of least D_i(d) + λ B(d),
+with B(d) the coefficients of degrees 1 to d: the least change for as many coefficients as are kept (Lagrangian rate
+allocation). λ is the largest one with which the rendered images change within the tolerance.
 """
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -17,56 +18,105 @@ from thermosplat.gaussians import Gaussians
 from thermosplat.model import SceneModel
 from thermosplat.projected_scene import ProjectedScene
 from thermosplat.rasterization_arguments import checked_settings
+from thermosplat.training.contributions import contributions
+from thermosplat.training.image_change import ImageChange, most_within
+
+_LEAST_LAMBDA = 1e-20
+_LAMBDA_STEP = 1.15
+_LAMBDAS = 400
+"""λ from 1e-20 to 2e4: below the first only zeros go, above the last all there is, as D is a share of at most 1."""
+
+
+@dataclass(frozen=True)
+class _Band:
+    """Coefficients of one spectrum of one set."""
+
+    values: Tensor
+    """Of degree 1 and above, the parameter itself, [N, K-1, 3]."""
+    saved: Tensor
+    """As they were."""
+    distortions: Tensor
+    """D of every degree up to the one in use, [degree + 1, N]."""
 
 
 @torch.no_grad()
-def drop_bands(model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int, tolerance: float) -> None:
+def drop_bands(
+    model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int, change: ImageChange, tolerance: float
+) -> None:
     """Set all coefficients above each Gaussian's needed degree to zero.
 
     Args:
         model: The scene.
-        frames: The training frames.
+        frames: The training frames; gone through several times.
         sh_degree: Degree in use.
-        tolerance: τ, largest change of any training image, of the range 0 to 1.
+        change: The images from before.
+        tolerance: Largest change (``ImageChange.now``).
     """
-    cameras: dict[str, list[ViewTensors]] = {"rgb": [], "thermal": []}
-    for frame in frames:
-        for spectrum, view in (("rgb", frame.rgb), ("thermal", frame.thermal)):
-            if view is not None:
-                cameras[spectrum].append(replace(view, image=None, intensity=None, celsius=None))
-    for name in model.gaussian_sets:
-        gaussians = model.gaussians(name)
-        for spectrum in ("rgb", "thermal"):
-            if (name in (spectrum, "shared")) and getattr(model.config, spectrum):
-                of_thermal = spectrum == "thermal" and name == "shared"
-                if of_thermal and model.decoders is not None:
-                    continue  # decoded from features
-                coefficients = gaussians.thermal_sh_coeffs if of_thermal else gaussians.sh_coeffs
-                needed = needed_degrees(gaussians, coefficients, cameras[spectrum], sh_degree, tolerance)
-                _drop(coefficients, needed)
+    bands = list(_bands(model, frames, sh_degree))
+
+    def cut(number: int) -> None:
+        price = 0.0 if number == 0 else _LEAST_LAMBDA * _LAMBDA_STEP**number
+        for band in bands:
+            band.values.copy_(_up_to(band.saved, cheapest_degrees(band.distortions, price)))
+
+    most_within(change, _LAMBDAS, cut, tolerance)
 
 
-def needed_degrees(
-    gaussians: Gaussians, coefficients: Coefficients, views: Iterable[ViewTensors], sh_degree: int, tolerance: float
+def cheapest_degrees(distortions: Tensor, price: float) -> Tensor:
+    """The lowest degree of least D + λ B, int64 [N].
+
+    Args:
+        distortions: D of the degrees 0 to the highest, [degree + 1, N].
+        price: λ.
+    """
+    degrees = torch.arange(len(distortions), device=distortions.device)
+    costs = distortions.double() + price * ((degrees + 1) ** 2 - 1)[:, None]
+    return (costs <= costs.amin(dim=0)).to(torch.int64).argmax(dim=0)
+
+
+def color_changes(
+    gaussians: Gaussians, coefficients: Coefficients, views: Iterable[ViewTensors], sh_degree: int
 ) -> Tensor:
-    """Lowest degree of each Gaussian whose colour stays within the tolerance in all views, int64 [N].
+    """|Δc|² of keeping each degree alone, mean over the views a Gaussian is seen from, [degree + 1, N].
 
     Args:
         gaussians: The set.
         coefficients: Its spherical harmonics.
         views: The cameras.
         sh_degree: Degree in use.
-        tolerance: τ, of the range 0 to 1.
     """
     changes = gaussians.means.new_zeros(sh_degree + 1, len(gaussians))
+    times_seen = gaussians.means.new_zeros(len(gaussians))
     for view in views:
         scene = _projected(gaussians, view)
         seen = (scene.projected.radii > 0).all(dim=-1).reshape(-1)
+        times_seen += seen
         colors = [_colors(scene, coefficients, degree) for degree in range(sh_degree + 1)]
         for degree in range(sh_degree):
-            change = (colors[degree] - colors[-1]).abs().amax(dim=-1)
-            changes[degree] = torch.maximum(changes[degree], torch.where(seen, change, 0.0))
-    return (changes <= tolerance).to(torch.int64).argmax(dim=0)  # the first that is within; the last always is
+            change = (colors[degree] - colors[-1]).square().sum(dim=-1).reshape(-1)
+            changes[degree] += torch.where(seen, change, 0.0)
+    return changes / times_seen.clamp(min=1.0)
+
+
+def _bands(model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int) -> Iterable[_Band]:
+    """All coefficients above degree 0 that are rendered."""
+    weights = contributions(model, frames, squared=True)
+    for name in model.gaussian_sets:
+        gaussians = model.gaussians(name)
+        for spectrum in ("rgb", "thermal"):
+            if name not in (spectrum, "shared") or not getattr(model.config, spectrum):
+                continue
+            of_thermal = spectrum == "thermal" and name == "shared"
+            if of_thermal and model.decoders is not None:
+                continue  # decoded from features
+            coefficients = gaussians.thermal_sh_coeffs if of_thermal else gaussians.sh_coeffs
+            cameras = [
+                replace(view, image=None, intensity=None, celsius=None)
+                for frame in frames
+                if (view := getattr(frame, spectrum)) is not None
+            ]
+            changes = color_changes(gaussians, coefficients, cameras, sh_degree)
+            yield _Band(coefficients[1], coefficients[1].clone(), changes * weights[name])
 
 
 def _colors(scene: ProjectedScene, coefficients: Coefficients, degree: int) -> Tensor:
@@ -74,11 +124,11 @@ def _colors(scene: ProjectedScene, coefficients: Coefficients, degree: int) -> T
     return scene.colors(sh0, degree, per_camera=False, higher_degrees=shN)
 
 
-def _drop(coefficients: Coefficients, degrees: Tensor) -> None:
-    shN = coefficients[1]
+def _up_to(shN: Tensor, degrees: Tensor) -> Tensor:
+    """Coefficients [N, K-1, 3] with zeros above each one's degree [N]."""
     bases = torch.arange(shN.shape[1], device=shN.device)
     dropped = bases >= ((degrees + 1) ** 2 - 1)[:, None]
-    shN.masked_fill_(dropped[..., None], 0.0)
+    return shN.masked_fill(dropped[..., None], 0.0)
 
 
 def _projected(gaussians: Gaussians, view: ViewTensors) -> ProjectedScene:

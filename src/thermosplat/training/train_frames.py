@@ -1,5 +1,6 @@
 """The training frames as tensors, kept on the device as far as memory allows."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,6 +43,9 @@ class TrainFrames:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def __iter__(self) -> Iterator[FrameTensors]:
+        return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> FrameTensors:
         """Tensors of a frame; made again each time once the memory for them is full."""

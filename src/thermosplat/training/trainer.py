@@ -30,15 +30,16 @@ from thermosplat.pair_capacity import PairCapacity
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training.auto_budget import AutoBudget
 from thermosplat.training.captured_steps import CapturedSteps
-from thermosplat.training.fast_decoders import FastDecoders, can_compile
+from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.gaussian_ops import become_copy
-from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts
+from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts, meanwhile
 from thermosplat.training.modality_schedule import ModalitySchedule, Span
 from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.random_streams import random_stream
 from thermosplat.training.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.run_logger import RunLogger, StepRecord
+from thermosplat.training.thermal_noise import with_measured_smoothness
 from thermosplat.training.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
 from thermosplat.training.training_step import StepKind, TrainingStep
@@ -83,15 +84,16 @@ class Trainer:
         self.state = TrainingState(self.model, config, capture.scene_extent, self.device, len(self.frames))
         if checkpoint is not None:
             self.state.load(checkpoint)
-        auto = config.budget == "auto"
-        self.budget = AutoBudget(config, self.state, self.frames, self.schedule) if auto else None
+        self.budget = AutoBudget(config, self.state, self.frames, self.schedule) if config.budget == "auto" else None
         self.guard = FiniteGuard(self.device)
-        self.device_step = TrainingStep(config, self.state, self.guard, PairCapacity(self.device))
+        measured, self.noise_notes = with_measured_smoothness(config, self.frames)
+        self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device))
         self.captured: CapturedSteps | None = None
         on_cuda = self.device.type == "cuda"
         if self.model.decoders is not None and (on_cuda or config.decoder_precision == "bfloat16"):
-            compiled = on_cuda and config.compile and can_compile()
-            fast = FastDecoders(self.model.decoders, compiled=compiled, precision=config.decoder_precision)
+            fast = FastDecoders(
+                self.model.decoders, compiled=on_cuda and config.compile, precision=config.decoder_precision
+            )
             self.device_step.decoding = fast.active
         if on_cuda and config.graph:
             self.captured = CapturedSteps(self.device_step, len(self.frames))
@@ -156,8 +158,9 @@ class Trainer:
                     self._evaluate()
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
-            self._save()  # before the evaluation, so that nothing which goes wrong there costs the training
-            metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+            with meanwhile(self._save):  # nothing which goes wrong in here costs the training
+                metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+                export_scene(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
             state.seconds.wall = time.perf_counter() - started
             finished = self._finish(metrics)
             write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
@@ -238,7 +241,7 @@ class Trainer:
     def _greet(self, lpips: str) -> None:
         """Say once what is trained on what, and what the capture has to say."""
         say, step = self.logger.say, self.state.step
-        for note in (*self.capture.notes, lpips):
+        for note in (*self.capture.notes, *self.noise_notes, lpips):
             say(note)
         if self.device.type == "cpu":
             why = "Training on the CPU" if torch.cuda.is_available() else "No CUDA device: training on the CPU"
@@ -270,8 +273,7 @@ class Trainer:
         return metrics
 
     def _finish(self, evaluated: dict[str, Any]) -> dict[str, Any]:
-        """Export the Gaussians and write metrics.json."""
-        export_scene(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
+        """Write metrics.json, last of all: where it is, everything is."""
         seconds = self.state.seconds
         metrics = {
             "rgb": evaluated["rgb"],

@@ -51,6 +51,7 @@ class TrainingState:
         step_on_device: int64 scalar, the number of the step that is being done.
         growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
         offsets_dropped: Whether thermal opacity offsets that are zero stay zero.
+        trimmed: Whether what the training images do not miss was dropped after the last step (``AutoBudget.finish``).
         best_validation: Best PSNR of withheld training views so far [dB], and its step.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
         seconds: Where the time went.
@@ -86,6 +87,7 @@ class TrainingState:
         self.step = 0
         self.growing = True
         self.offsets_dropped = False
+        self.trimmed = False
         self.best_validation = (-math.inf, 0)
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.seed, self.scene_extent = config.seed, scene_extent
@@ -101,6 +103,7 @@ class TrainingState:
             scene_extent: Radius of the cameras [world units].
         """
         self.clear_gradients()
+        self.trimmed = False
         self.step_on_device.fill_(step)
         if any(strategy.moves_gaussians for strategy in self.strategies.values()):
             start_stream(self.noise, self.seed, "position noise", step)
@@ -126,7 +129,7 @@ class TrainingState:
         }
 
     def checkpoint(self, config: TrainConfig, sh_degree: int, thermal_scale: ThermalScale | None) -> dict[str, Any]:
-        """What ``checkpoint.save_checkpoint`` writes.
+        """What ``checkpoint.save_checkpoint`` writes; of a trimmed model without Adam's moments, twice its size.
 
         Args:
             config: The whole configuration.
@@ -143,11 +146,14 @@ class TrainingState:
                 "optimizers": {
                     owner: {name: optimizer.state_dict() for name, optimizer in optimizers.items()}
                     for owner, optimizers in self.optimizers.items()
-                },
+                }
+                if not self.trimmed
+                else None,
                 "strategies": {name: strategy.state_dict() for name, strategy in self.strategies.items()},
                 "exposures": self.exposures.state_dict() if self.exposures is not None else None,
                 "growing": self.growing,
                 "offsets_dropped": self.offsets_dropped,
+                "trimmed": self.trimmed,
                 "best_validation": self.best_validation,
                 "seconds": asdict(self.seconds),
             },
@@ -160,15 +166,17 @@ class TrainingState:
             checkpoint: What ``checkpoint.load_checkpoint`` read.
         """
         training = checkpoint["training"]
-        for owner, optimizers in self.optimizers.items():
-            for name, optimizer in optimizers.items():
-                load_optimizer(optimizer, training["optimizers"][owner][name])
+        if training["optimizers"] is not None:
+            for owner, optimizers in self.optimizers.items():
+                for name, optimizer in optimizers.items():
+                    load_optimizer(optimizer, training["optimizers"][owner][name])
         for name, strategy in self.strategies.items():
             strategy.load_state_dict(training["strategies"][name])
         if self.exposures is not None:
             self.exposures.load_state_dict(training["exposures"])
-        self.growing = training.get("growing", True)  # checkpoints of 0.1.0 have none of these three
+        self.growing = training.get("growing", True)  # checkpoints of 0.1.0 have none of these four
         self.offsets_dropped = training.get("offsets_dropped", False)
+        self.trimmed = training.get("trimmed", False)
         self.best_validation = training.get("best_validation", self.best_validation)
         self.step = checkpoint["step"]
         self.seconds = Seconds(**training["seconds"])

@@ -1,0 +1,55 @@
+"""What a training process asks of the C library, OpenMP and Python: memory and cores for thousands of equal steps.
+
+Nothing of it changes a result. On two cores memory and spinning take a fifth off a step of ``thermosplat-train
+sample``, as benchmarks/notes.md has it.
+"""
+
+import ctypes
+import gc
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+KEPT_BYTES = 2**31 - 1
+"""Freed memory that stays with the process; the largest number that ``mallopt`` takes."""
+
+LARGEST_KEPT = 32 * 2**20
+"""Larger tensors still come from the system one by one; glibc refuses more."""
+
+SPIN_COUNT = "30000"
+"""How often an idle OpenMP thread looks for work before it sleeps, about a millisecond. libgomp's 300,000 keep a core
+from the renderer's threads through much of their turn."""
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
+
+
+def prepare_host() -> None:
+    """Keep memory between steps, and let idle threads of torch sleep soon. To be called before torch is imported.
+
+    With glibc's defaults every large tensor is given back to the system when it is freed, and the next step's has to be
+    filled with zeros page by page again.
+    """
+    os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
+    if sys.platform == "linux" and "MALLOC_TRIM_THRESHOLD_" not in os.environ:
+        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
+        if mallopt is not None:
+            mallopt(_M_MMAP_THRESHOLD, LARGEST_KEPT)
+            mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+@contextmanager
+def importing() -> Iterator[None]:
+    """Around imports: no garbage is looked for.
+
+    Torch and what it brings make some 400,000 objects that all stay; to go through them again and again takes a fifth
+    of the time.
+    """
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()

@@ -1,0 +1,44 @@
+"""Kernels of a step are compiled while images are read."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from thermosplat.cli.warp_start import compiled_meanwhile
+from thermosplat.config import TrainConfig
+from warp_kernels import step_kernels
+
+
+@pytest.mark.parametrize(
+    ("changes", "kernels"),
+    [
+        ({}, [(11, 8, False)]),
+        ({"model.geometric_decoupling": False, "model.rasterize_mode": "antialiased"}, [(11, 0, True)]),
+        ({"model.gaussian_sets": "separate", "model.feature_dim": 0}, []),
+        ({"device": "cuda"}, []),
+    ],
+)
+def test_kernels_are_compiled_before_the_block_ends(
+    changes: dict, kernels: list, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of the configuration's step, on the CPU, where both spectra share their Gaussians."""
+    compiled: list[Any] = []
+    monkeypatch.setattr(step_kernels, "cpu_step_kernels", lambda *shape: shape)
+    monkeypatch.setattr(step_kernels, "compile_for_cpu", lambda shape: compiled.append(shape))
+    config = replace(TrainConfig(), device=changes.pop("device", "cpu"))
+    model = replace(config.model, **{key.removeprefix("model."): value for key, value in changes.items()})
+    with compiled_meanwhile(replace(config, model=model)):
+        pass
+    assert compiled == kernels
+
+
+def test_errors_of_the_compiler_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They come when the kernels would be needed."""
+
+    def fail(*_: Any) -> None:
+        raise RuntimeError("no compiler")
+
+    monkeypatch.setattr(step_kernels, "compile_for_cpu", fail)
+    with pytest.raises(RuntimeError, match="no compiler"), compiled_meanwhile(replace(TrainConfig(), device="cpu")):
+        pass

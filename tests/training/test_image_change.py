@@ -1,0 +1,47 @@
+"""How much images change, against their error, and how much may be left out."""
+
+import pytest
+import torch
+
+from thermosplat.training.image_change import ImageChange, most_within
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
+
+
+def test_change_is_measured_against_the_error() -> None:
+    """Nothing changed: 0. Otherwise the squared change over the squared error, of the spectrum that changed more."""
+    capture = toy_capture()
+    model = toy_model(toy_config(), capture)
+    frame = toy_frame(capture)
+    before = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    change = ImageChange(model, [frame, frame], 1)
+    assert change.now() == 0.0
+    with torch.no_grad():
+        model.gaussians("shared").sh0 += 0.1
+        model.gaussians("shared").features += 0.01
+    after = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    expected = {}
+    for name, view in (("rgb", frame.rgb), ("thermal", frame.thermal)):
+        old, new = (getattr(images, name).detach().clamp(0, 1) for images in (before, after))
+        error = (old - view.image).square().mean().item()
+        assert change.errors[name] == pytest.approx(error, rel=1e-5)
+        expected[name] = (new - old).square().mean().item() / error
+    assert change.now() == pytest.approx(expected["rgb"], rel=1e-4)
+    assert expected["rgb"] > expected["thermal"] > 0
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.4, 1.0, 7.0])
+def test_most_within(tolerance: float) -> None:
+    """The largest number whose change is within; the model is left with it."""
+
+    class Linear:
+        made = -1
+
+        def now(self) -> float:
+            return self.made / 100
+
+        def apply(self, number: int) -> None:
+            self.made = number
+
+    change = Linear()
+    found = most_within(change, 250, change.apply, tolerance)  # type: ignore[arg-type]
+    assert found == change.made == min(round(100 * tolerance), 250)

@@ -1,0 +1,92 @@
+"""What leaving out a Gaussian, or its thermal opacity, changes in the images."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from thermosplat.model import SceneModel
+from thermosplat.training.opacity_sensitivities import offset_effects, opacity_sensitivities, removal_effects
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
+
+MANY = 400  # views of random signs
+
+
+def changes(model: SceneModel, frame: Any, weights: dict[str, float], change: Any) -> torch.Tensor:
+    """Weighted squared change of the images by what ``change`` does to each Gaussian alone, the long way."""
+    gaussians = model.gaussians(next(iter(model.gaussian_sets)))
+    before = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    found = []
+    for chosen in range(len(gaussians)):
+        saved = {name: value.detach().clone() for name, value in gaussians.named_parameters()}
+        with torch.no_grad():
+            change(gaussians, torch.tensor([chosen]))
+            after = model.render(frame.rgb, frame.thermal, sh_degree=1)
+            found.append(sum(w * (getattr(after, m) - getattr(before, m)).square().sum() for m, w in weights.items()))
+            for name, value in saved.items():
+                gaussians.get_parameter(name).copy_(value)
+    return torch.stack(found)
+
+
+def leave_out(gaussians: Any, chosen: torch.Tensor) -> None:
+    gaussians.set_opacity_logits(chosen, torch.tensor([-30.0]), torch.tensor([-30.0]))
+
+
+def test_removal_effects_are_what_removal_changes() -> None:
+    """Of images that are linear in opacities (no decoders), by leaving each out; estimated over many views."""
+    capture = toy_capture()
+    model = toy_model(toy_config(feature_dim=0), capture)
+    gaussians, frame = model.gaussians("shared"), toy_frame(capture)
+    with torch.no_grad():
+        gaussians.logit_opacities -= 3.0
+        gaussians.logit_opacities[7] = 9.0  # opaque: clamped alpha
+    weights = {"rgb": 2.0, "thermal": 5.0}
+    before = gaussians.logit_opacities.detach().clone()
+    estimated = removal_effects(gaussians, opacity_sensitivities(model, [frame] * MANY, 1, weights)["shared"]) / MANY
+    assert torch.equal(gaussians.logit_opacities, before)
+    expected = changes(model, frame, weights, leave_out)
+    assert expected.max() > 10 * expected.min() > 0
+    torch.testing.assert_close(estimated, expected, rtol=0.3, atol=1e-3 * expected.max().item())
+
+
+def test_offset_effects_are_what_dropping_changes() -> None:
+    """Of the thermal image, by giving each Gaussian its visible opacity."""
+    capture = toy_capture()
+    model = toy_model(toy_config(feature_dim=0), capture)
+    gaussians, frame = model.gaussians("shared"), toy_frame(capture)
+    with torch.no_grad():
+        gaussians.logit_opacities -= 2.0
+        gaussians.thermal_opacity_offsets.clamp_(-1.0, 1.0)  # none so faint that most of it is not drawn
+    sensitivities = opacity_sensitivities(model, [frame] * MANY, 1, {"thermal": 1.0})["shared"]
+    assert not sensitivities[0].any()
+
+    def drop(gaussians: Any, chosen: torch.Tensor) -> None:
+        gaussians.thermal_opacity_offsets[chosen] = 0.0
+
+    expected = changes(model, frame, {"thermal": 1.0}, drop)
+    estimated = offset_effects(gaussians, sensitivities) / MANY
+    torch.testing.assert_close(estimated, expected, rtol=0.3, atol=1e-3 * expected.max().item())
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"thermal_opacity": "own"},
+        {"geometric_decoupling": False},
+        {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False},
+    ],
+)
+def test_every_kind_of_model_has_them(settings: dict[str, Any]) -> None:
+    """Decoded features, one opacity or two however they are stored, separate sets: they rank as removal does."""
+    capture = toy_capture()
+    model = toy_model(toy_config(**settings), capture)
+    frame = toy_frame(capture)
+    weights = {"rgb": 1.0, "thermal": 1.0}
+    found = opacity_sensitivities(model, [frame] * 100, 1, weights)
+    assert set(found) == set(model.gaussian_sets)
+    name = next(iter(found))
+    estimated = removal_effects(model.gaussians(name), found[name])
+    expected = changes(model, frame, weights if name == "shared" else {name: 1.0}, leave_out)
+    ranks = torch.stack([values.argsort().argsort().float() for values in (estimated, expected)])
+    assert torch.corrcoef(ranks)[0, 1] > 0.9

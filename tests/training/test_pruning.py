@@ -1,0 +1,50 @@
+"""The Gaussians that matter least go, as many as the images do not miss."""
+
+import torch
+
+from thermosplat.training.image_change import ImageChange
+from thermosplat.training.optimizers import gaussian_optimizers
+from thermosplat.training.pruning import dispensable, least, prune_sets
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
+
+
+def test_a_number_of_the_least() -> None:
+    """The smallest scores, the first of equal ones."""
+    scores = torch.tensor([0.5, 0.01, 0.4, 0.03, 0.03])
+    assert least(scores, 0).tolist() == [False] * 5
+    assert least(scores, 2).tolist() == [False, True, False, True, False]
+
+
+def test_as_many_go_as_images_do_not_miss() -> None:
+    """What is invisible goes at no tolerance; with more, more goes, least first, and the images change within it."""
+    capture = toy_capture()
+    model = toy_model(toy_config(), capture)
+    frame, gaussians = toy_frame(capture), model.gaussians("shared")
+    with torch.no_grad():
+        gaussians.logit_opacities[:10] = -20.0
+        gaussians.thermal_opacity_offsets[:10] = 0.0
+    scores = torch.arange(60.0)
+    before = {name: value.detach().clone() for name, value in gaussians.named_parameters()}
+    change = ImageChange(model, [frame], 1)
+    removed = {tolerance: dispensable(gaussians, scores, change, tolerance) for tolerance in (0.0, 0.02, 1e9)}
+    assert all(torch.equal(before[name], value) for name, value in gaussians.named_parameters())
+    counts = [int(mask.sum()) for mask in removed.values()]
+    assert 10 <= counts[0] < counts[1] < counts[2] == 59
+    assert torch.equal(removed[0.02], scores < counts[1])
+    prune_sets({"shared": gaussians}, _optimizers(model), {"shared": removed[0.02]})
+    assert 0 < change.now() <= 0.02
+
+
+def test_no_set_is_emptied() -> None:
+    """Pruning all of a set leaves it as it is."""
+    model = toy_model(toy_config(), toy_capture())
+    gaussians = model.gaussians("shared")
+    some = torch.arange(len(gaussians)) < 7
+    prune_sets({"shared": gaussians}, _optimizers(model), {"shared": some})
+    assert len(gaussians) == len(some) - 7
+    prune_sets({"shared": gaussians}, _optimizers(model), {"shared": torch.ones(len(gaussians), dtype=torch.bool)})
+    assert len(gaussians) == len(some) - 7
+
+
+def _optimizers(model):  # type: ignore[no-untyped-def]
+    return {"shared": gaussian_optimizers(model.gaussians("shared"), toy_config().optimizer)}

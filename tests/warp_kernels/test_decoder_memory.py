@@ -1,0 +1,40 @@
+"""What a block that decodes holds in shared memory."""
+
+import itertools
+
+import pytest
+
+from warp_kernels.decoder_memory import NARROW, WARPS, layout_of
+from warp_kernels.decoder_networks import HIDDEN
+from warp_kernels.matrix_fragments import PIXELS, row_bytes
+
+A100 = 163 * 1024
+"""Bytes of shared memory a block may have on compute capability 8.0, the oldest there are kernels for."""
+
+
+@pytest.mark.parametrize("hidden", HIDDEN)
+@pytest.mark.parametrize("modulated", [False, True])
+def test_nothing_overlaps(hidden: int, modulated: bool) -> None:
+    """Matrices lie one behind the other on 16-byte boundaries; the forward pass has the weights only."""
+    at = layout_of(hidden, modulated)
+    pixels = WARPS * PIXELS
+    ends = {
+        at.w1: hidden * row_bytes(NARROW),
+        at.w2: hidden * row_bytes(hidden),
+        at.w3: hidden * row_bytes(hidden),
+        at.modulation: 2 * hidden * row_bytes(hidden) if modulated else 0,
+        at.head: NARROW * row_bytes(hidden),
+        at.features: pixels * row_bytes(NARROW),
+        at.first: pixels * row_bytes(hidden),
+        at.encoded: pixels * row_bytes(hidden),
+        at.prior: pixels * row_bytes(hidden),
+        at.v_image: pixels * row_bytes(NARROW),
+        at.factors[0]: pixels * row_bytes(hidden),
+        at.factors[1]: pixels * row_bytes(hidden),
+    }
+    starts = sorted(ends)
+    assert all(start + ends[start] <= following for start, following in itertools.pairwise(starts))
+    assert all(start % 16 == 0 for start in starts)
+    assert starts[-1] + ends[starts[-1]] == at.size
+    assert at.b_head < at.forward_size <= at.features
+    assert at.size < A100

@@ -1,0 +1,48 @@
+"""Kernels compiled ahead are all that a step launches."""
+
+import subprocess
+import sys
+
+import pytest
+
+STEP = """
+import sys
+import torch
+import warp as wp
+from thermosplat.rasterizer import rasterization_rgbt
+from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels
+
+dual = sys.argv[1] == "True"
+wp.init()
+kernels = cpu_step_kernels(11, 8 if dual else 0)
+compile_for_cpu(kernels)
+ahead = {kernel.module.name for kernel in kernels}
+launched = {module.name for module in wp._src.context.user_modules.values() if module.execs}
+assert launched == ahead, launched ^ ahead
+
+generator = torch.Generator().manual_seed(0)
+N = 50
+values = {
+    "means": torch.randn(N, 3, generator=generator), "quats": torch.randn(N, 4, generator=generator),
+    "scales": 0.1 + torch.rand(N, 3, generator=generator), "opacities": torch.rand(N, generator=generator),
+    "thermal_opacities": torch.rand(N, generator=generator) if dual else None,
+    "colors": torch.randn(N, 16, 3, generator=generator), "features": torch.randn(N, 8, generator=generator),
+}
+values = {name: value if value is None else value.requires_grad_() for name, value in values.items()}
+viewmat = torch.eye(4)
+viewmat[2, 3] = 5.0
+K = torch.tensor([[30.0, 0, 16], [0, 30.0, 12], [0, 0, 1]])
+out = rasterization_rgbt(*values.values(), viewmat[None], K[None], 32, 24, sh_degree=3)
+images = [image for image in (out.render_colors, out.render_features, out.render_thermal_features) if image is not None]
+sum(image.square().sum() for image in images).backward()
+assert values["means"].grad.abs().sum() > 0
+launched = {module.name for module in wp._src.context.user_modules.values() if module.execs}
+assert launched == ahead, launched ^ ahead
+"""
+
+
+@pytest.mark.parametrize("dual", [True, False])
+def test_a_step_compiles_nothing_else(dual: bool) -> None:
+    """In a fresh process, with one opacity or two, a step finds all its kernels compiled."""
+    done = subprocess.run([sys.executable, "-c", STEP, str(dual)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

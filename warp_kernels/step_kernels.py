@@ -1,0 +1,59 @@
+"""The kernels of a training step on the CPU, to compile them before they are needed.
+
+Each is compiled when it is first launched, one after the other. Whoever knows that a training step comes can have them
+compiled meanwhile, on several cores.
+"""
+
+import warp as wp
+
+from warp_kernels.blend_layout import default_layout
+from warp_kernels.blending import blend_kernel
+from warp_kernels.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.gradient_records import distribute_kernel
+from warp_kernels.launching import num_threads
+from warp_kernels.projection import projection_kernel
+from warp_kernels.projection_adjoint import projection_adjoint_kernel
+from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
+from warp_kernels.tile_binning import binning_kernels, tile_ranges_kernel
+
+TILE_SIZE = 16
+"""The rasterizer's default [px]."""
+
+
+def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = False) -> list[wp.Kernel]:
+    """What a forward and backward pass launches on the CPU, of a perspective camera that is not trained.
+
+    Args:
+        channels: blended with the first opacity: colours from spherical harmonics, and features.
+        thermal_channels: blended with the second; 0 for none.
+        antialiased: of the rasterizer's two modes the one that compensates opacities.
+
+    Returns:
+        The kernels, float32, the slowest to compile first.
+    """
+    dtype, camera_model, lanes = wp.float32, "pinhole", 1
+    layout = default_layout(wp.get_device("cpu"), TILE_SIZE, channels + thermal_channels, dtype, 0, 1)
+    count, _, gather, emit = binning_kernels(dtype, lanes)  # what is compacted on CUDA is few here
+    return [
+        projection_kernel(dtype, camera_model, False),
+        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, False, True),
+        projection_adjoint_kernel(dtype, camera_model, False, False, antialiased),
+        blend_kernel(channels, thermal_channels, dtype, layout),
+        color_adjoint_kernel(dtype),
+        count,
+        emit,
+        color_kernel(dtype),
+        distribute_kernel(channels, thermal_channels, dtype, False, layout.warps),
+        tile_ranges_kernel,
+        camera_position_kernels(dtype)[0],
+        gather,
+    ]
+
+
+def compile_for_cpu(kernels: list[wp.Kernel]) -> None:
+    """Compiles kernels for the CPU on all its cores, or loads them from the cache. Nothing else may compile meanwhile.
+
+    Args:
+        kernels: any.
+    """
+    wp.force_load("cpu", [kernel.module for kernel in kernels], block_dim=1, max_workers=num_threads())
