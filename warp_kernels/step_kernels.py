@@ -19,6 +19,9 @@ from warp_kernels.tile_binning import binning_kernels, tile_ranges_kernel
 TILE_SIZE = 16
 """The rasterizer's default [px]."""
 
+COLORS = 3
+"""Channels of the first of the two images that colours and features are blended to."""
+
 
 def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = False) -> list[wp.Kernel]:
     """What a forward and backward pass launches on the CPU, of a perspective camera that is not trained.
@@ -36,7 +39,7 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
     count, _, gather, emit = binning_kernels(dtype, lanes)  # what is compacted on CUDA is few here
     return [
         projection_kernel(dtype, camera_model, False),
-        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, False, True),
+        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, False, True, COLORS),
         projection_adjoint_kernel(dtype, camera_model, False, False, antialiased),
         blend_kernel(channels, thermal_channels, dtype, layout),
         color_adjoint_kernel(dtype),
