@@ -9,12 +9,16 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_kernels.lanes import on_cuda
-from warp_kernels.matrix_fragments import PACK, PADDING, PIXELS, Address, fragments, row_bytes
+from warp_kernels.matrix_fragments import PACK, PADDING, PIXELS, SIGMOID, Address, fragments, row_bytes
 
 WARPS = 8
 """Warps of a block; the parts of a weight's gradient are dealt to two by four of them."""
 
 THREADS = 32 * WARPS
+
+TEAMS = (1, 2)
+"""Warps that may share 16 pixels in the adjoint, half of each layer's channels each: a block's shared memory then holds
+half as many pixels. One is quicker where there is room: nobody waits for a partner."""
 
 NARROW = 16
 """Columns of features, with a 1 behind them, and of images, padded."""
@@ -53,14 +57,15 @@ class Layout(NamedTuple):
 
 
 @functools.cache
-def layout_of(hidden: int, modulated: bool) -> Layout:
+def layout_of(hidden: int, modulated: bool, team: int = 1) -> Layout:
     """Shared memory of a block.
 
     Args:
         hidden: channels of hidden layers.
         modulated: whether there is a modulation.
+        team: warps that share 16 pixels, of TEAMS. What the forward pass uses is the same for all.
     """
-    wide, narrow, pixels = row_bytes(hidden), row_bytes(NARROW), WARPS * PIXELS
+    wide, narrow, pixels = row_bytes(hidden), row_bytes(NARROW), WARPS // team * PIXELS
     twice = 2 * hidden if modulated else 0
     sizes = [hidden * narrow, hidden * wide, hidden * wide, twice * wide, NARROW * wide]
     sizes += [4 * hidden, 4 * hidden, 4 * hidden, 4 * twice, 4 * NARROW]
@@ -92,6 +97,25 @@ def shared_address(size: int) -> tuple[int, wp.Function]:
 @wp.func_native(on_cuda("__syncthreads();"))
 def sync():
     """All warps of the block have come here, and what they wrote to shared memory is seen."""
+
+
+@functools.cache
+def team_sync(size: int) -> wp.Function:
+    """As ``sync``, among the warps of a team.
+
+    Args:
+        size: of a team, of TEAMS.
+
+    Returns:
+        A function (team, counted from 0).
+    """
+    # 0 is the barrier of the whole block
+    wait = f"""asm volatile("bar.sync %0, {32 * size};" :: "r"(team + 1) : "memory");"""
+
+    @wp.func_native(on_cuda(wait if size > 1 else ""))
+    def wait_for_team(team: int): ...
+
+    return wait_for_team
 
 
 @wp.func_native(
@@ -153,13 +177,14 @@ def factor_of(largest: wp.float32) -> wp.float32:
 
 @wp.func_native(
     on_cuda(
-        """const int channels = image.shape[1], column = 2 * (lane & 3);
+        f"""{SIGMOID}
+        const int channels = image.shape[1], column = 2 * (lane & 3);
         #pragma unroll
-        for (int k = 0; k < 4; ++k) {
+        for (int k = 0; k < 4; ++k) {{
             const int row = pixel + (lane >> 2) + 8 * (k >> 1), c = column + (k & 1);
             if (row < image.shape[0] && c < channels)
-                image.data[(long long)row * channels + c] = __fdividef(1.0f, 1.0f + __expf(-z.c[k]));
-        }"""
+                image.data[(long long)row * channels + c] = sigmoid(z.c[k]);
+        }}"""
     )
 )
 def write_image(z: _sums, image: MATRIX, pixel: int, lane: int):

@@ -90,16 +90,20 @@ class Fragments(NamedTuple):
     silu_slope: wp.Function
     """Its derivative: (sums) -> packed."""
     put: wp.Function
-    """Writes a matrix to shared memory: (packed, address of its first row, lane)."""
+    """Writes a matrix to shared memory: (packed, address of its first number, lane)."""
+    get: wp.Function
+    """Reads one from there: (address of its first number, lane) -> packed."""
 
 
 @functools.cache
-def fragments(columns: int) -> Fragments:
+def fragments(columns: int, among: int | None = None) -> Fragments:
     """Functions that work on each number.
 
     Args:
-        columns: of the matrices, a multiple of 8.
+        columns: of the matrices, a multiple of 16.
+        among: columns of the matrix in shared memory that these are a part of; None for the same.
     """
+    pitch = row_bytes(among or columns)
     registers = columns // 4  # of a packed matrix; twice as many sums
     sums, packed = wp.types.vector(2 * registers, wp.float32), wp.types.vector(registers, wp.uint32)
     each = f"\n#pragma unroll\nfor (int k = 0; k < {registers}; ++k)"
@@ -135,9 +139,19 @@ def fragments(columns: int) -> Fragments:
         + "return z;"
     )
     put_snippet = on_cuda(
-        f"""const unsigned at = address + (lane >> 2) * {row_bytes(columns)} + 4 * (lane & 3);
+        f"""const unsigned at = address + (lane >> 2) * {pitch} + 4 * (lane & 3);
         {each} asm volatile("st.shared.b32 [%0], %1;"
-            :: "r"(at + (k & 1) * {8 * row_bytes(columns)} + (k >> 1) * 16), "r"(p.c[k]) : "memory");"""
+            :: "r"(at + (k & 1) * {8 * pitch} + (k >> 1) * 16), "r"(p.c[k]) : "memory");"""
+    )
+    get_snippet = (
+        to_packed
+        + on_cuda(
+            f"""{LOAD}
+            const unsigned at = address + (lane & 15) * {pitch} + (lane >> 4) * 16;
+            #pragma unroll
+            for (int k = 0; k < {registers}; k += 4) load(&p.c[k], at + 8 * k);"""
+        )
+        + "return p;"
     )
 
     @wp.func_native(rounded_snippet)
@@ -155,7 +169,10 @@ def fragments(columns: int) -> Fragments:
     @wp.func_native(put_snippet)
     def put(p: packed, address: Address, lane: int): ...
 
-    return Fragments(sums, packed, rounded, widened, silu, silu_slope, put)
+    @wp.func_native(get_snippet)
+    def get(address: Address, lane: int) -> packed: ...
+
+    return Fragments(sums, packed, rounded, widened, silu, silu_slope, put, get)
 
 
 def _products(operand: str, steps: int, tiles: int, load: str, step_bytes: int, tile_bytes: int) -> str:
@@ -218,18 +235,19 @@ def linear(columns: int, outputs: int) -> wp.Function:
 
 
 @functools.cache
-def linear_adjoint(columns: int, outputs: int) -> wp.Function:
+def linear_adjoint(columns: int, outputs: int, among: int | None = None) -> wp.Function:
     """v W added to sums, of W [outputs, columns] in shared memory.
 
     Args:
         columns: of W, a multiple of 16.
         outputs: columns of v, a multiple of 16.
+        among: columns of the matrix in shared memory that W is a part of; None for the same.
 
     Returns:
         A function (v, address of W, sums, lane) -> sums.
     """
     packed, sums = fragments(outputs).packed, fragments(columns).sums
-    pitch, steps = row_bytes(columns), outputs // 16
+    pitch, steps = row_bytes(among or columns), outputs // 16
     of_two_steps, of_two_tiles = f"lane * {pitch}", f"(lane & 15) * {pitch} + (lane >> 4) * 16"
     snippet = f"wp::vec_t<{columns // 2}, wp::float32> y = added;" + on_cuda(
         f"""{MMA} {LOAD_TRANSPOSED}
@@ -244,15 +262,15 @@ def linear_adjoint(columns: int, outputs: int) -> wp.Function:
 
 
 @functools.cache
-def add_outer(rows: int, columns: int, outputs: int, inputs: int, warps: int) -> wp.Function:
-    """A part of vᵀ x added to sums, over the rows of all warps: the gradient of a linear layer's weight.
+def add_outer(rows: int, columns: int, outputs: int, inputs: int, matrices: int) -> wp.Function:
+    """A part of vᵀ x added to sums, over the rows of several matrices: the gradient of a linear layer's weight.
 
     Args:
         rows: of the part, a multiple of 16.
         columns: of the part, a multiple of 8.
         outputs: columns of v.
         inputs: columns of x.
-        warps: whose matrices follow each other in shared memory.
+        matrices: of 16 rows each, that follow each other in shared memory.
 
     Returns:
         A function (address of v, address of x, first row, first column, sums, lane) -> sums, four a lane for each 16
@@ -267,7 +285,7 @@ def add_outer(rows: int, columns: int, outputs: int, inputs: int, warps: int) ->
         const unsigned of_v = v + at_v + 2 * row;
         const unsigned of_x = x + (lane & 15) * {row_bytes(inputs)} + 2 * column + (lane >> 4) * 16;
         #pragma unroll
-        for (int step = 0; step < {warps}; ++step) {{
+        for (int step = 0; step < {matrices}; ++step) {{
             unsigned a[{down}][4];
             #pragma unroll
             for (int m = 0; m < {down}; ++m)
@@ -292,12 +310,12 @@ def add_outer(rows: int, columns: int, outputs: int, inputs: int, warps: int) ->
 
 
 @functools.cache
-def add_columns(outputs: int, warps: int) -> wp.Function:
-    """Sums of 16 columns of v over the rows of all warps added to sums: the gradient of a linear layer's bias.
+def add_columns(outputs: int, matrices: int) -> wp.Function:
+    """Sums of 16 columns of v over the rows of several matrices added to sums: the gradient of a linear layer's bias.
 
     Args:
         outputs: columns of v.
-        warps: whose matrices follow each other in shared memory.
+        matrices: of 16 rows each, that follow each other in shared memory.
 
     Returns:
         A function (address of v, first column, sums, lane) -> sums, those of column g and g + 8 in lane 4 g, first and
@@ -310,7 +328,7 @@ def add_columns(outputs: int, warps: int) -> wp.Function:
         const unsigned of_v = v + at_v + 2 * column;
         const unsigned ones = lane < 4 ? 0x3c003c00u : 0u;  // the first column of the other factor
         #pragma unroll
-        for (int step = 0; step < {warps}; ++step) {{
+        for (int step = 0; step < {matrices}; ++step) {{
             unsigned a[4];
             load_transposed(a, of_v + step * {PIXELS * row_bytes(outputs)});
             multiply_add(c.c, a, ones, ones);
