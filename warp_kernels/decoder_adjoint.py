@@ -23,6 +23,7 @@ from warp_kernels.decoder_memory import (
     WARPS,
     factor_of,
     layout_of,
+    program_of_grid,
     read_features,
     read_gradient,
     shared_address,
@@ -30,6 +31,8 @@ from warp_kernels.decoder_memory import (
     stored,
     sync,
     team_sync,
+    thread_of_block,
+    unscaled_of,
     write_features,
 )
 from warp_kernels.decoder_networks import label_of, parameter_loader
@@ -67,7 +70,8 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
     own = hidden // team
     narrow, wide = fragments(NARROW), fragments(own, hidden)
     sums16, sums = narrow.sums, wide.sums
-    put_narrow, put, get = narrow.put, wide.put, fragments(hidden).get
+    put_narrow, put = narrow.put, wide.put
+    get_narrow, get_own, get = narrow.get, wide.get, fragments(hidden).get
     rounded16, rounded, widened = narrow.rounded, wide.rounded, wide.widened
     silu, silu_slope = wide.silu, wide.silu_slope
     first_layer, layer = linear(NARROW, own), linear(hidden, own)
@@ -103,7 +107,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
         def whole(p: wide.packed, rows: Address, lane: int) -> fragments(hidden).packed:
             return get(rows, lane)
 
-    @wp.kernel(name=name, enable_backward=False, module="unique", launch_bounds=(THREADS, 1))
+    @wp.kernel(name=name, enable_backward=False, module="unique", launch_bounds=(THREADS, 1), grid_stride=False)
     def adjoint(
         programs: int,
         features: MATRIX,
@@ -115,13 +119,13 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
         v_features: MATRIX,
         partial: MATRIX,
     ):  # fmt: skip
-        program, thread = wp.tid()
+        program, thread = program_of_grid(), thread_of_block()
         base = address(wp.tile_empty(shape=words, dtype=wp.int32, storage="shared"))
         load_parameters(base, w1, b1, w2, b2, w3, b3, wm, bm, wh, bh, thread)
         lane = thread & 31
         warp = thread >> 5
         my_team, member = warp >> team_bits, warp & (team - 1)
-        factor = factor_of(largest[0])
+        factor, unscaled = factor_of(largest[0]), unscaled_of(largest[0])
         # this warp's channels: rows of weights on the way there, columns on the way back
         rows, of_columns, of_biases = Address(member * own_wide), Address(member * own * 2), Address(member * own * 4)
         weight1, weight2 = base + Address(wp.static(at.w1)), base + Address(wp.static(at.w2))
@@ -146,10 +150,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
         v_w3 = part()
         v_wg = part()
         v_wb = part()
-        v_b2 = FOUR()
-        v_b3 = FOUR()
-        v_bg = FOUR()
-        v_bb = FOUR()
+        v_biases = FOUR()  # of the square weights' layers, each in its place
         v_w1 = FOUR()
         v_wh = FOUR()
         v_bh = FOUR()
@@ -183,6 +184,8 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
                 beta = layer(
                     whole_prior, modulation + rows + Address(gamma_to_beta), b_modulation + Address(4 * hidden), lane
                 )
+                if wp.static(team > 1):  # registers are short
+                    encoded = get_own(all_encoded + mine, lane)
                 h = widened(encoded)
                 put(rounded(wp.cw_mul(gamma, h) + beta), odd + mine, lane)
                 v_top = from_head(v, head_weight + of_columns, sums(), lane)  # not before: it needs registers
@@ -195,7 +198,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
                     v_wh = beside_image(all_v, odd, 0, warp * 8, v_wh, lane)
                 v_wg = square(even, all_prior, row, column, v_wg, lane)
                 if across < biased:
-                    v_bg = bias_sums(even, bias_row, v_bg, lane)
+                    v_biases = bias_sums(even, bias_row, 2, v_biases, lane)
                 beta_columns = modulation + of_columns + Address(gamma_to_beta)
                 v_prior = back(whole(v_gamma, even + ours, lane), modulation + of_columns, sums(), lane)
                 if wp.static(team == 1):  # before others wait, and registers for v_beta are free
@@ -207,7 +210,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
                     v_prior = back(whole(v_beta, odd + ours, lane), beta_columns, v_prior, lane)
                 v_wb = square(odd, all_prior, row, column, v_wb, lane)
                 if across < biased:
-                    v_bb = bias_sums(odd, bias_row, v_bb, lane)
+                    v_biases = bias_sums(odd, bias_row, 3, v_biases, lane)
             else:
                 v_prior = from_head(v, head_weight + of_columns, sums(), lane)
             v_z = rounded(wp.cw_mul(v_prior, widened(slope3)))
@@ -217,17 +220,19 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
                 if warp * 8 < hidden:
                     v_wh = beside_image(all_v, all_prior, 0, warp * 8, v_wh, lane)
             if warp == 0:
-                v_bh = bias_sums16(all_v, 0, v_bh, lane)
+                v_bh = bias_sums16(all_v, 0, 0, v_bh, lane)
             v_w3 = square(even, all_encoded, row, column, v_w3, lane)
             if across < biased:
-                v_b3 = bias_sums(even, bias_row, v_b3, lane)
+                v_biases = bias_sums(even, bias_row, 1, v_biases, lane)
             v_encoded = back(whole(v_z, even + ours, lane), weight3 + of_columns, v_encoded, lane)
             v_z = rounded(wp.cw_mul(v_encoded, widened(slope2)))
             put(v_z, odd + mine, lane)
             sync()
             v_w2 = square(odd, all_first, row, column, v_w2, lane)
             if across < biased:
-                v_b2 = bias_sums(odd, bias_row, v_b2, lane)
+                v_biases = bias_sums(odd, bias_row, 0, v_biases, lane)
+            if wp.static(team > 1):
+                x = get_narrow(all_x + ours_narrow, lane)
             z = first_layer(x, rows1, bias1, lane)  # again: quick, and takes no registers
             v_first = back(whole(v_z, odd + ours, lane), weight2 + of_columns, sums(), lane)
             v_z = rounded(wp.cw_mul(v_first, widened(silu_slope(z))))
@@ -240,10 +245,9 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
                 v_w1 = beside_features(even, all_x, (warp >> 1) * 16, (warp & 1) * 8, v_w1, lane)
             if member == 0:
                 v_x = to_features(whole(v_z, even + ours, lane), weight1, sums16(), lane)
-                write_features(v_x, v_features, 1.0 / factor, pixel, lane)
+                write_features(v_x, v_features, unscaled, pixel, lane)
             sync()
             pixel = following
-        unscaled = 1.0 / factor
         out = partial[program]
         dim, channels = features.shape[1], image.shape[1]
         if warp * 8 < hidden:
@@ -251,22 +255,22 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
         first = (dim + 1) * hidden
         store_square(v_w2, out, first, hidden, hidden, row, column, False, unscaled, lane)
         if across < biased:
-            store_sums(v_b2, out, first + hidden * hidden, hidden, bias_row, unscaled, lane)
+            store_sums(v_biases, 0, out, first + hidden * hidden, hidden, bias_row, unscaled, lane)
         first += (hidden + 1) * hidden
         store_square(v_w3, out, first, hidden, hidden, row, column, False, unscaled, lane)
         if across < biased:
-            store_sums(v_b3, out, first + hidden * hidden, hidden, bias_row, unscaled, lane)
+            store_sums(v_biases, 1, out, first + hidden * hidden, hidden, bias_row, unscaled, lane)
         first += (hidden + 1) * hidden
         if wp.static(modulated):
             store_square(v_wg, out, first, hidden, hidden, row, column, False, unscaled, lane)
             store_square(v_wb, out, first + hidden * hidden, hidden, hidden, row, column, False, unscaled, lane)
             if across < biased:
-                store_sums(v_bg, out, first + 2 * hidden * hidden, hidden, bias_row, unscaled, lane)
-                store_sums(v_bb, out, first + (2 * hidden + 1) * hidden, hidden, bias_row, unscaled, lane)
+                store_sums(v_biases, 2, out, first + 2 * hidden * hidden, hidden, bias_row, unscaled, lane)
+                store_sums(v_biases, 3, out, first + (2 * hidden + 1) * hidden, hidden, bias_row, unscaled, lane)
             first += 2 * (hidden + 1) * hidden
         if warp * 8 < hidden:
             store_tile(v_wh, out, first, channels, hidden, 0, warp * 8, False, unscaled, lane)
         if warp == 0:
-            store_sums(v_bh, out, first + channels * hidden, channels, 0, unscaled, lane)
+            store_sums(v_bh, 0, out, first + channels * hidden, channels, 0, unscaled, lane)
 
     return adjoint

@@ -94,6 +94,17 @@ def shared_address(size: int) -> tuple[int, wp.Function]:
     return words, address
 
 
+# wp.tid() divides for what these registers hold, and its results are kept where registers are short.
+@wp.func_native(on_cuda("return (int)threadIdx.x;", "return 0;"))
+def thread_of_block() -> int:
+    """This thread, counted from the block's first."""
+
+
+@wp.func_native(on_cuda("return (int)blockIdx.x;", "return 0;"))
+def program_of_grid() -> int:
+    """This block, counted from the launch's first."""
+
+
 @wp.func_native(on_cuda("__syncthreads();"))
 def sync():
     """All warps of the block have come here, and what they wrote to shared memory is seen."""
@@ -173,6 +184,11 @@ def read_features(features: MATRIX, pixel: int, lane: int) -> _packed:
 @wp.func_native("return exp2f(-ceilf(log2f(fmaxf(largest, 1e-30f))));")
 def factor_of(largest: wp.float32) -> wp.float32:
     """The power of two that brings gradients up to so large a one into float16's range, to at most 1."""
+
+
+@wp.func_native("return exp2f(ceilf(log2f(fmaxf(largest, 1e-30f))));")
+def unscaled_of(largest: wp.float32) -> wp.float32:
+    """The power of two that takes them back: 1 / ``factor_of``, without a division."""
 
 
 @wp.func_native(
@@ -265,12 +281,12 @@ def stored(down: int, across: int) -> wp.Function:
 
 @wp.func_native(
     on_cuda(
-        """if ((lane & 3) == 0) {
+        """if ((lane & 3) == place >> 1) {
             const int r = row + (lane >> 2);
-            if (r < rows) out.data[first + r] = v.c[0] * unscaled;
-            if (r + 8 < rows) out.data[first + r + 8] = v.c[2] * unscaled;
+            if (r < rows) out.data[first + r] = v.c[place & 1] * unscaled;
+            if (r + 8 < rows) out.data[first + r + 8] = v.c[2 + (place & 1)] * unscaled;
         }"""
     )
 )
-def store_sums(v: FOUR, out: ARRAY, first: int, rows: int, row: int, unscaled: wp.float32, lane: int):
-    """What add_columns summed, to a bias's place from ``first`` on."""
+def store_sums(v: FOUR, place: int, out: ARRAY, first: int, rows: int, row: int, unscaled: wp.float32, lane: int):
+    """What add_columns summed in a place, to a bias's place from ``first`` on."""

@@ -21,9 +21,11 @@ from warp_kernels.decoder_memory import (
     layout_of,
     load_bias,
     load_weight,
+    program_of_grid,
     read_features,
     shared_address,
     sync,
+    thread_of_block,
     write_image,
 )
 from warp_kernels.matrix_fragments import PIXELS, Address, fragments, linear, row_bytes
@@ -94,7 +96,13 @@ def decode_kernel(hidden: int, modulated: bool) -> wp.Kernel:
     pixels_of_block = WARPS * PIXELS
     words, address = shared_address(at.forward_size)
 
-    @wp.kernel(name=label_of(hidden, modulated), enable_backward=False, module="unique", launch_bounds=(THREADS, 2))
+    @wp.kernel(
+        name=label_of(hidden, modulated),
+        enable_backward=False,
+        module="unique",
+        launch_bounds=(THREADS, 2),
+        grid_stride=False,
+    )
     def decode(
         programs: int,
         features: MATRIX,
@@ -102,7 +110,7 @@ def decode_kernel(hidden: int, modulated: bool) -> wp.Kernel:
         wm: MATRIX, bm: ARRAY, wh: MATRIX, bh: ARRAY,
         image: MATRIX,
     ):  # fmt: skip
-        program, thread = wp.tid()
+        program, thread = program_of_grid(), thread_of_block()
         base = address(wp.tile_empty(shape=words, dtype=wp.int32, storage="shared"))
         load_parameters(base, w1, b1, w2, b2, w3, b3, wm, bm, wh, bh, thread)
         lane = thread & 31

@@ -318,15 +318,15 @@ def add_columns(outputs: int, matrices: int) -> wp.Function:
         matrices: of 16 rows each, that follow each other in shared memory.
 
     Returns:
-        A function (address of v, first column, sums, lane) -> sums, those of column g and g + 8 in lane 4 g, first and
-        third.
+        A function (address of v, first column, place, sums, lane) -> sums. Sums of 16 rows and 8 columns have room for
+        several such: those of columns g and g + 8 of v come to the rows g and g + 8 of the column ``place``.
     """
     total = wp.types.vector(4, wp.float32)
     snippet = "wp::vec_t<4, wp::float32> c = added;" + on_cuda(
         f"""{MMA} {LOAD_TRANSPOSED}
         const unsigned at_v = ((lane & 7) + 8 * (lane >> 4)) * {row_bytes(outputs)} + (lane >> 3 & 1) * 16;
         const unsigned of_v = v + at_v + 2 * column;
-        const unsigned ones = lane < 4 ? 0x3c003c00u : 0u;  // the first column of the other factor
+        const unsigned ones = lane >> 2 == place ? 0x3c003c00u : 0u;  // that column of the other factor
         #pragma unroll
         for (int step = 0; step < {matrices}; ++step) {{
             unsigned a[4];
@@ -336,6 +336,6 @@ def add_columns(outputs: int, matrices: int) -> wp.Function:
     )
 
     @wp.func_native(snippet + "return c;")
-    def add_columns(v: Address, column: int, added: total, lane: int) -> total: ...
+    def add_columns(v: Address, column: int, place: int, added: total, lane: int) -> total: ...
 
     return add_columns
