@@ -74,7 +74,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
     get_narrow, get_own, get = narrow.get, wide.get, fragments(hidden).get
     rounded16, rounded, widened = narrow.rounded, wide.rounded, wide.widened
     silu, silu_slope = wide.silu, wide.silu_slope
-    first_layer, layer = linear(NARROW, own), linear(hidden, own)
+    (first_layer, _), (layer, _) = linear(NARROW, own), linear(hidden, own)
     to_features, back = linear_adjoint(NARROW, hidden), linear_adjoint(own, hidden, hidden)
     from_head = linear_adjoint(own, NARROW, hidden)
     gamma_to_beta = hidden * row_bytes(hidden)

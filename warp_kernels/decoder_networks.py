@@ -91,7 +91,9 @@ def decode_kernel(hidden: int, modulated: bool) -> wp.Kernel:
     load_parameters = parameter_loader(hidden, modulated)
     wide = fragments(hidden)
     rounded, widened, silu = wide.rounded, wide.widened, wide.silu
-    first_layer, layer, head = linear(NARROW, hidden), linear(hidden, hidden), linear(hidden, NARROW)
+    (first_layer, _), (layer, layer_added), (head, _) = (
+        linear(columns, outputs) for columns, outputs in ((NARROW, hidden), (hidden, hidden), (hidden, NARROW))
+    )
     gamma_to_beta = hidden * row_bytes(hidden)
     pixels_of_block = WARPS * PIXELS
     words, address = shared_address(at.forward_size)
@@ -126,8 +128,9 @@ def decode_kernel(hidden: int, modulated: bool) -> wp.Kernel:
                 modulation = base + Address(wp.static(at.modulation))
                 b_modulation = base + Address(wp.static(at.b_modulation))
                 gamma = layer(top, modulation, b_modulation, lane)
-                beta = layer(top, modulation + Address(gamma_to_beta), b_modulation + Address(4 * hidden), lane)
-                top = rounded(wp.cw_mul(gamma, widened(encoded)) + beta)
+                modulated_sums = wp.cw_mul(gamma, widened(encoded))
+                of_beta = modulation + Address(gamma_to_beta)
+                top = rounded(layer_added(top, of_beta, b_modulation + Address(4 * hidden), modulated_sums, lane))
             z = head(top, base + Address(wp.static(at.head)), base + Address(wp.static(at.b_head)), lane)
             write_image(z, image, pixel, lane)
             pixel += programs * pixels_of_block

@@ -201,7 +201,7 @@ def _products(operand: str, steps: int, tiles: int, load: str, step_bytes: int, 
 
 
 @functools.cache
-def linear(columns: int, outputs: int) -> wp.Function:
+def linear(columns: int, outputs: int) -> tuple[wp.Function, wp.Function]:
     """x Wᵀ + b, of W [outputs, columns] in shared memory.
 
     Args:
@@ -209,29 +209,36 @@ def linear(columns: int, outputs: int) -> wp.Function:
         outputs: rows of W, a multiple of 16.
 
     Returns:
-        A function (x, address of W, address of b, lane) -> sums.
+        A function (x, address of W, address of b, lane) -> sums, and one (x, address of W, address of b, sums to add
+        to, lane) -> sums.
     """
     packed, sums = fragments(columns).packed, fragments(outputs).sums
     pitch, steps = row_bytes(columns), columns // 16
     of_two_steps = f"(lane & 7) * {pitch} + (lane >> 3) * 16"
     of_two_tiles = f"((lane & 7) + 8 * (lane >> 4)) * {pitch} + (lane >> 3 & 1) * 16"
-    snippet = f"""wp::vec_t<{outputs // 2}, wp::float32> y;""" + on_cuda(
-        f"""{MMA} {LOAD}
-        #pragma unroll
-        for (int n = 0; n < {outputs // 8}; ++n) {{
-            asm volatile("ld.shared.v2.f32 {{%0, %1}}, [%2];" : "=f"(y.c[4 * n]), "=f"(y.c[4 * n + 1])
-                : "r"(bias + 32 * n + 8 * (lane & 3)) : "memory");
-            y.c[4 * n + 2] = y.c[4 * n];
-            y.c[4 * n + 3] = y.c[4 * n + 1];
-        }}
-        const unsigned at = weights + {of_two_steps if steps % 2 == 0 else of_two_tiles};
-        {_products("x", steps, outputs // 8, "load", 32, 8 * pitch)}"""
-    )
 
-    @wp.func_native(snippet + "return y;")
+    def snippet(biased: str) -> str:
+        return f"wp::vec_t<{outputs // 2}, wp::float32> y;" + on_cuda(
+            f"""{MMA} {LOAD}
+            #pragma unroll
+            for (int n = 0; n < {outputs // 8}; ++n) {{
+                float b[2];
+                asm volatile("ld.shared.v2.f32 {{%0, %1}}, [%2];" : "=f"(b[0]), "=f"(b[1])
+                    : "r"(bias + 32 * n + 8 * (lane & 3)) : "memory");
+                #pragma unroll
+                for (int k = 0; k < 4; ++k) y.c[4 * n + k] = {biased};
+            }}
+            const unsigned at = weights + {of_two_steps if steps % 2 == 0 else of_two_tiles};
+            {_products("x", steps, outputs // 8, "load", 32, 8 * pitch)}"""
+        )
+
+    @wp.func_native(snippet("b[k & 1]") + "return y;")
     def linear(x: packed, weights: Address, bias: Address, lane: int) -> sums: ...
 
-    return linear
+    @wp.func_native(snippet("added.c[4 * n + k] + b[k & 1]") + "return y;")
+    def linear_added(x: packed, weights: Address, bias: Address, added: sums, lane: int) -> sums: ...
+
+    return linear, linear_added
 
 
 @functools.cache
