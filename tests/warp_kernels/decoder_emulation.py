@@ -1,6 +1,6 @@
 """The decoders' kernels without a GPU: their bodies run in Python, a thread a warp, on bytes for shared memory.
 
-Functions on a warp's matrix are NumPy ones here, so how lanes hold a matrix is left out. Everything the bodies say is in:
+Functions on a warp's matrix are NumPy ones here, so how lanes hold a matrix is left out. What the bodies say is in:
 addresses, the deal of channels and weights to warps, and every wait, for the threads pause at random, and what has not
 been written reads as something else.
 """

@@ -21,7 +21,7 @@ FLOAT16 = 5e-3
 
 
 class Case(NamedTuple):
-    """Features, parameters (None without a modulation), the image's gradient; and, from float64, image and gradients."""
+    """Features, parameters (None without a modulation), the image's gradient; from float64 image and gradients."""
 
     features: Array
     parameters: list[Array | None]
