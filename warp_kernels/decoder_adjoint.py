@@ -96,6 +96,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
     biased = part_rows // 16  # of the 4 warps across, those that sum a bias's gradient
     store_square, store_tile = stored(part_rows // 16, part_columns // 8), stored(1, 1)
 
+    # All channels of a team's pixels: what this warp has of them, or what all have put in these rows.
     if team == 1:
 
         @wp.func
