@@ -14,6 +14,8 @@ import math
 
 import warp as wp
 
+from warp_kernels.lanes import scalar_name
+
 TERMS = 4
 """Pairs of images that share the passes."""
 
@@ -56,7 +58,7 @@ def plane_functions(dtype: type):
         access would take all registers. Pair t has the channels from e(t - 1) up to et, without an end for the last;
         an image of a place that is not used is not read.
     """
-    scalar = "float" if dtype is wp.float32 else "double"
+    scalar = scalar_name(dtype)
     image_type = wp.array3d(dtype=dtype)
 
     @wp.func_native("return (wp::uint64)((char*)image.data + (long long)c * image.strides[2]);")

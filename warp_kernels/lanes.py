@@ -22,6 +22,15 @@ def on_cuda(source: str, otherwise: str = "") -> str:
     return f"\n#if defined(__CUDA_ARCH__)\n{source}\n#else\n{otherwise}\n#endif\n"
 
 
+def scalar_name(dtype: type) -> str:
+    """What C++ calls a scalar.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+    """
+    return "float" if dtype is wp.float32 else "double"
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     return __any_sync(0xffffffffu, x);
@@ -147,7 +156,7 @@ def accumulate_snippet(length: int, dtype: type, *, apart: tuple[int, int] | Non
         C++ source using the arguments ``dst`` (array of vectors), ``features`` (of another), ``index``, ``lane`` and
         ``v``.
     """
-    scalar = "float" if dtype is wp.float32 else "double"
+    scalar = scalar_name(dtype)
     lines = [f"{scalar}* p = ({scalar}*)(dst.data + index);"]
     if apart is not None:
         begin, behind = apart
@@ -217,7 +226,7 @@ def column_sums_snippet(length: int, columns: int, dtype: type) -> str:
     Returns:
         C++ source using the arguments ``m`` (matrix) and ``out`` (array of vectors of ``length``), and ``index``.
     """
-    scalar = "float" if dtype is wp.float32 else "double"
+    scalar = scalar_name(dtype)
     width = min(columns, 16)
     lines = [f"typedef {scalar} V __attribute__((ext_vector_type({width})));"]
     lines.append(f"typedef V Unaligned __attribute__((aligned(sizeof({scalar}))));")

@@ -10,7 +10,9 @@ from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.camera_gradients import CAMERA_RECORD, camera_finish_kernel
-from warp_kernels.decoder_networks import HIDDEN, decoder_kernels
+from warp_kernels.decoder_adjoint import decode_adjoint_kernel
+from warp_kernels.decoder_memory import TEAMS
+from warp_kernels.decoder_networks import HIDDEN, decode_kernel
 from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.list_segments import join_segments_kernel
 from warp_kernels.projection import projection_kernel
@@ -71,12 +73,12 @@ def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("arch", [80, 86, 90, 120])
 def test_decoders_compile_for_cuda(arch: int, tmp_path: Path) -> None:
-    """All sizes, with and without a modulation."""
-    kernels = [
-        kernel for hidden in HIDDEN for modulated in (False, True) for kernel in decoder_kernels(hidden, modulated)
-    ]
+    """All sizes, with and without a modulation, with a warp or two for 16 pixels."""
+    shapes = [(hidden, modulated) for hidden in HIDDEN for modulated in (False, True)]
+    kernels = [decode_kernel(*shape) for shape in shapes]
+    kernels += [decode_adjoint_kernel(*shape, team) for shape in shapes for team in TEAMS]
     compile_all(kernels, arch, tmp_path)
 
 
