@@ -107,7 +107,10 @@ def test_points_that_are_nowhere_are_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda model: setattr(model.cameras[1], "params", [0.0, 42.0, 16.0, 12.0]), "camera of images/0000.png is imp"),
+        (
+            lambda model: setattr(model.cameras[1], "params", [0.0, 42.0, 16.0, 12.0]),
+            "camera of images/0000.png is imp",
+        ),
         (lambda model: setattr(model.cameras[1], "params", [np.inf, 42.0, 16.0, 12.0]), "camera of images/0000.png is"),
         (lambda model: _lose(model.frames[1]), "pose of images/0000.png is not finite"),
     ],

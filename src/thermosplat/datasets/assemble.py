@@ -65,7 +65,7 @@ def assemble(
     scale = None if reading is None else reading.scale
     usable = np.isfinite(listing.points).all(axis=-1)
     if not usable.all():
-        notes.append(f"{np.sum(~usable):,} of {len(usable):,} starting points are not finite and were left out.")
+        notes.append(f"{np.sum(~usable):,} of {len(listing.points):,} starting points are not finite and were left out.")
     points, colors = listing.points[usable], listing.point_colors[usable]
     return Capture(name, root, listing.layout, train, test, points, colors, scale, tuple(notes))
 
@@ -143,8 +143,8 @@ def _view(
     camera = shrunk(ideal.camera, data_factor)
     if min(camera.width, camera.height) < LEAST_SIDE:
         raise UserError(
-            f"{shot.path.name} has {camera.width}x{camera.height} px with --data-factor {data_factor}; images must be at "
-            f"least {LEAST_SIDE} px wide and high.",
+            f"{shot.path.name} has {camera.width}x{camera.height} px with --data-factor {data_factor}; "
+            f"images must be at least {LEAST_SIDE} px wide and high.",
             "Give a smaller --data-factor.",
         )
     channels = image.shape[2]
