@@ -65,7 +65,9 @@ def assemble(
     scale = None if reading is None else reading.scale
     usable = np.isfinite(listing.points).all(axis=-1)
     if not usable.all():
-        notes.append(f"{np.sum(~usable):,} of {len(listing.points):,} starting points are not finite and were left out.")
+        notes.append(
+            f"{np.sum(~usable):,} of {len(listing.points):,} starting points are not finite and were left out."
+        )
     points, colors = listing.points[usable], listing.point_colors[usable]
     return Capture(name, root, listing.layout, train, test, points, colors, scale, tuple(notes))
 
