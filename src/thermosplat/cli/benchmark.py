@@ -88,6 +88,8 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
     matrix, merged = _matrix(arguments), [Path(folder) for folder in arguments.merge]
     if not matrix.scenes and not merged and not matrix.out.is_dir():
         raise UserError("No scene given.", "Name captures: thermosplat-benchmark data/Dimsum data/Truck --out FOLDER.")
+    if matrix.out.exists() and not matrix.out.is_dir():
+        raise UserError(f"{matrix.out} is a file; a matrix needs a folder.", "Give another --out.")
     finished = Results.collect(matrix.out, merged).cells
     cells, missing = matrix.cells(), matrix.missing(finished)
     devices = choose_devices(arguments.devices, arguments.gpus) if missing else []
