@@ -6,15 +6,17 @@ thermosplat-benchmark data/Dimsum data/Truck --methods baselines thermosplat abl
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from thermosplat.cli.errors import run_command
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
-from thermosplat.method_matrix.matrix import Matrix
 from thermosplat.method_matrix.overrides import parse_overrides
+
+if TYPE_CHECKING:
+    from thermosplat.method_matrix.matrix import Matrix
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
     return 0
 
 
-def _matrix(arguments: BenchmarkArguments) -> Matrix:
+def _matrix(arguments: BenchmarkArguments) -> "Matrix":
     at_least = {"max_steps": 1, "data_factor": 1, "save_every": 0, "max_gaussians": 1, "gpus": 1, "time_limit": 0}
     for name, least in at_least.items():
         value = getattr(arguments, name)
@@ -145,6 +147,8 @@ def _matrix(arguments: BenchmarkArguments) -> Matrix:
     if not arguments.seeds or min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds):
         raise UserError(f"--seeds must be different whole numbers from 0 on, found {list(arguments.seeds)}.")
     scenes, methods = parse_scenes(arguments.scenes), parse_methods(arguments.methods)
+    from thermosplat.method_matrix.matrix import Matrix
+
     return Matrix(
         out=Path(arguments.out),
         scenes=scenes,
