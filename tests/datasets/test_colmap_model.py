@@ -91,6 +91,21 @@ def test_model_without_points(tmp_path):
         load_capture(tmp_path)
 
 
+@pytest.mark.parametrize(("points", "enough"), [(4, True), (3, False)])
+def test_four_points_are_the_least(tmp_path, points, enough):
+    """Scales come from the three nearest neighbours of a point."""
+    write_colmap_folder(tmp_path, 4)
+    model = synthetic_model(4)
+    for point in sorted(model.points3D)[points:]:
+        model.delete_point3D(point)
+    write_model(model, tmp_path / "sparse" / "0")
+    if enough:
+        assert len(load_capture(tmp_path).points) == points
+    else:
+        with pytest.raises(UserError, match="and 3 points"):
+            load_capture(tmp_path)
+
+
 def test_points_that_are_nowhere_are_left_out(tmp_path):
     """A NaN among the sparse points costs that point and a note, not the run."""
     write_colmap_folder(tmp_path, 4)
