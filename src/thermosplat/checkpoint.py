@@ -30,7 +30,7 @@ _REQUIRED: dict[str, tuple[str, ...]] = {
     "sh_degree": (),
     "model": ("gaussian_sets", "decoders", "thermal_channels"),
     "thermal_scale": (),
-    "training": ("optimizers", "strategies", "exposures", "seconds"),
+    "training": (),
 }
 """What a checkpoint must have, and what of it must lie in which entry."""
 

@@ -88,6 +88,14 @@ def test_checkpoints_without_frames_go_on(tmp_path: Path) -> None:
     check_resumable(checkpoint, CONFIG, run, _capture("x"))
 
 
+def test_a_model_alone_cannot_be_trained_further(tmp_path: Path) -> None:
+    """A checkpoint without the state of its training says so."""
+    run = _run(tmp_path)
+    save_checkpoint(run.checkpoint(200), {**newest_checkpoint(run), "training": {"seconds": {}}})
+    with pytest.raises(UserError, match="rendered but not trained further: .* optimizers, strategies, exposures are"):
+        newest_checkpoint(run)
+
+
 def test_newest_checkpoint_is_taken(tmp_path: Path) -> None:
     """Of several, the one with the most steps; without any, an error that says how to start again."""
     run = _run(tmp_path / "run")

@@ -12,18 +12,27 @@ from thermosplat.run_directory import RunDirectory
 
 _START_ONLY = ("feature_noise", "init_opacity", "init_scale")
 """Fields of ModelConfig that matter before the first step only."""
+_TRAINING = ("optimizers", "strategies", "exposures", "seconds")
+"""What of a checkpoint's training state there has always been; rendering does without."""
 
 
 def newest_checkpoint(run: RunDirectory) -> dict[str, Any]:
     """The state of a run's newest checkpoint, on the CPU.
 
     Raises:
-        UserError: If there is none, or it cannot be read.
+        UserError: If there is none, or it cannot be read, or holds a model without the state of its training.
     """
     path = run.latest_checkpoint()
     if path is None:
         raise UserError(f"{run.path} has no checkpoint to go on from.", "Start again with --overwrite.")
-    return load_checkpoint(path)
+    checkpoint = load_checkpoint(path)
+    missing = [entry for entry in _TRAINING if entry not in checkpoint["training"]]
+    if missing:
+        raise UserError(
+            f"{path} can be rendered but not trained further: of its training state {', '.join(missing)} are missing.",
+            "Start another run with another --result-dir.",
+        )
+    return checkpoint
 
 
 def other_frames(then: list[str] | None, capture: Capture) -> str:
