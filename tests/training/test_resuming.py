@@ -92,7 +92,7 @@ def test_a_model_alone_cannot_be_trained_further(tmp_path: Path) -> None:
     """A checkpoint without the state of its training says so."""
     run = _run(tmp_path)
     save_checkpoint(run.checkpoint(200), {**newest_checkpoint(run), "training": {"seconds": {}}})
-    with pytest.raises(UserError, match="rendered but not trained further: .* optimizers, strategies, exposures are"):
+    with pytest.raises(UserError, match=r"rendered but not trained further: .* optimizers, strategies, exposures are"):
         newest_checkpoint(run)
 
 
