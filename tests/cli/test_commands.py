@@ -234,6 +234,13 @@ def test_capture_that_moved(run: Run, finished: Path, tmp_path: Path) -> None:
     assert "--data FOLDER" in printed
     code, _ = run(render.main, tmp_path / "run", "--data", "sample", "--path", "test", "--format", "png")
     assert code == 0
+    config = (finished / "config.yaml").read_text().replace("data: sample", f"data: {tmp_path / 'gone'}")
+    (tmp_path / "run" / "config.yaml").write_text(config)
+    code, printed = run(train.main, "--resume", tmp_path / "run", "--max-steps", STEPS + 1)
+    assert code == 2
+    assert f"thermosplat-train FOLDER --resume {tmp_path / 'run'}" in printed
+    code, _ = run(train.main, "sample", "--resume", tmp_path / "run", "--max-steps", STEPS + 1)
+    assert code == 0
 
 
 def test_another_capture_is_noticed(run: Run, finished: Path, tmp_path: Path) -> None:
