@@ -1,6 +1,7 @@
 """Checks of the rasterizer's arguments: each failure says what was expected, what was found and what is supported."""
 
 import math
+import operator
 from typing import Any, Literal, get_args
 
 import torch
@@ -53,7 +54,7 @@ def check_modes(
         rasterize_mode: one of ``RasterizeMode``.
         camera_model: one of ``CameraModel``.
         tile_size: one of ``TILE_SIZES`` [px].
-        width: image width [px].
+        width: image width [px]; NumPy's integers will do.
         height: image height [px].
         sh_degree: None or 0 to 3.
 
@@ -71,8 +72,12 @@ def check_modes(
         if value not in allowed:
             raise UserError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}.")
     for name, size in (("width", width), ("height", height)):
-        if not isinstance(size, int) or size < 1:
-            raise UserError(f"{name} must be a positive number of pixels, got {size!r}.")
+        try:
+            pixels = operator.index(size)
+        except TypeError:
+            pixels = 0
+        if pixels < 1:
+            raise UserError(f"{name} must be a positive whole number of pixels, got {size!r}.")
 
 
 def check_limits(**limits: float) -> None:
@@ -283,8 +288,8 @@ def checked_settings(
             "Render fewer cameras per call.",
         )
     return ProjectionSettings(
-        width=width,
-        height=height,
+        width=operator.index(width),
+        height=operator.index(height),
         num_gaussians=count,
         num_cameras=cameras,
         num_images=images,

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.blend_function import Join
+from thermosplat.errors import UserError
 from thermosplat.projected_scene import ProjectedScene
 from thermosplat.rasterization_arguments import (
     CameraModel,
@@ -183,6 +184,8 @@ def rasterization(
         rasterize_mode=rasterize_mode,
         camera_model=camera_model,
     )
+    if channel_chunk < 1:
+        raise UserError(f"channel_chunk must be at least 1, got {channel_chunk}.")
     per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
     colors, higher_degrees = colors if isinstance(colors, tuple) else (colors, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
