@@ -7,7 +7,7 @@ import torch
 import warp as wp
 
 from thermosplat.warp_bridge import to_torch
-from thermosplat.warp_streams import joined_capture, kept_apart, on_torch_stream
+from thermosplat.warp_streams import joined_capture, on_torch_stream
 from warp_kernels.array_views import ArrayView, empty, memory, zeros
 
 
@@ -41,16 +41,6 @@ def test_threads_have_contexts_of_their_own() -> None:
     with on_torch_stream(torch.device("cpu")) as warp_device, ThreadPoolExecutor(1) as pool:
         assert isinstance(pool.submit(empty, 3, wp.float32, warp_device).result(), wp.array)
         assert isinstance(empty(3, wp.float32, warp_device), ArrayView)
-
-
-def test_arrays_kept_apart_do_not_hold_their_memory(device: torch.device) -> None:
-    """Their tensors are handed over beside them."""
-    with on_torch_stream(device) as warp_device:
-        with kept_apart() as made:
-            array = empty(5, wp.float32, warp_device)
-        assert array.owner is None
-        assert [(one, tensor.data_ptr()) for one, tensor in made] == [(array, array.ptr)]
-        assert empty(5, wp.float32, warp_device).owner is not None
 
 
 def test_nothing_is_captured_on_the_cpu() -> None:

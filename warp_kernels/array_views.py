@@ -102,9 +102,14 @@ class ArrayView:
         """Whether elements follow one another in memory."""
         return self._layout.is_contiguous
 
-    def unowned(self) -> "ArrayView":
-        """The same array, which does not keep its memory alive."""
-        return ArrayView(self.ptr, self.shape, self.dtype, self.device, None, self.strides)
+    def release(self) -> Any:
+        """Stops keeping the memory alive.
+
+        Returns:
+            What it belongs to.
+        """
+        owner, self.owner = self.owner, None
+        return owner
 
     def array(self) -> wp.array:
         """The same memory as Warp's own kind of array."""

@@ -1,7 +1,6 @@
 """Sharing a device between torch and Warp: one stream, one memory pool, one captured graph."""
 
 import functools
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any, NamedTuple
@@ -55,11 +54,7 @@ class TorchMemory:
         scalar, inner = _scalar_and_shape(dtype)
         shape = (shape,) if isinstance(shape, int) else shape
         tensor = make(shape + inner, dtype=scalar, device=self.device)
-        if _kept.made is None:
-            return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
-        array = ArrayView(tensor.data_ptr(), shape, dtype, device)
-        _kept.made.append((array, tensor))
-        return array
+        return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
 
     def fill(self, array: ArrayView, count: int, value: int) -> None:
         """Sets the first ``count`` numbers of an array made here."""
@@ -68,29 +63,6 @@ class TorchMemory:
     def last(self, array: ArrayView) -> Any:
         """The last number, or numbers, of an array made here. Waits for the device."""
         return array.owner[-1].tolist()
-
-
-class _Kept(threading.local):
-    """Arrays that this thread made inside ``kept_apart``, and their tensors; None outside."""
-
-    made: list[tuple[ArrayView, torch.Tensor]] | None = None
-
-
-_kept = _Kept()
-
-
-@contextmanager
-def kept_apart() -> Iterator[list[tuple[ArrayView, torch.Tensor]]]:
-    """Arrays that are made here do not keep their memory alive.
-
-    Yields:
-        The arrays with their tensors, which do: torch frees those that a function saved when its backward pass is done.
-    """
-    outer, _kept.made = _kept.made, []
-    try:
-        yield _kept.made
-    finally:
-        _kept.made = outer
 
 
 @functools.cache
