@@ -162,7 +162,13 @@ def _nothing(dtype: Any, ndim: int, device: str) -> ArrayView:
 
 
 class WarpMemory:
-    """Arrays of Warp's own, as steps make them for users of Warp alone."""
+    """Arrays of Warp's own, as steps make them for users of Warp alone.
+
+    Attributes:
+        stream: where launches run on CUDA; None: on Warp's current stream of the device.
+    """
+
+    stream: wp.Stream | None = None
 
     def empty(self, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
         """A new array, not initialised."""
@@ -182,7 +188,7 @@ class WarpMemory:
 
 
 class _Memory(threading.local):
-    """Where this thread's steps get their arrays from."""
+    """Where this thread's steps get their arrays from, and the stream they use them on."""
 
     source: Any = WarpMemory()
 
@@ -264,15 +270,19 @@ class RecordedLaunch:
         if dim != self._dim:
             self._command.set_dim(dim)
             self._dim = dim
-        self._pack_into(self._bytes, 0, *[v.packed if type(v) is ArrayView else _packed(v) for v in inputs])
+        packed = [v.packed if type(v) is ArrayView else v if type(v) in _NUMBERS else _packed(v) for v in inputs]
+        self._pack_into(self._bytes, 0, *packed)
         if self._run_on_cpu is not None:
             self._run_on_cpu(ctypes.byref(self._command.bounds), ctypes.byref(self._bytes))
         else:
-            self._command.launch()
+            self._command.launch(memory.source.stream)
+
+
+_NUMBERS = frozenset((int, float, bool))
 
 
 def _packed(value: Any) -> Any:
-    """An argument as ``struct`` packs it: a number, or the bytes of an array, a struct or a vector."""
+    """Any other argument as ``struct`` packs it: a number, or the bytes of an array, a struct or a vector."""
     if isinstance(value, (int, float)):
         return value
     if hasattr(value, "__ctype__"):

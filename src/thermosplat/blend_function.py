@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 
 from thermosplat.tile_lists import TileLists
 from thermosplat.warp_bridge import given_view, keep, kept, kinds_of, lend, take_back, vector_of, view
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels import blending_step
 from warp_kernels.array_views import nothing
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
@@ -94,7 +94,7 @@ class Blend(torch.autograd.Function):
         ctx.projected, ctx.bins = projected, lists.bins
         ctx.inputs = (settings, inputs.first_image, inputs.shown_means2d)
         step = (projected, ctx.opacities, ctx.thermal_opacities, ctx.features, lists.bins, settings, ctx.blended)
-        with on_torch_stream(means2d.device):
+        with launches_on_torch_stream(means2d.device):
             ctx.walk = blending_step.blend(*step)
         ctx.set_materialize_grads(False)
         keep(
@@ -142,7 +142,7 @@ class Blend(torch.autograd.Function):
         )
         rest = features.shape[-1] - first_image
         kinds = (vector_of(channels, dtype) for channels in (first_image, max(rest, 1)))
-        with on_torch_stream(means2d.device) as device:
+        with launches_on_torch_stream(means2d.device) as device:
             for array, gradient in zip(arrays, found, strict=True):
                 if gradient is not None:
                     array.grad = view(gradient, array.dtype)

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.warp_bridge import keep, kept, kinds_of, lend, take_back, view, warp_device_of
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
@@ -79,7 +79,7 @@ class Project(torch.autograd.Function):
         )
         p = projected.arrays()
         g = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
-        with on_torch_stream(means.device):
+        with launches_on_torch_stream(means.device):
             project(g, settings, p)
         ctx.mark_non_differentiable(projected.radii, projected.extents)
         ctx.set_materialize_grads(False)
@@ -124,7 +124,7 @@ class Project(torch.autograd.Function):
                 array.grad = view(gradient, array.dtype)
         for array, gradient in zip(outputs, v_projected, strict=False):
             lend(array, gradient)
-        with on_torch_stream(means.device):
+        with launches_on_torch_stream(means.device):
             project_adjoint(g, ctx.settings, p, store=True, add_to_means=given is not None)
         take_back(*inputs, *outputs)
         return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, None
@@ -169,7 +169,7 @@ class ShColors(torch.autograd.Function):
     ) -> Tensor:
         colors = means.new_empty((radii.numel() // 2, 3))
         arrays = _color_arrays(means, viewmats, sh0, shN, radii, colors)
-        with on_torch_stream(means.device):
+        with launches_on_torch_stream(means.device):
             sh_colors(arrays, settings)
         ctx.settings, ctx.colors = settings, arrays
         keep(
@@ -200,7 +200,7 @@ class ShColors(torch.autograd.Function):
         if v_viewmats is not None:
             arrays.viewmats.grad = view(v_viewmats, arrays.viewmats.dtype)
         lend(arrays.colors, v_colors)
-        with on_torch_stream(means.device):
+        with launches_on_torch_stream(means.device):
             sh_colors_adjoint(arrays, ctx.settings, store=True)
         take_back(arrays.means, arrays.viewmats, arrays.sh0, arrays.shN, arrays.colors)
         return v_means, v_viewmats, v_sh0, v_shN, None, None
