@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-# Warp's array_t: data and gradient, then four extents, four strides [bytes], number of dimensions and flags.
-_pack_addresses = struct.Struct("=QQ").pack
-_pack_layout = struct.Struct("=4i4iHH4x").pack
+# Warp's array_t: addresses of data and gradient, four extents, four strides [bytes], number of dimensions and flags.
+_pack_address = struct.Struct("=Q").pack
+_pack_layout = struct.Struct("=8x4i4iHH4x").pack
 
 
 class _Layout(NamedTuple):
@@ -26,7 +26,7 @@ class _Layout(NamedTuple):
     strides: tuple[int, ...]  # [bytes]
     size: int
     is_contiguous: bool
-    packed: bytes  # array_t after the addresses
+    packed: bytes  # array_t after the data's address; gradients are arrays of their own here
 
 
 @functools.lru_cache(maxsize=4096)
@@ -63,8 +63,8 @@ class ArrayView:
         strides: tuple[int, ...] | None = None,
     ) -> None:
         self.shape, self.dtype, self.device, self.owner, self.grad = shape, dtype, device, owner, None
-        self._layout = _layout(shape, dtype, strides)
-        self.place(ptr)
+        self._layout = layout = _layout(shape, dtype, strides)
+        self.ptr, self.packed = ptr, _pack_address(ptr) + layout.packed
 
     def place(self, ptr: int) -> None:
         """Puts the array elsewhere: to where its memory's content was moved.
@@ -72,7 +72,7 @@ class ArrayView:
         Args:
             ptr: address.
         """
-        self.ptr, self.packed = ptr, _pack_addresses(ptr, 0) + self._layout.packed
+        self.ptr, self.packed = ptr, _pack_address(ptr) + self._layout.packed
 
     @property
     def strides(self) -> tuple[int, ...]:

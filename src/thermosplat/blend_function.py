@@ -16,7 +16,7 @@ from thermosplat.tile_lists import TileLists
 from thermosplat.warp_bridge import given_view, keep, kept, kinds_of, lend, take_back, vector_of, view
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels import blending_step
-from warp_kernels.array_views import nothing
+from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 
 
@@ -40,13 +40,40 @@ class BlendInputs:
 
     projected: ProjectedArrays
     extents: Tensor
+    images: list[tuple[ArrayView, Tensor]]
+    """From ``make_images``."""
     lists: TileLists
     settings: ProjectionSettings
     first_image: int
     """Channels of the first image of the render; the others are a second."""
-    thermal_channels: int
     shown_means2d: Tensor | None
     """The tensor users see as info["means2d"], whose ``absgrad`` attribute the backward pass sets; None: not wanted."""
+
+
+def make_images(
+    means2d: Tensor, settings: ProjectionSettings, channels: tuple[int, int]
+) -> list[tuple[ArrayView, Tensor]]:
+    """Images for ``Blend`` to write, not initialised.
+
+    Args:
+        means2d: [..., C, N, 2], of the images' dtype and device.
+        settings: image size.
+        channels: of the render at the first opacity, and at the second, 0 where there is one.
+
+    Returns:
+        For each opacity the render, transmittance and last pairs [..., C, H, W, channels], as arrays and as tensors.
+    """
+    scalar = kinds_of(means2d.dtype).scalar
+    rows = (settings.num_images * settings.height, settings.width)
+    shape = (*means2d.shape[:-2], settings.height, settings.width)
+    images = []
+    for count in channels:
+        if count > 0:
+            render, transmittance = means2d.new_empty((*shape, count)), means2d.new_empty((*shape, 1))
+            last_pairs = means2d.new_empty(rows, dtype=torch.int32)
+            kinds = ((render, vector_of(count, means2d.dtype)), (transmittance, scalar), (last_pairs, wp.int32))
+            images += [(view(image, kind, *rows), image) for image, kind in kinds]
+    return images
 
 
 class BlendedTensors(NamedTuple):
@@ -77,15 +104,7 @@ class Blend(torch.autograd.Function):
     ) -> BlendedTensors:
         dtype, settings = means2d.dtype, inputs.settings
         scalar = kinds_of(dtype).scalar
-        rows = (settings.num_images * settings.height, settings.width)
-        shape = (*means2d.shape[:-2], settings.height, settings.width)
-        images = []
-        for channels in (features.shape[-1], inputs.thermal_channels):
-            if channels > 0:
-                render, transmittance = means2d.new_empty((*shape, channels)), means2d.new_empty((*shape, 1))
-                last_pairs = means2d.new_empty(rows, dtype=torch.int32)
-                kinds = ((render, vector_of(channels, dtype)), (transmittance, scalar), (last_pairs, wp.int32))
-                images += [(view(image, kind, *rows), image) for image, kind in kinds]
+        images = inputs.images
         projected, lists = inputs.projected, inputs.lists
         ctx.opacities = view(opacities, scalar)
         ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)

@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from thermosplat.blend_function import Blend, BlendedTensors, BlendInputs
+from thermosplat.blend_function import Blend, BlendedTensors, BlendInputs, make_images
 from thermosplat.pair_capacity import active_pair_capacity
 from thermosplat.rasterization_functions import Project, ProjectedTensors, ShColors
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
@@ -137,13 +137,15 @@ class ProjectedScene:
         if thermal_opacity and self.thermal_opacities is not None:
             opacities = self.thermal_opacities
         second = self.thermal_opacities if thermal_channels > 0 else None
+        # Room for images is made before the lists, whose number of pairs is waited for.
+        images = make_images(self.means2d, self.settings, (features.shape[-1], thermal_channels))
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
+            images,
             self._bin(features),
             self.settings,
             features.shape[-1] if first_image is None else first_image,
-            thermal_channels,
             self.means2d if absgrad else None,
         )
         return BlendedTensors(*Blend.apply(self.means2d, self.projected.roots, opacities, second, features, inputs))
@@ -213,14 +215,14 @@ class ProjectedScene:
         }
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
-        depths, tiles = self.depths.detach().flatten(), bins.tiles_x * bins.tiles_y
+        depths, tiles = self.depths, bins.tiles_x * bins.tiles_y
         roots, radii = self.projected.roots, self.projected.radii
         inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
         return RasterizationInfo(
             values,
             {
                 "conics": lambda: conics(roots, radii),
-                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles),
+                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles),
                 "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
             },
         )

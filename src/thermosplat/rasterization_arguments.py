@@ -109,7 +109,7 @@ def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, m
     """
     if not isinstance(tensor, Tensor):
         raise UserError(f"{name} must be a torch.Tensor, got {type(tensor).__name__}.")
-    if tuple(tensor.shape) != shape:
+    if tensor.shape != shape:
         letters = f" = {meaning}" if meaning else ""
         raise UserError(f"{name} must have shape {list(shape)}{letters}, got {list(tensor.shape)}.")
     if tensor.dtype != means.dtype:
