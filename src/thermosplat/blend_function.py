@@ -61,7 +61,8 @@ def make_images(
         channels: of the render at the first opacity, and at the second, 0 where there is one.
 
     Returns:
-        For each opacity the render, transmittance and last pairs [..., C, H, W, channels], as arrays and as tensors.
+        For each opacity the render, transmittance, last pairs and alphas [..., C, H, W, channels], as arrays and as
+        tensors.
     """
     scalar = kinds_of(means2d.dtype).scalar
     rows = (settings.num_images * settings.height, settings.width)
@@ -69,11 +70,18 @@ def make_images(
     images = []
     for count in channels:
         if count > 0:
-            render, transmittance = means2d.new_empty((*shape, count)), means2d.new_empty((*shape, 1))
-            last_pairs = means2d.new_empty(rows, dtype=torch.int32)
-            kinds = ((render, vector_of(count, means2d.dtype)), (transmittance, scalar), (last_pairs, wp.int32))
-            images += [(view(image, kind, *rows), image) for image, kind in kinds]
+            vector, single = vector_of(count, means2d.dtype), (*shape, 1)
+            images += [
+                _image(means2d.new_empty((*shape, count)), vector, rows),
+                _image(means2d.new_empty(single), scalar, rows),
+                _image(means2d.new_empty(single, dtype=torch.int32), wp.int32, rows),
+                _image(means2d.new_empty(single), scalar, rows),
+            ]
     return images
+
+
+def _image(image: Tensor, kind: Any, rows: tuple[int, int]) -> tuple[ArrayView, Tensor]:
+    return view(image, kind, *rows), image
 
 
 class BlendedTensors(NamedTuple):
@@ -126,18 +134,17 @@ class Blend(torch.autograd.Function):
             (projected.extents, None if means2d.is_cuda else inputs.extents),  # which only a row of pixels asks for
             # Of the images only those that the adjoint reads, so that users may change the renders in place.
             *images[1:3],
-            *images[4:6],
+            *images[5:7],
             *lists.read_by_adjoint(),
             (ctx.walk.states, ctx.walk.states.release()),
         )
-        renders = [image for _, image in images]
-        render, transmittance = renders[:2]
-        rest = None
+        render, transmittance, _, alphas = (image for _, image in images[:4])
+        rest = thermal_render = thermal_alphas = None
         if inputs.first_image < render.shape[-1]:
             render, rest = render[..., : inputs.first_image], render[..., inputs.first_image :]
-        thermal_render = renders[3] if len(renders) > 3 else None
-        thermal_alphas = 1.0 - renders[4] if len(renders) > 3 else None
-        return BlendedTensors(render, rest, 1.0 - transmittance, transmittance, thermal_render, thermal_alphas)
+        if len(images) > 4:
+            thermal_render, thermal_alphas = images[4][1], images[7][1]
+        return BlendedTensors(render, rest, alphas, transmittance, thermal_render, thermal_alphas)
 
     @staticmethod
     @once_differentiable
