@@ -46,7 +46,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
     settings = ProjectionSettings(width, height, count, 1, 1)
     opacities, thermal = scene.opacities, scene.thermal_opacities
     with torch.no_grad():
-        *_, arrays = Project.apply(
+        *_projected, arrays = Project.apply(
             scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
             scene.intrinsics(width, height)[None], settings, (1,),
         )  # fmt: skip

@@ -149,7 +149,7 @@ class Blend(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        means2d, roots, opacities, thermal_opacities, features, *_ = kept(ctx)
+        means2d, roots, opacities, thermal_opacities, features, *_held = kept(ctx)
         settings, first_image, shown_means2d = ctx.inputs
         inputs = (means2d, roots, opacities, thermal_opacities, features)
         arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)

@@ -102,9 +102,9 @@ class Project(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        means, quats, scales, covars, viewmats, Ks, *_ = kept(ctx)
+        means, quats, scales, covars, viewmats, Ks, *_held = kept(ctx)
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
-        *v_projected, given, _ = gradients
+        *v_projected, given = gradients[:-1]
         v_means = torch.empty_like(means) if given is None else given.contiguous()
         v_quats, v_covars = _empty(quats), _empty(covars)
         v_roots = v_projected[2]
@@ -186,7 +186,7 @@ class ShColors(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_colors: Tensor) -> tuple[Tensor | None, ...]:
-        means, viewmats, sh0, shN, *_ = kept(ctx)
+        means, viewmats, sh0, shN, *_held = kept(ctx)
         arrays = ctx.colors
         if shN is None:
             arrays.shN.place(arrays.sh0.ptr + arrays.sh0.strides[1])

@@ -43,19 +43,24 @@ class TorchMemory:
 
     def __init__(self, device: torch.device, stream: wp.Stream | None) -> None:
         self.device, self.stream = device, stream
+        self._kinds: dict[Any, tuple[torch.Tensor, tuple[int, ...]]] = {}
 
     def empty(self, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> ArrayView:
         """A new array, not initialised."""
-        return self._array(torch.empty, shape, dtype, device)
+        return self._array(torch.Tensor.new_empty, shape, dtype, device)
 
     def zeros(self, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> ArrayView:
         """A new array of zeros."""
-        return self._array(torch.zeros, shape, dtype, device)
+        return self._array(torch.Tensor.new_zeros, shape, dtype, device)
 
     def _array(self, make: Any, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> ArrayView:
-        scalar, inner = _scalar_and_shape(dtype)
+        kind = self._kinds.get(dtype)
+        if kind is None:
+            scalar = wp.dtype_to_torch(getattr(dtype, "_wp_scalar_type_", dtype))
+            kind = self._kinds[dtype] = torch.empty(0, dtype=scalar, device=self.device), getattr(dtype, "_shape_", ())
+        like, inner = kind
         shape = (shape,) if isinstance(shape, int) else shape
-        tensor = make(shape + inner, dtype=scalar, device=self.device)
+        tensor = make(like, shape + inner)
         return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
 
     def fill(self, array: ArrayView, count: int, value: int) -> None:
@@ -65,12 +70,6 @@ class TorchMemory:
     def last(self, array: ArrayView) -> Any:
         """The last number, or numbers, of an array made here. Waits for the device."""
         return array.owner[-1].tolist()
-
-
-@functools.cache
-def _scalar_and_shape(dtype: Any) -> tuple[torch.dtype, tuple[int, ...]]:
-    """Torch's type for the numbers of a Warp type, and the shape of one element."""
-    return wp.dtype_to_torch(getattr(dtype, "_wp_scalar_type_", dtype)), getattr(dtype, "_shape_", ())
 
 
 class _Place(NamedTuple):
