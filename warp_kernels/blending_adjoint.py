@@ -17,7 +17,7 @@ from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import BATCH
 from warp_kernels.constants import ALPHA_MAX
-from warp_kernels.gradient_records import feature_offset, record_length
+from warp_kernels.gradient_records import feature_offset, features_apart, record_length
 from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, lane_functions, warp_any, warp_max
 from warp_kernels.list_segments import list_of_block
 from warp_kernels.survivors import HEADER, stages_features, survivor_functions
@@ -63,7 +63,8 @@ def blend_adjoint_kernel(
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     summed = wp.types.vector(length, dtype)
-    record = summed if by_slot else wp.types.vector(length - C, dtype)  # see gradient_records
+    apart = C if features_apart(C, by_slot) else 0  # numbers that are not in the record
+    record = wp.types.vector(length - apart, dtype)
     # A lane sums a Gaussian's record over its pixels: on CUDA in registers, on the CPU, where a vector holds a row of
     # pixels, column by column, since a sum over a vector costs more than all else that is done with it.
     spread = 0 if cuda else 1
@@ -87,7 +88,9 @@ def blend_adjoint_kernel(
         """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
-    @wp.func_native(accumulate_snippet(length, dtype, apart=None if by_slot else (first_feature, first_feature + C)))
+    to_features = None if by_slot else (first_feature, first_feature + apart)
+
+    @wp.func_native(accumulate_snippet(length, dtype, apart=to_features))
     def accumulate(dst: wp.array(dtype=record), features: wp.array(dtype=vecC), index: int, lane: int, v: summed): ...
 
     @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")

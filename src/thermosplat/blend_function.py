@@ -17,6 +17,7 @@ from thermosplat.warp_bridge import given_view, keep, kept, kinds_of, lend, take
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels import blending_step
 from warp_kernels.array_views import ArrayView, nothing
+from warp_kernels.gradient_records import features_apart
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 
 
@@ -153,9 +154,11 @@ class Blend(torch.autograd.Function):
         settings, first_image, shown_means2d = ctx.inputs
         inputs = (means2d, roots, opacities, thermal_opacities, features)
         arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
-        # Sums are added to the features' gradient; the others are stored where a thread has a Gaussian and not a rank.
-        make = torch.zeros_like if ctx.bins.slots is not None else torch.empty_like
-        found = (*(None if one is None else make(one) for one in inputs[:-1]), torch.zeros_like(features))
+        # Stored where a thread has a Gaussian and not a rank; many features' gradients are always added to.
+        by_slot = ctx.bins.slots is not None
+        make = torch.zeros_like if by_slot else torch.empty_like
+        make_last = torch.zeros_like if features_apart(features.shape[-1], by_slot) else make
+        found = (*(None if one is None else make(one) for one in inputs[:-1]), make_last(features))
         absolute = None if shown_means2d is None else torch.zeros_like(means2d)
         v_render, v_rest, v_alphas, v_transmittance, v_thermal_render, v_thermal_alphas = gradients
         if v_transmittance is not None:

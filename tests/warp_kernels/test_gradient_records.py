@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warp_kernels.gradient_records import distribute_kernel, feature_offset, record_length
+from warp_kernels.gradient_records import distribute_kernel, feature_offset, features_apart, record_length
 
 
 @pytest.mark.parametrize("absgrad", [False, True])
 @pytest.mark.parametrize("thermal_channels", [0, 2])
 @pytest.mark.parametrize(("per_pair", "store"), [(0, False), (0, True), (1, False), (3, False)])
-def test_records_reach_the_gradients(per_pair: int, store: bool, thermal_channels: int, absgrad: bool) -> None:
-    """Each Gaussian's records, by pair or already summed and without features, are added to what its gradients hold.
+@pytest.mark.parametrize("width", [3, 5])
+def test_records_reach_the_gradients(
+    width: int, per_pair: int, store: bool, thermal_channels: int, absgrad: bool
+) -> None:
+    """Each Gaussian's records, by pair or already summed, are added to what its gradients hold.
 
     Stored, gradients of Gaussians without tiles are zeros. With the root (1, 0, 1) moments are the gradients to mean2d
     and root but for the sign.
@@ -20,7 +23,7 @@ def test_records_reach_the_gradients(per_pair: int, store: bool, thermal_channel
     order = np.array([2, 0, 3, 1])  # depth ranks to Gaussians
     tiles = np.array([3, 0, 1, 2])  # of each Gaussian
     ends = np.cumsum(tiles[order])
-    channels = 3 if per_pair else 0
+    channels = 0 if features_apart(width, per_pair > 0) else width
     length = record_length(channels, thermal_channels, absgrad)
     records = rng.normal(size=(ends[-1] * per_pair if per_pair else 4, length))
     sums = np.zeros((4, length))
@@ -29,12 +32,12 @@ def test_records_reach_the_gradients(per_pair: int, store: bool, thermal_channel
             own = slice((end - tiles[g]) * per_pair, end * per_pair)
             sums[g] = records[own].sum(0) if per_pair else records[g]
 
-    parts = {"means2d": 2, "roots": 3, "opacities": 1, "thermal_opacities": 1, "features": 3, "absolute": 2}
-    before = {name: rng.normal(size=(4, width)) for name, width in parts.items()}
-    kinds = {width: wp.types.vector(width, wp.float64) for width in (2, 3)} | {1: wp.float64}
-    after = {name: wp.array(before[name].squeeze(), dtype=kinds[width], device="cpu") for name, width in parts.items()}
+    parts = {"means2d": 2, "roots": 3, "opacities": 1, "thermal_opacities": 1, "features": width, "absolute": 2}
+    before = {name: rng.normal(size=(4, size)) for name, size in parts.items()}
+    kinds = {size: wp.types.vector(size, wp.float64) for size in (2, 3, width)} | {1: wp.float64}
+    after = {name: wp.array(before[name].squeeze(), dtype=kinds[size], device="cpu") for name, size in parts.items()}
     wp.launch(
-        distribute_kernel(3, thermal_channels, wp.float64, absgrad, per_pair),
+        distribute_kernel(width, thermal_channels, wp.float64, absgrad, per_pair),
         dim=4,
         inputs=[
             wp.array(order, dtype=wp.int32, device="cpu"),
