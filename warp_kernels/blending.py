@@ -95,9 +95,11 @@ def blend_kernel(
         render: wp.array2d(dtype=vecC),
         transmittance: wp.array2d(dtype=dtype),
         last_pairs: wp.array2d(dtype=wp.int32),
+        alphas: wp.array2d(dtype=dtype),
         thermal_render: wp.array2d(dtype=vecD),
         thermal_transmittance: wp.array2d(dtype=dtype),
         thermal_last_pairs: wp.array2d(dtype=wp.int32),
+        thermal_alphas: wp.array2d(dtype=dtype),
         states: wp.array3d(dtype=dtype),
     ):
         block, thread = wp.tid()
@@ -287,6 +289,8 @@ def blend_kernel(
                     if T[p] != minus_one and stop_at[p] > zero:
                         transmittance[line, x] = wp.abs(T[p])
                         last_pairs[line, x] = wp.where(last[p] < 0 and not is_first, first_pair - 1, last[p])
+                        if alphas.shape[0] > 0:
+                            alphas[line, x] = one - wp.abs(T[p])
                     if wp.static(dual):
                         if is_first:
                             vt = vecD()
@@ -301,5 +305,7 @@ def blend_kernel(
                             thermal_last_pairs[line, x] = wp.where(
                                 last_t[p] < 0 and not is_first, first_pair - 1, last_t[p]
                             )
+                            if thermal_alphas.shape[0] > 0:
+                                thermal_alphas[line, x] = one - wp.abs(Tt[p])
 
     return blend_tiles_kernel

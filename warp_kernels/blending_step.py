@@ -27,17 +27,21 @@ class BlendedArrays:
         render: vecC [images · height, width].
         transmittance: [images · height, width]; 1 - alpha.
         last_pairs: int32 [images · height, width]; last sorted pair drawn, -1 where none.
+        alphas: [images · height, width]; None: not wanted.
         thermal_render: vecD [images · height, width]; None with one opacity.
         thermal_transmittance: as ``transmittance``, of the second opacity.
         thermal_last_pairs: as ``last_pairs``, of the second opacity.
+        thermal_alphas: as ``alphas``, of the second opacity.
     """
 
     render: wp.array
     transmittance: wp.array
     last_pairs: wp.array
+    alphas: wp.array | None = None
     thermal_render: wp.array | None = None
     thermal_transmittance: wp.array | None = None
     thermal_last_pairs: wp.array | None = None
+    thermal_alphas: wp.array | None = None
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,9 @@ def blend(
     thermal_render = _thermal_render(blended, dtype, device)
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
     size, geometry = _read(projected, opacities, thermal_opacities, features, bins, settings)
+    alphas, thermal_alphas = (
+        nothing(dtype, 2, device) if image is None else image for image in (blended.alphas, blended.thermal_alphas)
+    )
     for only_transmittance in (True, False) if segment > 0 else (False,):
         launch_tiles(
             blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance),
@@ -113,9 +120,11 @@ def blend(
                 blended.render,
                 blended.transmittance,
                 blended.last_pairs,
+                alphas,
                 thermal_render,
                 thermal_transmittance,
                 thermal_last_pairs,
+                thermal_alphas,
                 states,
             ],
             device,

@@ -12,14 +12,13 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.tile_lists import owners, read_by_adjoint, unowned, views
-from thermosplat.warp_bridge import given_view, kinds_of, lend, vector_of, view
-from thermosplat.warp_streams import kept_apart, on_torch_stream
+from thermosplat.tile_lists import TileLists
+from thermosplat.warp_bridge import given_view, keep, kept, kinds_of, lend, take_back, vector_of, view
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels import blending_step
-from warp_kernels.array_views import nothing
+from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.gradient_records import features_apart
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import TileBins
 
 
 class Join(torch.autograd.Function):
@@ -42,13 +41,48 @@ class BlendInputs:
 
     projected: ProjectedArrays
     extents: Tensor
-    bins: TileBins
+    images: list[tuple[ArrayView, Tensor]]
+    """From ``make_images``."""
+    lists: TileLists
     settings: ProjectionSettings
     first_image: int
     """Channels of the first image of the render; the others are a second."""
-    thermal_channels: int
     shown_means2d: Tensor | None
     """The tensor users see as info["means2d"], whose ``absgrad`` attribute the backward pass sets; None: not wanted."""
+
+
+def make_images(
+    means2d: Tensor, settings: ProjectionSettings, channels: tuple[int, int]
+) -> list[tuple[ArrayView, Tensor]]:
+    """Images for ``Blend`` to write, not initialised.
+
+    Args:
+        means2d: [..., C, N, 2], of the images' dtype and device.
+        settings: image size.
+        channels: of the render at the first opacity, and at the second, 0 where there is one.
+
+    Returns:
+        For each opacity the render, transmittance, last pairs and alphas [..., C, H, W, channels], as arrays and as
+        tensors.
+    """
+    scalar = kinds_of(means2d.dtype).scalar
+    rows = (settings.num_images * settings.height, settings.width)
+    shape = (*means2d.shape[:-2], settings.height, settings.width)
+    images = []
+    for count in channels:
+        if count > 0:
+            vector, single = vector_of(count, means2d.dtype), (*shape, 1)
+            images += [
+                _image(means2d.new_empty((*shape, count)), vector, rows),
+                _image(means2d.new_empty(single), scalar, rows),
+                _image(means2d.new_empty(single, dtype=torch.int32), wp.int32, rows),
+                _image(means2d.new_empty(single), scalar, rows),
+            ]
+    return images
+
+
+def _image(image: Tensor, kind: Any, rows: tuple[int, int]) -> tuple[ArrayView, Tensor]:
+    return view(image, kind, *rows), image
 
 
 class BlendedTensors(NamedTuple):
@@ -79,54 +113,44 @@ class Blend(torch.autograd.Function):
     ) -> BlendedTensors:
         dtype, settings = means2d.dtype, inputs.settings
         scalar = kinds_of(dtype).scalar
-        rows = (settings.num_images * settings.height, settings.width)
-        shape = (*means2d.shape[:-2], settings.height, settings.width)
-        renders: list[Tensor] = []
-        read, arrays = [], []
-        for channels in (features.shape[-1], inputs.thermal_channels):
-            if channels > 0:
-                render, transmittance = means2d.new_empty((*shape, channels)), means2d.new_empty((*shape, 1))
-                last_pairs = means2d.new_empty(rows, dtype=torch.int32)
-                renders += [render, transmittance]
-                read += [transmittance, last_pairs]
-                kinds = ((render, vector_of(channels, dtype)), (transmittance, scalar), (last_pairs, wp.int32))
-                arrays += [view(image, kind, *rows) for image, kind in kinds]
-        with on_torch_stream(means2d.device), kept_apart() as made:
-            ctx.projected = inputs.projected
-            ctx.opacities = view(opacities, scalar)
-            ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
-            ctx.features = view(features, vector_of(features.shape[-1], dtype))
-            ctx.blended = blending_step.BlendedArrays(*arrays)
-            bins = read_by_adjoint(inputs.bins)
-            ctx.bins, ctx.inputs = unowned(bins), (settings, inputs.first_image, inputs.shown_means2d)
-            step = (ctx.projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.bins, settings, ctx.blended)
+        images = inputs.images
+        projected, lists = inputs.projected, inputs.lists
+        ctx.opacities = view(opacities, scalar)
+        ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
+        ctx.features = view(features, vector_of(features.shape[-1], dtype))
+        ctx.blended = blending_step.BlendedArrays(*[array for array, _ in images])
+        ctx.projected, ctx.bins = projected, lists.bins
+        ctx.inputs = (settings, inputs.first_image, inputs.shown_means2d)
+        step = (projected, ctx.opacities, ctx.thermal_opacities, ctx.features, lists.bins, settings, ctx.blended)
+        with launches_on_torch_stream(means2d.device):
             ctx.walk = blending_step.blend(*step)
         ctx.set_materialize_grads(False)
-        # Of the images only those that the adjoint reads, so that users may change the renders in place.
-        extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
-        tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
-        ctx.save_for_backward(*tensors, *read, *owners(bins), *(tensor for _, tensor in made))
-        projected = (ctx.projected.means2d, ctx.projected.roots)
-        gaussians = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.projected.extents)
-        images = [array for image in range(0, len(arrays), 3) for array in arrays[image + 1 : image + 3]]
-        ctx.arrays = (*gaussians, *images, *views(ctx.bins), *(array for array, _ in made))  # of the saved tensors
-        render, transmittance = renders[:2]
-        rest = None
+        keep(
+            ctx,
+            (projected.means2d, means2d),
+            (projected.roots, roots),
+            (ctx.opacities, opacities),
+            (ctx.thermal_opacities, thermal_opacities),
+            (ctx.features, features),
+            (projected.extents, None if means2d.is_cuda else inputs.extents),  # which only a row of pixels asks for
+            # Of the images only those that the adjoint reads, so that users may change the renders in place.
+            *images[1:3],
+            *images[5:7],
+            *lists.read_by_adjoint(),
+            (ctx.walk.states, ctx.walk.states.release()),
+        )
+        render, transmittance, _, alphas = (image for _, image in images[:4])
+        rest = thermal_render = thermal_alphas = None
         if inputs.first_image < render.shape[-1]:
             render, rest = render[..., : inputs.first_image], render[..., inputs.first_image :]
-        thermal_render = renders[2] if len(renders) > 2 else None
-        thermal_alphas = 1.0 - renders[3] if len(renders) > 2 else None
-        return BlendedTensors(render, rest, 1.0 - transmittance, transmittance, thermal_render, thermal_alphas)
+        if len(images) > 4:
+            thermal_render, thermal_alphas = images[4][1], images[7][1]
+        return BlendedTensors(render, rest, alphas, transmittance, thermal_render, thermal_alphas)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        saved = ctx.saved_tensors
-        for array, tensor in zip(ctx.arrays, saved, strict=True):
-            # What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
-            if tensor is not None and tensor.data_ptr() != array.ptr:
-                array.place(tensor.data_ptr())
-        means2d, roots, opacities, thermal_opacities, features = saved[:5]
+        means2d, roots, opacities, thermal_opacities, features, *_held = kept(ctx)
         settings, first_image, shown_means2d = ctx.inputs
         inputs = (means2d, roots, opacities, thermal_opacities, features)
         arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
@@ -147,7 +171,7 @@ class Blend(torch.autograd.Function):
         )
         rest = features.shape[-1] - first_image
         kinds = (vector_of(channels, dtype) for channels in (first_image, max(rest, 1)))
-        with on_torch_stream(means2d.device) as device:
+        with launches_on_torch_stream(means2d.device) as device:
             for array, gradient in zip(arrays, found, strict=True):
                 if gradient is not None:
                     array.grad = view(gradient, array.dtype)
@@ -162,9 +186,7 @@ class Blend(torch.autograd.Function):
             blending_step.blend_adjoint(
                 ctx.projected, *step, v_images=tuple(v_images), v_alphas=True, absolute=sums, store=True
             )
-            for image, given in images:
-                if given is not None:
-                    image.grad = None
+        take_back(*arrays, *(image for image, _ in images))
         if absolute is not None:
             shown_means2d.absgrad = absolute
         return *found, None

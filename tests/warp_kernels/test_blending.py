@@ -35,14 +35,19 @@ def blended(
         return wp.zeros((rows, settings.width), dtype=kind, device="cpu", requires_grad=requires_grad)
 
     result = BlendedArrays(image(scene.features.dtype), image(dtype), image(wp.int32, False))
+    result.alphas = image(dtype, False)
     outputs = [result.render, result.transmittance]
     if thermal_channels:
         result.thermal_render = image(wp.types.vector(thermal_channels, dtype))
         result.thermal_transmittance = image(dtype)
         result.thermal_last_pairs = image(wp.int32, False)
+        result.thermal_alphas = image(dtype, False)
         outputs += [result.thermal_render, result.thermal_transmittance]
     tape = wp.Tape()
     blend(arrays, opacities, thermal, scene.features, bins, settings, result, tape, layout=layout)
+    assert (result.alphas.numpy() == 1 - result.transmittance.numpy()).all()
+    if thermal_channels:
+        assert (result.thermal_alphas.numpy() == 1 - result.thermal_transmittance.numpy()).all()
     rng = np.random.default_rng(1)
     for output in outputs:
         output.grad.assign(rng.normal(size=output.numpy().shape))
