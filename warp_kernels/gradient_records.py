@@ -43,7 +43,12 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
 
 @functools.cache
 def distribute_kernel(
-    channels: int, thermal_channels: int, dtype: type, absgrad: bool, records_per_pair: int
+    channels: int,
+    thermal_channels: int,
+    dtype: type,
+    absgrad: bool,
+    records_per_pair: int,
+    first_channels: int | None = None,
 ) -> wp.Kernel:
     """Sums each Gaussian's records and adds them to the gradients, or stores them there, one thread a Gaussian, or a
     depth rank, as records of pairs lie.
@@ -55,20 +60,23 @@ def distribute_kernel(
         absgrad: records end with the absolute mean2d gradients.
         records_per_pair: records of a pair, those of a Gaussian's pairs side by side; 0: one record a Gaussian, without
             features.
+        first_channels: of the C, those whose gradients lie in an array of their own; None: all.
 
     Returns:
         The Warp kernel, launched over ``whole_warps``.
     """
     C, dual, by_pair = channels, thermal_channels > 0, records_per_pair > 0
+    A = C if first_channels is None else first_channels
     first_feature = feature_offset(thermal_channels)
     length = record_length(channels if by_pair else 0, thermal_channels, absgrad)
     record = wp.types.vector(length, dtype)
-    vec2, vec3, vecC = wp.types.vector(2, dtype), wp.types.vector(3, dtype), wp.types.vector(C, dtype)
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
     store2, store3, _ = store_functions(dtype)
     zero = dtype(0.0)
 
     @wp.kernel(
-        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}_{records_per_pair}",
+        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}_{records_per_pair}_{A}",
         enable_backward=False,
         module="unique",
     )
@@ -84,7 +92,8 @@ def distribute_kernel(
         v_roots: wp.array(dtype=vec3),
         v_opacities: wp.array(dtype=dtype),
         v_thermal_opacities: wp.array(dtype=dtype),
-        v_features: wp.array(dtype=vecC),
+        v_features: wp.array(dtype=vecA),
+        v_rest: wp.array(dtype=vecB),
         absolute: wp.array(dtype=vec2),
     ):
         rank = wp.tid()
@@ -129,9 +138,14 @@ def distribute_kernel(
                 v_thermal_opacities[g] = v_opacity_t
             if wp.static(by_pair):
                 v_feature = v_features[g]
-                for c in range(C):
+                for c in range(A):
                     v_feature[c] = v_feature[c] + total[first_feature + c]
                 v_features[g] = v_feature
+                if wp.static(A < C):
+                    more = v_rest[g]
+                    for c in range(wp.static(C - A)):
+                        more[c] = more[c] + total[first_feature + A + c]
+                    v_rest[g] = more
             if wp.static(absgrad):
                 absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
         elif store and g >= 0:

@@ -130,7 +130,7 @@ RECIPROCAL_F32 = """
 RECIPROCAL_F64 = "return 1.0 / x;"
 
 
-def accumulate_snippet(length: int, dtype: type, *, apart: tuple[int, int] | None = None) -> str:
+def accumulate_snippet(length: int, dtype: type, *, apart: tuple[int, int, int] | None = None) -> str:
     """Source of a native function that sums a vector over the warp and stores it in ``dst[index]``, or adds it there.
 
     A transposed butterfly leaves component ``l`` in lane ``l``: for a power of two of components one shuffle a
@@ -141,18 +141,23 @@ def accumulate_snippet(length: int, dtype: type, *, apart: tuple[int, int] | Non
         length: Components of the vector.
         dtype: ``wp.float32`` or ``wp.float64``.
         apart: None: one warp owns the place and stores all components there. Otherwise several warps meet: components
-            are added atomically, those of this half-open range to ``features[index]``, the others to ``dst[index]``.
+            are added atomically, those from the first to before the second of these to ``features[index]``, from there
+            to before the third to ``rest[index]``, the others to ``dst[index]``.
 
     Returns:
-        C++ source using the arguments ``dst`` (array of vectors), ``features`` (of another), ``index``, ``lane`` and
-        ``v``.
+        C++ source using the arguments ``dst``, ``features`` and ``rest`` (arrays of vectors), ``index``,
+        ``lane`` and ``v``.
     """
     scalar = "float" if dtype is wp.float32 else "double"
     lines = [f"{scalar}* p = ({scalar}*)(dst.data + index);"]
     if apart is not None:
-        begin, behind = apart
+        begin, middle, behind = apart
         lines.append(f"{scalar}* f = ({scalar}*)(features.data + index) - {begin};")
-        at = f"(k < {begin} ? p + k : k < {behind} ? f + k : p + k - {behind - begin})"
+        at = f"p + k - {behind - begin}"
+        if middle < behind:
+            lines.append(f"{scalar}* more = ({scalar}*)(rest.data + index) - {middle};")
+            at = f"k < {behind} ? more + k : {at}"
+        at = f"(k < {begin} ? p + k : k < {middle} ? f + k : {at})"
     for start in range(0, length, 32):
         end, first = min(start + 32, length), start
         lines.append(f"{{ {scalar} total = ({scalar})0;")

@@ -20,7 +20,7 @@ TILE_SIZE = 16
 """The rasterizer's default [px]."""
 
 COLORS = 3
-"""Channels of the first of the two images that colours and features are blended to."""
+"""Channels of the colours, which lie apart from the features, as do their images."""
 
 
 def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = False) -> list[wp.Kernel]:
@@ -41,12 +41,12 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         projection_kernel(dtype, camera_model, False),
         blend_adjoint_kernel(channels, thermal_channels, dtype, layout, False, True, COLORS),
         projection_adjoint_kernel(dtype, camera_model, False, False, antialiased),
-        blend_kernel(channels, thermal_channels, dtype, layout),
+        blend_kernel(channels, thermal_channels, dtype, layout, False, COLORS),
         color_adjoint_kernel(dtype),
         count,
         emit,
         color_kernel(dtype),
-        distribute_kernel(channels, thermal_channels, dtype, False, layout.warps),
+        distribute_kernel(channels, thermal_channels, dtype, False, layout.warps, COLORS),
         tile_ranges_kernel,
         camera_position_kernels(dtype)[0],
         gather,

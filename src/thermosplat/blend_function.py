@@ -21,20 +21,6 @@ from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins
 
 
-class Join(torch.autograd.Function):
-    """Colours and features side by side, [M, C] and [M, D]; torch's own would return gradients that keep both alive."""
-
-    @staticmethod
-    def forward(ctx: Any, colors: Tensor, features: Tensor) -> Tensor:
-        ctx.channels = colors.shape[-1]
-        return torch.cat([colors, features], -1)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, v_both: Tensor) -> tuple[Tensor, Tensor]:
-        return v_both[:, : ctx.channels].contiguous(), v_both[:, ctx.channels :].contiguous()
-
-
 @dataclass
 class BlendInputs:
     """What ``Blend`` needs beside the tensors it differentiates."""
@@ -43,8 +29,6 @@ class BlendInputs:
     extents: Tensor
     bins: TileBins
     settings: ProjectionSettings
-    first_image: int
-    """Channels of the first image of the render; the others are a second."""
     thermal_channels: int
     shown_means2d: Tensor | None
     """The tensor users see as info["means2d"], whose ``absgrad`` attribute the backward pass sets; None: not wanted."""
@@ -74,6 +58,7 @@ class Blend(torch.autograd.Function):
         opacities: Tensor,
         thermal_opacities: Tensor | None,
         features: Tensor,
+        rest: Tensor | None,
         inputs: BlendInputs,
     ) -> BlendedTensors:
         dtype, settings = means2d.dtype, inputs.settings
@@ -82,7 +67,8 @@ class Blend(torch.autograd.Function):
         shape = (*means2d.shape[:-2], settings.height, settings.width)
         renders: list[Tensor] = []
         read, arrays = [], []
-        for channels in (features.shape[-1], inputs.thermal_channels):
+        all_channels = features.shape[-1] + (0 if rest is None else rest.shape[-1])
+        for channels in (all_channels, inputs.thermal_channels):
             if channels > 0:
                 render, transmittance = means2d.new_empty((*shape, channels)), means2d.new_empty((*shape, 1))
                 last_pairs = means2d.new_empty(rows, dtype=torch.int32)
@@ -95,27 +81,28 @@ class Blend(torch.autograd.Function):
             ctx.opacities = view(opacities, scalar)
             ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
             ctx.features = view(features, vector_of(features.shape[-1], dtype))
+            ctx.rest = None if rest is None else view(rest, vector_of(rest.shape[-1], dtype))
             ctx.blended = blending_step.BlendedArrays(*arrays)
             bins = read_by_adjoint(inputs.bins)
-            ctx.bins, ctx.inputs = unowned(bins), (settings, inputs.first_image, inputs.shown_means2d)
+            ctx.bins, ctx.inputs = unowned(bins), (settings, inputs.shown_means2d)
             step = (ctx.projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.bins, settings, ctx.blended)
-            ctx.walk = blending_step.blend(*step)
+            ctx.walk = blending_step.blend(*step, rest=ctx.rest)
         ctx.set_materialize_grads(False)
         # Of the images only those that the adjoint reads, so that users may change the renders in place.
         extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
-        tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
+        tensors = (means2d, roots, opacities, thermal_opacities, features, rest, extents)
         ctx.save_for_backward(*tensors, *read, *owners(bins), *(tensor for _, tensor in made))
         projected = (ctx.projected.means2d, ctx.projected.roots)
-        gaussians = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.projected.extents)
+        gaussians = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.rest, ctx.projected.extents)
         images = [array for image in range(0, len(arrays), 3) for array in arrays[image + 1 : image + 3]]
         ctx.arrays = (*gaussians, *images, *views(ctx.bins), *(array for array, _ in made))  # of the saved tensors
         render, transmittance = renders[:2]
-        rest = None
-        if inputs.first_image < render.shape[-1]:
-            render, rest = render[..., : inputs.first_image], render[..., inputs.first_image :]
+        render_rest = None
+        if rest is not None:
+            render, render_rest = render[..., : features.shape[-1]], render[..., features.shape[-1] :]
         thermal_render = renders[2] if len(renders) > 2 else None
         thermal_alphas = 1.0 - renders[3] if len(renders) > 2 else None
-        return BlendedTensors(render, rest, 1.0 - transmittance, transmittance, thermal_render, thermal_alphas)
+        return BlendedTensors(render, render_rest, 1.0 - transmittance, transmittance, thermal_render, thermal_alphas)
 
     @staticmethod
     @once_differentiable
@@ -125,13 +112,14 @@ class Blend(torch.autograd.Function):
             # What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
             if tensor is not None and tensor.data_ptr() != array.ptr:
                 array.place(tensor.data_ptr())
-        means2d, roots, opacities, thermal_opacities, features = saved[:5]
-        settings, first_image, shown_means2d = ctx.inputs
-        inputs = (means2d, roots, opacities, thermal_opacities, features)
-        arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
+        means2d, (features, rest) = saved[0], saved[4:6]
+        settings, shown_means2d = ctx.inputs
+        projected = (ctx.projected.means2d, ctx.projected.roots)
+        arrays = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.rest)
         # Sums are added to the features' gradient; the others are stored where a thread has a Gaussian and not a rank.
         make = torch.zeros_like if ctx.bins.slots is not None else torch.empty_like
-        found = (*(None if one is None else make(one) for one in inputs[:-1]), torch.zeros_like(features))
+        made = [None if one is None else make(one) for one in saved[:4]]
+        found = (*made, *(None if one is None else torch.zeros_like(one) for one in (features, rest)))
         absolute = None if shown_means2d is None else torch.zeros_like(means2d)
         v_render, v_rest, v_alphas, v_transmittance, v_thermal_render, v_thermal_alphas = gradients
         if v_transmittance is not None:
@@ -142,8 +130,7 @@ class Blend(torch.autograd.Function):
             (blended.thermal_render, v_thermal_render),
             (blended.thermal_transmittance, v_thermal_alphas),
         )
-        rest = features.shape[-1] - first_image
-        kinds = (vector_of(channels, dtype) for channels in (first_image, max(rest, 1)))
+        kinds = (vector_of(1 if one is None else one.shape[-1], dtype) for one in (features, rest))
         with on_torch_stream(means2d.device) as device:
             for array, gradient in zip(arrays, found, strict=True):
                 if gradient is not None:
@@ -155,10 +142,9 @@ class Blend(torch.autograd.Function):
                 for kind, given in zip(kinds, (v_render, v_rest), strict=True)
             ]
             sums = None if absolute is None else view(absolute, kinds_of(dtype).vec2)
-            step = (*arrays[2:], ctx.bins, settings, blended, ctx.walk)
-            blending_step.blend_adjoint(
-                ctx.projected, *step, v_images=tuple(v_images), v_alphas=True, absolute=sums, store=True
-            )
+            step = (ctx.projected, *arrays[2:5], ctx.bins, settings, blended, ctx.walk)
+            v_given = {"v_images": tuple(v_images), "v_alphas": True, "absolute": sums}
+            blending_step.blend_adjoint(*step, rest=ctx.rest, **v_given, store=True)
             for image, given in images:
                 if given is not None:
                     image.grad = None

@@ -128,13 +128,13 @@ class ProjectedScene:
         features: Tensor,
         absgrad: bool,
         *,
-        first_image: int | None = None,
+        rest: Tensor | None = None,
         thermal_channels: int = 0,
         thermal_opacity: bool = False,
     ) -> BlendedTensors:
         """Blends flat features; with ``thermal_channels``, the last of them a second time at the thermal opacity.
 
-        ``first_image``: channels of the render's first image, where there are to be two.
+        ``rest``: flat features to blend beside the others, to an image of their own.
         """
         opacities = self.opacities
         if thermal_opacity and self.thermal_opacities is not None:
@@ -143,13 +143,13 @@ class ProjectedScene:
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
-            self._bin(features),
+            self._bin(features, rest),
             self.settings,
-            features.shape[-1] if first_image is None else first_image,
             thermal_channels,
             self.means2d if absgrad else None,
         )
-        return BlendedTensors(*Blend.apply(self.means2d, self.projected.roots, opacities, second, features, inputs))
+        tensors = (self.means2d, self.projected.roots, opacities, second, features, rest)
+        return BlendedTensors(*Blend.apply(*tensors, inputs))
 
     def blend_in_chunks(
         self, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
@@ -167,8 +167,8 @@ class ProjectedScene:
         ]
         return parts[0]._replace(render=torch.cat([part.render for part in parts], -1))
 
-    def _bin(self, features: Tensor) -> TileBins:
-        """The bins, made once; ``features`` of the first call are checked for being finite."""
+    def _bin(self, features: Tensor, rest: Tensor | None = None) -> TileBins:
+        """The bins, made once; the features of the first call are checked for being finite."""
         if self._bins is None:
             room = active_pair_capacity()
             self._bins = bin_tiles(
@@ -178,6 +178,7 @@ class ProjectedScene:
                 features,
                 self.settings,
                 self.tile_size,
+                rest,
                 room.limit() if room is not None else None,
                 room.listed_limit() if room is not None else None,
                 deterministic=self.deterministic,

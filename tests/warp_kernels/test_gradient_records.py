@@ -29,12 +29,13 @@ def test_records_reach_the_gradients(per_pair: int, store: bool, thermal_channel
             own = slice((end - tiles[g]) * per_pair, end * per_pair)
             sums[g] = records[own].sum(0) if per_pair else records[g]
 
-    parts = {"means2d": 2, "roots": 3, "opacities": 1, "thermal_opacities": 1, "features": 3, "absolute": 2}
+    parts = {"means2d": 2, "roots": 3, "opacities": 1, "thermal_opacities": 1, "features": 1, "rest": 2, "absolute": 2}
     before = {name: rng.normal(size=(4, width)) for name, width in parts.items()}
     kinds = {width: wp.types.vector(width, wp.float64) for width in (2, 3)} | {1: wp.float64}
     after = {name: wp.array(before[name].squeeze(), dtype=kinds[width], device="cpu") for name, width in parts.items()}
+    after["features"] = wp.array(before["features"], dtype=wp.types.vector(1, wp.float64), device="cpu")
     wp.launch(
-        distribute_kernel(3, thermal_channels, wp.float64, absgrad, per_pair),
+        distribute_kernel(3, thermal_channels, wp.float64, absgrad, per_pair, 1),
         dim=4,
         inputs=[
             wp.array(order, dtype=wp.int32, device="cpu"),
@@ -48,7 +49,8 @@ def test_records_reach_the_gradients(per_pair: int, store: bool, thermal_channel
         device="cpu",
     )
     first = feature_offset(thermal_channels)
-    columns = {"means2d": (0, 2), "roots": (2, 5), "opacities": (5, 6), "features": (first, first + channels)}
+    columns = {"means2d": (0, 2), "roots": (2, 5), "opacities": (5, 6), "features": (first, first + min(channels, 1))}
+    columns["rest"] = (first + min(channels, 1), first + channels)
     if thermal_channels:
         columns["thermal_opacities"] = (6, 7)
     if absgrad:

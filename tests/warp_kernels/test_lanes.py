@@ -136,11 +136,14 @@ def test_butterfly_sums_over_a_warp(length: int) -> None:
     assert max(abs(stored[k] - expected[k]) for k in range(length)) < 1e-12
 
 
-def test_sums_go_to_two_arrays() -> None:
-    """Added atomically, the components of a range go to the features' gradient, and what is around it side by side."""
-    source = accumulate_snippet(40, wp.float32, apart=(6, 38))
+def test_sums_go_to_several_arrays() -> None:
+    """Added atomically, components of two ranges go to the features' gradients, and what is around side by side."""
+    source = accumulate_snippet(40, wp.float32, apart=(6, 38, 38))
     assert "float* f = (float*)(features.data + index) - 6;" in source
     assert source.count("atomicAdd((k < 6 ? p + k : k < 38 ? f + k : p + k - 32), total);") == 2
+    source = accumulate_snippet(40, wp.float32, apart=(6, 9, 38))
+    assert "float* more = (float*)(rest.data + index) - 9;" in source
+    assert source.count("atomicAdd((k < 6 ? p + k : k < 9 ? f + k : k < 38 ? more + k : p + k - 32), total);") == 2
 
 
 def test_butterflies_cover_every_count() -> None:
