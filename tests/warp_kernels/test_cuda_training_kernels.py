@@ -12,12 +12,13 @@ from warp_kernels.density_notes import density_kernel
 from warp_kernels.finite_check import note_bad_kernel
 from warp_kernels.image_loss import image_loss_kernels
 from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernels
+from warp_kernels.pair_notes import note_pairs_kernel
 
 
 @pytest.mark.parametrize("arch", [80, 90])
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
-    """Adam and the finite check, with tables of addresses as arguments."""
-    compile_all([adam_coefficients_kernel, adam_update_kernel, note_bad_kernel], arch, tmp_path)
+    """Adam and the finite check, with tables of addresses as arguments, and what is noted of pairs."""
+    compile_all([adam_coefficients_kernel, adam_update_kernel, note_bad_kernel, note_pairs_kernel], arch, tmp_path)
 
 
 @pytest.mark.slow
