@@ -11,7 +11,7 @@ from warp_kernels.covered_images import covering_kernels
 from warp_kernels.density_notes import density_kernel
 from warp_kernels.finite_check import note_bad_kernel
 from warp_kernels.image_loss import image_loss_kernels
-from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernels
+from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernel
 from warp_kernels.pair_notes import note_pairs_kernel
 
 
@@ -26,5 +26,5 @@ def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Losses, covered images, and what density control notes."""
-    kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), *image_loss_adjoint_kernels(dtype, 1.5)]
+    kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), image_loss_adjoint_kernel(dtype, 1.5)]
     compile_all([*kernels, *covering_kernels(dtype), density_kernel(dtype)], arch, tmp_path)
