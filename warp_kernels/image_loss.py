@@ -79,8 +79,8 @@ def plane_functions(dtype: type):
 
 LOAD = """
         const int my = reflected(gy, height), mx = reflected(gx, width);
-        held[0][at] = ((const S_*)of_x)[my * x_row + mx * x_column];
-        held[1][at] = ((const S_*)of_y)[my * y_row + mx * y_column];
+        held[0][at] = fetch((const S_*)of_x, my * x_row + mx * x_column);
+        held[1][at] = fetch((const S_*)of_y, my * y_row + mx * y_column);
 """
 REFLECTED = """
     // index i mirrored into [0, n), the border itself not repeated

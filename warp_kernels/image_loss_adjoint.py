@@ -24,9 +24,9 @@ from warp_kernels.image_tiles import (
 LOAD = """
         const bool inside = gy >= 0 && gy < height && gx >= 0 && gx < width;
         const int plane = height * width;
-        const S_* from = derivatives.data + 3 * c * plane + gy * width + gx;
+        const int from = 3 * c * plane + gy * width + gx;
         #pragma unroll
-        for (int p = 0; p < 3; ++p) held[p][at] = inside ? from[p * plane] : (S_)0;
+        for (int p = 0; p < 3; ++p) held[p][at] = inside ? fetch(derivatives.data, from + p * plane) : (S_)0;
 """
 
 HELD = "{held[0][at], held[1][at], held[2][at]}"
@@ -34,17 +34,17 @@ BLURRED = "{blurred[0][at], blurred[1][at], blurred[2][at]}"
 
 FINISH = """
                 const S_* x = (const S_*)of_x + gy * x_row + gx * x_column;
-                const S_ a = *x, b = ((const S_*)of_y)[gy * y_row + gx * y_column], difference = a - b;
+                const S_ a = fetch(x, 0), b = fetch((const S_*)of_y, gy * y_row + gx * y_column), difference = a - b;
                 const auto sign = [](S_ value) { return (S_)(value > 0) - (S_)(value < 0); };
                 S_ slope = sign(difference);
                 if (noise > 0) slope = difference / wp::sqrt(difference * difference + noise * noise);
                 S_ v = scale * (t[0][r] + 2 * a * t[1][r] + b * t[2][r] + (1 - ssim_share) * slope);
                 if (smooth_scale != 0) {
                     S_ turns = 0;
-                    if (gx > 0) turns += sign(a - x[-x_column]);
-                    if (gx + 1 < width) turns += sign(a - x[x_column]);
-                    if (gy > 0) turns += sign(a - x[-x_row]);
-                    if (gy + 1 < height) turns += sign(a - x[x_row]);
+                    if (gx > 0) turns += sign(a - fetch(x, -x_column));
+                    if (gx + 1 < width) turns += sign(a - fetch(x, x_column));
+                    if (gy > 0) turns += sign(a - fetch(x, -x_row));
+                    if (gy + 1 < height) turns += sign(a - fetch(x, x_row));
                     v += smooth_scale * turns;
                 }
                 ((S_*)of_v)[gy * v_row + gx * v_column] = v;

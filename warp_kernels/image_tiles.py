@@ -77,6 +77,9 @@ def window(sigma: float) -> list[float]:
 def buffers(sources: int, planes: int, sigma: float, dtype: type) -> str:
     """Source that declares the buffers, the window's taps ``w`` and what is different on the CPU.
 
+    ``fetch`` reads a number that nobody writes meanwhile: as the compiler then knows that it does not lie in a buffer, it
+    asks for several at once.
+
     Args:
         sources: images that are put into shared memory: ``held``.
         planes: images that are blurred: ``blurred``.
@@ -90,9 +93,11 @@ def buffers(sources: int, planes: int, sigma: float, dtype: type) -> str:
 #if defined(__CUDA_ARCH__)
     __shared__ {arrays}
     const int threads = {THREADS};
+    const auto fetch = [](const S_* numbers, long long at) {{ return __ldg(numbers + at); }};
 #else
     {arrays}
     const int threads = 1;
+    const auto fetch = [](const S_* numbers, long long at) {{ return numbers[at]; }};
 #endif
     const S_ w[{2 * RADIUS + 1}] = {{{taps}}};
 """
@@ -113,6 +118,7 @@ def fill(dtype: type, statement: str) -> str:
         statement: sets ``held[...][at]`` for row ``gy`` and column ``gx`` of the image, which may lie outside.
     """
     return f"""
+    #pragma unroll 4
     for (int item = thread; item < {(tile_height(dtype) + 2 * RADIUS) * MARGINED}; item += threads) {{
         const int row = item / {MARGINED}, column = item - row * {MARGINED}, at = row * {PITCH} + column;
         const int gy = y0 + row - {RADIUS}, gx = x0 + column - {RADIUS};
