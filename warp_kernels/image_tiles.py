@@ -77,8 +77,8 @@ def window(sigma: float) -> list[float]:
 def buffers(sources: int, planes: int, sigma: float, dtype: type) -> str:
     """Source that declares the buffers, the window's taps ``w`` and what is different on the CPU.
 
-    ``fetch`` reads a number that nobody writes meanwhile: as the compiler then knows that it does not lie in a buffer, it
-    asks for several at once.
+    ``fetch`` reads a number that nobody writes meanwhile: the compiler, which then knows that it does not lie in a
+    buffer, asks for several at once.
 
     Args:
         sources: images that are put into shared memory: ``held``.
