@@ -77,20 +77,25 @@ def plane_functions(dtype: type):
     return plane, of_term
 
 
-LOAD = """
-        const int my = reflected(gy, height), mx = reflected(gx, width);
-        held[0][at] = fetch((const S_*)of_x, my * x_row + mx * x_column);
-        held[1][at] = fetch((const S_*)of_y, my * y_row + mx * y_column);
-"""
-REFLECTED = """
+START = """
+    const S_ C1 = (S_)C1_, C2 = (S_)C2_;
+    S_ loss = 0, errors = 0, variation = 0;
     // index i mirrored into [0, n), the border itself not repeated
     const auto reflected = [](int i, int n) {
         int j = i < 0 ? -i : i;
         if (j >= n) j = 2 * (n - 1) - j;
         return j < 0 ? 0 : j;  // beyond the margins of the image's last tiles, where nobody looks
     };
-    S_ loss = 0, errors = 0, variation = 0;
 """
+
+LOAD = """
+        const int my = reflected(gy, height), mx = reflected(gx, width);
+        held[0][at] = fetch((const S_*)of_x, my * x_row + mx * x_column);
+        held[1][at] = fetch((const S_*)of_y, my * y_row + mx * y_column);
+"""
+
+SQUARES = "held[0][at] * held[0][at] + held[1][at] * held[1][at]"
+BLURRED = f"{{held[0][at], held[1][at], {SQUARES}, held[0][at] * held[1][at]}}"
 
 FINISH = """
                 const S_ sx = t[0][r], sy = t[1][r], product = sx * sy, squares = sx * sx + sy * sy;
@@ -179,19 +184,16 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
     plane, of_term = plane_functions(dtype)
     height_of_tile = tile_height(dtype)
     parts = (
-        f"const S_ C1 = (S_){c1!r}, C2 = (S_){c2!r};",
+        START,
         buffers(2, 4, sigma, dtype),
-        REFLECTED,
         fill(dtype, LOAD),
-        blur_rows(dtype, 4, "{held[0][at], held[1][at], SQUARES, held[0][at] * held[1][at]}"),
+        blur_rows(dtype, 4, BLURRED),
         blur_columns(dtype, 4, FINISH),
         SUM,
     )
-    squares = "held[0][at] * held[0][at] + held[1][at] * held[1][at]"
-    numbers = {"EPSILON": epsilon, "RADIUS": RADIUS, "PITCH": PITCH, "THREADS": THREADS}
-    source = scalar_source("".join(parts).replace("SQUARES", squares), dtype, **numbers)
+    numbers = {"C1": c1, "C2": c2, "EPSILON": epsilon, "RADIUS": RADIUS, "PITCH": PITCH, "THREADS": THREADS}
 
-    @wp.func_native(source)
+    @wp.func_native(scalar_source("".join(parts), dtype, **numbers))
     def tile_losses(
         thread: int,
         tile: int,
