@@ -11,6 +11,7 @@ from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.launching import num_threads
+from warp_kernels.pair_notes import note_pairs_kernel
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
@@ -24,7 +25,9 @@ COLORS = 3
 
 
 def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = False) -> list[wp.Kernel]:
-    """What a forward and backward pass launches on the CPU, of a perspective camera that is not trained.
+    """What a forward and backward pass in a step of ``PairCapacity`` launches on the CPU.
+
+    The camera is a perspective one that is not trained.
 
     Args:
         channels: blended with the first opacity: colours from spherical harmonics, and features.
@@ -50,6 +53,7 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         tile_ranges_kernel,
         camera_position_kernels(dtype)[0],
         gather,
+        note_pairs_kernel,
     ]
 
 
