@@ -17,7 +17,7 @@ from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import BATCH
 from warp_kernels.constants import ALPHA_MAX
-from warp_kernels.gradient_records import feature_offset, record_length
+from warp_kernels.gradient_records import feature_offset, kept_channels, ranges_apart, record_length
 from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, lane_functions, warp_any, warp_max
 from warp_kernels.list_segments import list_of_block
 from warp_kernels.survivors import HEADER, stages_features, survivor_functions
@@ -61,7 +61,7 @@ def blend_adjoint_kernel(
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     summed = wp.types.vector(length, dtype)
-    record = summed if by_slot else wp.types.vector(length - C, dtype)  # see gradient_records
+    record = wp.types.vector(length - C + sum(kept_channels(C, A, by_slot)), dtype)
     records_type, rowsA, rowsB = (wp.array(dtype=kind) for kind in (record, vecA, vecB))
     # A lane sums a Gaussian's record over its pixels: on CUDA in registers, on the CPU, where a vector holds a row of
     # pixels, column by column, since a sum over a vector costs more than all else that is done with it.
@@ -78,14 +78,13 @@ def blend_adjoint_kernel(
     batch, first_thermal = BATCH, C - D
     staged, header = stages_features(channels, dtype, layout), HEADER
     candidate, features_of, records_of_warp, admit, get, integer = survivor_functions(C, A, staged, dual, dtype, layout)
-    apart = None if by_slot else (first_feature, first_feature + A, first_feature + C)
 
     @wp.func
     def restored(behind: dtype, a: dtype, ra: dtype):
         """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
-    @wp.func_native(accumulate_snippet(length, dtype, apart=apart))
+    @wp.func_native(accumulate_snippet(length, dtype, apart=ranges_apart(C, A, first_feature, by_slot)))
     def accumulate(dst: records_type, features: rowsA, rest: rowsB, index: int, lane: int, v: summed): ...
 
     @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")

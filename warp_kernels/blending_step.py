@@ -12,7 +12,7 @@ from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.constants import CHANNELS_MAX
-from warp_kernels.gradient_records import distribute_kernel, record_length
+from warp_kernels.gradient_records import distribute_kernel, kept_channels, record_length
 from warp_kernels.launching import launch, launch_again, launch_tiles
 from warp_kernels.list_segments import join_segments_kernel, state_length
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
@@ -174,14 +174,14 @@ def blend_adjoint(
             elements; None: the render's own gradient.
         v_alphas: the transmittances' gradients are those to 1 - T.
         absolute: as in ``blend``.
-        store: without ``bins.slots``, gradients of means2d, roots and opacities are not initialised, and written; else
-            they are added to, as those of features are.
+        store: without ``bins.slots``, gradients of means2d, roots, opacities and few features (``features_apart``) are
+            not initialised, and written; else they are added to, as those of many features are.
     """
     device, dtype, layout = opacities.device, opacities.dtype, walk.layout
     channels, thermal_channels = _channels(features, rest, blended)
     first_channels = features.dtype._length_
     by_slot, absgrad = bins.slots is not None, absolute is not None
-    length = record_length(channels if by_slot else 0, thermal_channels, absgrad)
+    length = record_length(sum(kept_channels(channels, first_channels, by_slot)), thermal_channels, absgrad)
     per_pair = layout.warps if by_slot else 0
     count = bins.num_pairs * per_pair if by_slot else len(features)
     records = zeros(count, wp.types.vector(length, dtype), device)

@@ -17,6 +17,7 @@ from thermosplat.warp_bridge import given_view, kinds_of, lend, vector_of, view
 from thermosplat.warp_streams import kept_apart, on_torch_stream
 from warp_kernels import blending_step
 from warp_kernels.array_views import nothing
+from warp_kernels.gradient_records import features_apart
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins
 
@@ -116,10 +117,13 @@ class Blend(torch.autograd.Function):
         settings, shown_means2d = ctx.inputs
         projected = (ctx.projected.means2d, ctx.projected.roots)
         arrays = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.rest)
-        # Sums are added to the features' gradient; the others are stored where a thread has a Gaussian and not a rank.
-        make = torch.zeros_like if ctx.bins.slots is not None else torch.empty_like
-        made = [None if one is None else make(one) for one in saved[:4]]
-        found = (*made, *(None if one is None else torch.zeros_like(one) for one in (features, rest)))
+        # Stored where a thread has a Gaussian and not a rank; many features' gradients are always added to.
+        by_slot = ctx.bins.slots is not None
+        make = torch.zeros_like if by_slot else torch.empty_like
+        found = [None if one is None else make(one) for one in saved[:4]]
+        for one in (features, rest):
+            added = one is not None and features_apart(one.shape[-1], by_slot)
+            found.append(None if one is None else torch.zeros_like(one) if added else make(one))
         absolute = None if shown_means2d is None else torch.zeros_like(means2d)
         v_render, v_rest, v_alphas, v_transmittance, v_thermal_render, v_thermal_alphas = gradients
         if v_transmittance is not None:
