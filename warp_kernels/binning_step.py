@@ -26,6 +26,7 @@ def bin_tiles(
     tile_size: int,
     *,
     by_slot: bool,
+    rest: wp.array | None = None,
     capacity: int | None = None,
     room: int | None = None,
 ) -> TileBins:
@@ -43,6 +44,7 @@ def bin_tiles(
         settings: image size.
         tile_size: edge of a tile [px].
         by_slot: number the pairs, for an adjoint that writes one record a pair.
+        rest: as ``features``, channels that lie apart from them; None: there are no others.
         capacity: pairs there is room for; None for as many as there are.
         room: with ``capacity``, Gaussians with pairs there is room for, which are sorted; None for all.
 
@@ -71,6 +73,7 @@ def bin_tiles(
         opacities,
         thermal_opacities,
         features,
+        nothing(dtype, 2, device) if rest is None else rest,
         projected.radii,
         tiles_per_gaussian,
     ]

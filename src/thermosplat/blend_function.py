@@ -21,20 +21,6 @@ from warp_kernels.gradient_records import features_apart
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 
 
-class Join(torch.autograd.Function):
-    """Colours and features side by side, [M, C] and [M, D]; torch's own would return gradients that keep both alive."""
-
-    @staticmethod
-    def forward(ctx: Any, colors: Tensor, features: Tensor) -> Tensor:
-        ctx.channels = colors.shape[-1]
-        return torch.cat([colors, features], -1)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, v_both: Tensor) -> tuple[Tensor, Tensor]:
-        return v_both[:, : ctx.channels].contiguous(), v_both[:, ctx.channels :].contiguous()
-
-
 @dataclass
 class BlendInputs:
     """What ``Blend`` needs beside the tensors it differentiates."""
@@ -45,8 +31,6 @@ class BlendInputs:
     """From ``make_images``."""
     lists: TileLists
     settings: ProjectionSettings
-    first_image: int
-    """Channels of the first image of the render; the others are a second."""
     shown_means2d: Tensor | None
     """The tensor users see as info["means2d"], whose ``absgrad`` attribute the backward pass sets; None: not wanted."""
 
@@ -109,6 +93,7 @@ class Blend(torch.autograd.Function):
         opacities: Tensor,
         thermal_opacities: Tensor | None,
         features: Tensor,
+        rest: Tensor | None,
         inputs: BlendInputs,
     ) -> BlendedTensors:
         dtype, settings = means2d.dtype, inputs.settings
@@ -118,12 +103,13 @@ class Blend(torch.autograd.Function):
         ctx.opacities = view(opacities, scalar)
         ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
         ctx.features = view(features, vector_of(features.shape[-1], dtype))
+        ctx.rest = None if rest is None else view(rest, vector_of(rest.shape[-1], dtype))
         ctx.blended = blending_step.BlendedArrays(*[array for array, _ in images])
         ctx.projected, ctx.bins = projected, lists.bins
-        ctx.inputs = (settings, inputs.first_image, inputs.shown_means2d)
+        ctx.inputs = (settings, inputs.shown_means2d)
         step = (projected, ctx.opacities, ctx.thermal_opacities, ctx.features, lists.bins, settings, ctx.blended)
         with launches_on_torch_stream(means2d.device):
-            ctx.walk = blending_step.blend(*step)
+            ctx.walk = blending_step.blend(*step, rest=ctx.rest)
         ctx.set_materialize_grads(False)
         keep(
             ctx,
@@ -132,6 +118,7 @@ class Blend(torch.autograd.Function):
             (ctx.opacities, opacities),
             (ctx.thermal_opacities, thermal_opacities),
             (ctx.features, features),
+            (ctx.rest, rest),
             (projected.extents, None if means2d.is_cuda else inputs.extents),  # which only a row of pixels asks for
             # Of the images only those that the adjoint reads, so that users may change the renders in place.
             *images[1:3],
@@ -140,25 +127,28 @@ class Blend(torch.autograd.Function):
             (ctx.walk.states, ctx.walk.states.release()),
         )
         render, transmittance, _, alphas = (image for _, image in images[:4])
-        rest = thermal_render = thermal_alphas = None
-        if inputs.first_image < render.shape[-1]:
-            render, rest = render[..., : inputs.first_image], render[..., inputs.first_image :]
+        render_rest = thermal_render = thermal_alphas = None
+        if rest is not None:
+            render, render_rest = render[..., : features.shape[-1]], render[..., features.shape[-1] :]
         if len(images) > 4:
             thermal_render, thermal_alphas = images[4][1], images[7][1]
-        return BlendedTensors(render, rest, alphas, transmittance, thermal_render, thermal_alphas)
+        return BlendedTensors(render, render_rest, alphas, transmittance, thermal_render, thermal_alphas)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        means2d, roots, opacities, thermal_opacities, features, *_held = kept(ctx)
-        settings, first_image, shown_means2d = ctx.inputs
-        inputs = (means2d, roots, opacities, thermal_opacities, features)
-        arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
+        held = kept(ctx)
+        means2d, (features, rest) = held[0], held[4:6]
+        settings, shown_means2d = ctx.inputs
+        projected = (ctx.projected.means2d, ctx.projected.roots)
+        arrays = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.rest)
         # Stored where a thread has a Gaussian and not a rank; many features' gradients are always added to.
         by_slot = ctx.bins.slots is not None
         make = torch.zeros_like if by_slot else torch.empty_like
-        make_last = torch.zeros_like if features_apart(features.shape[-1], by_slot) else make
-        found = (*(None if one is None else make(one) for one in inputs[:-1]), make_last(features))
+        found = [None if one is None else make(one) for one in held[:4]]
+        for one in (features, rest):
+            added = one is not None and features_apart(one.shape[-1], by_slot)
+            found.append(None if one is None else torch.zeros_like(one) if added else make(one))
         absolute = None if shown_means2d is None else torch.zeros_like(means2d)
         v_render, v_rest, v_alphas, v_transmittance, v_thermal_render, v_thermal_alphas = gradients
         if v_transmittance is not None:
@@ -169,8 +159,7 @@ class Blend(torch.autograd.Function):
             (blended.thermal_render, v_thermal_render),
             (blended.thermal_transmittance, v_thermal_alphas),
         )
-        rest = features.shape[-1] - first_image
-        kinds = (vector_of(channels, dtype) for channels in (first_image, max(rest, 1)))
+        kinds = (vector_of(1 if one is None else one.shape[-1], dtype) for one in (features, rest))
         with launches_on_torch_stream(means2d.device) as device:
             for array, gradient in zip(arrays, found, strict=True):
                 if gradient is not None:
@@ -182,10 +171,9 @@ class Blend(torch.autograd.Function):
                 for kind, given in zip(kinds, (v_render, v_rest), strict=True)
             ]
             sums = None if absolute is None else view(absolute, kinds_of(dtype).vec2)
-            step = (*arrays[2:], ctx.bins, settings, blended, ctx.walk)
-            blending_step.blend_adjoint(
-                ctx.projected, *step, v_images=tuple(v_images), v_alphas=True, absolute=sums, store=True
-            )
+            step = (ctx.projected, *arrays[2:5], ctx.bins, settings, blended, ctx.walk)
+            v_given = {"v_images": tuple(v_images), "v_alphas": True, "absolute": sums}
+            blending_step.blend_adjoint(*step, rest=ctx.rest, **v_given, store=True)
         take_back(*arrays, *(image for image, _ in images))
         if absolute is not None:
             shown_means2d.absgrad = absolute

@@ -125,30 +125,31 @@ class ProjectedScene:
         features: Tensor,
         absgrad: bool,
         *,
-        first_image: int | None = None,
+        rest: Tensor | None = None,
         thermal_channels: int = 0,
         thermal_opacity: bool = False,
     ) -> BlendedTensors:
         """Blends flat features; with ``thermal_channels``, the last of them a second time at the thermal opacity.
 
-        ``first_image``: channels of the render's first image, where there are to be two.
+        ``rest``: flat features to blend beside the others, to an image of their own.
         """
         opacities = self.opacities
         if thermal_opacity and self.thermal_opacities is not None:
             opacities = self.thermal_opacities
         second = self.thermal_opacities if thermal_channels > 0 else None
         # Room for images is made before the lists, whose number of pairs is waited for.
-        images = make_images(self.means2d, self.settings, (features.shape[-1], thermal_channels))
+        channels = features.shape[-1] + (0 if rest is None else rest.shape[-1])
+        images = make_images(self.means2d, self.settings, (channels, thermal_channels))
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
             images,
-            self._bin(features),
+            self._bin(features, rest),
             self.settings,
-            features.shape[-1] if first_image is None else first_image,
             self.means2d if absgrad else None,
         )
-        return BlendedTensors(*Blend.apply(self.means2d, self.projected.roots, opacities, second, features, inputs))
+        tensors = (self.means2d, self.projected.roots, opacities, second, features, rest)
+        return BlendedTensors(*Blend.apply(*tensors, inputs))
 
     def blend_in_chunks(
         self, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
@@ -166,8 +167,8 @@ class ProjectedScene:
         ]
         return parts[0]._replace(render=torch.cat([part.render for part in parts], -1))
 
-    def _bin(self, features: Tensor) -> TileLists:
-        """The lists of Gaussians, made once; ``features`` of the first call are checked for being finite."""
+    def _bin(self, features: Tensor, rest: Tensor | None = None) -> TileLists:
+        """The lists of Gaussians, made once; the features of the first call are checked for being finite."""
         if self._lists is None:
             room = active_pair_capacity()
             self._lists = bin_tiles(
@@ -177,6 +178,7 @@ class ProjectedScene:
                 features,
                 self.settings,
                 self.tile_size,
+                rest,
                 room.limit() if room is not None else None,
                 room.listed_limit() if room is not None else None,
                 deterministic=self.deterministic,

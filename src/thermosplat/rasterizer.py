@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
-from thermosplat.blend_function import Join
 from thermosplat.errors import UserError
 from thermosplat.projected_scene import ProjectedScene
 from thermosplat.rasterization_arguments import (
@@ -311,12 +310,12 @@ def rasterization_rgbt(
     flat_features = scene.colors(
         features, features_sh_degree, per_camera=features_per_camera, higher_degrees=features_rest
     )
-    both = Join.apply(flat_colors, flat_features)
     channels, dim = flat_colors.shape[-1], flat_features.shape[-1]
     thermal_channels = 0 if thermal_opacities is None else dim
     if channels + dim + thermal_channels <= CHANNELS_MAX:
-        blended = scene.blend(both, absgrad, first_image=channels, thermal_channels=thermal_channels)
+        blended = scene.blend(flat_colors, absgrad, rest=flat_features, thermal_channels=thermal_channels)
     else:
+        both = torch.cat([flat_colors, flat_features], -1)
         blended = scene.blend_in_chunks(both, CHANNELS_MAX, absgrad)
         render_colors, render_features = blended.render.split([channels, dim], dim=-1)
         blended = blended._replace(render=render_colors, rest=render_features)

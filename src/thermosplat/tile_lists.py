@@ -36,6 +36,7 @@ def bin_tiles(
     features: Tensor,
     settings: ProjectionSettings,
     tile_size: int,
+    rest: Tensor | None = None,
     capacity: int | None = None,
     room: int | None = None,
     *,
@@ -50,6 +51,7 @@ def bin_tiles(
         features: [images · N, D].
         settings: image size.
         tile_size: edge of a tile [px].
+        rest: [images · N, D'], channels that lie apart from those; None: there are no others.
         capacity: pairs there is room for; None: their number is read back from the device.
         room: with ``capacity``, Gaussians with pairs there is room for; None: for all.
         deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
@@ -76,6 +78,7 @@ def bin_tiles(
                 settings,
                 tile_size,
                 by_slot=deterministic or not device.is_cuda,
+                rest=None if rest is None else view(rest, scalar, *rest.shape),
                 capacity=capacity,
                 room=room,
             )
