@@ -27,46 +27,11 @@ class BlendInputs:
 
     projected: ProjectedArrays
     extents: Tensor
-    images: list[tuple[ArrayView, Tensor]]
-    """From ``make_images``."""
     lists: TileLists
     settings: ProjectionSettings
+    thermal_channels: int
     shown_means2d: Tensor | None
     """The tensor users see as info["means2d"], whose ``absgrad`` attribute the backward pass sets; None: not wanted."""
-
-
-def make_images(
-    means2d: Tensor, settings: ProjectionSettings, channels: tuple[int, int]
-) -> list[tuple[ArrayView, Tensor]]:
-    """Images for ``Blend`` to write, not initialised.
-
-    Args:
-        means2d: [..., C, N, 2], of the images' dtype and device.
-        settings: image size.
-        channels: of the render at the first opacity, and at the second, 0 where there is one.
-
-    Returns:
-        For each opacity the render, transmittance, last pairs and alphas [..., C, H, W, channels], as arrays and as
-        tensors.
-    """
-    scalar = kinds_of(means2d.dtype).scalar
-    rows = (settings.num_images * settings.height, settings.width)
-    shape = (*means2d.shape[:-2], settings.height, settings.width)
-    images = []
-    for count in channels:
-        if count > 0:
-            vector, single = vector_of(count, means2d.dtype), (*shape, 1)
-            images += [
-                _image(means2d.new_empty((*shape, count)), vector, rows),
-                _image(means2d.new_empty(single), scalar, rows),
-                _image(means2d.new_empty(single, dtype=torch.int32), wp.int32, rows),
-                _image(means2d.new_empty(single), scalar, rows),
-            ]
-    return images
-
-
-def _image(image: Tensor, kind: Any, rows: tuple[int, int]) -> tuple[ArrayView, Tensor]:
-    return view(image, kind, *rows), image
 
 
 class BlendedTensors(NamedTuple):
@@ -98,7 +63,8 @@ class Blend(torch.autograd.Function):
     ) -> BlendedTensors:
         dtype, settings = means2d.dtype, inputs.settings
         scalar = kinds_of(dtype).scalar
-        images = inputs.images
+        channels = features.shape[-1] + (0 if rest is None else rest.shape[-1])
+        images = _make_images(means2d, settings, (channels, inputs.thermal_channels))
         projected, lists = inputs.projected, inputs.lists
         ctx.opacities = view(opacities, scalar)
         ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
@@ -178,3 +144,23 @@ class Blend(torch.autograd.Function):
         if absolute is not None:
             shown_means2d.absgrad = absolute
         return *found, None
+
+
+def _make_images(
+    means2d: Tensor, settings: ProjectionSettings, channels: tuple[int, int]
+) -> list[tuple[ArrayView, Tensor]]:
+    """For each opacity with channels a render, transmittance, last pairs and alphas, [..., C, H, W, channels]."""
+    scalar = kinds_of(means2d.dtype).scalar
+    rows = (settings.num_images * settings.height, settings.width)
+    shape = (*means2d.shape[:-2], settings.height, settings.width)
+    images = []
+    for count in channels:
+        if count > 0:
+            single = (*shape, 1)
+            images += [
+                (means2d.new_empty((*shape, count)), vector_of(count, means2d.dtype)),
+                (means2d.new_empty(single), scalar),
+                (means2d.new_empty(single, dtype=torch.int32), wp.int32),
+                (means2d.new_empty(single), scalar),
+            ]
+    return [(view(image, kind, *rows), image) for image, kind in images]

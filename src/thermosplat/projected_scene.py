@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from thermosplat.blend_function import Blend, BlendedTensors, BlendInputs, make_images
+from thermosplat.blend_function import Blend, BlendedTensors, BlendInputs
 from thermosplat.pair_capacity import active_pair_capacity
 from thermosplat.rasterization_functions import Project, ProjectedTensors, ShColors
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
@@ -137,15 +137,12 @@ class ProjectedScene:
         if thermal_opacity and self.thermal_opacities is not None:
             opacities = self.thermal_opacities
         second = self.thermal_opacities if thermal_channels > 0 else None
-        # Room for images is made before the lists, whose number of pairs is waited for.
-        channels = features.shape[-1] + (0 if rest is None else rest.shape[-1])
-        images = make_images(self.means2d, self.settings, (channels, thermal_channels))
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
-            images,
             self._bin(features, rest),
             self.settings,
+            thermal_channels,
             self.means2d if absgrad else None,
         )
         tensors = (self.means2d, self.projected.roots, opacities, second, features, rest)
