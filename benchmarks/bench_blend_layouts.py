@@ -17,9 +17,9 @@ import warp as wp
 from benchmark_scenes import BenchmarkScene, garden_scene
 from trained_scene import trained_scene
 
-from thermosplat.rasterization_functions import Project, ProjectedTensors
+from thermosplat.rasterization_functions import Project
 from thermosplat.tile_lists import bin_tiles
-from thermosplat.warp_bridge import to_torch, wrap
+from thermosplat.warp_bridge import wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending_step import BlendedArrays, blend
@@ -46,14 +46,13 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
     settings = ProjectionSettings(width, height, count, 1, 1)
     opacities, thermal = scene.opacities, scene.thermal_opacities
     with torch.no_grad():
-        *projected, _ = Project.apply(
+        *_projected, arrays = Project.apply(
             scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
             scene.intrinsics(width, height)[None], settings, (1,),
         )  # fmt: skip
     flat = scene.features(max(channels for channels, _ in args.channels))
-    arrays = ProjectedTensors(*projected).arrays()
-    bins = bin_tiles(arrays, opacities, thermal, flat, settings, args.tile_size)
-    longest = int(torch.diff(to_torch(bins.tile_offsets)).max())
+    bins, memory = bin_tiles(arrays, opacities, thermal, flat, settings, args.tile_size)
+    longest = int(torch.diff(memory["tile_offsets"]).max())
     rows = []
     for channels, thermal_channels in args.channels:
         features = flat[:, :channels].contiguous()

@@ -147,7 +147,7 @@ class Benchmark:
         if self.options.run is not None:
             run = RunDirectory.open(self.options.run)
             checkpoint = newest_checkpoint(run)
-            check_resumable(checkpoint, self.config, run)
+            check_resumable(checkpoint, self.config, run, self.capture)
             self.report["densification"] = None
             return checkpoint
         config = replace(self.config, budget="fixed")

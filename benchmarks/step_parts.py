@@ -22,7 +22,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
         ("count_tiles", "compact_gaussians", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan"),
     ),
     ("optimizer", ("adam", "Adam")),
-    ("bookkeeping", ("note_bad", "note_density")),
+    ("bookkeeping", ("note_bad", "note_density", "note_pairs")),
     (
         "decoders",
         (

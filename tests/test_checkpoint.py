@@ -115,6 +115,7 @@ def test_pickled_code_is_refused(tmp_path: Path) -> None:
         ({"state_dict": {}}, "no format number"),
         ({"format": FORMAT + 1}, f"reads format {FORMAT}"),
         ({"format": FORMAT, "step": 3}, "config, sh_degree, model, thermal_scale, training missing"),
+        ({"format": FORMAT, **_state(), "model": {"x": 1}}, r"model\.gaussian_sets, model\.decoders, .* missing"),
     ],
 )
 def test_foreign_content_is_explained(tmp_path: Path, content: dict[str, Any], message: str) -> None:

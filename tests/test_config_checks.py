@@ -1,6 +1,6 @@
 """Ranges of configuration values, and settings that exclude each other."""
 
-from dataclasses import replace
+from dataclasses import Field, fields, is_dataclass, replace
 from typing import Any
 
 import pytest
@@ -9,6 +9,10 @@ from thermosplat.config import TrainConfig
 from thermosplat.config_checks import check_config
 from thermosplat.config_files import load_config
 from thermosplat.errors import UserError
+
+
+def fields_of(group: Any) -> tuple[Field[Any], ...]:
+    return fields(group) if is_dataclass(group) else ()
 
 
 def changed(key: str, value: Any) -> TrainConfig:
@@ -28,7 +32,13 @@ def changed(key: str, value: Any) -> TrainConfig:
         ("sh_degree", 4, "--sh-degree must be at most 3"),
         ("loss.ssim_lambda", 1.5, "--loss.ssim-lambda must lie between 0 and 1"),
         ("loss.thermal", -1.0, "--loss.thermal must be zero or positive"),
-        ("optimizer.means_lr", float("nan"), "--optimizer.means-lr must be zero or positive"),
+        ("optimizer.means_lr", float("nan"), "--optimizer.means-lr must be finite, found nan"),
+        ("optimizer.means_lr", -1e-4, "--optimizer.means-lr must be zero or positive"),
+        ("densification.growth", float("nan"), "--densification.growth must be finite, found nan"),
+        ("thermal.range_celsius", (0.0, float("inf")), "--thermal.range-celsius must be finite, found inf"),
+        ("densification.grad_threshold", -1.0, "--densification.grad-threshold must be at least 0"),
+        ("seed", 2**63, "--seed must be at most 9223372036854775807"),
+        ("eval_steps", (500, 0), "--eval-steps must be steps from 1 on, found [500, 0]"),
         ("optimizer.decoders_lr_final", 0.0, "--optimizer.decoders-lr-final must be positive"),
         ("model.init_opacity", 1.0, "--model.init-opacity must lie between 0 and 1"),
         ("model.feature_dim", 2, "--model.feature-dim must be 0 or at least 4"),
@@ -54,6 +64,18 @@ def test_impossible_value_is_named(key: str, value: Any, expected: str) -> None:
     with pytest.raises(UserError) as caught:
         check_config(changed(key, value))
     assert expected in caught.value.message
+
+
+def test_no_number_may_be_without_an_end() -> None:
+    """Every field of a fractional number refuses infinity, whichever group it is in."""
+    config = TrainConfig()
+    fields = [("", field) for field in fields_of(config)]
+    fields += [(group.name, field) for group in fields_of(config) for field in fields_of(getattr(config, group.name))]
+    numbers = [".".join(filter(None, (group, field.name))) for group, field in fields if field.type is float]
+    assert len(numbers) > 40
+    for key in numbers:
+        with pytest.raises(UserError, match="must be finite"):
+            check_config(changed(key, float("inf")))
 
 
 def test_nothing_to_train() -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from thermosplat.image_display import error_bytes, resized, rgb_bytes, side_by_side, thermal_bytes, write_png
 from thermosplat.radiometry import FLIR_IRON, ThermalScale
@@ -30,6 +31,14 @@ def test_error_palette_brightens() -> None:
     assert shown[0] < 10
     assert (np.diff(shown[:4]) > 0).all()
     assert shown[3] == shown[4]
+
+
+@pytest.mark.filterwarnings("error")
+def test_error_palette_of_a_capture_with_one_value() -> None:
+    """With a range of 0 no error is black and any error is at the bright end, without a warning."""
+    shown = error_bytes(np.array([[0.0, 0.1]]), largest=0.0)
+    expected = error_bytes(np.array([[0.0, 1.0]]), largest=1.0)
+    np.testing.assert_array_equal(shown, expected)
 
 
 def test_png_keeps_rgb_order(tmp_path: Path) -> None:

@@ -33,6 +33,13 @@ def test_psnr_clamps_the_render() -> None:
     assert psnr(torch.tensor([-3.0, 7.0]).expand(4, 4, 2), target) == math.inf
 
 
+def test_psnr_of_a_broken_render() -> None:
+    """A single NaN makes it NaN: it must not pass for a perfect image."""
+    render = torch.full((4, 4, 3), 0.5)
+    render[1, 2, 0] = math.nan
+    assert math.isnan(psnr(render, torch.full((4, 4, 3), 0.5)))
+
+
 def test_ssim_against_the_definition() -> None:
     """Reflected borders, as torchmetrics; the render is clamped."""
     generator = torch.Generator().manual_seed(1)

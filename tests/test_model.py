@@ -6,37 +6,10 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat import gaussian_views
 from thermosplat.config_files import to_dict
 from thermosplat.errors import UserError
-from thermosplat.model import RenderedFrame, SceneModel
-from toy_scene import toy_capture, toy_config, toy_frame, toy_model
-
-
-def render(model: SceneModel, frame: Any, **changes: Any) -> RenderedFrame:
-    arguments = {"rgb": frame.rgb, "thermal": frame.thermal, "sh_degree": 1} | changes
-    return model.render(arguments.pop("rgb"), arguments.pop("thermal"), **arguments)
-
-
-def gradients(model: SceneModel, loss: torch.Tensor) -> dict[str, float]:
-    """Largest gradient of every parameter; 0 where there is none."""
-    model.zero_grad()
-    loss.backward()
-    return {name: 0.0 if p.grad is None else p.grad.abs().max().item() for name, p in model.named_parameters()}
-
-
-def count_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the rasterization functions in the order in which the model calls them."""
-    calls: list[str] = []
-    for name in ("rasterization", "rasterization_rgbt"):
-        original = getattr(gaussian_views, name)
-
-        def recorded(*args: Any, _original: Any = original, _name: str = name, **kwargs: Any) -> Any:
-            calls.append(_name)
-            return _original(*args, **kwargs)
-
-        monkeypatch.setattr(gaussian_views, name, recorded)
-    return calls
+from thermosplat.model import SceneModel
+from toy_scene import count_calls, largest_gradients, render, toy_capture, toy_config, toy_frame, toy_model
 
 
 def test_aligned_frame_is_one_traversal(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,7 +97,7 @@ def test_without_hybrid_rgb_is_the_decoded_part() -> None:
     rendered = render(model, frame)
     decoded = model.decoders.rgb(rendered.visible_features)
     torch.testing.assert_close(rendered.rgb, rendered.rgb_alpha * decoded)
-    largest = gradients(model, rendered.rgb.square().sum())
+    largest = largest_gradients(model, rendered.rgb.square().sum())
     assert largest["gaussian_sets.shared.sh0"] == 0.0
     assert largest["gaussian_sets.shared.features"] > 0.0
 
@@ -169,7 +142,7 @@ def test_every_parameter_is_trained_by_the_full_model() -> None:
     frame, model = toy_frame(capture), toy_model(toy_config(), capture)
     torch.nn.init.normal_(model.decoders.modulation.weight, std=0.1)  # else the prior's gradient comes by thermal alone
     rendered = render(model, frame)
-    largest = gradients(model, rendered.rgb.square().sum() + rendered.thermal.square().sum())
+    largest = largest_gradients(model, rendered.rgb.square().sum() + rendered.thermal.square().sum())
     assert [name for name, value in largest.items() if value == 0.0] == []
 
 
@@ -177,7 +150,7 @@ def test_thermal_image_does_not_train_visible_colours() -> None:
     """The thermal branch reaches geometry, features and offsets, but neither SH colours nor the RGB head."""
     capture = toy_capture()
     frame, model = toy_frame(capture), toy_model(toy_config(), capture)
-    largest = gradients(model, render(model, frame).thermal.square().sum())
+    largest = largest_gradients(model, render(model, frame).thermal.square().sum())
     untouched = {name for name, value in largest.items() if value == 0.0}
     assert untouched == {
         "gaussian_sets.shared.sh0",
@@ -195,44 +168,6 @@ def test_without_geometric_decoupling_both_opacities_are_one() -> None:
     rendered = render(toy_model(toy_config(geometric_decoupling=False), capture), toy_frame(capture))
     torch.testing.assert_close(rendered.thermal_features, rendered.visible_features)
     torch.testing.assert_close(rendered.thermal_alpha, rendered.rgb_alpha)
-
-
-def test_separate_sets_are_independent() -> None:
-    """Two 3DGS models side by side: no features, no decoders, no gradient across."""
-    capture = toy_capture(aligned=False)
-    model = toy_model(toy_config(gaussian_sets="separate", feature_dim=0), capture)
-    rendered = render(model, toy_frame(capture))
-    assert set(model.gaussian_sets) == set(rendered.infos) == {"rgb", "thermal"}
-    assert model.decoders is None
-    assert rendered.visible_features is None
-    assert rendered.thermal.shape == (14, 16, 3)
-    assert model.num_gaussians == 120
-    largest = gradients(model, rendered.rgb.square().sum())
-    assert largest["gaussian_sets.rgb.means"] > 0.0
-    assert largest["gaussian_sets.thermal.means"] == 0.0
-
-
-def test_one_thermal_channel_from_spherical_harmonics_stays_grey() -> None:
-    """A scalar thermal image is the mean of three channels that all get the same gradient."""
-    capture = toy_capture(thermal_kind="scalar")
-    model = SceneModel.from_capture(toy_config(gaussian_sets="separate", feature_dim=0), capture, "cpu")
-    rendered = render(model, toy_frame(capture))
-    assert rendered.thermal.shape == (18, 24, 1)
-    rendered.thermal.square().sum().backward()
-    gradient = model.gaussians("thermal").sh0.grad
-    assert gradient.abs().max() > 0
-    torch.testing.assert_close(gradient, gradient[..., :1].expand(-1, -1, 3))
-
-
-def test_plain_3dgs_in_one_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without features a shared set models RGB alone, from its SH colour."""
-    calls = count_calls(monkeypatch)
-    capture = toy_capture()
-    rendered = render(toy_model(toy_config(feature_dim=0, thermal=False), capture), toy_frame(capture))
-    assert rendered.rgb.shape == (18, 24, 3)
-    assert rendered.thermal is None
-    assert list(rendered.infos) == ["shared"]
-    assert calls == ["rasterization"]
 
 
 def test_scalar_thermal_has_one_decoded_channel() -> None:
@@ -292,63 +227,6 @@ def test_missing_spectrum_is_a_users_error() -> None:
     """A capture without thermal images cannot be modelled in thermal; the message names the flag."""
     with pytest.raises(UserError, match="no-thermal"):
         SceneModel.from_capture(toy_config(), toy_capture(thermal=False), "cpu")
-
-
-SH_PER_SPECTRUM = [
-    {"geometric_decoupling": False},
-    {"geometric_decoupling": True},
-    {"thermal_opacity": "own"},
-]
-
-
-@pytest.mark.parametrize("opacity", SH_PER_SPECTRUM)
-def test_spherical_harmonics_of_either_spectrum_in_one_traversal(
-    opacity: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without features one set renders both spectra from SH of their own; one traversal or two calls are the same."""
-    capture = toy_capture()
-    frame, model = toy_frame(capture), toy_model(toy_config(feature_dim=0, **opacity), capture)
-    calls = count_calls(monkeypatch)
-    images, gradient_sets = [], []
-    for aligned in (True, False):
-        rendered = render(model, frame, aligned=aligned)
-        weights = torch.linspace(0, 1, rendered.rgb.numel()).view_as(rendered.rgb)
-        model.zero_grad()
-        ((rendered.rgb * weights).sum() + (rendered.thermal.square() * weights).sum()).backward()
-        images.append(rendered)
-        gradient_sets.append({name: p.grad.clone() for name, p in model.named_parameters()})
-    assert calls == ["rasterization_rgbt", "rasterization", "rasterization"]
-    assert [info["modality"] for info in images[1].infos["shared"]] == ["rgb", "thermal"]
-    for name in ("rgb", "thermal", "rgb_alpha", "thermal_alpha"):
-        torch.testing.assert_close(getattr(images[0], name), getattr(images[1], name), atol=2e-6, rtol=1e-5)
-    for name, gradient in gradient_sets[0].items():
-        torch.testing.assert_close(gradient, gradient_sets[1][name], atol=1e-4, rtol=1e-4)
-        assert gradient.any(), name
-    assert not torch.allclose(images[0].rgb, images[0].thermal)
-
-
-def test_own_thermal_opacity_is_left_alone_by_rgb() -> None:
-    """A stored offset moves with the visible opacity, a logit of its own does not."""
-    capture = toy_capture()
-    for kind, moves in (("offset", True), ("own", False)):
-        model = toy_model(toy_config(feature_dim=0, thermal_opacity=kind), capture)
-        gaussians = model.gaussians("shared")
-        before = gaussians.thermal_opacities.detach().clone()
-        with torch.no_grad():
-            gaussians.logit_opacities += 1.0
-        assert torch.equal(gaussians.thermal_opacities, before) is not moves
-
-
-def test_scalar_thermal_of_a_shared_set_stays_grey() -> None:
-    """One thermal channel from three SH channels that get the same gradient."""
-    capture = toy_capture(thermal_kind="scalar")
-    model = SceneModel.from_capture(toy_config(feature_dim=0), capture, "cpu")
-    rendered = render(model, toy_frame(capture))
-    assert rendered.thermal.shape == (18, 24, 1)
-    rendered.thermal.square().sum().backward()
-    gradient = model.gaussians("shared").thermal_sh0.grad
-    assert gradient.abs().max() > 0
-    torch.testing.assert_close(gradient, gradient[..., :1].expand(-1, -1, 3))
 
 
 @pytest.mark.parametrize("aligned", [True, False])

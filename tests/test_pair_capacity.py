@@ -149,3 +149,15 @@ def test_threads_do_not_share_a_step() -> None:
     with capacity.step(fixed=False), ThreadPoolExecutor(1) as pool:
         pool.submit(rasterization, **inputs).result()
     assert capacity.most.sum() == 0
+
+
+@pytest.mark.parametrize(("more", "short"), [(0, False), (1, True)])
+def test_room_to_the_last_pair_is_enough(device: torch.device, more: int, short: bool) -> None:
+    """As many pairs as there is room for fit; one more does not."""
+    capacity = PairCapacity(device, spare=1.0)
+    for fixed, pairs in ((False, 5000), (True, 5000 + more)):
+        with capacity.step(fixed=fixed):
+            capacity.note(torch.tensor([pairs], device=device))
+        if not fixed:
+            capacity.measure()
+    assert bool(capacity.overflow == 1) is capacity.is_short() is short

@@ -1,5 +1,7 @@
 """What the renders of one projection share: the tensors in info lie on the gradient's path."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 import torch
 from torch.utils.checkpoint import checkpoint
@@ -26,10 +28,11 @@ def test_depths_retain_their_gradient(device: torch.device, render_mode: str) ->
     assert relative_error(info["depths"].grad.cpu(), colors.grad[..., 0]) < 1e-11
 
 
+@pytest.mark.parametrize("sh_degree", [None, 2])
 @pytest.mark.parametrize("keep", ["copies", "checkpoint"])
-def test_what_is_saved_may_come_back_elsewhere(device: torch.device, keep: str) -> None:
+def test_what_is_saved_may_come_back_elsewhere(device: torch.device, keep: str, sh_degree: int | None) -> None:
     """Gradients are the same where torch moves what the backward pass reads, or makes it again."""
-    inputs = leaves(random_rgbt_scene(cameras=2), device, torch.float64)
+    inputs = leaves(random_rgbt_scene(cameras=2, sh_degree=sh_degree), device, torch.float64)
     names = [name for name, value in inputs.items() if isinstance(value, torch.Tensor) and value.requires_grad]
 
     def render() -> torch.Tensor:
@@ -48,6 +51,40 @@ def test_what_is_saved_may_come_back_elsewhere(device: torch.device, keep: str) 
     for name, one, other in zip(names, expected, gradients(image), strict=True):
         assert one.norm() > 0, name
         assert relative_error(other, one) < 1e-12, name
+
+
+def test_a_graph_may_be_walked_again_for_other_inputs(device: torch.device) -> None:
+    """Nothing of one backward pass is left for the next: not the loss's gradients, nor where gradients went."""
+    inputs = leaves(random_rgbt_scene(cameras=2, sh_degree=1), device, torch.float64)
+    images = rasterization_rgbt(**inputs)[:5]
+
+    def gradients(images: tuple[torch.Tensor, ...], *names: str) -> list[torch.Tensor]:
+        loss = sum(image.square().sum() for image in images)
+        found = torch.autograd.grad(loss, [inputs[name] for name in names], retain_graph=True)
+        torch.full((1_000_000,), torch.nan, device=device)  # where memory was given back
+        return list(found)
+
+    everything = gradients(images, "means", "viewmats")
+    first = gradients(images[:1], "means")
+    for one, other in zip(everything, gradients(images, "means", "viewmats"), strict=True):
+        assert relative_error(other, one) < 1e-12
+    fresh = rasterization_rgbt(**inputs)[:5]
+    assert relative_error(gradients(fresh[:1], "means")[0], first[0]) < 1e-12
+    assert relative_error(first[0], everything[0]) > 1e-3
+
+
+def test_threads_render_at_once(device: torch.device) -> None:
+    """Launches of two threads, forward and backward, do not mix their arguments."""
+    scenes = [leaves(random_scene(n=30 + 20 * k, seed=k), device, torch.float64) for k in range(2)]
+
+    def step(inputs: dict) -> torch.Tensor:
+        image, _, _ = rasterization(**inputs)
+        return torch.autograd.grad(image.square().sum(), inputs["means"])[0]
+
+    expected = [step(inputs) for inputs in scenes]
+    with ThreadPoolExecutor(2) as pool:
+        for found in pool.map(lambda k: (k % 2, step(scenes[k % 2])), range(40)):
+            assert relative_error(found[1], expected[found[0]]) < 1e-12
 
 
 def test_opacities_retain_their_gradients(device: torch.device) -> None:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -61,6 +62,25 @@ def test_gsplat_defaults_are_accepted() -> None:
         )
     )[0]
     assert torch.equal(plain, same)
+
+
+def test_numpys_integers_are_sizes() -> None:
+    """Image sizes read from an array's shape or a file are whole numbers too; halves of pixels are none."""
+    scene = scene_with()
+    sizes = {"width": np.int64(scene["width"]), "height": np.int32(scene["height"])}
+    image, _, info = rasterization(**scene | sizes)
+    assert torch.equal(image, rasterization(**scene)[0])
+    assert type(info["width"]) is type(info["height"]) is int
+    for size in (8.5, 8.0, "8", torch.tensor(8.0)):
+        with pytest.raises(UserError, match="width must be a positive whole number of pixels"):
+            rasterization(**scene_with(width=size))
+
+
+@pytest.mark.parametrize("channel_chunk", [0, -1])
+def test_chunks_have_channels(channel_chunk: int) -> None:
+    """No channel at a time would never end."""
+    with pytest.raises(UserError, match="channel_chunk must be at least 1"):
+        rasterization(**scene_with(channel_chunk=channel_chunk))
 
 
 def test_gsplats_global_shutter_is_accepted() -> None:

@@ -17,12 +17,13 @@ from thermosplat.rasterization_info import RasterizationInfo, isect_ids
     [
         lambda info: info["isect_ids"],
         lambda info: info.get("isect_ids"),
+        lambda info: info.setdefault("isect_ids", None),
         lambda info: dict(info)["isect_ids"],
         lambda info: {**info}["isect_ids"],
         lambda info: dict(info.items())["isect_ids"],
         lambda info: list(info.values())[list(info).index("isect_ids")],
     ],
-    ids=["item", "get", "dict", "unpacking", "items", "values"],
+    ids=["item", "get", "setdefault", "dict", "unpacking", "items", "values"],
 )
 def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[RasterizationInfo], Any]) -> None:
     """However they are read; other keys do not cause the computation."""
@@ -44,9 +45,18 @@ def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[Rasteriz
 def test_missing_keys() -> None:
     """As in any dict."""
     info = RasterizationInfo({}, {"isect_ids": lambda: torch.empty(0)})
+    assert info.setdefault("means3d", 3) == info.pop("means3d") == 3
+    assert info.pop("means3d", None) is None
     with pytest.raises(KeyError, match="means3d"):
         info["means3d"]
     assert info.get("means3d") is None
+
+
+def test_what_is_taken_out_is_computed() -> None:
+    """pop gives the value, not the place that was kept for it."""
+    info = RasterizationInfo({}, {"isect_ids": lambda: torch.tensor([5, 7])})
+    assert info.pop("isect_ids").tolist() == [5, 7]
+    assert "isect_ids" not in info
 
 
 def test_isect_ids_pack_image_tile_and_depth() -> None:

@@ -9,6 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from thermosplat.cli.benchmark import BenchmarkArguments
+from thermosplat.cli.evaluate import EvalArguments
+from thermosplat.cli.export import ExportArguments
+from thermosplat.cli.render import RenderArguments
 from thermosplat.config import TrainConfig
 from thermosplat.config_files import list_presets
 
@@ -78,13 +82,41 @@ def test_the_flags_of_the_migration_table_exist() -> None:
     assert named <= set(_train_flags())
 
 
-def test_the_flags_in_the_documents_exist() -> None:
-    """Dotted flags, which only thermosplat-train has, wherever a document names them."""
+def test_the_dotted_flags_in_the_documents_exist() -> None:
+    """Only thermosplat-train has groups of flags; wherever a document names one of a group, it has it."""
     known = set(_train_flags())
+    groups = "|".join({flag[2:].split(".")[0] for flag in known if "." in flag})
     for path in DOCUMENTS:
-        text = path.read_text(encoding="utf-8")
-        for flag in re.findall(r"--(?:model|loss|optimizer|decoder|densification|thermal)\.[\w-]+", text):
+        for flag in re.findall(rf"--(?:{groups})\.[\w-]+", path.read_text(encoding="utf-8")):
             assert flag in known, f"{path.name} names {flag}"
+
+
+def _flags_of_programs() -> dict[str, set[str]]:
+    """What every command and every benchmark accepts, by its name."""
+    flags = {"thermosplat-train": {*_train_flags(), "--debug", "--help"}}
+    commands = {"eval": EvalArguments, "render": RenderArguments, "export": ExportArguments}
+    for name, arguments in {**commands, "benchmark": BenchmarkArguments}.items():
+        flags[f"thermosplat-{name}"] = {*_train_flags(arguments), "--help", *({"--set"} if name == "benchmark" else ())}
+    for path in (REPOSITORY / "benchmarks").glob("*.py"):
+        flags[f"benchmarks/{path.name}"] = set(re.findall(r'"(--[a-z-]+)"', path.read_text(encoding="utf-8")))
+    return flags
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=[path.name for path in DOCUMENTS])
+def test_the_flags_of_commands_in_the_documents_exist(path: Path) -> None:
+    """Every command line between backticks or in a block, with all its flags."""
+    flags = _flags_of_programs()
+    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+    blocks = re.findall(r"```\w*\n(.*?)```", text, re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines()] + re.findall(r"^    (.+)$", text, re.MULTILINE)
+    lines += re.findall(r"`([^`]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    for line in lines:
+        for command in re.split(r"&&|#|\|", line):
+            found = re.search(r"thermosplat-\w+|benchmarks/\w+\.py", command)
+            if found is not None and found[0] in flags:
+                own = command[found.end() :].split(" -- ")[0]  # what follows is for thermosplat-train
+                asked = set(re.findall(r"(?<=[\s\[])--[a-z][a-z-]*(?![\w.-])", own))
+                assert asked <= flags[found[0]], f"{path.name}: {line}"
 
 
 def test_the_readme_names_the_presets() -> None:

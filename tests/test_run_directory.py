@@ -57,6 +57,9 @@ def test_open_asks_for_a_run(tmp_path: Path) -> None:
         RunDirectory.open(tmp_path)
     with pytest.raises(UserError, match="there is no such folder"):
         RunDirectory.open(tmp_path / "absent")
+    (tmp_path / "splat.ply").write_text("")
+    with pytest.raises(UserError, match="that is a file"):
+        RunDirectory.open(tmp_path / "splat.ply")
     _finished_run(tmp_path)
     assert RunDirectory.open(tmp_path).path == tmp_path
 
@@ -88,6 +91,14 @@ def test_folders_exist_when_asked_for(tmp_path: Path) -> None:
     for name in ("ckpts", "stats", "renders", "ply", "videos", "tb"):
         assert getattr(run, name).is_dir()
         assert getattr(run, name).name == name
+
+
+def test_a_file_in_place_of_a_folder_is_explained(tmp_path: Path) -> None:
+    """Where a folder of the run cannot be made, the message names it."""
+    run = RunDirectory.create(tmp_path)
+    (tmp_path / "videos").write_text("")
+    with pytest.raises(UserError, match=r"Could not make the folder .*videos: File exists"):
+        _ = run.videos
 
 
 def test_json_has_no_nan(tmp_path: Path) -> None:

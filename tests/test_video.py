@@ -58,6 +58,14 @@ def test_pngs_are_numbered(tmp_path: Path) -> None:
     np.testing.assert_array_equal(cv2.imread(str(files[2]))[0, 0, ::-1], COLORS[2])
 
 
+def test_a_shorter_path_leaves_no_images_of_a_longer_one(tmp_path: Path) -> None:
+    """Rendered again into the same folder, the sequence ends where the path does; other files stay."""
+    write_images(plain_images(), tmp_path / "path", format="png", fps=5)
+    (tmp_path / "path" / "mine.png").write_bytes(b"x")
+    folder = write_images(plain_images()[:2], tmp_path / "path", format="png", fps=5)
+    assert sorted(file.name for file in folder.iterdir()) == ["00000.png", "00001.png", "mine.png"]
+
+
 def test_no_encoder_means_pngs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no video can be encoded, all images still come out, as PNGs."""
 

@@ -122,7 +122,8 @@ def test_side_streams() -> None:
         pytest.skip("needs a CUDA device; torch finds none")
     scene = random_scene(n=200, width=120, height=90)
     inputs = leaves(scene, "cuda", torch.float32)
-    image = rasterization(**inputs)[0].detach()
+    image = rasterization(**inputs)[0]
+    gradient = torch.autograd.grad(image.sum(), inputs["means"])[0]
     stream = torch.cuda.Stream()
     stream.wait_stream(torch.cuda.current_stream())
     for _ in range(20):
@@ -130,6 +131,9 @@ def test_side_streams() -> None:
             torch.cuda._sleep(2_000_000)
             delayed = inputs | {"colors": inputs["colors"] * 2 - inputs["colors"]}
             same, _, _ = rasterization(**delayed)
-            difference = (same - image).abs().max()
+            difference = (same - image).detach().abs().max()
+            again = torch.autograd.grad(same.sum(), inputs["means"])[0]
+            difference_of_gradients = (again - gradient).norm() / gradient.norm()
         stream.synchronize()
         assert difference.item() < 1e-5
+        assert difference_of_gradients.item() < 1e-4

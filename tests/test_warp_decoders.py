@@ -1,12 +1,16 @@
 """Fused kernels give the images and gradients of the decoders they stand for."""
 
+import copy
+
 import pytest
 import torch
+import warp as wp
 
 from thermosplat.config import DecoderConfig
 from thermosplat.decoders import Decoders
 from thermosplat.training.fast_decoders import BRANCHES, FastDecoders
-from thermosplat.warp_decoders import FusedDecoders, fits
+from thermosplat.warp_decoders import FusedDecoders, teams, teams_within
+from warp_kernels.decoder_memory import TEAMS
 
 SHAPES = [(64, 8, 3), (32, 5, 1), (64, 15, 8)]
 """hidden, features, thermal channels"""
@@ -14,8 +18,8 @@ SHAPES = [(64, 8, 3), (32, 5, 1), (64, 15, 8)]
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; torch finds none")
 
 
-def worst_difference(hidden: int, dim: int, thermal_channels: int, device: torch.device) -> float:
-    """Largest relative difference (norm) of an image or gradient between fused and plain decoders.
+def worst_difference(hidden: int, dim: int, thermal_channels: int, team: int, device: torch.device) -> float:
+    """Largest relative difference (norm) of an image or gradient between fused decoders and plain ones in float64.
 
     The visible features are a slice of a render, as in training; the image is no multiple of a block of pixels.
     """
@@ -24,21 +28,29 @@ def worst_difference(hidden: int, dim: int, thermal_channels: int, device: torch
     for parameter in decoders.parameters():
         torch.nn.init.normal_(parameter, std=0.3, generator=generator)
     decoders = decoders.to(device)
-    assert fits(decoders)
+    assert team in teams(decoders)
     render = torch.randn(17, 13, 3 + dim, generator=generator).to(device).requires_grad_()
     thermal = torch.randn(17, 13, dim, generator=generator).to(device).requires_grad_()
     # as small as gradients of a mean over many pixels are
     upstream = [1e-7 * torch.randn(17, 13, c, generator=generator).to(device) for c in (3, thermal_channels)]
-    results = []
-    for branches in (decoders, FusedDecoders(decoders)):
-        images = branches.both(render[..., 3:], thermal)
-        gradients = torch.autograd.grad(images, [render, thermal, *decoders.parameters()], upstream)
-        results.append([*images, *gradients])
-    plain, fused = results
+    fused = images_and_gradients(FusedDecoders(decoders, team), [render, thermal], upstream)
+    exact = copy.deepcopy(decoders).double()
+    leaves = [tensor.detach().double().requires_grad_() for tensor in (render, thermal)]
+    plain = images_and_gradients(exact, leaves, [v.double() for v in upstream])
     return max(float((a - b).norm() / a.norm()) for a, b in zip(plain, fused, strict=True))
 
 
-def all_finite(device: torch.device) -> bool:
+def images_and_gradients(
+    branches: Decoders | FusedDecoders, leaves: list[torch.Tensor], upstream: list[torch.Tensor]
+) -> list[torch.Tensor]:
+    """Both images, and the gradients of a render with features behind three channels, thermal ones, and parameters."""
+    render, thermal = leaves
+    parameters = (branches.decoders if isinstance(branches, FusedDecoders) else branches).parameters()
+    images = branches.both(render[..., 3:], thermal)
+    return [*images, *torch.autograd.grad(images, [render, thermal, *parameters], upstream)]
+
+
+def all_finite(team: int, device: torch.device) -> bool:
     """Whether all stays finite where features of a pixel, or one modulated channel, exceed the largest float16."""
     generator = torch.Generator().manual_seed(0)
     finite = True
@@ -49,7 +61,7 @@ def all_finite(device: torch.device) -> bool:
         features = torch.randn(2, 9, 9, 8, generator=generator)
         features[:, 4, 4] = feature_size
         leaf = features.to(device).requires_grad_()
-        images = FusedDecoders(decoders).both(leaf[0], leaf[1])
+        images = FusedDecoders(decoders, team).both(leaf[0], leaf[1])
         gradients = torch.autograd.grad(sum(image.sum() for image in images), [leaf, *decoders.parameters()])
         finite &= all(bool(torch.isfinite(tensor).all()) for tensor in (*images, *gradients))
     return finite
@@ -57,11 +69,29 @@ def all_finite(device: torch.device) -> bool:
 
 @pytest.mark.cuda
 @needs_cuda
+@pytest.mark.parametrize("team", TEAMS)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_on_cuda(shape: tuple[int, int, int]) -> None:
-    """Compiled for the device."""
-    assert worst_difference(*shape, torch.device("cuda")) < 1e-2
-    assert all_finite(torch.device("cuda"))
+def test_on_cuda(shape: tuple[int, int, int], team: int) -> None:
+    """Images and gradients are right with a warp or two for 16 pixels, on a device that has room for both."""
+    if team not in teams_within(shape[0], wp.get_device("cuda").max_shared_memory_per_block):
+        pytest.skip("the device allows a block too little shared memory")
+    assert worst_difference(*shape, team, torch.device("cuda")) < 1e-2
+    assert all_finite(team, torch.device("cuda"))
+
+
+@pytest.mark.cuda
+@needs_cuda
+def test_gradients_of_many_pixels() -> None:
+    """Blocks that decode more than once sum the same gradients with either deal of pixels to warps."""
+    decoders = Decoders(DecoderConfig(), 8, 3).cuda()
+    torch.nn.init.normal_(decoders.modulation.weight, std=0.3)
+    if set(teams(decoders)) != set(TEAMS):
+        pytest.skip("the device allows a block too little shared memory")
+    size = 128 * torch.cuda.get_device_properties(0).multi_processor_count * 3 + 5
+    leaves = [torch.randn(1, size, c, device="cuda").requires_grad_() for c in (11, 8)]
+    upstream = [torch.randn(1, size, 3, device="cuda") for _ in range(2)]
+    alone, shared = (images_and_gradients(FusedDecoders(decoders, team), leaves, upstream) for team in TEAMS)
+    assert all((a - b).norm() < 1e-2 * a.norm() for a, b in zip(alone, shared, strict=True))
 
 
 @pytest.mark.cuda
@@ -78,9 +108,18 @@ def test_training_on_cuda_uses_them() -> None:
 @pytest.mark.parametrize(("change", "dim"), [({"modulation": False}, 8), ({"hidden_layers": 3}, 8), ({}, 16)])
 def test_other_decoders_are_left_alone(change: dict, dim: int) -> None:
     """Shapes without kernels."""
-    assert not fits(Decoders(DecoderConfig(**change), dim, 3).cuda())
+    assert not teams(Decoders(DecoderConfig(**change), dim, 3).cuda())
 
 
 def test_there_are_none_on_the_cpu() -> None:
     """They are made of CUDA's matrix products."""
-    assert not fits(Decoders(DecoderConfig(), 8, 3))
+    assert not teams(Decoders(DecoderConfig(), 8, 3))
+
+
+@pytest.mark.parametrize(
+    ("shared_memory", "hidden", "fitting"),
+    [(64, 64, ()), (99, 64, (2,)), (163, 64, (1, 2)), (227, 64, (1, 2)), (64, 32, (2,)), (99, 32, (1, 2))],
+)
+def test_warps_share_pixels_where_memory_is_short(shared_memory: int, hidden: int, fitting: tuple[int, ...]) -> None:
+    """KiB of shared memory a block: compute capability 7.5, then 8.6, 8.9 and 12.0, then 8.0, then 9.0."""
+    assert teams_within(hidden, shared_memory * 1024) == fitting

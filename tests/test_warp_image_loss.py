@@ -17,7 +17,9 @@ def _images(height: int, width: int, channels: int, device: torch.device, dtype:
 
 
 @pytest.mark.parametrize("ssim_lambda", [0.0, 0.2, 1.0])
-@pytest.mark.parametrize(("height", "width", "channels"), [(6, 6, 1), (7, 30, 3), (33, 9, 3), (23, 41, 1), (16, 16, 4)])
+@pytest.mark.parametrize(
+    ("height", "width", "channels"), [(6, 6, 1), (7, 30, 3), (33, 9, 3), (23, 41, 1), (16, 16, 4), (37, 71, 2)]
+)
 def test_same_as_kornia(device: torch.device, height: int, width: int, channels: int, ssim_lambda: float) -> None:
     """Loss and gradient in float64 equal kornia's SSIM and torch's L1."""
     render, target = _images(height, width, channels, device, torch.float64)

@@ -7,7 +7,7 @@ import torch
 import warp as wp
 
 from thermosplat.warp_bridge import to_torch
-from thermosplat.warp_streams import joined_capture, kept_apart, on_torch_stream
+from thermosplat.warp_streams import joined_capture, launches_on_torch_stream, on_torch_stream
 from warp_kernels.array_views import ArrayView, empty, memory, zeros
 
 
@@ -36,21 +36,27 @@ def test_entering_again_changes_nothing(device: torch.device) -> None:
     assert memory.source is before
 
 
+def test_launches_leave_warp_as_it_is(device: torch.device) -> None:
+    """Arrays are torch's, and Warp's sorts still get their scopes inside."""
+    before = memory.source
+    with launches_on_torch_stream(device) as warp_device:
+        array = empty(5, wp.float32, warp_device)
+        assert isinstance(array, ArrayView)
+        source = memory.source
+        with on_torch_stream(device) as inner:
+            assert inner is warp_device
+            assert memory.source is source
+    assert memory.source is before
+    owner = array.release()
+    assert owner.data_ptr() == array.ptr
+    assert array.owner is None
+
+
 def test_threads_have_contexts_of_their_own() -> None:
     """A thread that did not enter allocates from Warp."""
     with on_torch_stream(torch.device("cpu")) as warp_device, ThreadPoolExecutor(1) as pool:
         assert isinstance(pool.submit(empty, 3, wp.float32, warp_device).result(), wp.array)
         assert isinstance(empty(3, wp.float32, warp_device), ArrayView)
-
-
-def test_arrays_kept_apart_do_not_hold_their_memory(device: torch.device) -> None:
-    """Their tensors are handed over beside them."""
-    with on_torch_stream(device) as warp_device:
-        with kept_apart() as made:
-            array = empty(5, wp.float32, warp_device)
-        assert array.owner is None
-        assert [(one, tensor.data_ptr()) for one, tensor in made] == [(array, array.ptr)]
-        assert empty(5, wp.float32, warp_device).owner is not None
 
 
 def test_nothing_is_captured_on_the_cpu() -> None:
@@ -70,3 +76,18 @@ def test_arrays_follow_torchs_stream() -> None:
         with torch.cuda.stream(side), on_torch_stream(device) as inner:
             assert inner.stream.cuda_stream == side.cuda_stream
         assert outer.stream.cuda_stream == first == torch.cuda.current_stream().cuda_stream
+
+
+@pytest.mark.cuda
+def test_launches_go_to_the_stream_of_torch() -> None:
+    """Without Warp's own current stream, which stays what it is until a sort or scan needs torch's."""
+    if not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device; torch finds none")
+    device, side = torch.device("cuda"), torch.cuda.Stream()
+    with torch.cuda.stream(side), launches_on_torch_stream(device) as warp_device:
+        own = warp_device.stream
+        assert own.cuda_stream != side.cuda_stream
+        assert memory.source.stream.cuda_stream == side.cuda_stream
+        with on_torch_stream(device):
+            assert warp_device.stream.cuda_stream == side.cuda_stream
+        assert warp_device.stream is own

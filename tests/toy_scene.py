@@ -5,13 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 
+from thermosplat import gaussian_views
 from thermosplat.cameras import Camera
 from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.frame_tensors import FrameTensors, frame_tensors
-from thermosplat.model import SceneModel
+from thermosplat.model import RenderedFrame, SceneModel
 from thermosplat.radiometry import FLIR_IRON, ThermalScale
 
 WIDTH, HEIGHT = 24, 18
@@ -78,3 +80,30 @@ def toy_model(config: TrainConfig, capture: Capture) -> SceneModel:
             if "thermal_opacity_offsets" in name:
                 parameter += torch.randn(parameter.shape, generator=generator)
     return model
+
+
+def render(model: SceneModel, frame: FrameTensors, **changes: Any) -> RenderedFrame:
+    """A frame's images, of SH degree 1 unless ``changes`` to the arguments of ``SceneModel.render`` say otherwise."""
+    arguments = {"rgb": frame.rgb, "thermal": frame.thermal, "sh_degree": 1} | changes
+    return model.render(arguments.pop("rgb"), arguments.pop("thermal"), **arguments)
+
+
+def largest_gradients(model: SceneModel, loss: torch.Tensor) -> dict[str, float]:
+    """Largest gradient of every parameter; 0 where there is none."""
+    model.zero_grad()
+    loss.backward()
+    return {name: 0.0 if p.grad is None else p.grad.abs().max().item() for name, p in model.named_parameters()}
+
+
+def count_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the rasterization functions in the order in which the model calls them."""
+    calls: list[str] = []
+    for name in ("rasterization", "rasterization_rgbt"):
+        original = getattr(gaussian_views, name)
+
+        def recorded(*args: Any, _original: Any = original, _name: str = name, **kwargs: Any) -> Any:
+            calls.append(_name)
+            return _original(*args, **kwargs)
+
+        monkeypatch.setattr(gaussian_views, name, recorded)
+    return calls

@@ -11,12 +11,31 @@ import functools
 import math
 import struct
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
-# Warp's array_t: data and gradient, four extents, four strides [bytes], number of dimensions and flags.
-_pack_array = struct.Struct("=QQ4i4iHH4x").pack
+# Warp's array_t: addresses of data and gradient, four extents, four strides [bytes], number of dimensions and flags.
+_pack_address = struct.Struct("=Q").pack
+_pack_layout = struct.Struct("=8x4i4iHH4x").pack
+
+
+class _Layout(NamedTuple):
+    """What arrays of one shape and type share."""
+
+    strides: tuple[int, ...]  # [bytes]
+    size: int
+    is_contiguous: bool
+    packed: bytes  # array_t after the data's address; gradients are arrays of their own here
+
+
+@functools.lru_cache(maxsize=4096)
+def _layout(shape: tuple[int, ...], dtype: Any, strides: tuple[int, ...] | None) -> _Layout:
+    contiguous = contiguous_strides(shape, dtype)
+    strides = contiguous if strides is None else strides
+    padding = (0,) * (4 - len(shape))
+    packed = _pack_layout(*shape, *padding, *strides, *padding, len(shape), 0)
+    return _Layout(strides, math.prod(shape), strides == contiguous, packed)
 
 
 class ArrayView:
@@ -25,7 +44,6 @@ class ArrayView:
     Attributes:
         ptr: address.
         shape: extents.
-        strides: [bytes].
         dtype: Warp type of an element.
         device: where the memory is.
         owner: what the memory belongs to, kept alive as long as the view; None: somebody else sees to that.
@@ -33,7 +51,7 @@ class ArrayView:
         packed: the bytes a kernel reads.
     """
 
-    __slots__ = ("device", "dtype", "grad", "owner", "packed", "ptr", "shape", "strides")
+    __slots__ = ("_layout", "device", "dtype", "grad", "owner", "packed", "ptr", "shape")
 
     def __init__(
         self,
@@ -44,11 +62,9 @@ class ArrayView:
         owner: Any = None,
         strides: tuple[int, ...] | None = None,
     ) -> None:
-        if strides is None:
-            strides = contiguous_strides(shape, dtype)
-        self.shape, self.strides, self.dtype, self.device = shape, strides, dtype, device
-        self.owner, self.grad = owner, None
-        self.place(ptr)
+        self.shape, self.dtype, self.device, self.owner, self.grad = shape, dtype, device, owner, None
+        self._layout = layout = _layout(shape, dtype, strides)
+        self.ptr, self.packed = ptr, _pack_address(ptr) + layout.packed
 
     def place(self, ptr: int) -> None:
         """Puts the array elsewhere: to where its memory's content was moved.
@@ -56,12 +72,12 @@ class ArrayView:
         Args:
             ptr: address.
         """
-        self.ptr, ndim = ptr, len(self.shape)
-        if ndim == 1:  # nearly all, in half the time
-            self.packed = _pack_array(ptr, 0, self.shape[0], 0, 0, 0, self.strides[0], 0, 0, 0, 1, 0)
-        else:
-            padding = (0,) * (4 - ndim)
-            self.packed = _pack_array(ptr, 0, *self.shape, *padding, *self.strides, *padding, ndim, 0)
+        self.ptr, self.packed = ptr, _pack_address(ptr) + self._layout.packed
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """Distances between elements [bytes]."""
+        return self._layout.strides
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -79,16 +95,21 @@ class ArrayView:
     @property
     def size(self) -> int:
         """Number of elements."""
-        return math.prod(self.shape)
+        return self._layout.size
 
     @property
     def is_contiguous(self) -> bool:
         """Whether elements follow one another in memory."""
-        return self.strides == contiguous_strides(self.shape, self.dtype)
+        return self._layout.is_contiguous
 
-    def unowned(self) -> "ArrayView":
-        """The same array, which does not keep its memory alive."""
-        return ArrayView(self.ptr, self.shape, self.dtype, self.device, None, self.strides)
+    def release(self) -> Any:
+        """Stops keeping the memory alive.
+
+        Returns:
+            What it belongs to.
+        """
+        owner, self.owner = self.owner, None
+        return owner
 
     def array(self) -> wp.array:
         """The same memory as Warp's own kind of array."""
@@ -103,9 +124,6 @@ class ArrayView:
         return self.array().numpy()
 
 
-_size_in_bytes = functools.cache(wp.types.type_size_in_bytes)
-
-
 def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
     """Strides of elements that follow one another.
 
@@ -116,9 +134,7 @@ def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
     Returns:
         The strides [bytes].
     """
-    stride = _size_in_bytes(dtype)
-    if len(shape) == 1:
-        return (stride,)
+    stride = wp.types.type_size_in_bytes(dtype)
     strides = []
     for extent in reversed(shape):
         strides.append(stride)
@@ -127,7 +143,7 @@ def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
 
 
 def nothing(dtype: Any, ndim: int, device: wp.Device) -> ArrayView:
-    """An array without elements, for an argument that is not given.
+    """An array without elements, for an argument that is not given; always the same, so not to be given a gradient.
 
     Args:
         dtype: Warp type of an element.
@@ -137,11 +153,22 @@ def nothing(dtype: Any, ndim: int, device: wp.Device) -> ArrayView:
     Returns:
         The array.
     """
-    return ArrayView(0, (0,) * ndim, dtype, device)
+    return _nothing(dtype, ndim, device.alias)
+
+
+@functools.cache
+def _nothing(dtype: Any, ndim: int, device: str) -> ArrayView:
+    return ArrayView(0, (0,) * ndim, dtype, wp.get_device(device))
 
 
 class WarpMemory:
-    """Arrays of Warp's own, as steps make them for users of Warp alone."""
+    """Arrays of Warp's own, as steps make them for users of Warp alone.
+
+    Attributes:
+        stream: where launches run on CUDA; None: on Warp's current stream of the device.
+    """
+
+    stream: wp.Stream | None = None
 
     def empty(self, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
         """A new array, not initialised."""
@@ -161,7 +188,7 @@ class WarpMemory:
 
 
 class _Memory(threading.local):
-    """Where this thread's steps get their arrays from."""
+    """Where this thread's steps get their arrays from, and the stream they use them on."""
 
     source: Any = WarpMemory()
 
@@ -230,6 +257,8 @@ class RecordedLaunch:
                 command.params_addr[k + 1] = ctypes.addressof(self._bytes) + offset
         self._pack_into = struct.Struct("".join(formats)).pack_into
         self._command, self._dim = command, dim
+        # On the CPU, Warp would copy the parameters one by one into a struct of this layout.
+        self._run_on_cpu = command.hooks.forward if device.is_cpu and command.block_dim == 1 else None
 
     def launch(self, dim: int | tuple[int, int], inputs: list[Any]) -> None:
         """Launches with other arguments and another number of threads.
@@ -241,12 +270,19 @@ class RecordedLaunch:
         if dim != self._dim:
             self._command.set_dim(dim)
             self._dim = dim
-        self._pack_into(self._bytes, 0, *[v.packed if type(v) is ArrayView else _packed(v) for v in inputs])
-        self._command.launch()
+        packed = [v.packed if type(v) is ArrayView else v if type(v) in _NUMBERS else _packed(v) for v in inputs]
+        self._pack_into(self._bytes, 0, *packed)
+        if self._run_on_cpu is not None:
+            self._run_on_cpu(ctypes.byref(self._command.bounds), ctypes.byref(self._bytes))
+        else:
+            self._command.launch(memory.source.stream)
+
+
+_NUMBERS = frozenset((int, float, bool))
 
 
 def _packed(value: Any) -> Any:
-    """An argument as ``struct`` packs it: a number, or the bytes of an array, a struct or a vector."""
+    """Any other argument as ``struct`` packs it: a number, or the bytes of an array, a struct or a vector."""
     if isinstance(value, (int, float)):
         return value
     if hasattr(value, "__ctype__"):

@@ -26,6 +26,7 @@ def bin_tiles(
     tile_size: int,
     *,
     by_slot: bool,
+    rest: wp.array | None = None,
     capacity: int | None = None,
     room: int | None = None,
 ) -> TileBins:
@@ -43,6 +44,7 @@ def bin_tiles(
         settings: image size.
         tile_size: edge of a tile [px].
         by_slot: number the pairs, for an adjoint that writes one record a pair.
+        rest: as ``features``, channels that lie apart from them; None: there are no others.
         capacity: pairs there is room for; None for as many as there are.
         room: with ``capacity``, Gaussians with pairs there is room for, which are sorted; None for all.
 
@@ -71,6 +73,7 @@ def bin_tiles(
         opacities,
         thermal_opacities,
         features,
+        nothing(dtype, 2, device) if rest is None else rest,
         projected.radii,
         tiles_per_gaussian,
     ]
@@ -97,6 +100,7 @@ def bin_tiles(
         wp.utils.radix_sort_pairs(depth_keys, unsorted, ranks)
         launch_again(gather_kernel, ranks, [unsorted, tiles_per_gaussian, order, pair_ends], device)
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
+    tile_offsets = empty(num_tiles + 1, wp.int32, device)
     if num_pairs is None:
         num_pairs = memory.source.last(pair_ends) if ranks > 0 else 0
     del depth_keys, unsorted
@@ -111,7 +115,6 @@ def bin_tiles(
         values = empty(2 * num_pairs, wp.int32, device)
         owners = empty(num_pairs if by_slot else 0, wp.int32, device)
         gaussian_ids = empty(num_pairs, wp.int32, device)
-        tile_offsets = empty(num_tiles + 1, wp.int32, device)
     except Exception as error:
         # Of what kind depends on the allocator; what was asked for is known here only.
         error.add_note(

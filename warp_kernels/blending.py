@@ -28,7 +28,12 @@ BATCH = 32
 
 @functools.cache
 def blend_kernel(
-    channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, only_transmittance: bool = False
+    channels: int,
+    thermal_channels: int,
+    dtype: type,
+    layout: BlendLayout,
+    only_transmittance: bool = False,
+    first_channels: int | None = None,
 ) -> wp.Kernel:
     """The forward kernel, one block of threads a list or a segment of a long one.
 
@@ -39,11 +44,13 @@ def blend_kernel(
         layout: deal of pixels to lanes.
         only_transmittance: find what segments of long lists let through (T of a pixel that begins at 1; 0 where the
             pixel would stop) instead of blending.
+        first_channels: of the C, those that lie in an array of their own, in front of the others; None: all.
 
     Returns:
         The Warp kernel.
     """
     C, D = channels, max(thermal_channels, 1)
+    A = C if first_channels is None else first_channels
     colors, colors_t = (0, 0) if only_transmittance else (C, D)
     dual = thermal_channels > 0
     lanes, rows, columns = layout.lanes, layout.rows, layout.columns
@@ -52,6 +59,7 @@ def blend_kernel(
     row_mask = rows - 1  # rows is a power of two: keeps the index provably non-negative, which vectorising needs
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
+    vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
     vecQ = wp.types.vector(columns, dtype)
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
@@ -66,10 +74,11 @@ def blend_kernel(
     batch = BATCH
     first_thermal = C - D
     staged, header = stages_features(channels, dtype, layout) and not only_transmittance, HEADER
-    candidate, records_of_warp, admit, get, integer = survivor_functions(channels, staged, dual, dtype, layout)
+    candidate, features_of, records_of_warp, admit, get, integer = survivor_functions(C, A, staged, dual, dtype, layout)
+    name = f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + (f"_{A}" if A < C else "")
 
     @wp.kernel(
-        name=f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + "_transmittance" * only_transmittance,
+        name=name + "_transmittance" * only_transmittance,
         enable_backward=False,
         module="unique",
         module_options=layout.module_options,
@@ -87,7 +96,8 @@ def blend_kernel(
         extents: wp.array(dtype=vec2),
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
-        features: wp.array(dtype=vecC),
+        features: wp.array(dtype=vecA),
+        rest: wp.array(dtype=vecB),
         gaussian_ids: wp.array(dtype=wp.int32),
         tile_offsets: wp.array(dtype=wp.int32),
         segment: int,
@@ -95,9 +105,11 @@ def blend_kernel(
         render: wp.array2d(dtype=vecC),
         transmittance: wp.array2d(dtype=dtype),
         last_pairs: wp.array2d(dtype=wp.int32),
+        alphas: wp.array2d(dtype=dtype),
         thermal_render: wp.array2d(dtype=vecD),
         thermal_transmittance: wp.array2d(dtype=dtype),
         thermal_last_pairs: wp.array2d(dtype=wp.int32),
+        thermal_alphas: wp.array2d(dtype=dtype),
         states: wp.array3d(dtype=dtype),
     ):
         block, thread = wp.tid()
@@ -191,7 +203,7 @@ def blend_kernel(
             batch_end = wp.min(end, (i // batch + 1) * batch)
             count = batch_end - i
             if wp.static(cuda):
-                count = admit(address, lane, count, x0, y0, g, mean, root, opacity, opacity_t, features)
+                count = admit(address, lane, count, x0, y0, g, mean, root, opacity, opacity_t, features, rest)
                 # What the next batch begins with is on its way while this one is walked, its identities since the last.
                 g = g_next
                 if batch_end + lane < end:
@@ -220,7 +232,7 @@ def blend_kernel(
                         for c in range(C):
                             f[c] = entry[header + c]
                     elif wp.static(not only_transmittance):
-                        f = features[integer(entry[8])]
+                        f = features_of(integer(entry[8]), features, rest)
                 else:
                     gaussian = gaussian_ids[pair]
                     m = means2d[gaussian]
@@ -228,7 +240,7 @@ def blend_kernel(
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
                     if wp.static(not only_transmittance):
-                        f = features[gaussian]
+                        f = features_of(gaussian, features, rest)
                     row_first, row_end = row_range(m, extents[gaussian], y0, rows)
                 for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
@@ -287,6 +299,8 @@ def blend_kernel(
                     if T[p] != minus_one and stop_at[p] > zero:
                         transmittance[line, x] = wp.abs(T[p])
                         last_pairs[line, x] = wp.where(last[p] < 0 and not is_first, first_pair - 1, last[p])
+                        if alphas.shape[0] > 0:
+                            alphas[line, x] = one - wp.abs(T[p])
                     if wp.static(dual):
                         if is_first:
                             vt = vecD()
@@ -301,5 +315,7 @@ def blend_kernel(
                             thermal_last_pairs[line, x] = wp.where(
                                 last_t[p] < 0 and not is_first, first_pair - 1, last_t[p]
                             )
+                            if thermal_alphas.shape[0] > 0:
+                                thermal_alphas[line, x] = one - wp.abs(Tt[p])
 
     return blend_tiles_kernel

@@ -17,7 +17,7 @@ from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import BATCH
 from warp_kernels.constants import ALPHA_MAX
-from warp_kernels.gradient_records import feature_offset, features_apart, record_length
+from warp_kernels.gradient_records import feature_offset, kept_channels, ranges_apart, record_length
 from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, lane_functions, warp_any, warp_max
 from warp_kernels.list_segments import list_of_block
 from warp_kernels.survivors import HEADER, stages_features, survivor_functions
@@ -31,7 +31,7 @@ def blend_adjoint_kernel(
     layout: BlendLayout,
     absgrad: bool,
     by_slot: bool,
-    first_image: int | None = None,
+    first_channels: int | None = None,
 ) -> wp.Kernel:
     """The adjoint kernel, one block of threads a list or a segment of a long one.
 
@@ -42,18 +42,16 @@ def blend_adjoint_kernel(
         layout: deal of pixels to lanes.
         absgrad: also sum the absolute values of each pixel's mean2d gradient.
         by_slot: store one record a pair and warp instead of adding atomically per Gaussian; on the CPU always.
-        first_image: channels whose gradients lie in an image of their own, in front of the others; None: all.
+        first_channels: of the C, those that lie apart from the others, as do their gradients and image; None: all.
 
     Returns:
         The Warp kernel.
     """
     C, D = channels, max(thermal_channels, 1)
-    A = C if first_image is None else first_image
-    dual = thermal_channels > 0
+    A = C if first_channels is None else first_channels
     lanes, rows, columns = layout.lanes, layout.rows, layout.columns
-    cuda = lanes > 1
-    threads, pixels = layout.threads, rows * columns
-    row_mask = rows - 1
+    dual, cuda = thermal_channels > 0, lanes > 1
+    threads, pixels, row_mask = layout.threads, rows * columns, rows - 1
     length = record_length(channels, thermal_channels, absgrad)
     first_feature = feature_offset(thermal_channels)
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
@@ -63,8 +61,8 @@ def blend_adjoint_kernel(
     vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     summed = wp.types.vector(length, dtype)
-    apart = C if features_apart(C, by_slot) else 0  # numbers that are not in the record
-    record = wp.types.vector(length - apart, dtype)
+    record = wp.types.vector(length - C + sum(kept_channels(C, A, by_slot)), dtype)
+    records_type, rowsA, rowsB = (wp.array(dtype=kind) for kind in (record, vecA, vecB))
     # A lane sums a Gaussian's record over its pixels: on CUDA in registers, on the CPU, where a vector holds a row of
     # pixels, column by column, since a sum over a vector costs more than all else that is done with it.
     spread = 0 if cuda else 1
@@ -72,29 +70,25 @@ def blend_adjoint_kernel(
     first_feature_t = first_feature + C - D
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
-    warps = layout.warps
     whiten, alpha, _, row_range = alpha_functions(dtype)
     exp_negative, _, reciprocal = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
-    blocks_x = layout.blocks_x
-    batch = BATCH
-    first_thermal = C - D
+    blocks_x, warps = layout.blocks_x, layout.warps
+    batch, first_thermal = BATCH, C - D
     staged, header = stages_features(channels, dtype, layout), HEADER
-    candidate, records_of_warp, admit, get, integer = survivor_functions(channels, staged, dual, dtype, layout)
+    candidate, features_of, records_of_warp, admit, get, integer = survivor_functions(C, A, staged, dual, dtype, layout)
 
     @wp.func
     def restored(behind: dtype, a: dtype, ra: dtype):
         """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
-    to_features = None if by_slot else (first_feature, first_feature + apart)
-
-    @wp.func_native(accumulate_snippet(length, dtype, apart=to_features))
-    def accumulate(dst: wp.array(dtype=record), features: wp.array(dtype=vecC), index: int, lane: int, v: summed): ...
+    @wp.func_native(accumulate_snippet(length, dtype, apart=ranges_apart(C, A, first_feature, by_slot)))
+    def accumulate(dst: records_type, features: rowsA, rest: rowsB, index: int, lane: int, v: summed): ...
 
     @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")
-    def store_column_sums(out: wp.array(dtype=record), index: int, m: matLS): ...
+    def store_column_sums(out: records_type, index: int, m: matLS): ...
 
     name = f"blend_adjoint_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + (f"_{A}" if A < C else "")
 
@@ -117,7 +111,8 @@ def blend_adjoint_kernel(
         extents: wp.array(dtype=vec2),
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
-        features: wp.array(dtype=vecC),
+        features: rowsA,
+        rest: rowsB,
         gaussian_ids: wp.array(dtype=wp.int32),
         slots: wp.array(dtype=wp.int32),
         tile_offsets: wp.array(dtype=wp.int32),
@@ -134,8 +129,9 @@ def blend_adjoint_kernel(
         v_thermal_render: wp.array2d(dtype=vecD),
         v_thermal_transmittance: wp.array2d(dtype=dtype),
         # outputs
-        records: wp.array(dtype=record),
-        v_features: wp.array(dtype=vecC),
+        records: records_type,
+        v_features: rowsA,
+        v_rest: rowsB,
     ):
         block, thread = wp.tid()
         block = block + first_block
@@ -189,9 +185,9 @@ def blend_adjoint_kernel(
                             v_pixel[c, p] = v[c]
                     if wp.static(A < C):
                         if v_render_rest.shape[0] > 0:
-                            rest = v_render_rest[line, x]
+                            v_more = v_render_rest[line, x]
                             for c in range(wp.static(C - A)):
-                                v_pixel[A + c, p] = rest[c]
+                                v_pixel[A + c, p] = v_more[c]
                     place = p * threads + thread
                     # where the pixel was not finished at the boundary, it left a state there
                     if last[p] >= end:
@@ -232,7 +228,7 @@ def blend_adjoint_kernel(
         while i >= begin:
             count = wp.min(batch, i - begin + 1)
             if wp.static(cuda):
-                count = admit(address, lane, count, x0, y0, g, mean, root, opacity, opacity_t, features)
+                count = admit(address, lane, count, x0, y0, g, mean, root, opacity, opacity_t, features, rest)
                 # What the next batch begins with is on its way while this one is walked, its identities since the last.
                 g = g_next
                 if i - batch - lane >= begin:
@@ -262,14 +258,14 @@ def blend_adjoint_kernel(
                         for c in range(C):
                             f[c] = entry[header + c]
                     else:
-                        f = features[gaussian]
+                        f = features_of(gaussian, features, rest)
                 else:
                     gaussian = gaussian_ids[pair]
                     m = means2d[gaussian]
                     U = roots[gaussian]
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
-                    f = features[gaussian]
+                    f = features_of(gaussian, features, rest)
                     row_first, row_end = row_range(m, extents[gaussian], y0, rows)
                 part = matLS()
                 hits = int(0)
@@ -345,7 +341,7 @@ def blend_adjoint_kernel(
                         G = summed()
                         for k in range(length):
                             G[k] = part[k, 0]
-                        accumulate(records, v_features, destination, lane, G)
+                        accumulate(records, v_features, v_rest, destination, lane, G)
                     else:
                         store_column_sums(records, destination, part)
             i -= batch

@@ -1,17 +1,18 @@
 """The step that blends each tile's Gaussians front to back: its launches, and its adjoint."""
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
 
-from warp_kernels.array_views import empty, nothing, zeros
+from warp_kernels.array_views import ArrayView, empty, nothing, zeros
 from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.constants import CHANNELS_MAX
-from warp_kernels.gradient_records import distribute_kernel, features_apart, record_length
+from warp_kernels.gradient_records import distribute_kernel, kept_channels, record_length
 from warp_kernels.launching import launch, launch_again, launch_tiles
 from warp_kernels.list_segments import join_segments_kernel, state_length
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
@@ -27,17 +28,21 @@ class BlendedArrays:
         render: vecC [images · height, width].
         transmittance: [images · height, width]; 1 - alpha.
         last_pairs: int32 [images · height, width]; last sorted pair drawn, -1 where none.
+        alphas: [images · height, width]; None: not wanted.
         thermal_render: vecD [images · height, width]; None with one opacity.
         thermal_transmittance: as ``transmittance``, of the second opacity.
         thermal_last_pairs: as ``last_pairs``, of the second opacity.
+        thermal_alphas: as ``alphas``, of the second opacity.
     """
 
     render: wp.array
     transmittance: wp.array
     last_pairs: wp.array
+    alphas: wp.array | None = None
     thermal_render: wp.array | None = None
     thermal_transmittance: wp.array | None = None
     thermal_last_pairs: wp.array | None = None
+    thermal_alphas: wp.array | None = None
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,7 @@ def blend(
     blended: BlendedArrays,
     tape: wp.Tape | None = None,
     *,
+    rest: wp.array | None = None,
     absolute: wp.array | None = None,
     layout: BlendLayout | None = None,
 ) -> BlendWalk:
@@ -72,11 +78,13 @@ def blend(
         projected: means2d and roots receive gradients.
         opacities: [images · N], compensation included. Receives a gradient.
         thermal_opacities: [images · N]; read only when ``blended.thermal_render`` is given. Receives a gradient.
-        features: vecC [images · N], C at most ``CHANNELS_MAX``. Receives a gradient.
+        features: vecA [images · N]. Receives a gradient.
         bins: from ``bin_tiles``; made with ``by_slot``, the adjoint is deterministic.
         settings: image size.
         blended: outputs.
         tape: records the adjoint; gradients come from the renders and transmittances.
+        rest: vecB [images · N], channels after those of ``features``, C = A + B at most ``CHANNELS_MAX``;
+            None: there are no others, C = A. Receives a gradient.
         absolute: vec2 [images · N]; the adjoint adds the sums of absolute mean2d gradients (AbsGS) here.
         layout: deal of pixels to lanes; None for the device's default.
 
@@ -87,7 +95,7 @@ def blend(
         ValueError: if there are more channels than one traversal can blend.
     """
     device, dtype = opacities.device, opacities.dtype
-    channels, thermal_channels = _channels(features, blended)
+    channels, thermal_channels = _channels(features, rest, blended)
     if channels > CHANNELS_MAX:
         raise ValueError(f"features must have at most {CHANNELS_MAX} channels a traversal, got {channels}.")
     num_tiles = len(bins.tile_offsets) - 1
@@ -100,10 +108,13 @@ def blend(
 
     thermal_render = _thermal_render(blended, dtype, device)
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
-    size, geometry = _read(projected, opacities, thermal_opacities, features, bins, settings)
+    size, geometry = _read(projected, opacities, thermal_opacities, features, rest, bins, settings)
+    alphas, thermal_alphas = (
+        nothing(dtype, 2, device) if image is None else image for image in (blended.alphas, blended.thermal_alphas)
+    )
     for only_transmittance in (True, False) if segment > 0 else (False,):
         launch_tiles(
-            blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance),
+            blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance, features.dtype._length_),
             num_tiles + num_states,
             layout.threads,
             [
@@ -113,9 +124,11 @@ def blend(
                 blended.render,
                 blended.transmittance,
                 blended.last_pairs,
+                alphas,
                 thermal_render,
                 thermal_transmittance,
                 thermal_last_pairs,
+                thermal_alphas,
                 states,
             ],
             device,
@@ -131,8 +144,10 @@ def blend(
     if tape is not None:
         step = (projected, opacities, thermal_opacities, features, bins, settings, blended, walk)
         inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
+        inputs += [] if rest is None else [rest]
         images = [blended.render, blended.transmittance, thermal_render, thermal_transmittance]
-        record_adjoint(tape, lambda: blend_adjoint(*step, absolute=absolute), *inputs, *images)
+        adjoint = functools.partial(blend_adjoint, *step, rest=rest, absolute=absolute)
+        record_adjoint(tape, adjoint, *inputs, *images)
     return walk
 
 
@@ -146,6 +161,7 @@ def blend_adjoint(
     blended: BlendedArrays,
     walk: BlendWalk,
     *,
+    rest: wp.array | None = None,
     v_images: tuple[Any, Any] | None = None,
     v_alphas: bool = False,
     absolute: wp.array | None = None,
@@ -162,32 +178,35 @@ def blend_adjoint(
         settings: as in ``blend``.
         blended: what ``blend`` wrote.
         walk: what ``blend`` returned.
-        v_images: gradients of the render's first channels and of the others, each an image or without elements, which
-            stands for zeros; None: the render's own gradient.
+        rest: as in ``blend``.
+        v_images: gradients of the render's first A channels and of the others, each an image or, for zeros, without
+            elements; None: the render's own gradient.
         v_alphas: the transmittances' gradients are those to 1 - T.
         absolute: as in ``blend``.
         store: without ``bins.slots``, gradients of means2d, roots, opacities and few features (``features_apart``) are
             not initialised, and written; else they are added to, as those of many features are.
     """
     device, dtype, layout = opacities.device, opacities.dtype, walk.layout
-    channels, thermal_channels = _channels(features, blended)
+    channels, thermal_channels = _channels(features, rest, blended)
+    first_channels = features.dtype._length_
     by_slot, absgrad = bins.slots is not None, absolute is not None
-    length = record_length(0 if features_apart(channels, by_slot) else channels, thermal_channels, absgrad)
+    length = record_length(sum(kept_channels(channels, first_channels, by_slot)), thermal_channels, absgrad)
     per_pair = layout.warps if by_slot else 0
     count = bins.num_pairs * per_pair if by_slot else len(features)
     records = zeros(count, wp.types.vector(length, dtype), device)
     v_features = gradient_of(features)
+    v_rest = _or_nothing(rest, dtype, device) if rest is None else gradient_of(rest)
     if v_images is None:
-        v_images = given_gradient(blended.render), nothing(wp.types.vector(1, dtype), 2, device)
+        v_images = _parts(given_gradient(blended.render), features, rest)
     v_render, v_render_rest = v_images
     thermal_render = _thermal_render(blended, dtype, device)
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
     launch_tiles(
-        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot, v_render.dtype._length_),
+        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot, first_channels),
         len(bins.tile_offsets) - 1 + len(walk.states),
         layout.threads,
         [
-            *_read(projected, opacities, thermal_opacities, features, bins, settings)[1],
+            *_read(projected, opacities, thermal_opacities, features, rest, bins, settings)[1],
             bins.slots if by_slot else bins.gaussian_ids,
             bins.tile_offsets,
             layout.segment,
@@ -204,12 +223,13 @@ def blend_adjoint(
             given_gradient(thermal_transmittance),
             records,
             v_features,
+            v_rest,
         ],
         device,
     )
     ranked = [bins.order, bins.pair_ends] if by_slot else [nothing(k, 1, device) for k in (wp.int32, wp.int64)]
     launch_again(
-        distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair),
+        distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair, first_channels),
         whole_warps(len(bins.order) if by_slot else len(features), device),
         [
             *ranked,
@@ -222,16 +242,32 @@ def blend_adjoint(
             gradient_of(opacities),
             gradient_of(thermal_opacities),
             v_features,
+            v_rest,
             absolute if absolute is not None else projected.means2d,
         ],
         device,
     )
 
 
-def _channels(features: wp.array, blended: BlendedArrays) -> tuple[int, int]:
+def _channels(features: wp.array, rest: wp.array | None, blended: BlendedArrays) -> tuple[int, int]:
     """Channels blended with the first opacity and with the second, 0 where there is one."""
     thermal = blended.thermal_render.dtype._length_ if blended.thermal_render is not None else 0
-    return features.dtype._length_, thermal
+    return features.dtype._length_ + (0 if rest is None else rest.dtype._length_), thermal
+
+
+def _or_nothing(rest: wp.array | None, dtype: type, device: wp.Device) -> wp.array:
+    """The other channels, or an array without elements where there are none."""
+    return nothing(wp.types.vector(1, dtype), 1, device) if rest is None else rest
+
+
+def _parts(image: wp.array, features: wp.array, rest: wp.array | None) -> tuple[ArrayView, ArrayView]:
+    """An image of all channels as one of the first and one of the others, on the same memory."""
+    first, device = features.dtype, image.device
+    images = ArrayView(image.ptr, image.shape, first, device, image, image.strides)
+    if rest is None:
+        return images, nothing(wp.types.vector(1, first._wp_scalar_type_), 2, device)
+    behind = image.ptr + wp.types.type_size_in_bytes(first)
+    return images, ArrayView(behind, image.shape, rest.dtype, device, image, image.strides)
 
 
 def _thermal_render(blended: BlendedArrays, dtype: type, device: wp.Device) -> wp.array:
@@ -252,10 +288,12 @@ def _read(
     opacities: wp.array,
     thermal_opacities: wp.array,
     features: wp.array,
+    rest: wp.array | None,
     bins: TileBins,
     settings: ProjectionSettings,
 ) -> tuple[list[int], list[Any]]:
     """The image's size, and what both the kernel and its adjoint begin with."""
     size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
-    gaussians = [projected.means2d, projected.roots, projected.extents, opacities, thermal_opacities, features]
-    return size, [*size, *gaussians, bins.gaussian_ids]
+    gaussians = [projected.means2d, projected.roots, projected.extents, opacities, thermal_opacities]
+    others = _or_nothing(rest, opacities.dtype, opacities.device)
+    return size, [*size, *gaussians, features, others, bins.gaussian_ids]

@@ -10,15 +10,7 @@ import functools
 
 import warp as wp
 
-STORE_WHOLE = """
-#if defined(__CUDA_ARCH__)
-    if (sizeof(S_) == 4 && ((size_t)target.data & (4 * LENGTH_ - 1)) == 0) {
-        *(floatLENGTH_*)(target.data + index) = make_floatLENGTH_(NUMBERS_);
-        return;
-    }
-#endif
-    target.data[index] = value;
-"""
+from warp_kernels.lanes import scalar_name
 
 STORE_PAIR = """
 #if defined(__CUDA_ARCH__)
@@ -36,14 +28,14 @@ STORE_VEC3 = """
     const int lane = threadIdx.x & 31;
     const unsigned present = __ballot_sync(all, index >= 0);
     const int leader = __shfl_sync(all, index - lane, __ffs(present) - 1 & 31);
-    if (sizeof(S_) == 4 && __all_sync(all, index < 0 || index == leader + lane)) {
-        S_* numbers = (S_*)(target.data + leader);
+    if (sizeof(S) == 4 && __all_sync(all, index < 0 || index == leader + lane)) {
+        S* numbers = (S*)(target.data + leader);
         #pragma unroll
         for (int at = lane; at < 96; at += 32) {
             const int from = at / 3, c = at - 3 * from;
-            const S_ x = __shfl_sync(all, value[0], from);
-            const S_ y = __shfl_sync(all, value[1], from);
-            const S_ z = __shfl_sync(all, value[2], from);
+            const S x = __shfl_sync(all, value[0], from);
+            const S y = __shfl_sync(all, value[1], from);
+            const S z = __shfl_sync(all, value[2], from);
             if (present >> from & 1) numbers[at] = c == 0 ? x : c == 1 ? y : z;
         }
         return;
@@ -53,10 +45,18 @@ STORE_VEC3 = """
 """
 
 
-def _source(snippet: str, length: int, dtype: type) -> str:
+def _store_whole(length: int, dtype: type) -> str:
+    """A vector of 2 or 4 numbers in one store, where they are float32 and aligned."""
     numbers = ", ".join(f"(float)value[{k}]" for k in range(length))
-    scalar = "float" if dtype is wp.float32 else "double"
-    return snippet.replace("LENGTH_", str(length)).replace("NUMBERS_", numbers).replace("S_", scalar)
+    return f"""
+#if defined(__CUDA_ARCH__)
+    if (sizeof({scalar_name(dtype)}) == 4 && ((size_t)target.data & {4 * length - 1}) == 0) {{
+        *(float{length}*)(target.data + index) = make_float{length}({numbers});
+        return;
+    }}
+#endif
+    target.data[index] = value;
+"""
 
 
 @wp.func_native(STORE_PAIR)
@@ -77,13 +77,13 @@ def store_functions(dtype: type):
     """
     vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
 
-    @wp.func_native(_source(STORE_WHOLE, 2, dtype))
+    @wp.func_native(_store_whole(2, dtype))
     def store2(target: wp.array(dtype=vec2), index: int, value: vec2): ...
 
-    @wp.func_native(_source(STORE_VEC3, 3, dtype))
+    @wp.func_native(f"using S = {scalar_name(dtype)};{STORE_VEC3}")
     def store3(target: wp.array(dtype=vec3), index: int, value: vec3): ...
 
-    @wp.func_native(_source(STORE_WHOLE, 4, dtype))
+    @wp.func_native(_store_whole(4, dtype))
     def store4(target: wp.array(dtype=vec4), index: int, value: vec4): ...
 
     return store2, store3, store4

@@ -14,28 +14,32 @@ import functools
 
 import warp as wp
 
+from warp_kernels.lanes import scalar_name
+
 BLOCK = 256
 """Threads a block on CUDA; Warp's default."""
 
+# What varies, the scalar S and the threads of a block, is declared in front of the bodies.
+
 ADJOINT = """
-    wp::vec_t<16, S_> v_b = {};
-    const S_ zero = 0;
+    wp::vec_t<16, S> v_b = {};
+    const S zero = 0;
     const int count = rows.shape[1], held = count + lowest < 16 ? count + lowest : 16;
     const int end = active < held ? active : held;
     bool together = false;
 #if defined(__CUDA_ARCH__)
-    __shared__ S_ staged_values[BLOCK_ / 32][32 * 17];
-    __shared__ S_ staged_v[BLOCK_ / 32][32 * 3];
+    __shared__ S staged_values[block / 32][32 * 17];
+    __shared__ S staged_v[block / 32][32 * 3];
     const unsigned all = 0xffffffffu;
     const unsigned present = __ballot_sync(all, row >= 0), in_use = __ballot_sync(all, used);
     if (count == 0 || (add && !in_use)) return v_b;
     const int lane = threadIdx.x & 31, width = 3 * count, count_rows = __popc(present);
     const int leader = __shfl_sync(all, row, 0);
-    const bool dense = count < 2 || (rows.strides[1] == 3 * (int)sizeof(S_) && v_rows.strides[1] == rows.strides[1]);
+    const bool dense = count < 2 || (rows.strides[1] == 3 * (int)sizeof(S) && v_rows.strides[1] == rows.strides[1]);
     together = __all_sync(all, dense && (row < 0 || row == leader + lane));
-    S_* all_values = staged_values[threadIdx.x >> 5];
-    S_* all_v = staged_v[threadIdx.x >> 5];
-    S_* values = all_values + lane * 17;  // this lane's; an odd distance apart, so that lanes meet in no bank
+    S* all_values = staged_values[threadIdx.x >> 5];
+    S* all_v = staged_v[threadIdx.x >> 5];
+    S* values = all_values + lane * 17;  // this lane's; an odd distance apart, so that lanes meet in no bank
     if (in_use) {
         #pragma unroll
         for (int k = 0; k < 16; ++k) values[k] = used && k < end ? b[k] : zero;
@@ -45,9 +49,9 @@ ADJOINT = """
     }
     if (together) {
         // Gradients: a sweep of the warp writes `sweep` numbers; this lane's are those from `e` of row `r` on.
-        const int pitch = v_rows.strides[0] / (int)sizeof(S_), total = width * count_rows;
-        S_* target = (S_*)((char*)v_rows.data + (long long)leader * v_rows.strides[0]);
-        const bool wide = sizeof(S_) == 4 && pitch == width && !add && ((size_t)target & 15) == 0;
+        const int pitch = v_rows.strides[0] / (int)sizeof(S), total = width * count_rows;
+        S* target = (S*)((char*)v_rows.data + (long long)leader * v_rows.strides[0]);
+        const bool wide = sizeof(S) == 4 && pitch == width && !add && ((size_t)target & 15) == 0;
         const int sweep = wide ? 128 : 32, next_r = sweep / width, next_e = sweep % width;
         int r = lane * (sweep / 32) / width, e = lane * (sweep / 32) % width;
         for (int f = lane * (sweep / 32); f < total; f += sweep) {
@@ -69,8 +73,8 @@ ADJOINT = """
             } else if (!add || in_use >> r & 1) {
                 const int k = e / 3;
                 const bool any = in_use && k + lowest < 16;
-                const S_ value = any ? all_values[r * 17 + k + lowest] * all_v[r * 3 + e - 3 * k] : zero;
-                S_* gradient = target + r * pitch + e;
+                const S value = any ? all_values[r * 17 + k + lowest] * all_v[r * 3 + e - 3 * k] : zero;
+                S* gradient = target + r * pitch + e;
                 *gradient = add ? *gradient + value : value;
             }
             r += next_r;
@@ -80,13 +84,13 @@ ADJOINT = """
         // Dot products, in the places of the basis values.
         if (in_use && end > 1) {
             __syncwarp();
-            const S_* source = (const S_*)((const char*)rows.data + (long long)leader * rows.strides[0]);
-            const int pitch = rows.strides[0] / (int)sizeof(S_), products = end - 1;
+            const S* source = (const S*)((const char*)rows.data + (long long)leader * rows.strides[0]);
+            const int pitch = rows.strides[0] / (int)sizeof(S), products = end - 1;
             const int next_r = 32 / products, next_k = 32 % products;
             int r = lane / products, k = lane % products + 1;
             #pragma unroll 4
             for (int item = lane; item < products * count_rows; item += 32) {
-                const S_ *c = source + r * pitch + (k - lowest) * 3, *w = all_v + r * 3;
+                const S *c = source + r * pitch + (k - lowest) * 3, *w = all_v + r * 3;
                 if (in_use >> r & 1) all_values[r * 17 + k] = c[0] * w[0] + c[1] * w[1] + c[2] * w[2];
                 r += next_r;
                 k += next_k;
@@ -96,7 +100,7 @@ ADJOINT = """
         }
     }
 #else
-    S_ values[16];
+    S values[16];
     for (int k = 0; k < 16; ++k) values[k] = b[k];
 #endif
     if (row >= 0 && !together) {
@@ -105,15 +109,15 @@ ADJOINT = """
         const int written = used ? end : lowest;
         #pragma unroll 1
         for (int k = lowest; k < written; ++k) {
-            const S_* coefficient = (const S_*)(mine + (k - lowest) * rows.strides[1]);
-            S_* gradient = (S_*)(target + (k - lowest) * v_rows.strides[1]);
+            const S* coefficient = (const S*)(mine + (k - lowest) * rows.strides[1]);
+            S* gradient = (S*)(target + (k - lowest) * v_rows.strides[1]);
             for (int c = 0; c < 3; ++c) gradient[c] = add ? gradient[c] + values[k] * v[c] : values[k] * v[c];
             values[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
         }
         if (!add)
             #pragma unroll 1
             for (int k = written; k < count + lowest; ++k) {
-                S_* gradient = (S_*)(target + (k - lowest) * v_rows.strides[1]);
+                S* gradient = (S*)(target + (k - lowest) * v_rows.strides[1]);
                 for (int c = 0; c < 3; ++c) gradient[c] = zero;
             }
     }
@@ -130,11 +134,11 @@ ADJOINT = """
 
 # A row's numbers 4 at a time where its memory allows that, all asked for before the first is used.
 SUM = """
-    wp::vec_t<3, S_> total = start;
+    wp::vec_t<3, S> total = start;
     const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
 #if defined(__CUDA_ARCH__)
     const bool aligned = (((size_t)rows.data | rows.strides[0]) & 15) == 0 && rows.strides[1] == 12;
-    if (sizeof(S_) == 4 && lowest == 0 && aligned) {
+    if (sizeof(S) == 4 && lowest == 0 && aligned) {
         const int end = 3 * active;
         float4 quads[12];
         #pragma unroll
@@ -147,7 +151,7 @@ SUM = """
                 #pragma unroll
                 for (int i = 0; i < 4; ++i) {
                     const int at = 4 * j + i;
-                    if (at < end) total[at % 3] += b[at / 3] * (S_)numbers[i];
+                    if (at < end) total[at % 3] += b[at / 3] * (S)numbers[i];
                 }
             }
         return total;
@@ -156,7 +160,7 @@ SUM = """
     #pragma unroll
     for (int k = 0; k < 16; ++k)
         if (k >= lowest && k < active) {
-            const S_* coefficient = (const S_*)(mine + (k - lowest) * rows.strides[1]);
+            const S* coefficient = (const S*)(mine + (k - lowest) * rows.strides[1]);
             for (int c = 0; c < 3; ++c) total[c] += b[k] * coefficient[c];
         }
     return total;
@@ -186,7 +190,7 @@ def row_sum_function(dtype: type):
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
 
-    @wp.func_native(SUM.replace("S_", "float" if dtype is wp.float32 else "double"))
+    @wp.func_native(f"using S = {scalar_name(dtype)};{SUM}")
     def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3) -> vec3: ...
 
     return row_sum
@@ -206,9 +210,8 @@ def row_adjoint_function(dtype: type):
         A row that is not ``used`` is not read and has a gradient of zero.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
-    scalar = "float" if dtype is wp.float32 else "double"
 
-    @wp.func_native(ADJOINT.replace("BLOCK_", str(BLOCK)).replace("S_", scalar))
+    @wp.func_native(f"using S = {scalar_name(dtype)}; constexpr int block = {BLOCK};{ADJOINT}")
     def row_adjoint(
         rows: wp.array2d(dtype=vec3),
         v_rows: wp.array2d(dtype=vec3),

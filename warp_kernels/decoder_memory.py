@@ -9,12 +9,16 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_kernels.lanes import on_cuda
-from warp_kernels.matrix_fragments import PACK, PADDING, PIXELS, Address, fragments, row_bytes
+from warp_kernels.matrix_fragments import PACK, PADDING, PIXELS, SIGMOID, Address, fragments, row_bytes
 
 WARPS = 8
 """Warps of a block; the parts of a weight's gradient are dealt to two by four of them."""
 
 THREADS = 32 * WARPS
+
+TEAMS = (1, 2)
+"""Warps that may share 16 pixels in the adjoint, half of each layer's channels each: a block's shared memory then holds
+half as many pixels. One is quicker where there is room: nobody waits for a partner."""
 
 NARROW = 16
 """Columns of features, with a 1 behind them, and of images, padded."""
@@ -53,14 +57,15 @@ class Layout(NamedTuple):
 
 
 @functools.cache
-def layout_of(hidden: int, modulated: bool) -> Layout:
+def layout_of(hidden: int, modulated: bool, team: int = 1) -> Layout:
     """Shared memory of a block.
 
     Args:
         hidden: channels of hidden layers.
         modulated: whether there is a modulation.
+        team: warps that share 16 pixels, of TEAMS. What the forward pass uses is the same for all.
     """
-    wide, narrow, pixels = row_bytes(hidden), row_bytes(NARROW), WARPS * PIXELS
+    wide, narrow, pixels = row_bytes(hidden), row_bytes(NARROW), WARPS // team * PIXELS
     twice = 2 * hidden if modulated else 0
     sizes = [hidden * narrow, hidden * wide, hidden * wide, twice * wide, NARROW * wide]
     sizes += [4 * hidden, 4 * hidden, 4 * hidden, 4 * twice, 4 * NARROW]
@@ -89,9 +94,39 @@ def shared_address(size: int) -> tuple[int, wp.Function]:
     return words, address
 
 
+# wp.tid() divides for what these registers hold, and its results are kept where registers are short.
+@wp.func_native(on_cuda("return (int)threadIdx.x;", "return 0;"))
+def thread_of_block() -> int:
+    """This thread, counted from the block's first."""
+
+
+@wp.func_native(on_cuda("return (int)blockIdx.x;", "return 0;"))
+def program_of_grid() -> int:
+    """This block, counted from the launch's first."""
+
+
 @wp.func_native(on_cuda("__syncthreads();"))
 def sync():
     """All warps of the block have come here, and what they wrote to shared memory is seen."""
+
+
+@functools.cache
+def team_sync(size: int) -> wp.Function:
+    """As ``sync``, among the warps of a team.
+
+    Args:
+        size: of a team, of TEAMS.
+
+    Returns:
+        A function (team, counted from 0).
+    """
+    # 0 is the barrier of the whole block
+    wait = f"""asm volatile("bar.sync %0, {32 * size};" :: "r"(team + 1) : "memory");"""
+
+    @wp.func_native(on_cuda(wait if size > 1 else ""))
+    def wait_for_team(team: int): ...
+
+    return wait_for_team
 
 
 @wp.func_native(
@@ -151,15 +186,21 @@ def factor_of(largest: wp.float32) -> wp.float32:
     """The power of two that brings gradients up to so large a one into float16's range, to at most 1."""
 
 
+@wp.func_native("return exp2f(ceilf(log2f(fmaxf(largest, 1e-30f))));")
+def unscaled_of(largest: wp.float32) -> wp.float32:
+    """The power of two that takes them back: 1 / ``factor_of``, without a division."""
+
+
 @wp.func_native(
     on_cuda(
-        """const int channels = image.shape[1], column = 2 * (lane & 3);
+        f"""{SIGMOID}
+        const int channels = image.shape[1], column = 2 * (lane & 3);
         #pragma unroll
-        for (int k = 0; k < 4; ++k) {
+        for (int k = 0; k < 4; ++k) {{
             const int row = pixel + (lane >> 2) + 8 * (k >> 1), c = column + (k & 1);
             if (row < image.shape[0] && c < channels)
-                image.data[(long long)row * channels + c] = __fdividef(1.0f, 1.0f + __expf(-z.c[k]));
-        }"""
+                image.data[(long long)row * channels + c] = sigmoid(z.c[k]);
+        }}"""
     )
 )
 def write_image(z: _sums, image: MATRIX, pixel: int, lane: int):
@@ -240,12 +281,12 @@ def stored(down: int, across: int) -> wp.Function:
 
 @wp.func_native(
     on_cuda(
-        """if ((lane & 3) == 0) {
+        """if ((lane & 3) == place >> 1) {
             const int r = row + (lane >> 2);
-            if (r < rows) out.data[first + r] = v.c[0] * unscaled;
-            if (r + 8 < rows) out.data[first + r + 8] = v.c[2] * unscaled;
+            if (r < rows) out.data[first + r] = v.c[place & 1] * unscaled;
+            if (r + 8 < rows) out.data[first + r + 8] = v.c[2 + (place & 1)] * unscaled;
         }"""
     )
 )
-def store_sums(v: FOUR, out: ARRAY, first: int, rows: int, row: int, unscaled: wp.float32, lane: int):
-    """What add_columns summed, to a bias's place from ``first`` on."""
+def store_sums(v: FOUR, place: int, out: ARRAY, first: int, rows: int, row: int, unscaled: wp.float32, lane: int):
+    """What add_columns summed in a place, to a bias's place from ``first`` on."""

@@ -22,13 +22,52 @@ def features_apart(channels: int, by_pair: bool) -> bool:
     """Whether features' gradients are summed where they lie, and records have none.
 
     Args:
-        channels: C, channels blended with the first opacity.
+        channels: of the features of one array.
         by_pair: records are stored one a pair and warp.
 
     Returns:
         Whether they are.
     """
     return not by_pair and channels > FEW
+
+
+def kept_channels(channels: int, first_channels: int, by_pair: bool) -> tuple[int, int]:
+    """Channels whose gradients are in a record.
+
+    Args:
+        channels: C, channels blended with the first opacity.
+        first_channels: of these, those that lie in an array of their own.
+        by_pair: records are stored one a pair and warp.
+
+    Returns:
+        Of the first ones all or 0, and of the others.
+    """
+    first, others = (
+        0 if features_apart(count, by_pair) else count for count in (first_channels, channels - first_channels)
+    )
+    return first, others
+
+
+def ranges_apart(
+    channels: int, first_channels: int, first_feature: int, by_pair: bool
+) -> list[tuple[str, int, int]] | None:
+    """Components of a Gaussian's sums that are not in its record, for ``accumulate_snippet``.
+
+    Args:
+        channels: as in ``kept_channels``.
+        first_channels: as in ``kept_channels``.
+        first_feature: where the features begin.
+        by_pair: as in ``kept_channels``.
+
+    Returns:
+        The half-open ranges by what takes them, "features" or "rest"; None where records have all and are stored.
+    """
+    if by_pair:
+        return None
+    kept, kept_rest = kept_channels(channels, first_channels, by_pair)
+    middle, end = first_feature + first_channels, first_feature + channels
+    apart = [("features", first_feature, middle)] if kept < first_channels else []
+    return apart + ([("rest", middle, end)] if kept_rest < channels - first_channels else [])
 
 
 def feature_offset(thermal_channels: int) -> int:
@@ -59,7 +98,12 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
 
 @functools.cache
 def distribute_kernel(
-    channels: int, thermal_channels: int, dtype: type, absgrad: bool, records_per_pair: int
+    channels: int,
+    thermal_channels: int,
+    dtype: type,
+    absgrad: bool,
+    records_per_pair: int,
+    first_channels: int | None = None,
 ) -> wp.Kernel:
     """Sums each Gaussian's records and adds them to the gradients, or stores them there, one thread a Gaussian, or a
     depth rank, as records of pairs lie.
@@ -70,20 +114,25 @@ def distribute_kernel(
         dtype: ``wp.float32`` or ``wp.float64``.
         absgrad: records end with the absolute mean2d gradients.
         records_per_pair: records of a pair, those of a Gaussian's pairs side by side; 0: one record a Gaussian.
+        first_channels: of the C, those whose gradients lie in an array of their own; None: all.
 
     Returns:
         The Warp kernel, launched over ``whole_warps``.
     """
     C, dual, by_pair = channels, thermal_channels > 0, records_per_pair > 0
-    apart, first_feature = features_apart(channels, by_pair), feature_offset(thermal_channels)
-    length = record_length(0 if apart else channels, thermal_channels, absgrad)
+    A = C if first_channels is None else first_channels
+    kept, kept_rest = kept_channels(C, A, by_pair)
+    first_feature = feature_offset(thermal_channels)
+    first_rest = first_feature + kept
+    length = record_length(kept + kept_rest, thermal_channels, absgrad)
     record = wp.types.vector(length, dtype)
-    vec2, vec3, vecC = wp.types.vector(2, dtype), wp.types.vector(3, dtype), wp.types.vector(C, dtype)
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
     store2, store3, _ = store_functions(dtype)
     zero = dtype(0.0)
 
     @wp.kernel(
-        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}_{records_per_pair}",
+        name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}_{records_per_pair}_{A}",
         enable_backward=False,
         module="unique",
     )
@@ -99,7 +148,8 @@ def distribute_kernel(
         v_roots: wp.array(dtype=vec3),
         v_opacities: wp.array(dtype=dtype),
         v_thermal_opacities: wp.array(dtype=dtype),
-        v_features: wp.array(dtype=vecC),
+        v_features: wp.array(dtype=vecA),
+        v_rest: wp.array(dtype=vecB),
         absolute: wp.array(dtype=vec2),
     ):
         rank = wp.tid()
@@ -142,21 +192,30 @@ def distribute_kernel(
                 if not store:
                     v_opacity_t = v_opacity_t + v_thermal_opacities[g]
                 v_thermal_opacities[g] = v_opacity_t
-            if wp.static(not apart):
-                v_feature = vecC()
+            if wp.static(kept > 0):
+                v_feature = vecA()
                 if not store:
                     v_feature = v_features[g]
-                for c in range(C):
+                for c in range(A):
                     v_feature[c] = v_feature[c] + total[first_feature + c]
                 v_features[g] = v_feature
+            if wp.static(kept_rest > 0):
+                more = vecB()
+                if not store:
+                    more = v_rest[g]
+                for c in range(kept_rest):
+                    more[c] = more[c] + total[first_rest + c]
+                v_rest[g] = more
             if wp.static(absgrad):
                 absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
         elif store and g >= 0:
             v_opacities[g] = zero
             if wp.static(dual):
                 v_thermal_opacities[g] = zero
-            if wp.static(not apart):
-                v_features[g] = vecC()
+            if wp.static(kept > 0):
+                v_features[g] = vecA()
+            if wp.static(kept_rest > 0):
+                v_rest[g] = vecB()
         written = wp.where(count > 0 or store, g, -1)
         if written >= 0:
             store2(v_means2d, written, v_mean2d)

@@ -1,79 +1,104 @@
-"""The adjoint of the image losses: blurs the derivatives by the moments back, along columns and then along rows.
+"""The adjoint of the image losses: blurs the derivatives by the moments back, along rows and then along columns.
 
-The adjoint of a reflection at the border adds what the mirror images receive: of input i those at -i and 2 (n - 1) - i,
-of whose windows only the taps towards the image meet it.
+Both blurs are symmetric but for the borders, at which a derivative also counts for what its reflection met.
 """
 
 import functools
 
 import warp as wp
 
-from warp_kernels.image_loss import OPTIONS, RADIUS, REACH, STRIP, plane_functions, window
+from warp_kernels.image_loss import OPTIONS, plane_functions, scalar_source
+from warp_kernels.image_tiles import (
+    BLURRED_PITCH,
+    PITCH,
+    RADIUS,
+    WIDTH,
+    blur_columns,
+    blur_rows,
+    buffers,
+    fill,
+    mirrored,
+    tile_height,
+)
+
+LOAD = """
+        const bool inside = gy >= 0 && gy < height && gx >= 0 && gx < width;
+        const int plane = height * width;
+        const int from = 3 * c * plane + gy * width + gx;
+        #pragma unroll
+        for (int p = 0; p < 3; ++p) held[p][at] = inside ? fetch(derivatives.data, from + p * plane) : (S_)0;
+"""
+
+HELD = "{held[0][at], held[1][at], held[2][at]}"
+BLURRED = "{blurred[0][at], blurred[1][at], blurred[2][at]}"
+
+FINISH = """
+                const S_* x = (const S_*)of_x + gy * x_row + gx * x_column;
+                const S_ a = fetch(x, 0), b = fetch((const S_*)of_y, gy * y_row + gx * y_column), difference = a - b;
+                const auto sign = [](S_ value) { return (S_)(value > 0) - (S_)(value < 0); };
+                S_ slope = sign(difference);
+                if (noise > 0) slope = difference / wp::sqrt(difference * difference + noise * noise);
+                S_ v = scale * (t[0][r] + 2 * a * t[1][r] + b * t[2][r] + (1 - ssim_share) * slope);
+                if (smooth_scale != 0) {
+                    S_ turns = 0;
+                    if (gx > 0) turns += sign(a - fetch(x, -x_column));
+                    if (gx + 1 < width) turns += sign(a - fetch(x, x_column));
+                    if (gy > 0) turns += sign(a - fetch(x, -x_row));
+                    if (gy + 1 < height) turns += sign(a - fetch(x, x_row));
+                    v += smooth_scale * turns;
+                }
+                ((S_*)of_v)[gy * v_row + gx * v_column] = v;
+"""
 
 
 @functools.cache
-def image_loss_adjoint_kernels(dtype: type, sigma: float):
-    """The kernels of one window.
+def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
+    """The kernel of one window, a block of threads a tile of a channel.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
         sigma: standard deviation of the window [px].
 
     Returns:
-        ``(blur_columns_adjoint, finish_rows_adjoint)``. Images x0 to x3 are compared with y0 to y3.
+        The Warp kernel. Images x0 to x3 are compared with y0 to y3.
     """
-    vecS = wp.types.vector(STRIP, dtype)
-    vecW = wp.types.vector(2 * RADIUS + 1, dtype)
-    taps = wp.constant(vecW(*window(sigma)))
-    plane, read, write, of_term, strip_of = plane_functions(dtype)
-    zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
+    plane, of_term = plane_functions(dtype)
+    height_of_tile = tile_height(dtype)
+    row = f"row * {PITCH} + j - x0 + {RADIUS}"
+    column = f"(j - y0 + {RADIUS}) * {BLURRED_PITCH} + column"
+    parts = (
+        buffers(3, 3, sigma, dtype),
+        fill(dtype, LOAD),
+        blur_rows(dtype, 3, HELD, mirrored(3, "x0 + first", "width", HELD, row)),
+        blur_columns(dtype, 3, FINISH, mirrored(3, "y0 + first", "height", BLURRED, column)),
+    )
 
-    @wp.func
-    def sign(difference: dtype):
-        return wp.where(difference > zero, one, wp.where(difference < zero, -one, zero))
-
-    @wp.kernel(name=f"image_loss_blur_columns_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
-    def blur_columns_adjoint_kernel(
-        first: int,
+    @wp.func_native(scalar_source("".join(parts), dtype))
+    def tile_adjoint(
+        thread: int,
+        c: int,
+        x0: int,
+        y0: int,
+        height: int,
+        width: int,
+        of_x: wp.uint64,
+        x_row: int,
+        x_column: int,
+        of_y: wp.uint64,
+        y_row: int,
+        y_column: int,
+        of_v: wp.uint64,
+        v_row: int,
+        v_column: int,
+        ssim_share: dtype,
+        noise: dtype,
+        scale: dtype,
+        smooth_scale: dtype,
         derivatives: wp.array3d(dtype=dtype),
-        # outputs
-        blurred: wp.array3d(dtype=dtype),
-    ):
-        height, width = derivatives.shape[1], derivatives.shape[2]
-        strips = (height + STRIP - 1) // STRIP
-        index = wp.tid() + first
-        x = index % width
-        y = ((index // width) % strips) * STRIP
-        plane = index // (width * strips)
-        inside = y > RADIUS and y + STRIP + RADIUS < height
-        total = vecS()
-        if inside:
-            for k in range(REACH):
-                value = derivatives[plane, y + k - RADIUS, x]
-                for r in range(STRIP):
-                    if k - r >= 0 and k - r <= 2 * RADIUS:
-                        total[r] += taps[k - r] * value
-        else:
-            for k in range(REACH):
-                at = y + k - RADIUS
-                if at >= 0 and at < height:
-                    value = derivatives[plane, at, x]
-                    for r in range(STRIP):
-                        if k - r >= 0 and k - r <= 2 * RADIUS:
-                            total[r] += taps[k - r] * value
-            for r in range(STRIP):
-                i = y + r
-                for k in range(1, RADIUS + 1):
-                    if i > 0 and k >= i:
-                        total[r] += taps[RADIUS + k] * derivatives[plane, k - i, x]
-                    if i < height - 1 and k >= height - 1 - i:
-                        total[r] += taps[RADIUS + k] * derivatives[plane, 2 * (height - 1) - i - k, x]
-        for r in range(STRIP):
-            if y + r < height:
-                blurred[plane, y + r, x] = total[r]
+    ): ...
 
-    @wp.kernel(name=f"image_loss_finish_rows_adjoint_{dtype.__name__}", **OPTIONS)
-    def finish_rows_adjoint_kernel(
+    @wp.kernel(name=f"image_loss_tiles_adjoint_{dtype.__name__}", **OPTIONS)
+    def tiles_adjoint_kernel(
         first: int,
         x0: wp.array3d(dtype=dtype),
         x1: wp.array3d(dtype=dtype),
@@ -98,7 +123,7 @@ def image_loss_adjoint_kernels(dtype: type, sigma: float):
         share2: dtype,
         share3: dtype,
         smooth_share: dtype,
-        blurred: wp.array3d(dtype=dtype),
+        derivatives: wp.array3d(dtype=dtype),
         v_losses: wp.array(dtype=dtype),
         # outputs
         v0: wp.array3d(dtype=dtype),
@@ -106,76 +131,42 @@ def image_loss_adjoint_kernels(dtype: type, sigma: float):
         v2: wp.array3d(dtype=dtype),
         v3: wp.array3d(dtype=dtype),
     ):
+        block, thread = wp.tid()
         height, width = x0.shape[0], x0.shape[1]
-        strips = (width + STRIP - 1) // STRIP
-        y, strip, c = strip_of(wp.tid() + first, strips, e0, e1, e2, blurred.shape[0] // 3)
-        x = strip * STRIP
+        channels = derivatives.shape[0] // 3
+        c = (block + first) % channels
+        tile = (block + first) // channels
+        across = (width + WIDTH - 1) // WIDTH
         of_x, x_row, x_column = plane(x0, x1, x2, x3, e0, e1, e2, c)
         of_y, y_row, y_column = plane(y0, y1, y2, y3, e0, e1, e2, c)
         of_v, v_row, v_column = plane(v0, v1, v2, v3, e0, e1, e2, c)
-        inside = x > RADIUS and x + STRIP + RADIUS < width
-        by_x = vecS()
-        by_xx = vecS()
-        by_xy = vecS()
-        if inside:
-            for k in range(REACH):
-                at = x + k - RADIUS
-                d0 = blurred[3 * c, y, at]
-                d1 = blurred[3 * c + 1, y, at]
-                d2 = blurred[3 * c + 2, y, at]
-                for r in range(STRIP):
-                    if k - r >= 0 and k - r <= 2 * RADIUS:
-                        by_x[r] += taps[k - r] * d0
-                        by_xx[r] += taps[k - r] * d1
-                        by_xy[r] += taps[k - r] * d2
-        else:
-            for k in range(REACH):
-                at = x + k - RADIUS
-                if at >= 0 and at < width:
-                    d0 = blurred[3 * c, y, at]
-                    d1 = blurred[3 * c + 1, y, at]
-                    d2 = blurred[3 * c + 2, y, at]
-                    for r in range(STRIP):
-                        if k - r >= 0 and k - r <= 2 * RADIUS:
-                            by_x[r] += taps[k - r] * d0
-                            by_xx[r] += taps[k - r] * d1
-                            by_xy[r] += taps[k - r] * d2
-            for r in range(STRIP):
-                i = x + r
-                for k in range(1, RADIUS + 1):
-                    if i > 0 and k >= i:
-                        by_x[r] += taps[RADIUS + k] * blurred[3 * c, y, k - i]
-                        by_xx[r] += taps[RADIUS + k] * blurred[3 * c + 1, y, k - i]
-                        by_xy[r] += taps[RADIUS + k] * blurred[3 * c + 2, y, k - i]
-                    if i < width - 1 and k >= width - 1 - i:
-                        mirrored = 2 * (width - 1) - i - k
-                        by_x[r] += taps[RADIUS + k] * blurred[3 * c, y, mirrored]
-                        by_xx[r] += taps[RADIUS + k] * blurred[3 * c + 1, y, mirrored]
-                        by_xy[r] += taps[RADIUS + k] * blurred[3 * c + 2, y, mirrored]
-        noise = of_term(noise0, noise1, noise2, noise3, e0, e1, e2, c)
         scale = of_term(
             share0 * v_losses[0], share1 * v_losses[1], share2 * v_losses[2], share3 * v_losses[3], e0, e1, e2, c
         )
-        for r in range(STRIP):
-            if x + r < width:
-                at = y * x_row + (x + r) * x_column
-                a = read(of_x, at)
-                b = read(of_y, y * y_row + (x + r) * y_column)
-                slope = sign(a - b)
-                if noise > zero:
-                    slope = (a - b) / wp.sqrt((a - b) * (a - b) + noise * noise)
-                v = scale * (by_x[r] + two * a * by_xx[r] + b * by_xy[r] + (one - ssim_share) * slope)
-                if c >= smooth_from and c < smooth_to:
-                    turns = dtype(0.0)
-                    if x + r > 0:
-                        turns += sign(a - read(of_x, at - x_column))
-                    if x + r + 1 < width:
-                        turns += sign(a - read(of_x, at + x_column))
-                    if y > 0:
-                        turns += sign(a - read(of_x, at - x_row))
-                    if y + 1 < height:
-                        turns += sign(a - read(of_x, at + x_row))
-                    v += smooth_share * v_losses[4] * turns
-                write(of_v, y * v_row + (x + r) * v_column, v)
+        smooth_scale = dtype(0.0)
+        if c >= smooth_from and c < smooth_to:
+            smooth_scale = smooth_share * v_losses[4]
+        tile_adjoint(
+            thread,
+            c,
+            (tile % across) * WIDTH,
+            (tile // across) * height_of_tile,
+            height,
+            width,
+            of_x,
+            x_row,
+            x_column,
+            of_y,
+            y_row,
+            y_column,
+            of_v,
+            v_row,
+            v_column,
+            ssim_share,
+            of_term(noise0, noise1, noise2, noise3, e0, e1, e2, c),
+            scale,
+            smooth_scale,
+            derivatives,
+        )
 
-    return blur_columns_adjoint_kernel, finish_rows_adjoint_kernel
+    return tiles_adjoint_kernel

@@ -7,9 +7,10 @@ from typing import Any
 
 import warp as wp
 
-from warp_kernels.image_loss import STRIP, TERMS, image_loss_kernels
-from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernels
-from warp_kernels.launching import launch, launch_again
+from warp_kernels.image_loss import TERMS, image_loss_kernels
+from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernel
+from warp_kernels.image_tiles import threads_of, tiles_of
+from warp_kernels.launching import launch_again, launch_tiles
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class ImageLossSettings:
     smoothness: float = 0.0
 
     def kernels(self, dtype: type) -> tuple[wp.Kernel, ...]:
-        """The forward kernels, for ``wp.float32`` or ``wp.float64``."""
+        """The kernels of the losses, for ``wp.float32`` or ``wp.float64``."""
         return image_loss_kernels(dtype, self.sigma, self.c1, self.c2, self.epsilon)
 
 
@@ -52,6 +53,7 @@ class _Numbers:
         ends = list(accumulate(render.shape[2] for render in renders))
         starts = [0, *ends]
         self.channels = ends[-1]
+        self.blocks = self.channels * tiles_of(self.height, self.width, self.dtype)
         self.ends = (ends + [self.channels] * TERMS)[: TERMS - 1]
         pixels = self.height * self.width
         shares = [weight / (pixels * render.shape[2]) for weight, render in zip(settings.weights, renders, strict=True)]
@@ -71,11 +73,6 @@ def _filled(images: Sequence[wp.array]) -> list[wp.array]:
     return [*images, *[images[0]] * TERMS][:TERMS]
 
 
-def strips(height: int) -> int:
-    """Rows of ``image_losses``' sums for an image of that height [px]."""
-    return -(-height // STRIP)
-
-
 def image_losses(
     renders: Sequence[wp.array],
     targets: Sequence[wp.array],
@@ -83,22 +80,19 @@ def image_losses(
     sums: wp.array,
     derivatives: wp.array,
 ) -> None:
-    """Losses, squared errors and |∂x| + |∂y| of every channel, summed over strips of a column.
+    """Losses, squared errors and |∂x| + |∂y| of every channel, summed over tiles.
 
     Args:
         renders: 1 to TERMS images [H, W, Ct] of one size, any strides; H and W above 5.
         targets: [H, W, Ct] each.
         settings: what the losses are made of.
-        sums: [3 C, strips(H), W], output: losses without weights, squared errors, absolute differences.
+        sums: [3 C, tiles_of(H, W)], output: losses without weights, squared errors, absolute differences.
         derivatives: [3 C, H, W], output for ``image_losses_adjoint``; [0, 0, 0] where it is not wanted.
     """
     n = _Numbers(renders, settings)
-    blur_rows, finish_columns, _ = settings.kernels(n.dtype)
-    moments = wp.empty((5 * n.channels, n.height, n.width), dtype=n.dtype, device=n.device)
-    images = [*_filled(renders), *_filled(targets), *n.ends]
-    launch(blur_rows, n.channels * n.height * -(-n.width // STRIP), [*images, moments], n.device)
-    arguments = [*images, *n.terms, moments, sums, derivatives]
-    launch(finish_columns, n.channels * n.width * strips(n.height), arguments, n.device)
+    tiles, _ = settings.kernels(n.dtype)
+    arguments = [*_filled(renders), *_filled(targets), *n.ends, *n.terms, sums, derivatives]
+    launch_tiles(tiles, n.blocks, threads_of(n.device), arguments, n.device)
 
 
 def image_loss_totals(
@@ -113,13 +107,13 @@ def image_loss_totals(
     Args:
         renders: as in ``image_losses``.
         settings: as in ``image_losses``.
-        sums: [3 C], sums over strips and columns of what ``image_losses`` wrote.
+        sums: [3 C], sums over tiles of what ``image_losses`` wrote.
         losses: [TERMS + 1], output: each pair's, and in the last place that of |∂x| + |∂y|.
         squared_errors: [TERMS], output: mean squared errors of the images clamped to [0, 1], without weights.
     """
     n = _Numbers(renders, settings)
     arguments = [n.channels, *n.ends, *n.shares, n.smooth_share, n.height * n.width, sums, losses, squared_errors]
-    launch_again(settings.kernels(n.dtype)[2], TERMS + 1, arguments, n.device)
+    launch_again(settings.kernels(n.dtype)[1], TERMS + 1, arguments, n.device)
 
 
 def image_losses_adjoint(
@@ -141,9 +135,7 @@ def image_losses_adjoint(
         v_renders: [H, W, Ct] each, any strides, output, written and not added to.
     """
     n = _Numbers(renders, settings)
-    blur_columns_adjoint, finish_rows_adjoint = image_loss_adjoint_kernels(n.dtype, settings.sigma)
-    blurred = wp.empty_like(derivatives)
-    launch(blur_columns_adjoint, 3 * n.channels * n.width * strips(n.height), [derivatives, blurred], n.device)
     arguments = [*_filled(renders), *_filled(targets), *n.ends, *n.terms, *n.shares, n.smooth_share]
-    arguments += [blurred, v_losses, *_filled(v_renders)]
-    launch(finish_rows_adjoint, n.channels * n.height * -(-n.width // STRIP), arguments, n.device)
+    arguments += [derivatives, v_losses, *_filled(v_renders)]
+    kernel = image_loss_adjoint_kernel(n.dtype, settings.sigma)
+    launch_tiles(kernel, n.blocks, threads_of(n.device), arguments, n.device)

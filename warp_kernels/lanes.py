@@ -6,6 +6,7 @@ the CPU from the same source.
 
 import functools
 import re
+from collections.abc import Sequence
 
 import warp as wp
 
@@ -20,6 +21,15 @@ def on_cuda(source: str, otherwise: str = "") -> str:
         otherwise: what stands there on the CPU.
     """
     return f"\n#if defined(__CUDA_ARCH__)\n{source}\n#else\n{otherwise}\n#endif\n"
+
+
+def scalar_name(dtype: type) -> str:
+    """What C++ calls a scalar.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+    """
+    return "float" if dtype is wp.float32 else "double"
 
 
 @wp.func_native("""
@@ -130,7 +140,7 @@ RECIPROCAL_F32 = """
 RECIPROCAL_F64 = "return 1.0 / x;"
 
 
-def accumulate_snippet(length: int, dtype: type, *, apart: tuple[int, int] | None = None) -> str:
+def accumulate_snippet(length: int, dtype: type, *, apart: Sequence[tuple[str, int, int]] | None = None) -> str:
     """Source of a native function that sums a vector over the warp and stores it in ``dst[index]``, or adds it there.
 
     A transposed butterfly leaves component ``l`` in lane ``l``: for a power of two of components one shuffle a
@@ -141,18 +151,23 @@ def accumulate_snippet(length: int, dtype: type, *, apart: tuple[int, int] | Non
         length: Components of the vector.
         dtype: ``wp.float32`` or ``wp.float64``.
         apart: None: one warp owns the place and stores all components there. Otherwise several warps meet: components
-            are added atomically, those of this half-open range to ``features[index]``, the others to ``dst[index]``.
+            are added atomically, those of these half-open ranges to ``array[index]`` of the array of that name, the
+            others side by side to ``dst[index]``.
 
     Returns:
-        C++ source using the arguments ``dst`` (array of vectors), ``features`` (of another), ``index``, ``lane`` and
-        ``v``.
+        C++ source using the arguments ``dst`` and those that ``apart`` names (arrays of vectors), ``index``, ``lane``
+        and ``v``.
     """
-    scalar = "float" if dtype is wp.float32 else "double"
+    scalar = scalar_name(dtype)
     lines = [f"{scalar}* p = ({scalar}*)(dst.data + index);"]
-    if apart is not None:
-        begin, behind = apart
-        lines.append(f"{scalar}* f = ({scalar}*)(features.data + index) - {begin};")
-        at = f"(k < {begin} ? p + k : k < {behind} ? f + k : p + k - {behind - begin})"
+    pieces, removed, behind = [], 0, 0
+    for array, begin, end in apart or ():
+        lines.append(f"{scalar}* of_{array} = ({scalar}*)({array}.data + index) - {begin};")
+        pieces += [(begin, f"p + k - {removed}")] * (begin > behind) + [(end, f"of_{array} + k")]
+        removed, behind = removed + end - begin, end
+    at = f"p + k - {removed}"
+    for end, place in reversed(pieces):
+        at = f"k < {end} ? {place} : {at}"
     for start in range(0, length, 32):
         end, first = min(start + 32, length), start
         lines.append(f"{{ {scalar} total = ({scalar})0;")
@@ -160,7 +175,7 @@ def accumulate_snippet(length: int, dtype: type, *, apart: tuple[int, int] | Non
             lines += _butterfly(width, first, end, scalar)
             lines.append(f"if (lane >= {first - start}) total = r[0]; }}")
             first += width
-        write = "p[k] = total;" if apart is None else f"atomicAdd({at}, total);"
+        write = "p[k] = total;" if apart is None else f"atomicAdd(({at}), total);"
         lines.append(f"const int k = {start} + lane; if (lane < {end - start}) {write} }}")
     return "\n#if defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#endif\n"
 
@@ -217,7 +232,7 @@ def column_sums_snippet(length: int, columns: int, dtype: type) -> str:
     Returns:
         C++ source using the arguments ``m`` (matrix) and ``out`` (array of vectors of ``length``), and ``index``.
     """
-    scalar = "float" if dtype is wp.float32 else "double"
+    scalar = scalar_name(dtype)
     width = min(columns, 16)
     lines = [f"typedef {scalar} V __attribute__((ext_vector_type({width})));"]
     lines.append(f"typedef V Unaligned __attribute__((aligned(sizeof({scalar}))));")

@@ -107,14 +107,14 @@ def _launch_range(
 ) -> None:
     if count == 0:
         return
+    if device.is_cuda or _num_threads == 1 or count < 2 * min_chunk:
+        launch_again(kernel, count if block is None else (count, block), [0, *inputs], device, block)
+        return
 
     def run(first: int, end: int) -> None:
         dim = end - first if block is None else (end - first, block)
         launch_again(kernel, dim, [first, *inputs], device, block)
 
-    if device.is_cuda or _num_threads == 1 or count < 2 * min_chunk:
-        run(0, count)
-        return
     # Loading is not safe from several threads; launching is.
     kernel.module.load(device, 1)
     chunks = min(count // min_chunk, _num_threads * CHUNKS_PER_THREAD)

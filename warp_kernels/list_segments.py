@@ -1,6 +1,6 @@
 """Long lists cut into segments, each walked by its own block of threads.
 
-A frame of few tiles takes as long as its longest list. A list of more than two segments is therefore cut where the
+A frame of few tiles takes as long as its longest list. A list of more than three segments is therefore cut where the
 index of a pair is a multiple of the segment. Forward, a first launch finds what each segment leaves of the light that
 enters it; a second blends every segment from the transmittance in front of it, the product over the segments before;
 ``join_segments`` adds up their colours. What it leaves at each boundary, T there and the colours behind, is where the

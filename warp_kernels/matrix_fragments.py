@@ -90,16 +90,20 @@ class Fragments(NamedTuple):
     silu_slope: wp.Function
     """Its derivative: (sums) -> packed."""
     put: wp.Function
-    """Writes a matrix to shared memory: (packed, address of its first row, lane)."""
+    """Writes a matrix to shared memory: (packed, address of its first number, lane)."""
+    get: wp.Function
+    """Reads one from there: (address of its first number, lane) -> packed."""
 
 
 @functools.cache
-def fragments(columns: int) -> Fragments:
+def fragments(columns: int, among: int | None = None) -> Fragments:
     """Functions that work on each number.
 
     Args:
-        columns: of the matrices, a multiple of 8.
+        columns: of the matrices, a multiple of 16.
+        among: columns of the matrix in shared memory that these are a part of; None for the same.
     """
+    pitch = row_bytes(among or columns)
     registers = columns // 4  # of a packed matrix; twice as many sums
     sums, packed = wp.types.vector(2 * registers, wp.float32), wp.types.vector(registers, wp.uint32)
     each = f"\n#pragma unroll\nfor (int k = 0; k < {registers}; ++k)"
@@ -135,9 +139,19 @@ def fragments(columns: int) -> Fragments:
         + "return z;"
     )
     put_snippet = on_cuda(
-        f"""const unsigned at = address + (lane >> 2) * {row_bytes(columns)} + 4 * (lane & 3);
+        f"""const unsigned at = address + (lane >> 2) * {pitch} + 4 * (lane & 3);
         {each} asm volatile("st.shared.b32 [%0], %1;"
-            :: "r"(at + (k & 1) * {8 * row_bytes(columns)} + (k >> 1) * 16), "r"(p.c[k]) : "memory");"""
+            :: "r"(at + (k & 1) * {8 * pitch} + (k >> 1) * 16), "r"(p.c[k]) : "memory");"""
+    )
+    get_snippet = (
+        to_packed
+        + on_cuda(
+            f"""{LOAD}
+            const unsigned at = address + (lane & 15) * {pitch} + (lane >> 4) * 16;
+            #pragma unroll
+            for (int k = 0; k < {registers}; k += 4) load(&p.c[k], at + 8 * k);"""
+        )
+        + "return p;"
     )
 
     @wp.func_native(rounded_snippet)
@@ -155,7 +169,10 @@ def fragments(columns: int) -> Fragments:
     @wp.func_native(put_snippet)
     def put(p: packed, address: Address, lane: int): ...
 
-    return Fragments(sums, packed, rounded, widened, silu, silu_slope, put)
+    @wp.func_native(get_snippet)
+    def get(address: Address, lane: int) -> packed: ...
+
+    return Fragments(sums, packed, rounded, widened, silu, silu_slope, put, get)
 
 
 def _products(operand: str, steps: int, tiles: int, load: str, step_bytes: int, tile_bytes: int) -> str:
@@ -184,7 +201,7 @@ def _products(operand: str, steps: int, tiles: int, load: str, step_bytes: int, 
 
 
 @functools.cache
-def linear(columns: int, outputs: int) -> wp.Function:
+def linear(columns: int, outputs: int) -> tuple[wp.Function, wp.Function]:
     """x Wᵀ + b, of W [outputs, columns] in shared memory.
 
     Args:
@@ -192,44 +209,52 @@ def linear(columns: int, outputs: int) -> wp.Function:
         outputs: rows of W, a multiple of 16.
 
     Returns:
-        A function (x, address of W, address of b, lane) -> sums.
+        A function (x, address of W, address of b, lane) -> sums, and one (x, address of W, address of b, sums to add
+        to, lane) -> sums.
     """
     packed, sums = fragments(columns).packed, fragments(outputs).sums
     pitch, steps = row_bytes(columns), columns // 16
     of_two_steps = f"(lane & 7) * {pitch} + (lane >> 3) * 16"
     of_two_tiles = f"((lane & 7) + 8 * (lane >> 4)) * {pitch} + (lane >> 3 & 1) * 16"
-    snippet = f"""wp::vec_t<{outputs // 2}, wp::float32> y;""" + on_cuda(
-        f"""{MMA} {LOAD}
-        #pragma unroll
-        for (int n = 0; n < {outputs // 8}; ++n) {{
-            asm volatile("ld.shared.v2.f32 {{%0, %1}}, [%2];" : "=f"(y.c[4 * n]), "=f"(y.c[4 * n + 1])
-                : "r"(bias + 32 * n + 8 * (lane & 3)) : "memory");
-            y.c[4 * n + 2] = y.c[4 * n];
-            y.c[4 * n + 3] = y.c[4 * n + 1];
-        }}
-        const unsigned at = weights + {of_two_steps if steps % 2 == 0 else of_two_tiles};
-        {_products("x", steps, outputs // 8, "load", 32, 8 * pitch)}"""
-    )
 
-    @wp.func_native(snippet + "return y;")
+    def snippet(biased: str) -> str:
+        return f"wp::vec_t<{outputs // 2}, wp::float32> y;" + on_cuda(
+            f"""{MMA} {LOAD}
+            #pragma unroll
+            for (int n = 0; n < {outputs // 8}; ++n) {{
+                float b[2];
+                asm volatile("ld.shared.v2.f32 {{%0, %1}}, [%2];" : "=f"(b[0]), "=f"(b[1])
+                    : "r"(bias + 32 * n + 8 * (lane & 3)) : "memory");
+                #pragma unroll
+                for (int k = 0; k < 4; ++k) y.c[4 * n + k] = {biased};
+            }}
+            const unsigned at = weights + {of_two_steps if steps % 2 == 0 else of_two_tiles};
+            {_products("x", steps, outputs // 8, "load", 32, 8 * pitch)}"""
+        )
+
+    @wp.func_native(snippet("b[k & 1]") + "return y;")
     def linear(x: packed, weights: Address, bias: Address, lane: int) -> sums: ...
 
-    return linear
+    @wp.func_native(snippet("added.c[4 * n + k] + b[k & 1]") + "return y;")
+    def linear_added(x: packed, weights: Address, bias: Address, added: sums, lane: int) -> sums: ...
+
+    return linear, linear_added
 
 
 @functools.cache
-def linear_adjoint(columns: int, outputs: int) -> wp.Function:
+def linear_adjoint(columns: int, outputs: int, among: int | None = None) -> wp.Function:
     """v W added to sums, of W [outputs, columns] in shared memory.
 
     Args:
         columns: of W, a multiple of 16.
         outputs: columns of v, a multiple of 16.
+        among: columns of the matrix in shared memory that W is a part of; None for the same.
 
     Returns:
         A function (v, address of W, sums, lane) -> sums.
     """
     packed, sums = fragments(outputs).packed, fragments(columns).sums
-    pitch, steps = row_bytes(columns), outputs // 16
+    pitch, steps = row_bytes(among or columns), outputs // 16
     of_two_steps, of_two_tiles = f"lane * {pitch}", f"(lane & 15) * {pitch} + (lane >> 4) * 16"
     snippet = f"wp::vec_t<{columns // 2}, wp::float32> y = added;" + on_cuda(
         f"""{MMA} {LOAD_TRANSPOSED}
@@ -244,15 +269,15 @@ def linear_adjoint(columns: int, outputs: int) -> wp.Function:
 
 
 @functools.cache
-def add_outer(rows: int, columns: int, outputs: int, inputs: int, warps: int) -> wp.Function:
-    """A part of vᵀ x added to sums, over the rows of all warps: the gradient of a linear layer's weight.
+def add_outer(rows: int, columns: int, outputs: int, inputs: int, matrices: int) -> wp.Function:
+    """A part of vᵀ x added to sums, over the rows of several matrices: the gradient of a linear layer's weight.
 
     Args:
         rows: of the part, a multiple of 16.
         columns: of the part, a multiple of 8.
         outputs: columns of v.
         inputs: columns of x.
-        warps: whose matrices follow each other in shared memory.
+        matrices: of 16 rows each, that follow each other in shared memory.
 
     Returns:
         A function (address of v, address of x, first row, first column, sums, lane) -> sums, four a lane for each 16
@@ -267,7 +292,7 @@ def add_outer(rows: int, columns: int, outputs: int, inputs: int, warps: int) ->
         const unsigned of_v = v + at_v + 2 * row;
         const unsigned of_x = x + (lane & 15) * {row_bytes(inputs)} + 2 * column + (lane >> 4) * 16;
         #pragma unroll
-        for (int step = 0; step < {warps}; ++step) {{
+        for (int step = 0; step < {matrices}; ++step) {{
             unsigned a[{down}][4];
             #pragma unroll
             for (int m = 0; m < {down}; ++m)
@@ -292,25 +317,25 @@ def add_outer(rows: int, columns: int, outputs: int, inputs: int, warps: int) ->
 
 
 @functools.cache
-def add_columns(outputs: int, warps: int) -> wp.Function:
-    """Sums of 16 columns of v over the rows of all warps added to sums: the gradient of a linear layer's bias.
+def add_columns(outputs: int, matrices: int) -> wp.Function:
+    """Sums of 16 columns of v over the rows of several matrices added to sums: the gradient of a linear layer's bias.
 
     Args:
         outputs: columns of v.
-        warps: whose matrices follow each other in shared memory.
+        matrices: of 16 rows each, that follow each other in shared memory.
 
     Returns:
-        A function (address of v, first column, sums, lane) -> sums, those of column g and g + 8 in lane 4 g, first and
-        third.
+        A function (address of v, first column, place, sums, lane) -> sums. Sums of 16 rows and 8 columns have room for
+        several such: those of columns g and g + 8 of v come to the rows g and g + 8 of the column ``place``.
     """
     total = wp.types.vector(4, wp.float32)
     snippet = "wp::vec_t<4, wp::float32> c = added;" + on_cuda(
         f"""{MMA} {LOAD_TRANSPOSED}
         const unsigned at_v = ((lane & 7) + 8 * (lane >> 4)) * {row_bytes(outputs)} + (lane >> 3 & 1) * 16;
         const unsigned of_v = v + at_v + 2 * column;
-        const unsigned ones = lane < 4 ? 0x3c003c00u : 0u;  // the first column of the other factor
+        const unsigned ones = lane >> 2 == place ? 0x3c003c00u : 0u;  // that column of the other factor
         #pragma unroll
-        for (int step = 0; step < {warps}; ++step) {{
+        for (int step = 0; step < {matrices}; ++step) {{
             unsigned a[4];
             load_transposed(a, of_v + step * {PIXELS * row_bytes(outputs)});
             multiply_add(c.c, a, ones, ones);
@@ -318,6 +343,6 @@ def add_columns(outputs: int, warps: int) -> wp.Function:
     )
 
     @wp.func_native(snippet + "return c;")
-    def add_columns(v: Address, column: int, added: total, lane: int) -> total: ...
+    def add_columns(v: Address, column: int, place: int, added: total, lane: int) -> total: ...
 
     return add_columns

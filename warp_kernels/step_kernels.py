@@ -11,6 +11,7 @@ from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.launching import num_threads
+from warp_kernels.pair_notes import note_pairs_kernel
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
@@ -20,11 +21,13 @@ TILE_SIZE = 16
 """The rasterizer's default [px]."""
 
 COLORS = 3
-"""Channels of the first of the two images that colours and features are blended to."""
+"""Channels of the colours, which lie apart from the features, as do their images."""
 
 
 def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = False) -> list[wp.Kernel]:
-    """What a forward and backward pass launches on the CPU, of a perspective camera that is not trained.
+    """What a forward and backward pass in a step of ``PairCapacity`` launches on the CPU.
+
+    The camera is a perspective one that is not trained.
 
     Args:
         channels: blended with the first opacity: colours from spherical harmonics, and features.
@@ -41,15 +44,16 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         projection_kernel(dtype, camera_model, False),
         blend_adjoint_kernel(channels, thermal_channels, dtype, layout, False, True, COLORS),
         projection_adjoint_kernel(dtype, camera_model, False, False, antialiased),
-        blend_kernel(channels, thermal_channels, dtype, layout),
+        blend_kernel(channels, thermal_channels, dtype, layout, False, COLORS),
         color_adjoint_kernel(dtype),
         count,
         emit,
         color_kernel(dtype),
-        distribute_kernel(channels, thermal_channels, dtype, False, layout.warps),
+        distribute_kernel(channels, thermal_channels, dtype, False, layout.warps, COLORS),
         tile_ranges_kernel,
         camera_position_kernels(dtype)[0],
         gather,
+        note_pairs_kernel,
     ]
 
 

@@ -48,21 +48,22 @@ def _stride(length: int, dtype: type) -> int:
 
 @functools.cache
 def survivor_functions(
-    channels: int, staged: bool, dual: bool, dtype: type, layout: BlendLayout
-) -> tuple[Any, Any, Any, Any, Any]:
+    channels: int, first_channels: int, staged: bool, dual: bool, dtype: type, layout: BlendLayout
+) -> tuple[Any, Any, Any, Any, Any, Any]:
     """From a lane's candidate to the warp's records.
 
     Args:
         channels: C, features of a Gaussian.
+        first_channels: of these, those that lie in an array of their own; C: all lie in one.
         staged: records hold them.
         dual: there are two opacities.
         dtype: ``wp.float32`` or ``wp.float64``.
         layout: deal of pixels to lanes.
 
     Returns:
-        Warp functions ``(candidate, records_of_warp, admit, get, integer)``: the numbers of a Gaussian; the address of
-        a warp's records; store each lane's candidate that reaches the warp's block, whose first pixel centre is
-        (x0, y0), and count them; read one; the whole number in one of its places.
+        Warp functions ``(candidate, features_of, records_of_warp, admit, get, integer)``: the numbers of a Gaussian;
+        its features; the address of a warp's records; store each lane's candidate that reaches the warp's block, whose
+        first pixel centre is (x0, y0), and count them; read one; the whole number in one of its places.
     """
     length = HEADER + (channels if staged else 0)
     stride = _stride(length, dtype)
@@ -87,7 +88,9 @@ def survivor_functions(
     locate = f"{vector}* p = ({vector}*)address + place * {stride // per_word};"
     floats = LANES_CUDA * stride
     word = wp.int32 if dtype is wp.float32 else wp.int64
+    remaining = channels - first_channels
     vec2, vec3, vecC = (wp.types.vector(count, dtype) for count in (2, 3, channels))
+    vecA, vecB = wp.types.vector(first_channels, dtype), wp.types.vector(max(remaining, 1), dtype)
     _, _, reaches_block, _ = alpha_functions(dtype)
     across, down, zero = dtype(layout.block_width - 1), dtype(layout.block_height - 1), dtype(0.0)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
@@ -125,6 +128,18 @@ def survivor_functions(
         return mean, root, opacity, opacity_t
 
     @wp.func
+    def features_of(g: int, features: wp.array(dtype=vecA), rest: wp.array(dtype=vecB)):
+        f = vecC()
+        first = features[g]
+        for c in range(first_channels):
+            f[c] = first[c]
+        if wp.static(remaining > 0):
+            others = rest[g]
+            for c in range(remaining):
+                f[first_channels + c] = others[c]
+        return f
+
+    @wp.func
     def admit(
         address: wp.uint64,
         lane: int,
@@ -136,7 +151,8 @@ def survivor_functions(
         root: vec3,
         opacity: dtype,
         opacity_t: dtype,
-        features: wp.array(dtype=vecC),
+        features: wp.array(dtype=vecA),
+        rest: wp.array(dtype=vecB),
     ):
         hit = int(0)
         if lane < candidates:
@@ -158,7 +174,7 @@ def survivor_functions(
             r[7] = wp.cast(word(lane), dtype)
             r[8] = wp.cast(word(g), dtype)
             if wp.static(staged):
-                f = features[g]
+                f = features_of(g, features, rest)
                 for c in range(channels):
                     r[header + c] = f[c]
             below = (wp.uint32(1) << wp.uint32(lane)) - wp.uint32(1)
@@ -166,4 +182,4 @@ def survivor_functions(
         warp_sync()
         return count_bits(survivors)
 
-    return candidate, records_of_warp, admit, get, integer
+    return candidate, features_of, records_of_warp, admit, get, integer

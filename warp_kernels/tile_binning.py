@@ -124,6 +124,7 @@ def binning_kernels(dtype: type, lanes: int):
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
         features: wp.array2d(dtype=dtype),
+        rest: wp.array2d(dtype=dtype),
         # outputs
         radii: wp.array(dtype=wp.vec2i),
         tiles_per_gaussian: wp.array(dtype=wp.int32),
@@ -139,6 +140,9 @@ def binning_kernels(dtype: type, lanes: int):
             finite = bool(True)
             for c in range(features.shape[1]):
                 if not wp.isfinite(features[index, c]):
+                    finite = False
+            for c in range(rest.shape[1]):
+                if not wp.isfinite(rest[index, c]):
                     finite = False
             if finite:
                 mean2d = means2d[index]

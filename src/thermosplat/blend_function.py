@@ -12,28 +12,13 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.tile_lists import owners, read_by_adjoint, unowned, views
-from thermosplat.warp_bridge import given_view, kinds_of, lend, vector_of, view
-from thermosplat.warp_streams import kept_apart, on_torch_stream
+from thermosplat.tile_lists import TileLists
+from thermosplat.warp_bridge import given_view, keep, kept, kinds_of, lend, take_back, vector_of, view
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels import blending_step
-from warp_kernels.array_views import nothing
+from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.gradient_records import features_apart
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import TileBins
-
-
-class Join(torch.autograd.Function):
-    """Colours and features side by side, [M, C] and [M, D]; torch's own would return gradients that keep both alive."""
-
-    @staticmethod
-    def forward(ctx: Any, colors: Tensor, features: Tensor) -> Tensor:
-        ctx.channels = colors.shape[-1]
-        return torch.cat([colors, features], -1)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, v_both: Tensor) -> tuple[Tensor, Tensor]:
-        return v_both[:, : ctx.channels].contiguous(), v_both[:, ctx.channels :].contiguous()
 
 
 @dataclass
@@ -42,10 +27,8 @@ class BlendInputs:
 
     projected: ProjectedArrays
     extents: Tensor
-    bins: TileBins
+    lists: TileLists
     settings: ProjectionSettings
-    first_image: int
-    """Channels of the first image of the render; the others are a second."""
     thermal_channels: int
     shown_means2d: Tensor | None
     """The tensor users see as info["means2d"], whose ``absgrad`` attribute the backward pass sets; None: not wanted."""
@@ -75,66 +58,63 @@ class Blend(torch.autograd.Function):
         opacities: Tensor,
         thermal_opacities: Tensor | None,
         features: Tensor,
+        rest: Tensor | None,
         inputs: BlendInputs,
     ) -> BlendedTensors:
         dtype, settings = means2d.dtype, inputs.settings
         scalar = kinds_of(dtype).scalar
-        rows = (settings.num_images * settings.height, settings.width)
-        shape = (*means2d.shape[:-2], settings.height, settings.width)
-        renders: list[Tensor] = []
-        read, arrays = [], []
-        for channels in (features.shape[-1], inputs.thermal_channels):
-            if channels > 0:
-                render, transmittance = means2d.new_empty((*shape, channels)), means2d.new_empty((*shape, 1))
-                last_pairs = means2d.new_empty(rows, dtype=torch.int32)
-                renders += [render, transmittance]
-                read += [transmittance, last_pairs]
-                kinds = ((render, vector_of(channels, dtype)), (transmittance, scalar), (last_pairs, wp.int32))
-                arrays += [view(image, kind, *rows) for image, kind in kinds]
-        with on_torch_stream(means2d.device), kept_apart() as made:
-            ctx.projected = inputs.projected
-            ctx.opacities = view(opacities, scalar)
-            ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
-            ctx.features = view(features, vector_of(features.shape[-1], dtype))
-            ctx.blended = blending_step.BlendedArrays(*arrays)
-            bins = read_by_adjoint(inputs.bins)
-            ctx.bins, ctx.inputs = unowned(bins), (settings, inputs.first_image, inputs.shown_means2d)
-            step = (ctx.projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.bins, settings, ctx.blended)
-            ctx.walk = blending_step.blend(*step)
+        channels = features.shape[-1] + (0 if rest is None else rest.shape[-1])
+        images = _make_images(means2d, settings, (channels, inputs.thermal_channels))
+        projected, lists = inputs.projected, inputs.lists
+        ctx.opacities = view(opacities, scalar)
+        ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
+        ctx.features = view(features, vector_of(features.shape[-1], dtype))
+        ctx.rest = None if rest is None else view(rest, vector_of(rest.shape[-1], dtype))
+        ctx.blended = blending_step.BlendedArrays(*[array for array, _ in images])
+        ctx.projected, ctx.bins = projected, lists.bins
+        ctx.inputs = (settings, inputs.shown_means2d)
+        step = (projected, ctx.opacities, ctx.thermal_opacities, ctx.features, lists.bins, settings, ctx.blended)
+        with launches_on_torch_stream(means2d.device):
+            ctx.walk = blending_step.blend(*step, rest=ctx.rest)
         ctx.set_materialize_grads(False)
-        # Of the images only those that the adjoint reads, so that users may change the renders in place.
-        extents = None if means2d.is_cuda else inputs.extents  # which only a row of pixels asks for
-        tensors = (means2d, roots, opacities, thermal_opacities, features, extents)
-        ctx.save_for_backward(*tensors, *read, *owners(bins), *(tensor for _, tensor in made))
-        projected = (ctx.projected.means2d, ctx.projected.roots)
-        gaussians = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.projected.extents)
-        images = [array for image in range(0, len(arrays), 3) for array in arrays[image + 1 : image + 3]]
-        ctx.arrays = (*gaussians, *images, *views(ctx.bins), *(array for array, _ in made))  # of the saved tensors
-        render, transmittance = renders[:2]
-        rest = None
-        if inputs.first_image < render.shape[-1]:
-            render, rest = render[..., : inputs.first_image], render[..., inputs.first_image :]
-        thermal_render = renders[2] if len(renders) > 2 else None
-        thermal_alphas = 1.0 - renders[3] if len(renders) > 2 else None
-        return BlendedTensors(render, rest, 1.0 - transmittance, transmittance, thermal_render, thermal_alphas)
+        keep(
+            ctx,
+            (projected.means2d, means2d),
+            (projected.roots, roots),
+            (ctx.opacities, opacities),
+            (ctx.thermal_opacities, thermal_opacities),
+            (ctx.features, features),
+            (ctx.rest, rest),
+            (projected.extents, None if means2d.is_cuda else inputs.extents),  # which only a row of pixels asks for
+            # Of the images only those that the adjoint reads, so that users may change the renders in place.
+            *images[1:3],
+            *images[5:7],
+            *lists.read_by_adjoint(),
+            (ctx.walk.states, ctx.walk.states.release()),
+        )
+        render, transmittance, _, alphas = (image for _, image in images[:4])
+        render_rest = thermal_render = thermal_alphas = None
+        if rest is not None:
+            render, render_rest = render[..., : features.shape[-1]], render[..., features.shape[-1] :]
+        if len(images) > 4:
+            thermal_render, thermal_alphas = images[4][1], images[7][1]
+        return BlendedTensors(render, render_rest, alphas, transmittance, thermal_render, thermal_alphas)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        saved = ctx.saved_tensors
-        for array, tensor in zip(ctx.arrays, saved, strict=True):
-            # What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
-            if tensor is not None and tensor.data_ptr() != array.ptr:
-                array.place(tensor.data_ptr())
-        means2d, roots, opacities, thermal_opacities, features = saved[:5]
-        settings, first_image, shown_means2d = ctx.inputs
-        inputs = (means2d, roots, opacities, thermal_opacities, features)
-        arrays = (ctx.projected.means2d, ctx.projected.roots, ctx.opacities, ctx.thermal_opacities, ctx.features)
+        held = kept(ctx)
+        means2d, (features, rest) = held[0], held[4:6]
+        settings, shown_means2d = ctx.inputs
+        projected = (ctx.projected.means2d, ctx.projected.roots)
+        arrays = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.rest)
         # Stored where a thread has a Gaussian and not a rank; many features' gradients are always added to.
         by_slot = ctx.bins.slots is not None
         make = torch.zeros_like if by_slot else torch.empty_like
-        make_last = torch.zeros_like if features_apart(features.shape[-1], by_slot) else make
-        found = (*(None if one is None else make(one) for one in inputs[:-1]), make_last(features))
+        found = [None if one is None else make(one) for one in held[:4]]
+        for one in (features, rest):
+            added = one is not None and features_apart(one.shape[-1], by_slot)
+            found.append(None if one is None else torch.zeros_like(one) if added else make(one))
         absolute = None if shown_means2d is None else torch.zeros_like(means2d)
         v_render, v_rest, v_alphas, v_transmittance, v_thermal_render, v_thermal_alphas = gradients
         if v_transmittance is not None:
@@ -145,9 +125,8 @@ class Blend(torch.autograd.Function):
             (blended.thermal_render, v_thermal_render),
             (blended.thermal_transmittance, v_thermal_alphas),
         )
-        rest = features.shape[-1] - first_image
-        kinds = (vector_of(channels, dtype) for channels in (first_image, max(rest, 1)))
-        with on_torch_stream(means2d.device) as device:
+        kinds = (vector_of(1 if one is None else one.shape[-1], dtype) for one in (features, rest))
+        with launches_on_torch_stream(means2d.device) as device:
             for array, gradient in zip(arrays, found, strict=True):
                 if gradient is not None:
                     array.grad = view(gradient, array.dtype)
@@ -158,13 +137,30 @@ class Blend(torch.autograd.Function):
                 for kind, given in zip(kinds, (v_render, v_rest), strict=True)
             ]
             sums = None if absolute is None else view(absolute, kinds_of(dtype).vec2)
-            step = (*arrays[2:], ctx.bins, settings, blended, ctx.walk)
-            blending_step.blend_adjoint(
-                ctx.projected, *step, v_images=tuple(v_images), v_alphas=True, absolute=sums, store=True
-            )
-            for image, given in images:
-                if given is not None:
-                    image.grad = None
+            step = (ctx.projected, *arrays[2:5], ctx.bins, settings, blended, ctx.walk)
+            v_given = {"v_images": tuple(v_images), "v_alphas": True, "absolute": sums}
+            blending_step.blend_adjoint(*step, rest=ctx.rest, **v_given, store=True)
+        take_back(*arrays, *(image for image, _ in images))
         if absolute is not None:
             shown_means2d.absgrad = absolute
         return *found, None
+
+
+def _make_images(
+    means2d: Tensor, settings: ProjectionSettings, channels: tuple[int, int]
+) -> list[tuple[ArrayView, Tensor]]:
+    """For each opacity with channels a render, transmittance, last pairs and alphas, [..., C, H, W, channels]."""
+    scalar = kinds_of(means2d.dtype).scalar
+    rows = (settings.num_images * settings.height, settings.width)
+    shape = (*means2d.shape[:-2], settings.height, settings.width)
+    images = []
+    for count in channels:
+        if count > 0:
+            single = (*shape, 1)
+            images += [
+                (means2d.new_empty((*shape, count)), vector_of(count, means2d.dtype)),
+                (means2d.new_empty(single), scalar),
+                (means2d.new_empty(single, dtype=torch.int32), wp.int32),
+                (means2d.new_empty(single), scalar),
+            ]
+    return [(view(image, kind, *rows), image) for image, kind in images]

@@ -8,7 +8,8 @@ A checkpoint is a plain dict of tensors and built-in types (``torch.load(..., we
     sh_degree      int, highest spherical-harmonics degree in use
     model          {"gaussian_sets": {name: packed state_dict}, "decoders": state_dict | None, "thermal_channels": int}
     thermal_scale  dict (``ThermalScale.state_dict``) | None
-    training       dict, optimizer and densification state (``training.trainer``)
+    training       dict, optimizer and densification state (``training.training_state``)
+    train_frames   list of the training frames' names; checkpoints of 0.1.0 have none
 """
 
 import contextlib
@@ -23,7 +24,15 @@ import torch
 from thermosplat.errors import UserError
 
 FORMAT = 1
-_REQUIRED = ("step", "config", "sh_degree", "model", "thermal_scale", "training")
+_REQUIRED: dict[str, tuple[str, ...]] = {
+    "step": (),
+    "config": (),
+    "sh_degree": (),
+    "model": ("gaussian_sets", "decoders", "thermal_channels"),
+    "thermal_scale": (),
+    "training": (),
+}
+"""What a checkpoint must have, and what of it must lie in which entry."""
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
@@ -45,7 +54,8 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         os.replace(temporary, path)
     except OSError as error:
         raise UserError(
-            f"Could not write {path}: {error.strerror or error}.", "Free some space, or give another --result-dir."
+            f"Could not write {path}: {error.strerror or error}.",
+            "Free some space, or choose another folder to write to.",
         ) from error
     finally:
         with contextlib.suppress(OSError):
@@ -106,6 +116,8 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
             "Use the version of thermosplat that wrote it.",
         )
     missing = [key for key in _REQUIRED if key not in state]
+    for key, entries in _REQUIRED.items():
+        missing += [f"{key}.{entry}" for entry in entries if key in state and entry not in state[key]]
     if missing:
         raise UserError(f"{path} is not a complete checkpoint: {', '.join(missing)} missing.")
     return state

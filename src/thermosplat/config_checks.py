@@ -1,6 +1,7 @@
 """What a configuration must satisfy beyond its types: ranges, and settings that exclude each other."""
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,6 +17,7 @@ _AT_LEAST: dict[str, float] = {
     "log_every": 1,
     "seed": 0,
     "model.feature_dim": 0,
+    "model.feature_noise": 0,
     "decoder.hidden_dim": 1,
     "decoder.hidden_layers": 1,
     "densification.every": 1,
@@ -31,12 +33,16 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.validation_views": 0,
     "auto_budget.validate_every": 1,
     "auto_budget.patience": 1,
+    "auto_budget.least_gain": 0,
     "densification.position_noise": 0,
+    "densification.grad_threshold": 0,
+    "densification.prune_large_from": 0,
     "densification.decompose_threshold": 0,
     "densification.start_step": 0,
     "densification.stop_step": 0,
 }
 _AT_MOST: dict[str, float] = {
+    "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": 3,  # what the renderer's kernels evaluate
     "model.feature_dim": 61,  # the renderer blends at most 64 channels, three of them colour
 }
@@ -76,6 +82,10 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     def name(key: str) -> str:
         return f"{source}: {key}" if source else "--" + key.replace("_", "-")
 
+    for key, value in values.items():
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float) and not math.isfinite(number):
+                raise UserError(f"{name(key)} must be finite, found {number}.")
     for key, least in _AT_LEAST.items():
         if values[key] is not None and values[key] < least:
             raise UserError(f"{name(key)} must be at least {least}, found {values[key]}.")
@@ -89,8 +99,11 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         if not values[key] > 0:
             raise UserError(f"{name(key)} must be positive, found {values[key]}.")
     for key, value in values.items():
-        if key.startswith(("loss.", "optimizer.")) and not 0 <= value < float("inf"):
+        if key.startswith(("loss.", "optimizer.")) and value < 0:
             raise UserError(f"{name(key)} must be zero or positive, found {value}.")
+    for key in ("eval_steps", "save_steps"):
+        if any(step < 1 for step in values[key]):
+            raise UserError(f"{name(key)} must be steps from 1 on, found {list(values[key])}.")
     if not 0 < values["model.init_opacity"] < 1:
         raise UserError(f"{name('model.init_opacity')} must lie between 0 and 1, found {values['model.init_opacity']}.")
     if not all(0 <= channel <= 1 for channel in config.background):

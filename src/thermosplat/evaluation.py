@@ -167,8 +167,9 @@ def _finite(number: float | None) -> float | None:
 
 def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
     render, truth = result.image.cpu().numpy(), result.target.cpu().numpy()
-    score = "exact" if decibels is None else f"{decibels:.2f} dB"
     error = np.abs(render - truth).mean(axis=-1)
+    without = "not finite" if np.isnan(error).any() else "exact"
+    score = without if decibels is None else f"{decibels:.2f} dB"
     if result.scale is None:
         return Comparison("RGB", score, rgb_bytes(truth), rgb_bytes(render), error, LARGEST_ERROR)
     shown = thermal_bytes(truth, result.scale), thermal_bytes(render, result.scale)

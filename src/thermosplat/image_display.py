@@ -13,6 +13,8 @@ from thermosplat.checkpoint import write_atomically
 from thermosplat.radiometry import ThermalScale
 
 Image8 = NDArray[np.uint8]
+_NO_SPAN = 1e-30
+"""Stands for a largest error of 0, by which nothing can be divided."""
 
 
 def rgb_bytes(image: NDArray[np.floating]) -> Image8:
@@ -41,9 +43,9 @@ def error_bytes(error: NDArray[np.floating], largest: float) -> Image8:
 
     Args:
         error: Absolute errors, shape [H, W].
-        largest: Error at the palette's bright end, in the unit of ``error``.
+        largest: Error at the palette's bright end, in the unit of ``error``; 0 where a capture has one value only.
     """
-    levels = np.rint(np.clip(error / largest, 0.0, 1.0) * 255.0).astype(np.uint8)
+    levels = np.rint(np.clip(error / max(largest, _NO_SPAN), 0.0, 1.0) * 255.0).astype(np.uint8)
     return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_INFERNO)[..., ::-1])
 
 

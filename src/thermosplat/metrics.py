@@ -26,10 +26,10 @@ def psnr(render: Tensor, target: Tensor) -> float:
         target: Ground truth in [0, 1], shape [H, W, C].
 
     Returns:
-        -10 log10(mean squared error) [dB]; infinity for equal images.
+        -10 log10(mean squared error) [dB]; infinity for equal images, NaN if a pixel is NaN.
     """
     squared_error = (render.clamp(0, 1) - target).square().mean().item()
-    return -10.0 * math.log10(squared_error) if squared_error > 0 else math.inf
+    return math.inf if squared_error == 0 else -10.0 * math.log10(squared_error)
 
 
 def ssim(render: Tensor, target: Tensor) -> float:

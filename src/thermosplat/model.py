@@ -76,6 +76,9 @@ class SceneModel(nn.Module):
 
         Args:
             name: "shared", "rgb" or "thermal".
+
+        Raises:
+            KeyError: The model has no such set.
         """
         gaussians = self.gaussian_sets[name]
         if not isinstance(gaussians, Gaussians):

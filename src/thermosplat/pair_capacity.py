@@ -1,8 +1,8 @@
 """Room for the (Gaussian, tile) pairs of a step known beforehand, so that no rasterization waits for the device.
 
 A rasterization reads the numbers of its pairs and of the Gaussians that have any back to the host, to allocate what
-they need. A step that is captured in a
-CUDA graph cannot: it gets a fixed room instead, measured on the steps before, and says on the device what did not fit.
+they need. A step that is captured in a CUDA graph cannot: it gets a fixed room instead, measured on the steps before,
+and says on the device what did not fit.
 """
 
 import math
@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
+from thermosplat.warp_pair_notes import note_totals
 
 CALLS = 8
 """Most rasterizations in a step."""
@@ -142,22 +143,14 @@ class PairCapacity:
         """Room of the next call for Gaussians that have pairs; None: it reads their number back."""
         return self._listed_limits[self._calls] if self._fixed else None
 
-    @torch.no_grad()
     def note(self, totals: Tensor) -> None:
         """Note the pairs of a call, room for them or not.
 
         Args:
             totals: int64 on the device: [1] all pairs, or [2] and the Gaussians that have any; [0] without Gaussians.
         """
-        numbers = totals.split(1) if totals.numel() > 0 else ()
-        for total, most, limits in zip(
-            numbers, (self.most, self.most_listed), (self._limits, self._listed_limits), strict=False
-        ):
-            here = most[self._calls : self._calls + 1]
-            here.copy_(torch.maximum(here, total))
-            if self._fixed:
-                short = (total > limits[self._calls]).to(self.overflow.dtype).squeeze()
-                self.overflow.copy_(torch.maximum(self.overflow, short))
+        limits = (self._limits[self._calls], self._listed_limits[self._calls]) if self._fixed else None
+        note_totals(self._calls, limits, totals, self.most, self.most_listed, self.overflow)
         self._calls += 1
 
 

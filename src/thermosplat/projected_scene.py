@@ -9,11 +9,9 @@ from thermosplat.blend_function import Blend, BlendedTensors, BlendInputs
 from thermosplat.pair_capacity import active_pair_capacity
 from thermosplat.rasterization_functions import Project, ProjectedTensors, ShColors
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
-from thermosplat.tile_lists import bin_tiles
-from thermosplat.warp_bridge import to_torch
+from thermosplat.tile_lists import TileLists, bin_tiles
 from warp_kernels.color_step import ColorSettings
 from warp_kernels.projection import ProjectionSettings
-from warp_kernels.tile_binning import TileBins
 
 
 class ProjectedScene:
@@ -65,7 +63,7 @@ class ProjectedScene:
         # and what per_image and colors are given; detached when they are counted
         self._inputs = [(self.means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
         bound = opacities.detach().contiguous()
-        *projected, self._means = Project.apply(
+        *projected, self._means, self._arrays = Project.apply(
             self.means,
             quats,
             scales,
@@ -78,12 +76,11 @@ class ProjectedScene:
             self.images_shape,
         )
         self.projected = ProjectedTensors(*projected)
-        self._arrays = self.projected.arrays()
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
         self.means2d, self.depths = self.projected.means2d, self.projected.depths
         self.opacities = self._per_image_opacities(opacities)
         self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
-        self._bins: TileBins | None = None
+        self._lists: TileLists | None = None
 
     def _per_image_opacities(self, opacities: Tensor) -> Tensor:
         self._inputs.append((opacities, 1))
@@ -111,7 +108,7 @@ class ProjectedScene:
         if sh_degree is None:
             return self.per_image(colors, per_camera=per_camera)
         active = (sh_degree + 1) ** 2
-        self._note(colors[..., :active, :])
+        self._note(colors if colors.shape[-2] == active else colors[..., :active, :])
         if higher_degrees is not None:
             self._note(higher_degrees[..., : active - 1, :])
             higher_degrees = higher_degrees.contiguous() if higher_degrees.shape[-2] > 0 else None
@@ -128,13 +125,13 @@ class ProjectedScene:
         features: Tensor,
         absgrad: bool,
         *,
-        first_image: int | None = None,
+        rest: Tensor | None = None,
         thermal_channels: int = 0,
         thermal_opacity: bool = False,
     ) -> BlendedTensors:
         """Blends flat features; with ``thermal_channels``, the last of them a second time at the thermal opacity.
 
-        ``first_image``: channels of the render's first image, where there are to be two.
+        ``rest``: flat features to blend beside the others, to an image of their own.
         """
         opacities = self.opacities
         if thermal_opacity and self.thermal_opacities is not None:
@@ -143,13 +140,13 @@ class ProjectedScene:
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
-            self._bin(features),
+            self._bin(features, rest),
             self.settings,
-            features.shape[-1] if first_image is None else first_image,
             thermal_channels,
             self.means2d if absgrad else None,
         )
-        return BlendedTensors(*Blend.apply(self.means2d, self.projected.roots, opacities, second, features, inputs))
+        tensors = (self.means2d, self.projected.roots, opacities, second, features, rest)
+        return BlendedTensors(*Blend.apply(*tensors, inputs))
 
     def blend_in_chunks(
         self, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
@@ -167,35 +164,35 @@ class ProjectedScene:
         ]
         return parts[0]._replace(render=torch.cat([part.render for part in parts], -1))
 
-    def _bin(self, features: Tensor) -> TileBins:
-        """The bins, made once; ``features`` of the first call are checked for being finite."""
-        if self._bins is None:
+    def _bin(self, features: Tensor, rest: Tensor | None = None) -> TileLists:
+        """The lists of Gaussians, made once; the features of the first call are checked for being finite."""
+        if self._lists is None:
             room = active_pair_capacity()
-            self._bins = bin_tiles(
+            self._lists = bin_tiles(
                 self._arrays,
                 self.opacities,
                 self.opacities if self.thermal_opacities is None else self.thermal_opacities,
                 features,
                 self.settings,
                 self.tile_size,
+                rest,
                 room.limit() if room is not None else None,
                 room.listed_limit() if room is not None else None,
                 deterministic=self.deterministic,
             )
             if room is not None:
-                totals = self._bins.totals
-                room.note(to_torch(self._bins.pair_ends)[-1:] if totals is None else to_torch(totals)[-1])
-        return self._bins
+                tensors = self._lists.tensors
+                room.note(tensors["totals"][-1] if "totals" in tensors else tensors["pair_ends"][-1:])
+        return self._lists
 
     def info(self) -> RasterizationInfo:
         """gsplat's ``meta`` dictionary, once something has been blended."""
         settings = self.settings
-        bins = self._bins
-        if bins is None:
+        if self._lists is None:
             raise RuntimeError("info() comes after blend().")
+        bins, tensors = self._lists
         shape = self.images_shape
-        flatten_ids = to_torch(bins.gaussian_ids)
-        tile_offsets = to_torch(bins.tile_offsets)
+        flatten_ids, tile_offsets = tensors["gaussian_ids"], tensors["tile_offsets"]
         values = {
             "batch_ids": None,
             "camera_ids": None,
@@ -206,7 +203,7 @@ class ProjectedScene:
             "opacities": self.opacities,
             "tile_width": bins.tiles_x,
             "tile_height": bins.tiles_y,
-            "tiles_per_gauss": to_torch(bins.tiles_per_gaussian).reshape(*shape, -1),
+            "tiles_per_gauss": tensors["tiles_per_gaussian"].reshape(*shape, -1),
             "flatten_ids": flatten_ids,
             "isect_offsets": tile_offsets[:-1].reshape(*shape, bins.tiles_y, bins.tiles_x),
             "width": settings.width,
@@ -217,14 +214,14 @@ class ProjectedScene:
         }
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
-        depths, tiles = self.depths.detach().flatten(), bins.tiles_x * bins.tiles_y
+        depths, tiles = self.depths, bins.tiles_x * bins.tiles_y
         roots, radii = self.projected.roots, self.projected.radii
         inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
         return RasterizationInfo(
             values,
             {
                 "conics": lambda: conics(roots, radii),
-                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths, tiles),
+                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles),
                 "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
             },
         )

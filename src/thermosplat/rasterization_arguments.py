@@ -1,6 +1,7 @@
 """Checks of the rasterizer's arguments: each failure says what was expected, what was found and what is supported."""
 
 import math
+import operator
 from typing import Any, Literal, get_args
 
 import torch
@@ -17,6 +18,15 @@ CameraModel = Literal["pinhole", "ortho"]
 SH_DEGREE_MAX = 3
 INDEX_MAX = 2**31
 """Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
+
+CHOICES: tuple[tuple[str, tuple[Any, ...]], ...] = (
+    ("render_mode", get_args(RenderMode)),
+    ("rasterize_mode", get_args(RasterizeMode)),
+    ("camera_model", get_args(CameraModel)),
+    ("tile_size", TILE_SIZES),
+    ("sh_degree", (None, *range(SH_DEGREE_MAX + 1))),
+)
+"""Arguments of which there are few, and what they may be."""
 
 SUPPORTED = "pinhole and ortho cameras without distortion, dense gradients, one process"
 
@@ -53,26 +63,24 @@ def check_modes(
         rasterize_mode: one of ``RasterizeMode``.
         camera_model: one of ``CameraModel``.
         tile_size: one of ``TILE_SIZES`` [px].
-        width: image width [px].
+        width: image width [px]; NumPy's integers will do.
         height: image height [px].
         sh_degree: None or 0 to 3.
 
     Raises:
         UserError: naming the argument, what is supported, and what was given.
     """
-    choices: list[tuple[str, Any, tuple[Any, ...]]] = [
-        ("render_mode", render_mode, get_args(RenderMode)),
-        ("rasterize_mode", rasterize_mode, get_args(RasterizeMode)),
-        ("camera_model", camera_model, get_args(CameraModel)),
-        ("tile_size", tile_size, TILE_SIZES),
-        ("sh_degree", sh_degree, (None, *range(SH_DEGREE_MAX + 1))),
-    ]
-    for name, value, allowed in choices:
+    given = (render_mode, rasterize_mode, camera_model, tile_size, sh_degree)
+    for value, (name, allowed) in zip(given, CHOICES, strict=True):
         if value not in allowed:
             raise UserError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}.")
     for name, size in (("width", width), ("height", height)):
-        if not isinstance(size, int) or size < 1:
-            raise UserError(f"{name} must be a positive number of pixels, got {size!r}.")
+        try:
+            pixels = operator.index(size)
+        except TypeError:
+            pixels = 0
+        if pixels < 1:
+            raise UserError(f"{name} must be a positive whole number of pixels, got {size!r}.")
 
 
 def check_limits(**limits: float) -> None:
@@ -106,7 +114,7 @@ def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, m
     """
     if not isinstance(tensor, Tensor):
         raise UserError(f"{name} must be a torch.Tensor, got {type(tensor).__name__}.")
-    if tuple(tensor.shape) != shape:
+    if tensor.shape != shape:
         letters = f" = {meaning}" if meaning else ""
         raise UserError(f"{name} must have shape {list(shape)}{letters}, got {list(tensor.shape)}.")
     if tensor.dtype != means.dtype:
@@ -283,8 +291,8 @@ def checked_settings(
             "Render fewer cameras per call.",
         )
     return ProjectionSettings(
-        width=width,
-        height=height,
+        width=operator.index(width),
+        height=operator.index(height),
         num_gaussians=count,
         num_cameras=cameras,
         num_images=images,

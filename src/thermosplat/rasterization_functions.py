@@ -13,8 +13,8 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.warp_bridge import kinds_of, lend, view, warp_device_of
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_bridge import keep, kept, kinds_of, lend, take_back, view, warp_device_of
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
@@ -46,7 +46,9 @@ class ProjectedTensors(NamedTuple):
 
 
 class Project(torch.autograd.Function):
-    """Projection; see ``projection_step``. Returns the fields of ``ProjectedTensors``, and the means once more.
+    """Projection; see ``projection_step``.
+
+    Returns the fields of ``ProjectedTensors``, the means once more, and the arrays of the former.
 
     What is computed from the means of projected Gaussians should take those: its gradient is then added to by the
     projection's adjoint, instead of a second gradient of that size by torch.
@@ -65,7 +67,7 @@ class Project(torch.autograd.Function):
         Ks: Tensor,
         settings: ProjectionSettings,
         images_shape: tuple[int, ...],
-    ) -> tuple[Tensor, ...]:
+    ) -> tuple[Any, ...]:
         shape = (*images_shape, settings.num_gaussians)
         projected = ProjectedTensors(
             means2d=means.new_empty((*shape, 2)),
@@ -75,22 +77,34 @@ class Project(torch.autograd.Function):
             radii=means.new_empty((*shape, 2), dtype=torch.int32),
             extents=means.new_empty((*shape, 2)),
         )
-        ctx.settings = settings
-        with on_torch_stream(means.device):
-            gaussians = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
-            project(gaussians, settings, projected.arrays())
+        p = projected.arrays()
+        g = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
+        with launches_on_torch_stream(means.device):
+            project(g, settings, p)
         ctx.mark_non_differentiable(projected.radii, projected.extents)
         ctx.set_materialize_grads(False)
-        outputs = (projected.roots, projected.compensations, projected.radii)
-        ctx.save_for_backward(means, quats, scales, covars, opacities, viewmats, Ks, *outputs)
-        return *projected, means.view_as(means)
+        ctx.settings, ctx.gaussians, ctx.projected = settings, g, p
+        keep(
+            ctx,
+            (g.means, means),
+            (g.quats, quats),
+            (g.scales, scales),
+            (g.covars, covars),
+            (g.viewmats, viewmats),
+            (g.Ks, Ks),
+            # Of means2d and depths the adjoint reads only the gradients.
+            (p.roots, projected.roots),
+            (p.compensations, projected.compensations),
+            (p.radii, projected.radii),
+        )
+        return *projected, means.view_as(means), p
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        means, quats, scales, covars, opacities, viewmats, Ks, roots, compensations, radii = ctx.saved_tensors
+        means, quats, scales, covars, viewmats, Ks, *_held = kept(ctx)
         to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
-        *v_projected, given = gradients
+        *v_projected, given = gradients[:-1]
         v_means = torch.empty_like(means) if given is None else given.contiguous()
         v_quats, v_covars = _empty(quats), _empty(covars)
         v_roots = v_projected[2]
@@ -102,20 +116,17 @@ class Project(torch.autograd.Function):
         else:
             v_scales = _empty(scales)
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
-        kinds = kinds_of(means.dtype)
-        with on_torch_stream(means.device) as device:
-            g = _gaussians(means, quats, scales, covars, opacities, opacities, viewmats, Ks)
-            inputs = (g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks)
-            for array, gradient in zip(inputs, (v_means, v_quats, v_scales, v_covars, v_viewmats, v_Ks), strict=True):
-                if gradient is not None:
-                    array.grad = view(gradient, array.dtype)
-            # Of means2d and depths the adjoint reads only the gradients.
-            unread = (ArrayView(0, (radii.numel() // 2,), kind, device) for kind in (kinds.vec2, kinds.scalar))
-            outputs = (*unread, view(roots, kinds.vec3), view(compensations, kinds.scalar))
-            for array, gradient in zip(outputs, v_projected, strict=False):
-                lend(array, gradient)
-            projected = ProjectedArrays(*outputs, view(radii, wp.vec2i), nothing(kinds.vec2, 1, device))
-            project_adjoint(g, ctx.settings, projected, store=True, add_to_means=given is not None)
+        g, p = ctx.gaussians, ctx.projected
+        inputs = (g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks)
+        outputs = (p.means2d, p.depths, p.roots, p.compensations)
+        for array, gradient in zip(inputs, (v_means, v_quats, v_scales, v_covars, v_viewmats, v_Ks), strict=True):
+            if gradient is not None:
+                array.grad = view(gradient, array.dtype)
+        for array, gradient in zip(outputs, v_projected, strict=False):
+            lend(array, gradient)
+        with launches_on_torch_stream(means.device):
+            project_adjoint(g, ctx.settings, p, store=True, add_to_means=given is not None)
+        take_back(*inputs, *outputs)
         return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, None
 
 
@@ -157,32 +168,41 @@ class ShColors(torch.autograd.Function):
         settings: ColorSettings,
     ) -> Tensor:
         colors = means.new_empty((radii.numel() // 2, 3))
-        ctx.settings = settings
-        with on_torch_stream(means.device):
-            arrays = _color_arrays(means, viewmats, sh0, shN, radii, colors)
+        arrays = _color_arrays(means, viewmats, sh0, shN, radii, colors)
+        with launches_on_torch_stream(means.device):
             sh_colors(arrays, settings)
-        ctx.camera_positions = arrays.camera_positions
-        ctx.save_for_backward(means, viewmats, sh0, shN, radii, colors)
+        ctx.settings, ctx.colors = settings, arrays
+        keep(
+            ctx,
+            (arrays.means, means),
+            (arrays.viewmats, viewmats),
+            (arrays.sh0, sh0),
+            (arrays.shN, shN),
+            (arrays.radii, radii),
+            (arrays.colors, colors),
+        )
         return colors
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_colors: Tensor) -> tuple[Tensor | None, ...]:
-        means, viewmats, sh0, shN, radii, colors = ctx.saved_tensors
+        means, viewmats, sh0, shN, *_held = kept(ctx)
+        arrays = ctx.colors
+        if shN is None:
+            arrays.shN.place(arrays.sh0.ptr + arrays.sh0.strides[1])
         v_colors = v_colors.contiguous()
         # As with roots and scales in Project: the gradient to the colours of one camera becomes the one to the means.
         v_means = v_colors.view_as(means) if ctx.settings.num_cameras == 1 else torch.empty_like(means)
         v_sh0, v_shN = torch.empty_like(sh0), _empty(shN)
         v_viewmats = _zeros(viewmats, ctx.needs_input_grad[1])
-        with on_torch_stream(means.device):
-            arrays = _color_arrays(means, viewmats, sh0, shN, radii, colors)
-            arrays.camera_positions = ctx.camera_positions
-            arrays.means.grad = view(v_means, arrays.means.dtype)
-            arrays.sh0.grad, arrays.shN.grad = _by_degree(v_sh0, v_shN)
-            if v_viewmats is not None:
-                arrays.viewmats.grad = view(v_viewmats, arrays.viewmats.dtype)
-            lend(arrays.colors, v_colors)
+        arrays.means.grad = view(v_means, arrays.means.dtype)
+        arrays.sh0.grad, arrays.shN.grad = _by_degree(v_sh0, v_shN)
+        if v_viewmats is not None:
+            arrays.viewmats.grad = view(v_viewmats, arrays.viewmats.dtype)
+        lend(arrays.colors, v_colors)
+        with launches_on_torch_stream(means.device):
             sh_colors_adjoint(arrays, ctx.settings, store=True)
+        take_back(arrays.means, arrays.viewmats, arrays.sh0, arrays.shN, arrays.colors)
         return v_means, v_viewmats, v_sh0, v_shN, None, None
 
 

@@ -34,6 +34,18 @@ class RasterizationInfo(dict[str, Any]):
             return default
         return self[key]
 
+    def pop(self, key: str, *default: Any) -> Any:
+        """As ``dict.pop``."""
+        if key in self._computed:
+            self[key]
+        return super().pop(key, *default)
+
+    def setdefault(self, key: str, default: Any = None) -> Any:
+        """As ``dict.setdefault``."""
+        if key in self._computed:
+            return self[key]
+        return super().setdefault(key, default)
+
     def items(self) -> Any:
         """As ``dict.items``, with every value computed."""
         self._compute_all()

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
-from thermosplat.blend_function import Join
+from thermosplat.errors import UserError
 from thermosplat.projected_scene import ProjectedScene
 from thermosplat.rasterization_arguments import (
     CameraModel,
@@ -21,7 +21,6 @@ from thermosplat.rasterization_arguments import (
     checked_settings,
     refuse_unsupported,
 )
-from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.constants import CHANNELS_MAX
 
 __all__ = ["RGBTRender", "rasterization", "rasterization_rgbt"]
@@ -183,34 +182,35 @@ def rasterization(
         rasterize_mode=rasterize_mode,
         camera_model=camera_model,
     )
+    if channel_chunk < 1:
+        raise UserError(f"channel_chunk must be at least 1, got {channel_chunk}.")
     per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
     colors, higher_degrees = colors if isinstance(colors, tuple) else (colors, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
-    with on_torch_stream(means.device):  # once for all steps
-        gaussians = (means, quats, scales, covars, opacities, None)
-        scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, deterministic=deterministic)
-        columns = []
-        if "RGB" in render_mode:
-            columns.append(scene.colors(colors, sh_degree, per_camera=per_camera, higher_degrees=higher_degrees))
-        if "D" in render_mode:
-            columns.append(scene.depths.reshape(-1, 1))
-            if "ED" in render_mode:
-                # The weights' sum, to divide by: 1 - T loses its digits where little is drawn.
-                columns.append(torch.ones_like(columns[-1]))
-            if backgrounds is not None:
-                # Depth has no background, as in gsplat.
-                zero = backgrounds.new_zeros(*backgrounds.shape[:-1], 2 if "ED" in render_mode else 1)
-                backgrounds = torch.cat([backgrounds, zero], -1) if "RGB" in render_mode else zero
-        features = columns[0] if len(columns) == 1 else torch.cat(columns, -1)
-
-        blended = scene.blend_in_chunks(features, min(channel_chunk, CHANNELS_MAX), absgrad)
-        render_colors = blended.render
-        if backgrounds is not None:
-            render_colors = render_colors + blended.transmittance * backgrounds[..., None, None, :]
+    gaussians = (means, quats, scales, covars, opacities, None)
+    scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, deterministic=deterministic)
+    columns = []
+    if "RGB" in render_mode:
+        columns.append(scene.colors(colors, sh_degree, per_camera=per_camera, higher_degrees=higher_degrees))
+    if "D" in render_mode:
+        columns.append(scene.depths.reshape(-1, 1))
         if "ED" in render_mode:
-            expected = render_colors[..., -2:-1] / render_colors[..., -1:].clamp(min=1e-10)
-            render_colors = torch.cat([render_colors[..., :-2], expected], -1)
-        return render_colors, blended.alphas, scene.info()
+            # The weights' sum, to divide by: 1 - T loses its digits where little is drawn.
+            columns.append(torch.ones_like(columns[-1]))
+        if backgrounds is not None:
+            # Depth has no background, as in gsplat.
+            zero = backgrounds.new_zeros(*backgrounds.shape[:-1], 2 if "ED" in render_mode else 1)
+            backgrounds = torch.cat([backgrounds, zero], -1) if "RGB" in render_mode else zero
+    features = columns[0] if len(columns) == 1 else torch.cat(columns, -1)
+
+    blended = scene.blend_in_chunks(features, min(channel_chunk, CHANNELS_MAX), absgrad)
+    render_colors = blended.render
+    if backgrounds is not None:
+        render_colors = render_colors + blended.transmittance * backgrounds[..., None, None, :]
+    if "ED" in render_mode:
+        expected = render_colors[..., -2:-1] / render_colors[..., -1:].clamp(min=1e-10)
+        render_colors = torch.cat([render_colors[..., :-2], expected], -1)
+    return render_colors, blended.alphas, scene.info()
 
 
 @torch.compiler.disable
@@ -304,29 +304,28 @@ def rasterization_rgbt(
     features_per_camera = check_colors("features", features, means, settings.num_cameras, features_sh_degree)
     features, features_rest = features if isinstance(features, tuple) else (features, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
-    with on_torch_stream(means.device):
-        gaussians = (means, quats, scales, None, opacities, thermal_opacities)
-        scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, deterministic=deterministic)
-        flat_colors = scene.colors(colors, sh_degree, per_camera=colors_per_camera, higher_degrees=higher_degrees)
-        flat_features = scene.colors(
-            features, features_sh_degree, per_camera=features_per_camera, higher_degrees=features_rest
-        )
-        both = Join.apply(flat_colors, flat_features)
-        channels, dim = flat_colors.shape[-1], flat_features.shape[-1]
-        thermal_channels = 0 if thermal_opacities is None else dim
-        if channels + dim + thermal_channels <= CHANNELS_MAX:
-            blended = scene.blend(both, absgrad, first_image=channels, thermal_channels=thermal_channels)
-        else:
-            blended = scene.blend_in_chunks(both, CHANNELS_MAX, absgrad)
-            render_colors, render_features = blended.render.split([channels, dim], dim=-1)
-            blended = blended._replace(render=render_colors, rest=render_features)
-            if thermal_opacities is not None:
-                thermal = scene.blend_in_chunks(flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True)
-                blended = blended._replace(thermal_render=thermal.render, thermal_alphas=thermal.alphas)
-        render_colors = blended.render
-        if backgrounds is not None:
-            render_colors = render_colors + blended.transmittance * backgrounds[..., None, None, :]
-        render_features = cast("Tensor", blended.rest)  # there are two images
-        return RGBTRender(
-            render_colors, render_features, blended.thermal_render, blended.alphas, blended.thermal_alphas, scene.info()
-        )
+    gaussians = (means, quats, scales, None, opacities, thermal_opacities)
+    scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, deterministic=deterministic)
+    flat_colors = scene.colors(colors, sh_degree, per_camera=colors_per_camera, higher_degrees=higher_degrees)
+    flat_features = scene.colors(
+        features, features_sh_degree, per_camera=features_per_camera, higher_degrees=features_rest
+    )
+    channels, dim = flat_colors.shape[-1], flat_features.shape[-1]
+    thermal_channels = 0 if thermal_opacities is None else dim
+    if channels + dim + thermal_channels <= CHANNELS_MAX:
+        blended = scene.blend(flat_colors, absgrad, rest=flat_features, thermal_channels=thermal_channels)
+    else:
+        both = torch.cat([flat_colors, flat_features], -1)
+        blended = scene.blend_in_chunks(both, CHANNELS_MAX, absgrad)
+        render_colors, render_features = blended.render.split([channels, dim], dim=-1)
+        blended = blended._replace(render=render_colors, rest=render_features)
+        if thermal_opacities is not None:
+            thermal = scene.blend_in_chunks(flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True)
+            blended = blended._replace(thermal_render=thermal.render, thermal_alphas=thermal.alphas)
+    render_colors = blended.render
+    if backgrounds is not None:
+        render_colors = render_colors + blended.transmittance * backgrounds[..., None, None, :]
+    render_features = cast("Tensor", blended.rest)  # there are two images
+    return RGBTRender(
+        render_colors, render_features, blended.thermal_render, blended.alphas, blended.thermal_alphas, scene.info()
+    )

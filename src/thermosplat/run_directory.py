@@ -85,7 +85,8 @@ class RunDirectory:
         """
         run = cls(path)
         if not run.holds_a_run():
-            what = "the folder holds no run" if run.path.is_dir() else "there is no such folder"
+            there = "that is a file" if run.path.exists() else "there is no such folder"
+            what = "the folder holds no run" if run.path.is_dir() else there
             raise UserError(
                 f"No training run in {run.path}: {what}.", "Give the --result-dir of a thermosplat-train run."
             )
@@ -103,7 +104,13 @@ class RunDirectory:
 
     def _folder(self, name: str) -> Path:
         folder = self.path / name
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(
+                f"Could not make the folder {folder}: {error.strerror}.",
+                "Move what is in its way, or see to it that the result folder can be written to.",
+            ) from error
         return folder
 
     @property

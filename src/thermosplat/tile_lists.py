@@ -1,6 +1,6 @@
 """The lists of Gaussians a tile, made in torch's memory, and who keeps that memory alive."""
 
-from dataclasses import replace
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
@@ -13,6 +13,22 @@ from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import TileBins
 
 
+class TileLists(NamedTuple):
+    """The lists, and the memory they lie in."""
+
+    bins: TileBins
+    """Arrays that do not keep their memory alive, so that whoever saves the tensors decides how long it lives."""
+    tensors: dict[str, Tensor]
+    """By the name of the array in it."""
+
+    def read_by_adjoint(self) -> list[tuple[Any, Tensor]]:
+        """Arrays that the blending's adjoint reads, with the tensors they lie in."""
+        names = ["gaussian_ids", "tile_offsets", "tiles_per_gaussian"]
+        if self.bins.slots is not None:
+            names += ["slots", "order", "pair_ends"]
+        return [(getattr(self.bins, name), self.tensors[name]) for name in names]
+
+
 def bin_tiles(
     projected: ProjectedArrays,
     opacities: Tensor,
@@ -20,11 +36,12 @@ def bin_tiles(
     features: Tensor,
     settings: ProjectionSettings,
     tile_size: int,
+    rest: Tensor | None = None,
     capacity: int | None = None,
     room: int | None = None,
     *,
     deterministic: bool = False,
-) -> TileBins:
+) -> TileLists:
     """Lists the Gaussians of each tile.
 
     Args:
@@ -34,12 +51,13 @@ def bin_tiles(
         features: [images · N, D].
         settings: image size.
         tile_size: edge of a tile [px].
+        rest: [images · N, D'], channels that lie apart from those; None: there are no others.
         capacity: pairs there is room for; None: their number is read back from the device.
         room: with ``capacity``, Gaussians with pairs there is room for; None: for all.
         deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
 
     Returns:
-        The bins.
+        The lists.
 
     Raises:
         UserError: if a CUDA graph is captured without ``capacity``, or there are too many pairs to number.
@@ -52,7 +70,7 @@ def bin_tiles(
                 "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
             )
         try:
-            return binning_step.bin_tiles(
+            bins = binning_step.bin_tiles(
                 projected,
                 view(opacities, scalar),
                 view(thermal_opacities, scalar),
@@ -60,59 +78,11 @@ def bin_tiles(
                 settings,
                 tile_size,
                 by_slot=deterministic or not device.is_cuda,
+                rest=None if rest is None else view(rest, scalar, *rest.shape),
                 capacity=capacity,
                 room=room,
             )
         except binning_step.TooManyPairsError as error:
             raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
-
-
-def read_by_adjoint(bins: TileBins) -> TileBins:
-    """The lists without those that only binning needed.
-
-    Args:
-        bins: from ``bin_tiles``.
-
-    Returns:
-        What the blending's adjoint reads.
-    """
-    if bins.slots is not None:
-        return replace(bins, totals=None)
-    return replace(bins, totals=None, order=None, pair_ends=None)
-
-
-def unowned(bins: TileBins) -> TileBins:
-    """The same lists, as arrays that do not keep their memory alive.
-
-    Args:
-        bins: any.
-
-    Returns:
-        The lists; see ``owners``.
-    """
-    arrays = {name: value.unowned() for name, value in vars(bins).items() if isinstance(value, ArrayView)}
-    return TileBins(**vars(bins) | arrays)
-
-
-def owners(bins: TileBins) -> list[Tensor]:
-    """What the lists' memory belongs to.
-
-    Args:
-        bins: any, but ``unowned`` ones.
-
-    Returns:
-        The tensors.
-    """
-    return [array.owner for array in views(bins)]
-
-
-def views(bins: TileBins) -> list[ArrayView]:
-    """The lists' arrays.
-
-    Args:
-        bins: any.
-
-    Returns:
-        The arrays, in the order of ``owners``.
-    """
-    return [value for value in vars(bins).values() if isinstance(value, ArrayView)]
+    tensors = {name: array.release() for name, array in vars(bins).items() if isinstance(array, ArrayView)}
+    return TileLists(bins, tensors)

@@ -42,8 +42,12 @@ def write_images(images: Iterable[Image8], target: Path, *, format: VideoFormat,
         except NoEncoderError:
             pass  # nothing was consumed
     target.mkdir(exist_ok=True)
+    written = set()
     for index, image in enumerate(images):
+        written.add(target / f"{index:05d}.png")
         write_png(target / f"{index:05d}.png", image)
+    for earlier in set(target.glob("[0-9]" * 5 + ".png")) - written:
+        earlier.unlink()  # of a longer path rendered into this folder before: the sequence would go on with it
     return target
 
 

@@ -124,6 +124,46 @@ def lend(array: ArrayView, gradient: Tensor | None) -> ArrayView:
     return array
 
 
+def take_back(*arrays: ArrayView | None) -> None:
+    """Takes gradients from arrays that outlive the adjoint which read or wrote them.
+
+    Args:
+        *arrays: inputs and outputs of a step; None for one that it does not have.
+    """
+    for array in arrays:
+        if array is not None:
+            array.grad = None
+
+
+def keep(ctx: Any, *kept: tuple[ArrayView | None, Tensor | None]) -> None:
+    """Saves tensors for the backward pass, and the arrays of their memory, which do not keep it alive.
+
+    Args:
+        ctx: of an autograd function.
+        *kept: arrays and tensors, in pairs; None for one that is not read.
+    """
+    ctx.arrays = [array for array, _ in kept]
+    ctx.save_for_backward(*[tensor for _, tensor in kept])
+
+
+def kept(ctx: Any) -> tuple[Any, ...]:
+    """What ``keep`` saved, in its order; the arrays are of that memory again.
+
+    What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
+
+    Args:
+        ctx: of an autograd function.
+
+    Returns:
+        The tensors or None, to be held while the arrays are read: where they were recomputed, nobody else does.
+    """
+    tensors = ctx.saved_tensors
+    for array, tensor in zip(ctx.arrays, tensors, strict=True):
+        if tensor is not None and tensor.data_ptr() != array.ptr:
+            array.place(tensor.data_ptr())
+    return tensors
+
+
 def to_torch(array: Any) -> Tensor:
     """A torch tensor on a Warp array's memory, which it keeps alive."""
     if isinstance(array, ArrayView):

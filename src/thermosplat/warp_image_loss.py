@@ -18,8 +18,8 @@ from warp_kernels.image_loss_step import (
     image_loss_totals,
     image_losses,
     image_losses_adjoint,
-    strips,
 )
+from warp_kernels.image_tiles import tiles_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +116,13 @@ class _ImageLosses(torch.autograd.Function):
         channels = sum(target.shape[-1] for target in targets)
         wanted = any(ctx.needs_input_grad)
         made = images[0].new_empty
-        sums = made(3 * channels, strips(height), width)
+        sums = made(3 * channels, tiles_of(height, width, SCALARS[images[0].dtype]))
         derivatives = made(*((3 * channels, height, width) if wanted else (0, 0, 0)))
         losses, squared_errors = made(TERMS + 1), made(TERMS)
         with on_torch_stream(images[0].device):
             arrays = _arrays(renders)
             image_losses(arrays, _arrays(targets), settings, _array(sums), _array(derivatives))
-            totals = sums.flatten(1).sum(1)
+            totals = sums.sum(1)
             image_loss_totals(arrays, settings, _array(totals), _array(losses), _array(squared_errors))
         ctx.save_for_backward(*images, *targets, derivatives)
         errors = squared_errors.unbind()[: len(terms)]

@@ -122,6 +122,7 @@ def test_failed_cell_is_named(run: Run, tmp_path: Path) -> None:
         (["sample", "--methods", "mmone", "--set", "3dgs:sh_degree=1"], 'no cell of this matrix is called "3dgs"'),
         (["sample", "--methods", "mmone", "--set", "sh_degre=1"], 'did you mean "sh_degree"'),
         (["--merge", "no/such/results"], "no no/such/results to merge"),
+        (["sample", "--out", __file__], "test_benchmark.py is a file; a matrix needs a folder"),
     ],
 )
 def test_mistakes(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], expected: str) -> None:

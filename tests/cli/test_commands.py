@@ -234,6 +234,30 @@ def test_capture_that_moved(run: Run, finished: Path, tmp_path: Path) -> None:
     assert "--data FOLDER" in printed
     code, _ = run(render.main, tmp_path / "run", "--data", "sample", "--path", "test", "--format", "png")
     assert code == 0
+    config = (finished / "config.yaml").read_text().replace("data: sample", f"data: {tmp_path / 'gone'}")
+    (tmp_path / "run" / "config.yaml").write_text(config)
+    code, printed = run(train.main, "--resume", tmp_path / "run", "--max-steps", STEPS + 1)
+    assert code == 2
+    assert f"thermosplat-train FOLDER --resume {tmp_path / 'run'}" in printed
+    code, _ = run(train.main, "sample", "--resume", tmp_path / "run", "--max-steps", STEPS + 1)
+    assert code == 0
+
+
+def test_another_capture_is_noticed(run: Run, finished: Path, tmp_path: Path) -> None:
+    """A run does not go on with a capture that lacks one of its training frames, and evaluating there says so."""
+    other = tmp_path / "other"
+    shutil.copytree(str(files("thermosplat") / "sample"), other)
+    for folder in ("rgb", "thermal"):
+        min((other / folder / "train").iterdir()).unlink()
+    before = (finished / "metrics.json").read_bytes()
+    code, printed = run(train.main, other, "--resume", finished, "--max-steps", STEPS + 1)
+    assert code == 2
+    assert "cannot go on with another capture" in printed
+    assert (finished / "metrics.json").read_bytes() == before
+    code, printed = run(evaluate.main, finished, "--data", other, "--device", "cpu")
+    assert code == 0
+    assert f"Is this the capture of {finished}?" in printed
+    assert "Is this the capture" not in run(evaluate.main, finished, "--device", "cpu")[1]
 
 
 @pytest.mark.parametrize("words", [["--frames", "0"], ["--fps", "0"], ["--path", "zigzag"], ["--modality", "sound"]])

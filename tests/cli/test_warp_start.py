@@ -1,13 +1,28 @@
 """Kernels of a step are compiled while images are read."""
 
+import errno
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from thermosplat.cli import warp_start
 from thermosplat.cli.warp_start import compiled_meanwhile
 from thermosplat.config import TrainConfig
+from thermosplat.errors import UserError
 from warp_kernels import step_kernels
+
+
+def test_a_cache_that_cannot_be_written_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message names the folder, and the variable that names another."""
+
+    def refuse() -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", "/home/me/.cache/warp")
+
+    monkeypatch.setattr(warp_start.wp, "init", refuse)
+    with pytest.raises(UserError, match=r"Permission denied \(/home/me/\.cache/warp\)") as caught:
+        warp_start.start_warp()
+    assert "WARP_CACHE_PATH" in caught.value.hint
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,19 @@ def test_palette_in_a_flir_file(tmp_path, order):
     np.testing.assert_allclose(levels, [(0, 0, 0), (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)], atol=2)
 
 
+def test_palette_behind_other_segments(tmp_path):
+    """Segments of other makers, and bytes that look like a picture's beginning within them, are stepped over."""
+    ycc = np.array([[16, 128, 128], [100, 120, 140], [235, 128, 128]])
+    write_flir_jpeg(tmp_path / "a.jpg", ycc)
+    data = (tmp_path / "a.jpg").read_bytes()
+    other = b"FLIR\0\x01\x07\x01" + b"\xff\xda junk"
+    segments = b"\xff\xe2" + (len(other) + 2).to_bytes(2, "big") + other
+    (tmp_path / "b.jpg").write_bytes(data[:2] + segments + data[2:])
+    np.testing.assert_array_equal(
+        read_flir_palette(tmp_path / "b.jpg").colors, read_flir_palette(tmp_path / "a.jpg").colors
+    )
+
+
 def test_files_without_a_palette(tmp_path):
     """Other images, cut-off files and missing ones give None."""
     write_image(tmp_path / "a.png", pseudo_color(temperatures(0)))

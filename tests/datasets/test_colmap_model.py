@@ -1,6 +1,7 @@
 """COLMAP models: where they are found, what is read, and how damage is told."""
 
 import numpy as np
+import pycolmap
 import pytest
 from capture_folders import synthetic_model, write_colmap_folder, write_model
 
@@ -88,3 +89,65 @@ def test_model_without_points(tmp_path):
     write_model(model, tmp_path / "sparse" / "0")
     with pytest.raises(UserError, match="0 points"):
         load_capture(tmp_path)
+
+
+@pytest.mark.parametrize(("points", "enough"), [(4, True), (3, False)])
+def test_four_points_are_the_least(tmp_path, points, enough):
+    """Scales come from the three nearest neighbours of a point."""
+    write_colmap_folder(tmp_path, 4)
+    model = synthetic_model(4)
+    for point in sorted(model.points3D)[points:]:
+        model.delete_point3D(point)
+    write_model(model, tmp_path / "sparse" / "0")
+    if enough:
+        assert len(load_capture(tmp_path).points) == points
+    else:
+        with pytest.raises(UserError, match="and 3 points"):
+            load_capture(tmp_path)
+
+
+def test_points_that_are_nowhere_are_left_out(tmp_path):
+    """A NaN among the sparse points costs that point and a note, not the run."""
+    write_colmap_folder(tmp_path, 4)
+    model = synthetic_model(4)
+    first = min(model.points3D)
+    model.points3D[first].xyz = np.array([0.0, np.nan, 1.0])
+    write_model(model, tmp_path / "sparse" / "0")
+    capture = load_capture(tmp_path)
+    assert len(capture.points) == len(capture.point_colors) == len(model.points3D) - 1
+    assert np.isfinite(capture.points).all()
+    assert "1 of 30 starting points are not finite and were left out." in capture.notes
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            lambda model: setattr(model.cameras[1], "params", [0.0, 42.0, 16.0, 12.0]),
+            "camera of images/0000.png is imp",
+        ),
+        (lambda model: setattr(model.cameras[1], "params", [np.inf, 42.0, 16.0, 12.0]), "camera of images/0000.png is"),
+        (lambda model: _lose(model.frames[1]), "pose of images/0000.png is not finite"),
+    ],
+)
+def test_impossible_cameras_are_told(tmp_path, change, says):
+    """A camera without a focal length, and an image that is nowhere, name the image."""
+    write_colmap_folder(tmp_path, 4)
+    model = synthetic_model(4)
+    change(model)
+    write_model(model, tmp_path / "sparse" / "0")
+    with pytest.raises(UserError, match=says):
+        load_capture(tmp_path)
+
+
+def _lose(frame):
+    frame.rig_from_world = pycolmap.Rigid3d(frame.rig_from_world.rotation, np.array([np.nan, 0.0, 0.0]))
+
+
+def test_images_too_small_for_the_loss_are_told(tmp_path):
+    """32x24 px divided by 5 are 6x5 px, on which SSIM has no value."""
+    write_colmap_folder(tmp_path, 4)
+    assert load_capture(tmp_path, data_factor=4).train[0].rgb.camera.height == 6
+    with pytest.raises(UserError, match=r"has 6x5 px with --data-factor 5; .* at least 6 px") as caught:
+        load_capture(tmp_path, data_factor=5)
+    assert "--data-factor" in caught.value.hint

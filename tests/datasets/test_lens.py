@@ -17,6 +17,13 @@ def test_pinhole_models_are_used_as_they_are():
         assert got.apply(image) is image
 
 
+def test_focal_lengths_of_each_kind_of_camera():
+    """One where both axes share it, two elsewhere; principal points and distortion are none."""
+    assert Lens("SIMPLE_RADIAL", (40.0, 15.0, 12.0, 0.1), 32, 24).focal_lengths() == (40.0,)
+    for model, rest in (("PINHOLE", ()), ("OPENCV", (0.1, 0.0, 0.0, 0.0)), ("OPENCV_FISHEYE", (0.1, 0.0, 0.0, 0.0))):
+        assert Lens(model, (40.0, 41.0, 15.0, 12.0, *rest), 32, 24).focal_lengths() == (40.0, 41.0)
+
+
 def test_scaled_file_scales_the_intrinsics():
     """A file of half the calibrated size has half the focal length."""
     camera = rectification(Lens("PINHOLE", (40.0, 44.0, 16.0, 12.0), 32, 24), 16, 12).camera

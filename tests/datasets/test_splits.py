@@ -36,6 +36,11 @@ def test_no_training_view_left(count, test_every):
         hold_out_mask(frames(*[None] * count), test_every)
 
 
+def test_two_frames_and_every_second_are_the_least():
+    """One is held out, one is trained on."""
+    assert hold_out_mask(frames(None, None), 2) == hold_out_mask(frames(None, None), 8) == [True, False]
+
+
 def test_divide():
     """Order is kept on both sides."""
     assert divide("abcd", [True, False, True, False]) == (("b", "d"), ("a", "c"))

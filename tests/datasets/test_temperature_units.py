@@ -98,9 +98,11 @@ def test_bad_statements_are_named(tmp_path, text):
         read_statement(path)
 
 
-@pytest.mark.parametrize("content", [{"a": 1}, {"a": "x", "b": 2}, {"a": 3, "b": 2}])
+@pytest.mark.parametrize(
+    "content", [{"a": 1}, {"a": "x", "b": 2}, {"a": 3, "b": 2}, {"a": 2, "b": 2}, {"a": 0, "b": float("inf")}]
+)
 def test_bad_ranges_are_named(tmp_path, content):
-    """Half a range, words, or the wrong order."""
+    """Half a range, words, the wrong order, no span, or one without an end."""
     with pytest.raises(UserError, match=r"bounds\.json"):
         celsius_range(content, tmp_path / "bounds.json", "a", "b")
 

@@ -112,6 +112,12 @@ def test_missing_files_are_counted(tmp_path):
         ({"frames": []}, "lists no frames"),
         ({"fl_x": None, "fl_y": None}, "no focal length"),
         ({"camera_model": "SPHERICAL"}, "SPHERICAL"),
+        ({"w": "wide"}, r"Frame 0 of .* has intrinsics that are no numbers"),
+        ({"k1": "strong"}, r"Frame 0 of .* has intrinsics that are no numbers"),
+        ({"fl_x": -40.0}, r"camera of images/frame_eval_00000\.png is impossible: PINHOLE of 32x24 px"),
+        ({"fl_y": 0}, "impossible"),
+        ({"cx": float("nan")}, "impossible"),
+        ({"w": 0}, "impossible"),
     ],
 )
 def test_broken_transforms_are_told(tmp_path, change, says):

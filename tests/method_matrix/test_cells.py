@@ -48,6 +48,21 @@ def test_methods_of_a_command_line(tmp_path: Path) -> None:
         parse_methods(["mmon"])
 
 
+def test_methods_and_scenes_keep_their_names_apart(tmp_path: Path) -> None:
+    """A file does not quietly take the place of a preset or of another file; a folder may have "=" in its name."""
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "mine.yaml").write_text("base: 3dgs\n")
+        (tmp_path / folder / "3dgs.yaml").write_text("base: thermosplat\n")
+    mine = str(tmp_path / "a" / "mine.yaml")
+    assert parse_methods([mine, mine]) == {"mine": mine}
+    for words in ([mine, str(tmp_path / "b" / "mine.yaml")], ["baselines", str(tmp_path / "a" / "3dgs.yaml")]):
+        with pytest.raises(UserError, match="Two methods are called"):
+            parse_methods(words)
+    (tmp_path / "f=2").mkdir()
+    assert [scene.name for scene in parse_scenes([str(tmp_path / "f=2")])] == ["f=2"]
+
+
 def test_shorter_matrix_keeps_proportions() -> None:
     """A method of 60,000 steps gets twice the steps of one of 30,000, and its phases move along."""
     short = {name: cell_config(name, SAMPLE, 1, max_steps=300) for name in ("3dgs", "thermalgaussian_mftg")}

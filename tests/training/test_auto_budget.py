@@ -74,6 +74,15 @@ def test_a_run_too_short_to_have_grown_is_not_cut_at_its_first_share(tmp_path: P
     assert trainer.model.num_gaussians < before
 
 
+def test_without_shares_nothing_is_pruned_and_growth_goes_on(tmp_path: Path) -> None:
+    """An empty ``prune_at`` is no share of the run, not its first step."""
+    trainer = toy_trainer(tmp_path, budget_config(prune_at=()), many_frames(toy_capture(), FRAMES))
+    advance(trainer, 6)
+    assert trainer.state.growing
+    assert not trainer.state.offsets_dropped
+    assert trainer.model.num_gaussians > 60
+
+
 def test_pruning_changes_the_images_little(tmp_path: Path) -> None:
     """By blending weights as by what removal changes: fewer Gaussians, and images within the tolerance."""
     capture = many_frames(toy_capture(), FRAMES)

@@ -56,6 +56,17 @@ def test_relocated_ones_are_copies_that_share() -> None:
     assert optimizers["means"].state[gaussians.means]["exp_avg"][4].any()
 
 
+def test_opaque_ones_are_shared_without_infinities() -> None:
+    """An opacity that rounds to 1 has no logit; what is left of it after sharing has."""
+    gaussians = random_gaussians(4)
+    with torch.no_grad():
+        gaussians.logit_opacities.fill_(200.0)
+    relocate(gaussians, stepped_optimizers(gaussians), torch.tensor([0]), torch.tensor([1]), least=0.005)
+    for name, parameter in gaussians.named_parameters():
+        assert torch.isfinite(parameter[[0, 1]]).all(), name
+    assert 0.5 < gaussians.opacities[0].item() <= 1.0
+
+
 def test_added_ones_come_last_and_share() -> None:
     """A doubled Gaussian gets smaller and fainter with its copy; nobody falls below the least opacity by sharing."""
     gaussians = random_gaussians(4)

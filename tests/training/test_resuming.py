@@ -3,23 +3,36 @@
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from thermosplat.checkpoint import save_checkpoint
 from thermosplat.config import DecoderConfig, ModelConfig, OptimizerConfig, TrainConfig
 from thermosplat.config_files import to_dict
+from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
 from thermosplat.run_directory import RunDirectory
-from thermosplat.training.resuming import check_resumable, newest_checkpoint
+from thermosplat.training.resuming import check_resumable, newest_checkpoint, other_frames
 
 CONFIG = TrainConfig(sh_degree=2)
 
 
 def _run(path: Path, step: int = 100) -> RunDirectory:
     run = RunDirectory.create(path)
-    state = {"config": to_dict(CONFIG), "sh_degree": 0, "model": {}, "thermal_scale": None, "training": {}}
-    save_checkpoint(run.checkpoint(step), {"step": step, **state})
+    model = {"gaussian_sets": {}, "decoders": None, "thermal_channels": 3}
+    training = {"optimizers": None, "strategies": {}, "exposures": None, "seconds": {}}
+    state = {"config": to_dict(CONFIG), "sh_degree": 0, "model": model, "thermal_scale": None, "training": training}
+    save_checkpoint(run.checkpoint(step), {"step": step, "train_frames": ["a", "b"], **state})
     return run
+
+
+def _capture(*names: str) -> Capture:
+    points = np.zeros((4, 3), np.float32)
+    frames = tuple(Frame(name, None, None) for name in names)
+    return Capture("shed", Path("shed"), "colmap", frames, (), points, np.zeros((4, 3), np.uint8), None)
+
+
+CAPTURE = _capture("a", "b")
 
 
 @pytest.mark.parametrize(
@@ -36,7 +49,7 @@ def test_other_models_are_refused(tmp_path: Path, changes: dict[str, object], me
     """The first setting that differs is named with both values."""
     run = _run(tmp_path)
     with pytest.raises(UserError, match=message) as caught:
-        check_resumable(newest_checkpoint(run), dataclasses.replace(CONFIG, **changes), run)  # type: ignore[arg-type]
+        check_resumable(newest_checkpoint(run), dataclasses.replace(CONFIG, **changes), run, CAPTURE)  # type: ignore[arg-type]
     assert caught.value.hint
 
 
@@ -52,7 +65,35 @@ def test_other_models_are_refused(tmp_path: Path, changes: dict[str, object], me
 def test_what_may_change(tmp_path: Path, changes: dict[str, object]) -> None:
     """Rates, schedule, size of the images and device may; so may what only matters before the first step."""
     run = _run(tmp_path)
-    check_resumable(newest_checkpoint(run), dataclasses.replace(CONFIG, **changes), run)  # type: ignore[arg-type]
+    check_resumable(newest_checkpoint(run), dataclasses.replace(CONFIG, **changes), run, CAPTURE)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("names", "first"), [(("a", "c"), "c"), (("a", "b", "d"), "d"), (("a",), "b"), (("b", "a"), "b")]
+)
+def test_another_capture_is_refused(tmp_path: Path, names: tuple[str, ...], first: str) -> None:
+    """Frames that were exchanged, added, lost or reordered are told, by the first one that differs."""
+    run = _run(tmp_path)
+    with pytest.raises(
+        UserError, match=rf"trained on 2 frames, and shed has {len(names)} .* \(first difference: {first}\)"
+    ):
+        check_resumable(newest_checkpoint(run), CONFIG, run, _capture(*names))
+
+
+def test_checkpoints_without_frames_go_on(tmp_path: Path) -> None:
+    """The first release did not store which frames it had trained on."""
+    run = _run(tmp_path)
+    checkpoint = newest_checkpoint(run)
+    assert other_frames(checkpoint.pop("train_frames"), _capture("x"))
+    check_resumable(checkpoint, CONFIG, run, _capture("x"))
+
+
+def test_a_model_alone_cannot_be_trained_further(tmp_path: Path) -> None:
+    """A checkpoint without the state of its training says so."""
+    run = _run(tmp_path)
+    save_checkpoint(run.checkpoint(200), {**newest_checkpoint(run), "training": {"seconds": {}}})
+    with pytest.raises(UserError, match=r"rendered but not trained further: .* optimizers, strategies, exposures are"):
+        newest_checkpoint(run)
 
 
 def test_newest_checkpoint_is_taken(tmp_path: Path) -> None:

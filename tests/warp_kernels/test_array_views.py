@@ -64,8 +64,8 @@ def test_strides_of_a_part() -> None:
     (rows,) = views(whole)
     assert (rows[1:3].numpy() == whole.numpy()[1:3]).all()
     assert rows[1:3].owner is rows.owner is whole
-    assert rows.unowned().owner is None
-    assert rows.unowned().packed == rows.packed
+    assert rows.release() is whole
+    assert rows.owner is None
 
 
 @pytest.mark.parametrize("as_views", [False, True])

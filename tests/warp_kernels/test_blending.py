@@ -18,7 +18,7 @@ CROWD = 900
 
 
 def blended(
-    scene: WarpScene, layout: BlendLayout, thermal_channels: int = 0
+    scene: WarpScene, layout: BlendLayout, thermal_channels: int = 0, first_channels: int | None = None
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Images, and gradients of means2d, roots, opacities and features for a fixed random loss."""
     settings, dtype = scene.settings, scene.gaussians.opacities.dtype
@@ -35,21 +35,55 @@ def blended(
         return wp.zeros((rows, settings.width), dtype=kind, device="cpu", requires_grad=requires_grad)
 
     result = BlendedArrays(image(scene.features.dtype), image(dtype), image(wp.int32, False))
+    result.alphas = image(dtype, False)
     outputs = [result.render, result.transmittance]
     if thermal_channels:
         result.thermal_render = image(wp.types.vector(thermal_channels, dtype))
         result.thermal_transmittance = image(dtype)
         result.thermal_last_pairs = image(wp.int32, False)
+        result.thermal_alphas = image(dtype, False)
         outputs += [result.thermal_render, result.thermal_transmittance]
     tape = wp.Tape()
-    blend(arrays, opacities, thermal, scene.features, bins, settings, result, tape, layout=layout)
+    features, rest = apart(scene.features, first_channels)
+    blend(arrays, opacities, thermal, features, bins, settings, result, tape, rest=rest, layout=layout)
+    assert (result.alphas.numpy() == 1 - result.transmittance.numpy()).all()
+    if thermal_channels:
+        assert (result.thermal_alphas.numpy() == 1 - result.thermal_transmittance.numpy()).all()
     rng = np.random.default_rng(1)
     for output in outputs:
         output.grad.assign(rng.normal(size=output.numpy().shape))
     tape.backward()
-    inputs = [arrays.means2d, arrays.roots, opacities, scene.features] + [thermal] * bool(thermal_channels)
+    inputs = [arrays.means2d, arrays.roots, opacities, features] + [thermal] * bool(thermal_channels)
     # numpy() of a CPU array is its memory: copies, because gradients accumulate
-    return [output.numpy().copy() for output in outputs], [array.grad.numpy().copy() for array in inputs]
+    gradients = [array.grad.numpy().copy() for array in inputs]
+    if rest is not None:
+        gradients[3] = np.concatenate([gradients[3], rest.grad.numpy()], axis=-1)
+    return [output.numpy().copy() for output in outputs], gradients
+
+
+def apart(features: wp.array, first_channels: int | None) -> tuple[wp.array, wp.array | None]:
+    """The first channels and the others, each in an array of their own; None: all of them as they are."""
+    if first_channels is None:
+        return features, None
+    values, scalar = features.numpy(), features.dtype._wp_scalar_type_
+    first, rest = (
+        wp.array(part, dtype=wp.types.vector(part.shape[1], scalar), device="cpu", requires_grad=True)
+        for part in (values[:, :first_channels].copy(), values[:, first_channels:].copy())
+    )
+    return first, rest
+
+
+@pytest.mark.parametrize("thermal_channels", [0, 2])
+def test_channels_may_lie_apart(thermal_channels: int) -> None:
+    """Channels in two arrays give the images and gradients of one array, to the bit."""
+    layout, results = BlendLayout(16, 16, 16, 1), []
+    for first_channels in (None, 1):
+        scene = warp_scene(wp.float64, n=80, cameras=2, channels=3, requires_grad=True)
+        images, gradients = blended(scene, layout, thermal_channels, first_channels)
+        results.append(images + gradients)
+    for one, other in zip(*results, strict=True):
+        assert np.linalg.norm(one) > 0
+        assert np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("thermal_channels", [0, 2])

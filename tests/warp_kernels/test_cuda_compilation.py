@@ -10,7 +10,9 @@ from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.camera_gradients import CAMERA_RECORD, camera_finish_kernel
-from warp_kernels.decoder_networks import HIDDEN, decoder_kernels
+from warp_kernels.decoder_adjoint import decode_adjoint_kernel
+from warp_kernels.decoder_memory import TEAMS
+from warp_kernels.decoder_networks import HIDDEN, decode_kernel
 from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.list_segments import join_segments_kernel
 from warp_kernels.projection import projection_kernel
@@ -38,8 +40,8 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
     kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), *camera_position_kernels(dtype)]
     kernels += [
-        distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair)
-        for channels, thermal_channels, per_pair in ((3, 0, 0), (11, 8, 0), (11, 8, 8))
+        distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair, first_channels)
+        for channels, thermal_channels, per_pair, first_channels in ((3, 0, 0, 3), (11, 8, 0, 3), (11, 8, 8, 3))
         for absgrad in (False, True)
     ]
     return kernels
@@ -71,12 +73,12 @@ def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("arch", [80, 86, 90, 120])
 def test_decoders_compile_for_cuda(arch: int, tmp_path: Path) -> None:
-    """All sizes, with and without a modulation."""
-    kernels = [
-        kernel for hidden in HIDDEN for modulated in (False, True) for kernel in decoder_kernels(hidden, modulated)
-    ]
+    """All sizes, with and without a modulation, with a warp or two for 16 pixels."""
+    shapes = [(hidden, modulated) for hidden in HIDDEN for modulated in (False, True)]
+    kernels = [decode_kernel(*shape) for shape in shapes]
+    kernels += [decode_adjoint_kernel(*shape, team) for shape in shapes for team in TEAMS]
     compile_all(kernels, arch, tmp_path)
 
 
@@ -100,11 +102,11 @@ def test_blending_compiles_for_cuda_in_all_layouts(
 ) -> None:
     """Tile sizes, channel counts and block shapes, with and without absgrad; float64 is the accuracy reference."""
     for number, layout in enumerate(sorted(cuda_layouts(tile_size, channels + thermal_channels, dtype), key=str)):
-        kernels = [blend_kernel(channels, thermal_channels, dtype, layout)]
         absgrad = by_slot = number == 0
-        first_image = channels - thermal_channels  # of a frame with two opacities, colours have an image of their own
-        kernels.append(blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot, first_image))
+        first = channels - thermal_channels  # of a frame with two opacities, colours lie apart from the features
+        kernels = [blend_kernel(channels, thermal_channels, dtype, layout, False, first)]
+        kernels.append(blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot, first))
         if layout.segment > 0:
-            kernels.append(blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance=True))
+            kernels.append(blend_kernel(channels, thermal_channels, dtype, layout, True, first))
             kernels.append(join_segments_kernel(channels, thermal_channels, dtype, layout))
         compile_all(kernels, arch, tmp_path / str(number))

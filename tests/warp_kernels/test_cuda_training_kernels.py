@@ -11,13 +11,14 @@ from warp_kernels.covered_images import covering_kernels
 from warp_kernels.density_notes import density_kernel
 from warp_kernels.finite_check import note_bad_kernel
 from warp_kernels.image_loss import image_loss_kernels
-from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernels
+from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernel
+from warp_kernels.pair_notes import note_pairs_kernel
 
 
 @pytest.mark.parametrize("arch", [80, 90])
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
-    """Adam and the finite check, with tables of addresses as arguments."""
-    compile_all([adam_coefficients_kernel, adam_update_kernel, note_bad_kernel], arch, tmp_path)
+    """Adam and the finite check, with tables of addresses as arguments, and what is noted of pairs."""
+    compile_all([adam_coefficients_kernel, adam_update_kernel, note_bad_kernel, note_pairs_kernel], arch, tmp_path)
 
 
 @pytest.mark.slow
@@ -25,5 +26,5 @@ def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Losses, covered images, and what density control notes."""
-    kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), *image_loss_adjoint_kernels(dtype, 1.5)]
+    kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), image_loss_adjoint_kernel(dtype, 1.5)]
     compile_all([*kernels, *covering_kernels(dtype), density_kernel(dtype)], arch, tmp_path)

@@ -136,11 +136,15 @@ def test_butterfly_sums_over_a_warp(length: int) -> None:
     assert max(abs(stored[k] - expected[k]) for k in range(length)) < 1e-12
 
 
-def test_sums_go_to_two_arrays() -> None:
-    """Added atomically, the components of a range go to the features' gradient, and what is around it side by side."""
-    source = accumulate_snippet(40, wp.float32, apart=(6, 38))
-    assert "float* f = (float*)(features.data + index) - 6;" in source
-    assert source.count("atomicAdd((k < 6 ? p + k : k < 38 ? f + k : p + k - 32), total);") == 2
+def test_sums_go_to_several_arrays() -> None:
+    """Added atomically, components of two ranges go to the features' gradients, and what is around side by side."""
+    source = accumulate_snippet(40, wp.float32, apart=[("features", 6, 38)])
+    assert "float* of_features = (float*)(features.data + index) - 6;" in source
+    assert source.count("atomicAdd((k < 6 ? p + k - 0 : k < 38 ? of_features + k : p + k - 32), total);") == 2
+    source = accumulate_snippet(40, wp.float32, apart=[("features", 6, 9), ("rest", 9, 38)])
+    assert "float* of_rest = (float*)(rest.data + index) - 9;" in source
+    places = "k < 6 ? p + k - 0 : k < 9 ? of_features + k : k < 38 ? of_rest + k : p + k - 32"
+    assert source.count(f"atomicAdd(({places}), total);") == 2
 
 
 def test_butterflies_cover_every_count() -> None:

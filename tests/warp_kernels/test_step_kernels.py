@@ -9,6 +9,7 @@ STEP = """
 import sys
 import torch
 import warp as wp
+from thermosplat.pair_capacity import PairCapacity
 from thermosplat.rasterizer import rasterization_rgbt
 from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels
 
@@ -32,7 +33,8 @@ values = {name: value if value is None else value.requires_grad_() for name, val
 viewmat = torch.eye(4)
 viewmat[2, 3] = 5.0
 K = torch.tensor([[30.0, 0, 16], [0, 30.0, 12], [0, 0, 1]])
-out = rasterization_rgbt(*values.values(), viewmat[None], K[None], 32, 24, sh_degree=3)
+with PairCapacity("cpu").step(fixed=False):
+    out = rasterization_rgbt(*values.values(), viewmat[None], K[None], 32, 24, sh_degree=3)
 images = [image for image in (out.render_colors, out.render_features, out.render_thermal_features) if image is not None]
 sum(image.square().sum() for image in images).backward()
 assert values["means"].grad.abs().sum() > 0

@@ -6,15 +6,17 @@ thermosplat-benchmark data/Dimsum data/Truck --methods baselines thermosplat abl
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from thermosplat.cli.errors import run_command
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
-from thermosplat.method_matrix.matrix import Matrix
 from thermosplat.method_matrix.overrides import parse_overrides
+
+if TYPE_CHECKING:
+    from thermosplat.method_matrix.matrix import Matrix
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,8 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
     matrix, merged = _matrix(arguments), [Path(folder) for folder in arguments.merge]
     if not matrix.scenes and not merged and not matrix.out.is_dir():
         raise UserError("No scene given.", "Name captures: thermosplat-benchmark data/Dimsum data/Truck --out FOLDER.")
+    if matrix.out.exists() and not matrix.out.is_dir():
+        raise UserError(f"{matrix.out} is a file; a matrix needs a folder.", "Give another --out.")
     finished = Results.collect(matrix.out, merged).cells
     cells, missing = matrix.cells(), matrix.missing(finished)
     devices = choose_devices(arguments.devices, arguments.gpus) if missing else []
@@ -134,7 +138,7 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
     return 0
 
 
-def _matrix(arguments: BenchmarkArguments) -> Matrix:
+def _matrix(arguments: BenchmarkArguments) -> "Matrix":
     at_least = {"max_steps": 1, "data_factor": 1, "save_every": 0, "max_gaussians": 1, "gpus": 1, "time_limit": 0}
     for name, least in at_least.items():
         value = getattr(arguments, name)
@@ -143,6 +147,8 @@ def _matrix(arguments: BenchmarkArguments) -> Matrix:
     if not arguments.seeds or min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds):
         raise UserError(f"--seeds must be different whole numbers from 0 on, found {list(arguments.seeds)}.")
     scenes, methods = parse_scenes(arguments.scenes), parse_methods(arguments.methods)
+    from thermosplat.method_matrix.matrix import Matrix
+
     return Matrix(
         out=Path(arguments.out),
         scenes=scenes,

@@ -1,6 +1,6 @@
 """A finished or interrupted run, read back for evaluation, rendering and export."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -16,6 +16,7 @@ from thermosplat.errors import UserError
 from thermosplat.model import SceneModel
 from thermosplat.radiometry import ThermalScale
 from thermosplat.run_directory import RunDirectory, checkpoint_step
+from thermosplat.training.resuming import other_frames
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,17 @@ class LoadedRun:
     """What thermal values mean; None without thermal images."""
     device: torch.device
     """Where the model is."""
+    train_frames: list[str] | None
+    """Names of the frames it was trained on; None where the checkpoint does not say."""
 
     def capture(self, data: str | None) -> Capture:
         """The capture it was trained on.
 
         Args:
             data: Where it lies now; None: where it lay.
+
+        Returns:
+            The capture; a note of it says so if its training frames are not those of the run.
 
         Raises:
             UserError: It cannot be read there.
@@ -52,9 +58,14 @@ class LoadedRun:
                 "Say where it lies now: --data FOLDER.",
             )
         config = self.config
-        return load_capture(
+        capture = load_capture(
             data or config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
         )
+        difference = other_frames(self.train_frames, capture)
+        if difference:
+            note = f"Is this the capture of {self.directory.path}? {difference}"
+            capture = replace(capture, notes=(*capture.notes, note))
+        return capture
 
 
 def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> LoadedRun:
@@ -81,6 +92,7 @@ def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> L
         model=SceneModel.from_checkpoint(state, chosen).eval(),
         thermal_scale=None if scale is None else ThermalScale.from_state_dict(scale),
         device=chosen,
+        train_frames=state.get("train_frames"),
     )
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import INTERRUPTED, run_command
 from thermosplat.cli.host_settings import importing, prepare_host
+from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
@@ -72,6 +73,11 @@ def _resumed_trainer(config: "TrainConfig") -> "Trainer":
     from thermosplat.run_directory import RunDirectory
 
     run = RunDirectory.open(str(config.resume))
+    if config.data != "sample" and not Path(config.data).exists():
+        raise UserError(
+            f"The capture {config.data}, on which {run.path} was to go on, is not there.",
+            f"Say where it lies now: thermosplat-train FOLDER --resume {shlex.quote(str(run.path))}",
+        )
     capture, trainer_class = _capture_and_trainer(config)
     return trainer_class.resume(replace(config, resume=None), capture, run)
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
+from thermosplat.errors import UserError
+
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
 
@@ -23,6 +25,9 @@ def start_warp() -> None:
 
     The warning comes from C and is written to the file descriptor, where Python cannot filter it: standard error goes
     through a file meanwhile.
+
+    Raises:
+        UserError: The folder for compiled kernels cannot be made, as where the home directory is read-only.
     """
     wp.config.log_level = wp.LOG_WARNING  # no banner with versions and devices
     sys.stderr.flush()
@@ -31,6 +36,11 @@ def start_warp() -> None:
         try:
             os.dup2(printed.fileno(), 2)
             wp.init()
+        except OSError as error:
+            raise UserError(
+                f"Warp cannot make its folder for compiled kernels: {error.strerror} ({error.filename}).",
+                "Name one that can be written to: WARP_CACHE_PATH=FOLDER before the command.",
+            ) from error
         finally:
             os.dup2(saved, 2)
             os.close(saved)

@@ -41,6 +41,9 @@ def load_capture(
         raise UserError("No capture given.", "Name a folder, or take the one in the package: thermosplat-train sample")
     if not root.is_dir():
         what = "is a file, not a folder" if root.exists() else "does not exist"
-        raise UserError(f"The capture {root} {what}.", "Try the one in the package: thermosplat-train sample")
+        raise UserError(
+            f"The capture {root} {what}.",
+            "Give the folder that holds rgb/ or images/; for a first try: thermosplat-train sample",
+        )
     listing = list_capture(root)
     return assemble(root, name, listing, data_factor=data_factor, test_every=test_every, thermal=thermal)

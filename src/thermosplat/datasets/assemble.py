@@ -19,6 +19,9 @@ from thermosplat.datasets.thermal_files import interpret_thermal, read_each, rea
 from thermosplat.datasets.thermal_images import ThermalPixels
 from thermosplat.errors import UserError
 
+LEAST_SIDE = 6
+"""Least width and height of an image [px]: SSIM's window of 11 px is reflected by 5 at the borders (ssim.py)."""
+
 
 def assemble(
     root: Path, name: str, listing: Listing, *, data_factor: int, test_every: int, thermal: ThermalConfig
@@ -41,6 +44,8 @@ def assemble(
     frames = sorted(listing.frames, key=lambda frame: frame.name)
     if not frames:
         raise UserError(f"No image of {root} has a camera in its model.", "Are images and model of the same capture?")
+    for shot in (shot for frame in frames for shot in (frame.rgb, frame.thermal) if shot is not None):
+        _check_camera(shot, root)
     mask = hold_out_mask(frames, test_every)
     rgb_images = read_each([frame.rgb for frame in frames])
     thermal_files = read_thermal(frames)
@@ -58,7 +63,13 @@ def assemble(
         [(image, file.display) for image, file in zip(rgb_images, thermal_files, strict=True) if file is not None]
     )
     scale = None if reading is None else reading.scale
-    return Capture(name, root, listing.layout, train, test, listing.points, listing.point_colors, scale, tuple(notes))
+    usable = np.isfinite(listing.points).all(axis=-1)
+    if not usable.all():
+        notes.append(
+            f"{np.sum(~usable):,} of {len(listing.points):,} starting points are not finite and were left out."
+        )
+    points, colors = listing.points[usable], listing.point_colors[usable]
+    return Capture(name, root, listing.layout, train, test, points, colors, scale, tuple(notes))
 
 
 def _frame(
@@ -82,6 +93,21 @@ def _frame(
             _check_borrowed_camera(files.thermal, thermal.image, rgb, listing.registered, root)
         thermal_view = _view("thermal", files.thermal, thermal.image, thermal.celsius, data_factor)
     return Frame(files.name, rgb_view, thermal_view)
+
+
+def _check_camera(shot: Shot, root: Path) -> None:
+    """No render looks like an image whose camera has no focal length or no place."""
+    focal = shot.lens.focal_lengths()
+    if not (np.isfinite(shot.lens.params).all() and min(focal) > 0 and min(shot.lens.width, shot.lens.height) > 0):
+        raise UserError(
+            f"The camera of {shot.path.relative_to(root)} is impossible: {shot.lens.model} of "
+            f"{shot.lens.width}x{shot.lens.height} px with the parameters {list(shot.lens.params)}.",
+            "Focal lengths are positive and in pixels. Calibrate it anew (colmap), or correct the file that states it.",
+        )
+    if not np.isfinite(shot.viewmat).all():
+        raise UserError(
+            f"The pose of {shot.path.relative_to(root)} is not finite.", "Register the images anew (colmap mapper)."
+        )
 
 
 def _check_size(shot: Shot, image: NDArray[Any], root: Path) -> None:
@@ -117,6 +143,12 @@ def _view(
     height, width = image.shape[:2]
     ideal = rectification(shot.lens, width, height)
     camera = shrunk(ideal.camera, data_factor)
+    if min(camera.width, camera.height) < LEAST_SIDE:
+        raise UserError(
+            f"{shot.path.name} has {camera.width}x{camera.height} px with --data-factor {data_factor}; "
+            f"images must be at least {LEAST_SIDE} px wide and high.",
+            "Give a smaller --data-factor.",
+        )
     channels = image.shape[2]
     image = resize(ideal.apply(image), camera.width, camera.height).reshape(camera.height, camera.width, channels)
     if celsius is not None:

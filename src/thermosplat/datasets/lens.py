@@ -46,6 +46,11 @@ class Lens:
         """Images have to be resampled before a pinhole camera describes them."""
         return self.model not in PINHOLE_MODELS
 
+    def focal_lengths(self) -> tuple[float, ...]:
+        """One or two focal lengths [px]; COLMAP's models begin with them."""
+        indices = self.colmap_camera().focal_length_idxs()
+        return tuple(self.params[index] for index in indices)
+
     def fits(self, width: int, height: int) -> bool:
         """An image of this size [px] can be this camera's, perhaps scaled: the aspects agree within 1% or a pixel."""
         expected = self.height * width / self.width

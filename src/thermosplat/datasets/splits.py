@@ -32,7 +32,10 @@ def hold_out_mask(frames: Sequence[FrameFiles], test_every: int) -> list[bool]:
     if test_every < 2:
         raise UserError(f"--test-every must be at least 2, got {test_every}: it would leave no training view.")
     if len(frames) < 2:
-        raise UserError(f"test_every={test_every} with {len(frames)} image leaves no training view.")
+        raise UserError(
+            f"test_every={test_every} with {len(frames)} image leaves no training view.",
+            "A capture needs two exposures at least, one to learn from and one to be held out.",
+        )
     return [index % test_every == 0 for index in range(len(frames))]
 
 

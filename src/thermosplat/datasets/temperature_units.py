@@ -1,6 +1,7 @@
 """Units of radiometric images: into °C, and whether values can be what they are said to be."""
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -126,6 +127,8 @@ def celsius_range(content: dict[str, Any], path: Path, low_key: str, high_key: s
         return None
     try:
         low, high = float(content[low_key]), float(content[high_key])
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise ValueError(f"not finite: {low}, {high}")
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} must give both {low_key} and {high_key} as numbers [°C].") from error
     if not low < high:

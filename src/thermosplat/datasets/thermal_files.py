@@ -23,7 +23,11 @@ def read_each(shots: Sequence[Shot | None]) -> list[NDArray[Any] | None]:
 
 
 def read_thermal(frames: Sequence[FrameFiles]) -> list[ThermalFile | None]:
-    """Thermal files of each frame: the displayable image, the radiometric values, or both."""
+    """Thermal files of each frame: the displayable image, the radiometric values, or both.
+
+    Raises:
+        UserError: A file cannot be read, or one in thermal_raw/ holds colours in place of values.
+    """
     shown = read_each([frame.thermal for frame in frames])
     raw_paths = [
         frame.thermal.raw if frame.thermal is not None and frame.thermal.raw != frame.thermal.path else None
@@ -38,7 +42,8 @@ def read_thermal(frames: Sequence[FrameFiles]) -> list[ThermalFile | None]:
             continue
         if beside is not None and not is_radiometric(beside):
             raise UserError(
-                f"{raw_path} is an 8-bit image; radiometric values are 16-bit or floating-point with one channel."
+                f"{raw_path} is an 8-bit image; radiometric values are 16-bit or floating-point with one channel.",
+                "Export radiometric files, or take it out of that folder: thermal/ alone will do.",
             )
         path = frame.thermal.path
         if is_radiometric(image):

@@ -29,6 +29,7 @@ _DISTORTION = {
     "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
 }
 """Distortion parameters of nerfstudio's camera models, in COLMAP's order."""
+_COEFFICIENTS = sorted({key for keys in _DISTORTION.values() for key in keys})
 _EVAL_WORDS = frozenset({"eval", "test", "val"})
 
 
@@ -109,8 +110,10 @@ def _viewmat(entry: dict[str, Any], path: Path, number: int) -> NDArray[np.float
         pose = np.array(entry["transform_matrix"], np.float64)
     except (KeyError, ValueError, TypeError) as error:
         raise UserError(f"Frame {number} of {path} has no transform_matrix of numbers.") from error
-    if pose.shape not in ((4, 4), (3, 4)) or not np.isfinite(pose).all():
-        raise UserError(f"Frame {number} of {path}: transform_matrix must be 4x4 and finite, got shape {pose.shape}.")
+    if pose.shape not in ((4, 4), (3, 4)):
+        raise UserError(f"Frame {number} of {path}: transform_matrix must be 4x4, got shape {pose.shape}.")
+    if not np.isfinite(pose).all():
+        raise UserError(f"Frame {number} of {path}: transform_matrix holds a NaN or an infinity.")
     pose = np.vstack([pose[:3], [0, 0, 0, 1]])
     if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(pose[:3, :3]) < 0:
         raise UserError(f"Frame {number} of {path}: transform_matrix is no rotation with a translation.")
@@ -132,20 +135,24 @@ def _lens(entry: dict[str, Any], content: dict[str, Any], path: Path, number: in
         stated.setdefault("cx", float(width) / 2)
         stated.setdefault("cy", float(height) / 2)
         pinhole = tuple(float(stated[key]) for key in _PINHOLE)
+        size = int(width), int(height)
+        coefficients = {key: float(stated.get(key) or 0) for key in _COEFFICIENTS}
     except KeyError as error:
         raise UserError(f"Frame {number} of {path} has no focal length (fl_x, fl_y).") from error
+    except (TypeError, ValueError) as error:
+        raise UserError(f"Frame {number} of {path} has intrinsics that are no numbers: {error}.") from error
     model = str(stated.get("camera_model", "OPENCV"))
     if model in ("PINHOLE", "SIMPLE_PINHOLE"):
-        return Lens("PINHOLE", pinhole, int(width), int(height))
-    if model == "OPENCV" and float(stated.get("k3") or 0) != 0:
+        return Lens("PINHOLE", pinhole, *size)
+    if model == "OPENCV" and coefficients["k3"] != 0:
         model = "FULL_OPENCV"
     if model not in _DISTORTION:
         known = ", ".join(("PINHOLE", *_DISTORTION))
         raise UserError(f"Frame {number} of {path} has the camera model {model!r}; known are {known}.")
-    distortion = tuple(float(stated.get(key) or 0) for key in _DISTORTION[model])
+    distortion = tuple(coefficients[key] for key in _DISTORTION[model])
     if not any(distortion) and model != "OPENCV_FISHEYE":
-        return Lens("PINHOLE", pinhole, int(width), int(height))
-    return Lens(model, pinhole + distortion, int(width), int(height))
+        return Lens("PINHOLE", pinhole, *size)
+    return Lens(model, pinhole + distortion, *size)
 
 
 def _stated_splits(content: dict[str, Any]) -> dict[str, Split]:

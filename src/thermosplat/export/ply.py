@@ -74,7 +74,7 @@ def write_splats(path: Path, splats: Splats, comments: Iterable[str] = (), *, co
     """Write Gaussians as PLY; the file appears at once and whole.
 
     Args:
-        path: Where to write; its folder must exist.
+        path: Where to write; its folder is made where there is none.
         splats: The Gaussians.
         comments: Lines for the header; text outside ASCII is written as "?".
         compact: Leave out the SH degrees that are zero everywhere.

@@ -60,7 +60,7 @@ def parse_scenes(words: Iterable[str]) -> list[Scene]:
     """
     scenes: list[Scene] = []
     for word in words:
-        name, _, data = word.rpartition("=")
+        name, _, data = ("", "", word) if Path(word).expanduser().is_dir() else word.rpartition("=")
         if data != "sample" and not Path(data).expanduser().is_dir():
             raise UserError(f"There is no capture folder {data}.", "Give folders, or NAME=FOLDER.")
         data = data if data == "sample" else str(Path(data).expanduser().resolve())
@@ -82,7 +82,7 @@ def parse_methods(words: Iterable[str]) -> dict[str, str]:
         Preset or file by the method's name, in the order asked for, each once.
 
     Raises:
-        UserError: Neither.
+        UserError: Neither, or two files of one name.
     """
     presets = preset_paths()
     methods: dict[str, str] = {}
@@ -90,7 +90,9 @@ def parse_methods(words: Iterable[str]) -> dict[str, str]:
         group = {name: name for name, path in presets.items() if path.parent.name == word}
         if not group:
             load_config(word)  # or say what is wrong with it
-        methods |= group or {Path(word).stem if word not in presets else word: word}
+        for name, preset in (group or {Path(word).stem if word not in presets else word: word}).items():
+            if methods.setdefault(name, preset) != preset:
+                raise UserError(f"Two methods are called {name}: {methods[name]} and {preset}.", "Rename a file.")
     return methods
 
 

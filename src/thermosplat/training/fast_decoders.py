@@ -15,7 +15,7 @@ from torch import Tensor
 
 from thermosplat.decoders import Decoders
 from thermosplat.spectrum_decoders import SpectrumDecoders
-from thermosplat.warp_decoders import FusedDecoders, fits
+from thermosplat.warp_decoders import FusedDecoders, teams
 
 Precision = Literal["float32", "tf32", "bfloat16"]
 
@@ -67,7 +67,7 @@ class FastDecoders:
 
 def _fused(decoders: Decoders | SpectrumDecoders) -> FusedDecoders | None:
     """The decoders by fused kernels; None where there are none for them."""
-    return FusedDecoders(decoders) if isinstance(decoders, Decoders) and fits(decoders) else None
+    return FusedDecoders(decoders) if isinstance(decoders, Decoders) and teams(decoders) else None
 
 
 def _in_bfloat16(branch: Callable[..., Any]) -> Callable[..., Any]:

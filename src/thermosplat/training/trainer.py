@@ -113,10 +113,10 @@ class Trainer:
             logger: What tells the user; None for the default one.
 
         Raises:
-            UserError: If there is no checkpoint, or it holds another model than the configuration asks for.
+            UserError: If there is no checkpoint, or it is of another model or capture than is asked for.
         """
         checkpoint = newest_checkpoint(run)
-        check_resumable(checkpoint, config, run)
+        check_resumable(checkpoint, config, run, capture)
         return cls(config, capture, run, logger, checkpoint)
 
     @property
@@ -295,9 +295,9 @@ class Trainer:
     def _save(self) -> Path:
         """Write a checkpoint of the steps done. Callers have made sure that the state is finite."""
         path = self.run.checkpoint(self.state.step)
-        sh_degree = self._sh_degree(self.state.step)
         with deferred_interrupts():
-            save_checkpoint(path, self.state.checkpoint(self.config, sh_degree, self.capture.thermal_scale))
+            state = self.state.checkpoint(self.config, self.sh_degree, self.capture.thermal_scale)
+            save_checkpoint(path, {**state, "train_frames": [frame.name for frame in self.capture.train]})
         return path
 
     # ---- when it goes wrong ------------------------------------------------------------------------------------------

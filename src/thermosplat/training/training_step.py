@@ -70,6 +70,7 @@ class TrainingStep:
         self.guard = guard
         self.capacity = capacity
         self.decoding = decoding
+        self._one = torch.ones_like(guard.blocked)
 
     def gradients(self, frame: FrameTensors, kind: StepKind, *, fixed_capacity: bool) -> "_Differentiated":
         """Render the frame, compare it with its images, and leave the gradients on the parameters.
@@ -108,7 +109,8 @@ class TrainingStep:
             if kind.densifying:
                 for name, strategy in state.strategies.items():
                     strategy.step_pre_backward(rendered.infos.get(name, []))
-            torch.stack(list(losses.values())).sum().backward()
+            terms = list(losses.values())
+            torch.autograd.backward(terms, [self._one] * len(terms))  # of their sum, which nobody looks at
         self.guard.observe(state.step_on_device, losses, state.gradients())
         return _Differentiated(rendered, losses, compared.squared_errors)
 

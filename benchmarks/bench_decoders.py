@@ -1,0 +1,238 @@
+"""How fast are the decoders, and how exact? Fused kernels beside plain PyTorch and torch.compile.
+
+    python benchmarks/bench_decoders.py --sizes 400x300 640x480 --json decoders.json --markdown decoders.md
+    python benchmarks/bench_decoders.py --device cpu --sizes 320x240
+
+Both branches of random networks on random features, forward without gradients and forward plus backward; the error of
+images and gradients against the same networks in float64. On CUDA each call is a graph, as in a training step, so that
+launching is not timed. README.md says more.
+"""
+
+import argparse
+import copy
+import functools
+import json
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from rasterization_case import one_line
+from timing import time_interleaved
+from torch import Tensor
+
+from thermosplat.checkpoint import write_atomically
+from thermosplat.config import DecoderConfig
+from thermosplat.decoders import Decoders
+from thermosplat.devices import choose_device
+from thermosplat.run_directory import environment
+from thermosplat.training.fast_decoders import FastDecoders, can_compile
+from thermosplat.warp_decoders import FusedDecoders, teams
+
+WARM_UP = 3
+
+Images = Sequence[Tensor]
+Both = Callable[[Tensor, Tensor], Images]
+
+
+class Case(NamedTuple):
+    """What is decoded.
+
+    Attributes:
+        decoders: The networks.
+        render: Three other channels and the visible features behind them, shape [H, W, 3 + d].
+        thermal: Thermal features, shape [H, W, d].
+        upstream: Gradients of both images.
+    """
+
+    decoders: Decoders
+    render: Tensor
+    thermal: Tensor
+    upstream: list[Tensor]
+
+    def double(self) -> "Case":
+        """The same in float64."""
+        leaves = [leaf.detach().double().requires_grad_() for leaf in (self.render, self.thermal)]
+        return Case(copy.deepcopy(self.decoders).double(), *leaves, [v.double() for v in self.upstream])
+
+    def forward(self, both: Both) -> Images:
+        """Both images, without gradients."""
+        with torch.no_grad():
+            return both(self.render[..., 3:], self.thermal)
+
+    def forward_backward(self, both: Both) -> list[Tensor]:
+        """Both images, then the gradients of features and parameters."""
+        images = both(self.render[..., 3:], self.thermal)
+        leaves = [self.render, self.thermal, *self.decoders.parameters()]
+        gradients = torch.autograd.grad(images, leaves, self.upstream)
+        return [*(image.detach() for image in images), *gradients]
+
+
+def arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--sizes", nargs="+", default=["400x300", "640x480", "1280x1024"], help="WIDTHxHEIGHT ...")
+    parser.add_argument("--hidden", type=int, nargs="+", default=[64], help="channels of hidden layers")
+    parser.add_argument("--features", type=int, default=8, help="channels of the features")
+    parser.add_argument("--thermal-channels", type=int, default=3)
+    parser.add_argument("--repeats", type=int, default=None, help="measurements of each (50 on CUDA, 11 on the CPU)")
+    parser.add_argument("--truth-pixels", type=int, default=640 * 480, help="compare with float64 up to so many")
+    parser.add_argument("--json", type=Path, default=None, help="file to write")
+    parser.add_argument("--markdown", type=Path, default=None, help="file to write the table to")
+    return parser.parse_args()
+
+
+def random_case(hidden: int, dim: int, thermal_channels: int, size: tuple[int, int], device: torch.device) -> Case:
+    """Networks whose modulation does something, and gradients as small as those of a mean."""
+    generator = torch.Generator().manual_seed(0)
+    width, height = size
+    decoders = Decoders(DecoderConfig(hidden_dim=hidden), dim, thermal_channels)
+    for parameter in decoders.parameters():
+        torch.nn.init.normal_(parameter, std=0.3, generator=generator)
+
+    def noise(channels: int) -> Tensor:
+        return torch.randn(height, width, channels, generator=generator).to(device)
+
+    leaves = [noise(channels).requires_grad_() for channels in (3 + dim, dim)]
+    upstream = [noise(channels) / (width * height) for channels in (3, thermal_channels)]
+    return Case(decoders.to(device), *leaves, upstream)
+
+
+def variants(decoders: Decoders) -> dict[str, Both]:
+    """By name every way there is on the decoders' device to decode both branches."""
+    on_cuda = next(decoders.parameters()).device.type == "cuda"
+    found: dict[str, Both] = {}
+    for precision in ("float32", "tf32", "bfloat16") if on_cuda else ("float32", "bfloat16"):
+        eager = FastDecoders(decoders, compiled=False, precision=precision)
+
+        def swapped(visible: Tensor, thermal: Tensor, eager: FastDecoders = eager) -> Images:
+            with eager.active():
+                return decoders.both(visible, thermal)
+
+        found[f"torch, {precision}"] = swapped
+    if on_cuda and can_compile():
+        compiled = torch.compile(decoders.both, dynamic=False)
+
+        def in_tf32(visible: Tensor, thermal: Tensor) -> Images:
+            with FastDecoders(decoders, compiled=False, precision="tf32").active():
+                return compiled(visible, thermal)
+
+        found["torch.compile, tf32"] = in_tf32
+    for team in teams(decoders):
+        share = "a warp for 16 pixels" if team == 1 else f"{team} warps share 16 pixels"
+        found[f"fused, {share}"] = FusedDecoders(decoders, team).both
+    return found
+
+
+def errors(results: list[Tensor], truth: list[Tensor]) -> dict[str, float]:
+    """Largest relative difference (norm) of an image, and of a gradient."""
+    apart = [float((a.double() - b).norm() / b.norm()) for a, b in zip(results, truth, strict=True)]
+    return {"images": max(apart[:2]), "gradients": max(apart[2:])}
+
+
+def as_graph(call: Callable[[], object], device: torch.device) -> Callable[[], object]:
+    """On CUDA the replay of a graph of the call; elsewhere the call."""
+    if device.type != "cuda":
+        return call
+    stream = torch.cuda.Stream(device)
+    stream.wait_stream(torch.cuda.current_stream(device))
+    with torch.cuda.stream(stream):
+        for _ in range(WARM_UP):
+            call()
+    torch.cuda.current_stream(device).wait_stream(stream)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        call()
+    return graph.replay
+
+
+def run_case(case: Case, repeats: int, truth_pixels: int) -> dict[str, Any]:
+    """Times and errors of every variant; one that fails is left out, with the reason."""
+    device = case.render.device
+    row: dict[str, Any] = {"errors": {}, "left_out": {}}
+    calls: dict[str, dict[str, Callable[[], object]]] = {"forward": {}, "forward_backward": {}}
+    truth = None
+    if case.render.shape[0] * case.render.shape[1] <= truth_pixels:
+        exact = case.double()
+        truth = exact.forward_backward(exact.decoders.both)
+    for name, both in variants(case.decoders).items():
+        try:
+            results = case.forward_backward(both)
+            captured = {kind: as_graph(functools.partial(getattr(case, kind), both), device) for kind in calls}
+        except Exception as error:  # one variant that fails (out of memory, say) must not lose the others
+            traceback.print_exc()
+            row["left_out"][name] = one_line(error)
+            continue
+        row["errors"][name] = errors(results, truth) if truth is not None else None
+        for kind, call in captured.items():
+            calls[kind][name] = call
+    hide_host = device.type == "cuda"
+    return row | {kind: time_interleaved(named, device, repeats, hide_host=hide_host) for kind, named in calls.items()}
+
+
+def table_rows(report: dict[str, Any]) -> list[list[str]]:
+    """A row a variant: networks, size, name, times [ms], errors."""
+    cells = []
+    for row in report["rows"]:
+        for name, forward in row["forward"].items():
+            error = row["errors"][name]
+            apart = [f"{error[kind]:.1e}" for kind in ("images", "gradients")] if error else ["-", "-"]
+            times = [f"{times['median_ms']:.3f}" for times in (forward, row["forward_backward"][name])]
+            cells.append([str(row["hidden"]), row["size"], name, *times, *apart])
+    return cells
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """The report as a table."""
+    head = ["hidden", "size", "decoders", "forward [ms]", "forward + backward [ms]", "error of images", "of gradients"]
+    machine = report["environment"]
+    lines = [f"{report['date']}, {machine['device']}, torch {machine['packages']['torch']}. `{report['command']}`", ""]
+    lines += [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *table_rows(report))]
+    left_out = [(row, name, why) for row in report["rows"] for name, why in row["left_out"].items()]
+    lines += ["", *(f"- {row['size']}, {name}: {why}" for row, name, why in left_out)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def save(report: dict[str, Any], options: argparse.Namespace) -> None:
+    """Replaces the files, so that they are whole at any time."""
+    texts = ((options.json, json.dumps(report, indent=1) + "\n"), (options.markdown, markdown(report)))
+    for path, text in texts:
+        if path is not None:
+            write_atomically(path, functools.partial(_write, text=text))
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def main() -> int:
+    """Runs the cases asked for; returns 1 if a variant failed."""
+    options = arguments()
+    device = choose_device(options.device)
+    repeats = options.repeats or (50 if device.type == "cuda" else 11)
+    report: dict[str, Any] = {
+        "command": " ".join(["python", "benchmarks/bench_decoders.py", *sys.argv[1:]]),
+        "date": time.strftime("%Y-%m-%d"),
+        "environment": environment(device),
+        "rows": [],
+    }
+    for hidden in options.hidden:
+        for size in options.sizes:
+            width, height = (int(number) for number in size.lower().split("x"))
+            case = random_case(hidden, options.features, options.thermal_channels, (width, height), device)
+            row = {"hidden": hidden, "size": size} | run_case(case, repeats, options.truth_pixels)
+            report["rows"].append(row)
+            save(report, options)
+            for cells in table_rows(report | {"rows": [row]}):
+                print("{:>3} {:>10} {:<32} {:>9} {:>9} {:>9} {:>9}".format(*cells), flush=True)
+            if device.type == "cuda":
+                torch.cuda.empty_cache()  # of the graphs, each of which had its own
+    return int(any(row["left_out"] for row in report["rows"]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
