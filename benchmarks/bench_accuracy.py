@@ -1,6 +1,6 @@
 """How exact is the rasterizer where rasterizers break? Beside gsplat 1.5.3 where that is installed.
 
-    python benchmarks/bench_accuracy.py --device cpu --oracle FOLDER --output accuracy.json
+    python benchmarks/bench_accuracy.py --device cpu --json accuracy.json
     python benchmarks/bench_accuracy.py --device cuda --cases needles "5,000"
 
 One row a scene and renderer: the largest error of the image and the relative error of each gradient, of float32
@@ -12,7 +12,6 @@ CUDA the peer is gsplat's extension, on the CPU its torch reference.
 import argparse
 import json
 import math
-import os
 import platform
 import sys
 import time
@@ -26,6 +25,7 @@ import warp as wp
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from accuracy_truth import Rasterization, Truth, errors, truth_of
 
+import gsplat_reference
 from hard_scenes import FINITE, LARGE, NON_FINITE
 from thermosplat import rasterization
 
@@ -39,11 +39,8 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--cases", nargs="+", default=None, help="parts of names; all if not given")
-    parser.add_argument("--output", type=Path, default=None, help="JSON file to write")
-    parser.add_argument("--table", type=Path, default=None, help="Markdown file to write: images and worst gradients")
-    parser.add_argument(
-        "--oracle", type=Path, default=Path(os.environ.get("THERMOSPLAT_TEST_ORACLE", "../shared/oracle"))
-    )
+    parser.add_argument("--json", type=Path, default=None, help="file to write")
+    parser.add_argument("--markdown", type=Path, default=None, help="file to write: images and worst gradients")
     parser.add_argument("--no-peer", action="store_true", help="thermosplat alone")
     return parser.parse_args()
 
@@ -65,10 +62,7 @@ def gsplat_peer(options: argparse.Namespace) -> tuple[str, Rasterization] | str:
             from gsplat import rasterization as cuda
 
             return f"gsplat {version('gsplat')}, CUDA", lambda **scene: cuda(**scene, packed=False)
-        sys.path.insert(0, str(options.oracle))
-        import gsplat_oracle
-
-        reference = gsplat_oracle.install()
+        reference = gsplat_reference.install()
     except ImportError as error:
         return f"not importable ({error})"
 
@@ -177,7 +171,7 @@ def main() -> int:
             "float64": measured(rasterization, truth, device, torch.float64),
             "thermosplat": measured(rasterization, truth, device, torch.float32),
         }
-        write_json(options.output, report)
+        write_json(options.json, report)
     print(f"{'case':<44} {'renderer':<12}", *(f"{column:>9}" for column in COLUMNS))
     for name in names:
         if isinstance(peer, str):
@@ -190,9 +184,9 @@ def main() -> int:
         print_row(name, "thermosplat", rows[name]["thermosplat"], theirs)
         if theirs is not None:
             print_row("", "gsplat", theirs, None)
-        write_json(options.output, report)
-    if options.table is not None:
-        options.table.write_text(markdown(rows))
+        write_json(options.json, report)
+    if options.markdown is not None:
+        options.markdown.write_text(markdown(rows))
     kernels = [value for row in rows.values() for value in row["float64"].values() if not isinstance(value, str)]
     print(f"gsplat: {report['environment']['gsplat']}. Our kernels in float64 are at most {max(kernels):.1e} off.")
     ours = [row["thermosplat"] for row in rows.values()]

@@ -63,9 +63,6 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--markdown", type=Path, default=None, help="file to write the tables to")
     parser.add_argument(
-        "--oracle", type=Path, default=Path(os.environ.get("THERMOSPLAT_TEST_ORACLE", "../shared/oracle"))
-    )
-    parser.add_argument(
         "--peers",
         nargs="*",
         choices=(*PEERS, "deterministic"),
@@ -207,7 +204,7 @@ def main() -> int:
     """Runs the cases asked for; returns 1 if any failed, or a peer rendered something else."""
     options = arguments()
     device = torch.device(options.device)
-    peers = cpu_peers(options.peers, options.oracle) if device.type == "cpu" else cuda_peers(options.peers)
+    peers = cpu_peers(options.peers) if device.type == "cpu" else cuda_peers(options.peers)
     report: dict[str, Any] = {"environment": environment(device, peers), "rows": []}
     if options.resume and options.json.exists():
         report["rows"] = [row for row in json.loads(options.json.read_text())["rows"] if "error" not in row]

@@ -11,6 +11,9 @@ import torch
 from agreement import SAME_CONVENTIONS, Tolerance
 from torch import Tensor
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+import gsplat_reference
+
 NEAR_PLANE = 0.01
 """gsplat's and thermosplat's default [world units]."""
 
@@ -189,12 +192,11 @@ def cuda_peers(names: Collection[str]) -> list[Peer]:
     return peers
 
 
-def cpu_peers(names: Collection[str], oracle: Path) -> list[Peer]:
+def cpu_peers(names: Collection[str]) -> list[Peer]:
     """thermosplat and, of those named, a plain torch renderer and, where it can be imported, gsplat's torch reference.
 
     Args:
         names: "torch", "gsplat".
-        oracle: folder of ``gsplat_oracle.py``, which makes the reference run without CUDA.
     """
     peers = [thermosplat_peer()]
     if "torch" in names:
@@ -203,11 +205,8 @@ def cpu_peers(names: Collection[str], oracle: Path) -> list[Peer]:
         peers.append(torch_peer())
     if "gsplat" not in names:
         return peers
-    sys.path.insert(0, str(oracle))
     try:
-        import gsplat_oracle
-
-        rasterization = gsplat_oracle.install()
+        rasterization = gsplat_reference.install()
         from gsplat import rendering
     except ImportError as error:
         print(f"gsplat's torch reference is not importable ({error}); it is left out")
