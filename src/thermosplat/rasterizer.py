@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
+from thermosplat.graph_breaks import not_compiled
 from thermosplat.projected_scene import ProjectedScene
 from thermosplat.rasterization_arguments import (
     CameraModel,
@@ -43,7 +44,7 @@ class RGBTRender(NamedTuple):
     """As ``rasterization``'s, with ``thermal_opacities`` beside ``opacities``."""
 
 
-@torch.compiler.disable
+@not_compiled
 def rasterization(
     means: Tensor,  # [..., N, 3]
     quats: Tensor | None,  # [..., N, 4]
@@ -213,7 +214,7 @@ def rasterization(
     return render_colors, blended.alphas, scene.info()
 
 
-@torch.compiler.disable
+@not_compiled
 def rasterization_rgbt(
     means: Tensor,  # [..., N, 3]
     quats: Tensor,  # [..., N, 4]

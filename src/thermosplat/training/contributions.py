@@ -54,7 +54,10 @@ def _weights_of_both(model: SceneModel, view: ViewTensors, signs: torch.Generato
     # as many channels as training blends, so that its compiled kernels serve
     colors, features = _ones(gaussians, 3), _ones(gaussians, model.config.feature_dim or 3)
     output = rasterization_rgbt(
-        *(value.detach() for value in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)),
+        gaussians.means.detach(),
+        gaussians.quats.detach(),
+        gaussians.scales.detach(),
+        gaussians.opacities.detach(),
         gaussians.thermal_opacities.detach() if gaussians.has_two_opacities else None,
         colors,
         features,
@@ -81,7 +84,9 @@ def _weights(
     gaussians = model.gaussians(name)
     colors = _ones(gaussians, 3)
     image, _, _ = rasterization(
-        *(value.detach() for value in (gaussians.means, gaussians.quats, gaussians.scales)),
+        gaussians.means.detach(),
+        gaussians.quats.detach(),
+        gaussians.scales.detach(),
         (gaussians.thermal_opacities if thermal else gaussians.opacities).detach(),
         colors,
         view.viewmat[None],

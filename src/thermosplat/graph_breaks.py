@@ -1,0 +1,41 @@
+"""Where torch.compile breaks its graph: functions that it calls as they are."""
+
+import functools
+import sys
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import torch
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def not_compiled(function: Function) -> Function:
+    """``torch.compiler.disable`` for a function, without importing the compiler, which takes longer than torch itself.
+
+    Whoever compiles has imported it; until then there is nothing to disable.
+
+    Args:
+        function: Any.
+
+    Returns:
+        The function, called as it is by compiled code.
+    """
+
+    @functools.wraps(function)
+    def called(*arguments: Any, **options: Any) -> Any:
+        if "torch._dynamo" not in sys.modules:
+            return function(*arguments, **options)
+        return _disabled(function)(*arguments, **options)
+
+    return called  # type: ignore[return-value]
+
+
+def _disabled(function: Callable[..., Any]) -> Callable[..., Any]:
+    if function not in _made:
+        _made[function] = torch.compiler.disable(function)
+    return _made[function]
+
+
+_made: dict[Callable[..., Any], Callable[..., Any]] = {}
+"""Disabled functions by the functions they are of."""
