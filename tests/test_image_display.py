@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from thermosplat.image_display import error_bytes, resized, rgb_bytes, side_by_side, thermal_bytes, write_png
+from thermosplat.image_display import error_bytes, fitted, resized, rgb_bytes, side_by_side, thermal_bytes, write_png
 from thermosplat.radiometry import FLIR_IRON, ThermalScale
 
 
@@ -60,3 +60,13 @@ def test_enlarging_keeps_pixels_sharp() -> None:
     """An enlarged image has no colours that the small one lacks."""
     image = np.array([[[0, 0, 0], [255, 255, 255]]], np.uint8)
     assert set(np.unique(resized(image, 8, 4))) == {0, 255}
+
+
+def test_fitted_images_keep_their_proportions() -> None:
+    """A wide image gets bars above and below, a narrow one at its sides; one of the same proportions none."""
+    white = np.full((2, 4, 3), 255, np.uint8)
+    wide = fitted(white, 8, 8)
+    assert (wide[2:6] == 255).all() and (wide[:2] == 0).all() and (wide[6:] == 0).all()
+    narrow = fitted(white, 12, 4)
+    assert (narrow[:, 2:10] == 255).all() and (narrow[:, :2] == 0).all() and (narrow[:, 10:] == 0).all()
+    assert (fitted(white, 2, 1) == 255).all()

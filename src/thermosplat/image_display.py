@@ -101,6 +101,16 @@ def resized(image: Image8, width: int, height: int) -> Image8:
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST if enlarged else cv2.INTER_AREA)
 
 
+def fitted(image: Image8, width: int, height: int) -> Image8:
+    """An 8-bit image in the middle of another size [px], as large as it fits with its own proportions; black around."""
+    scale = min(width / image.shape[1], height / image.shape[0])
+    inside = resized(image, max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
+    top, left = (height - inside.shape[0]) // 2, (width - inside.shape[1]) // 2
+    framed = np.zeros((height, width, 3), np.uint8)
+    framed[top : top + inside.shape[0], left : left + inside.shape[1]] = inside
+    return framed
+
+
 def read_png(path: Path) -> Image8 | None:
     """An 8-bit RGB image [H, W, 3] from a file that `write_png` wrote; None where there is none that can be read."""
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)

@@ -11,7 +11,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from thermosplat.image_display import Image8, resized, write_png
+from thermosplat.image_display import Image8, fitted, write_png
 
 VideoFormat = Literal["mp4", "png"]
 
@@ -23,8 +23,8 @@ def write_images(images: Iterable[Image8], target: Path, *, format: VideoFormat,
     not play; where OpenCV has no encoder either, PNGs are written instead.
 
     Args:
-        images: 8-bit RGB images, shape [H, W, 3] each, at least one; consumed once. In a video all are resized to the
-            first one's size.
+        images: 8-bit RGB images, shape [H, W, 3] each, at least one; consumed once. In a video all are fitted into
+            the first one's size.
         target: File or folder without a suffix; ``.mp4`` is appended for a video.
         format: What to write.
         fps: Images a second of the video, >= 1.
@@ -62,7 +62,7 @@ def _write_video(images: Iterator[Image8], path: Path, shape: tuple[int, ...], f
         with _encoder(temporary, width, height, fps) as append:
             for image in images:
                 if image.shape != shape:
-                    image = resized(image, shape[1], shape[0])
+                    image = fitted(image, shape[1], shape[0])
                 append(np.ascontiguousarray(image[:height, :width]))
         os.replace(temporary, path)
     finally:
