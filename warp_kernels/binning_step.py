@@ -100,7 +100,6 @@ def bin_tiles(
         wp.utils.radix_sort_pairs(depth_keys, unsorted, ranks)
         launch_again(gather_kernel, ranks, [unsorted, tiles_per_gaussian, order, pair_ends], device)
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
-    tile_offsets = empty(num_tiles + 1, wp.int32, device)
     if num_pairs is None:
         num_pairs = memory.source.last(pair_ends) if ranks > 0 else 0
     del depth_keys, unsorted
@@ -115,6 +114,7 @@ def bin_tiles(
         values = empty(2 * num_pairs, wp.int32, device)
         owners = empty(num_pairs if by_slot else 0, wp.int32, device)
         gaussian_ids = empty(num_pairs, wp.int32, device)
+        tile_offsets = empty(num_tiles + 1, wp.int32, device)
     except Exception as error:
         # Of what kind depends on the allocator; what was asked for is known here only.
         error.add_note(

@@ -195,7 +195,7 @@ def blend_adjoint(
     count = bins.num_pairs * per_pair if by_slot else len(features)
     records = zeros(count, wp.types.vector(length, dtype), device)
     v_features = gradient_of(features)
-    v_rest = _or_nothing(rest, dtype, device) if rest is None else gradient_of(rest)
+    v_rest = _or_nothing(None if rest is None else gradient_of(rest), dtype, device)
     if v_images is None:
         v_images = _parts(given_gradient(blended.render), features, rest)
     v_render, v_render_rest = v_images
