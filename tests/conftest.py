@@ -12,11 +12,16 @@ from gsplat_reference import installed
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Tests that are marked ``cuda`` are skipped where there is no device, before their fixtures want one."""
+    if item.get_closest_marker("cuda") is not None and not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device; torch finds none")
+
+
 @pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
 def device(request: pytest.FixtureRequest) -> torch.device:
-    """Each device the renderer runs on; the CUDA half is marked ``cuda`` and skipped where there is none."""
-    if request.param == "cuda" and not torch.cuda.is_available():
-        pytest.skip("needs a CUDA device; torch finds none")
+    """Each device the renderer runs on; the CUDA half is marked ``cuda``."""
     return torch.device(request.param)
 
 

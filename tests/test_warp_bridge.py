@@ -118,8 +118,6 @@ def test_second_derivatives_are_refused(device: torch.device) -> None:
 @pytest.mark.cuda
 def test_side_streams() -> None:
     """Rendering on a stream of torch's own waits for its inputs and is waited for."""
-    if not torch.cuda.is_available():
-        pytest.skip("needs a CUDA device; torch finds none")
     scene = random_scene(n=200, width=120, height=90)
     inputs = leaves(scene, "cuda", torch.float32)
     image = rasterization(**inputs)[0]

@@ -15,8 +15,6 @@ from warp_kernels.decoder_memory import TEAMS
 SHAPES = [(64, 8, 3), (32, 5, 1), (64, 15, 8)]
 """hidden, features, thermal channels"""
 
-needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; torch finds none")
-
 
 def worst_difference(hidden: int, dim: int, thermal_channels: int, team: int, device: torch.device) -> float:
     """Largest relative difference (norm) of an image or gradient between fused decoders and plain ones in float64.
@@ -68,7 +66,6 @@ def all_finite(team: int, device: torch.device) -> bool:
 
 
 @pytest.mark.cuda
-@needs_cuda
 @pytest.mark.parametrize("team", TEAMS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_on_cuda(shape: tuple[int, int, int], team: int) -> None:
@@ -80,7 +77,6 @@ def test_on_cuda(shape: tuple[int, int, int], team: int) -> None:
 
 
 @pytest.mark.cuda
-@needs_cuda
 def test_gradients_of_many_pixels() -> None:
     """Blocks that decode more than once sum the same gradients with either deal of pixels to warps."""
     decoders = Decoders(DecoderConfig(), 8, 3).cuda()
@@ -95,7 +91,6 @@ def test_gradients_of_many_pixels() -> None:
 
 
 @pytest.mark.cuda
-@needs_cuda
 def test_training_on_cuda_uses_them() -> None:
     """TF32 and compiled: the default of a training on CUDA."""
     decoders = Decoders(DecoderConfig(), 8, 3).cuda()
@@ -104,7 +99,6 @@ def test_training_on_cuda_uses_them() -> None:
 
 
 @pytest.mark.cuda
-@needs_cuda
 @pytest.mark.parametrize(("change", "dim"), [({"modulation": False}, 8), ({"hidden_layers": 3}, 8), ({}, 16)])
 def test_other_decoders_are_left_alone(change: dict, dim: int) -> None:
     """Shapes without kernels."""

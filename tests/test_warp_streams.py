@@ -68,8 +68,6 @@ def test_nothing_is_captured_on_the_cpu() -> None:
 @pytest.mark.cuda
 def test_arrays_follow_torchs_stream() -> None:
     """On a side stream the arrays and Warp's work are that stream's; afterwards the stream before is back."""
-    if not torch.cuda.is_available():
-        pytest.skip("needs a CUDA device; torch finds none")
     device, side = torch.device("cuda"), torch.cuda.Stream()
     with on_torch_stream(device) as outer:
         first = outer.stream.cuda_stream
@@ -81,8 +79,6 @@ def test_arrays_follow_torchs_stream() -> None:
 @pytest.mark.cuda
 def test_launches_go_to_the_stream_of_torch() -> None:
     """Without Warp's own current stream, which stays what it is until a sort or scan needs torch's."""
-    if not torch.cuda.is_available():
-        pytest.skip("needs a CUDA device; torch finds none")
     device, side = torch.device("cuda"), torch.cuda.Stream()
     with torch.cuda.stream(side), launches_on_torch_stream(device) as warp_device:
         own = warp_device.stream

@@ -99,8 +99,6 @@ def test_a_peer_that_fails_loses_no_other() -> None:
 @pytest.mark.parametrize("case", ["rgb", "rgbt"])
 def test_a_graph_renders_the_same(case: str) -> None:
     """Replays give the eager images and gradients, and count the same pairs."""
-    if not torch.cuda.is_available():
-        pytest.skip("needs a CUDA device; torch finds none")
     device = torch.device("cuda")
     row = run_case(
         synthetic_scene(5000),

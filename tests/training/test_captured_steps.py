@@ -22,13 +22,6 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }
 
 
-@pytest.fixture(autouse=True)
-def cuda() -> None:
-    """These tests are about CUDA graphs."""
-    if not torch.cuda.is_available():
-        pytest.skip("needs a CUDA device; torch finds none")
-
-
 def _run(path: Path, kind: str, steps: int, **changes: Any) -> Trainer:
     model, capture = KINDS[kind]
     config = dataclasses.replace(toy_run_config(max_steps=steps, model=model), device="cuda", **changes)

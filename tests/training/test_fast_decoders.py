@@ -59,8 +59,8 @@ def test_compiling_needs_triton_and_a_compiler(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.cuda
 def test_compiled_decoders_give_the_same_images() -> None:
     """Images and gradients of compiled branches equal the plain ones' to float32 rounding."""
-    if not (torch.cuda.is_available() and can_compile()):
-        pytest.skip("needs a CUDA device and Triton")
+    if not can_compile():
+        pytest.skip("needs Triton and a C compiler")
     decoders = Decoders(DecoderConfig(), 8, 3).cuda()
     features = torch.randn(2, 20, 30, 8, device="cuda")
     results = []

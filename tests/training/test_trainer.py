@@ -278,8 +278,6 @@ def test_frames_of_one_spectrum_train_what_they_show(tmp_path: Path, capture: Ca
 @pytest.mark.cuda
 def test_cuda_run_goes_on_on_the_cpu(tmp_path: Path, capture: Capture) -> None:
     """A checkpoint of a GPU is read on a machine without one, and training goes on from it."""
-    if not torch.cuda.is_available():
-        pytest.skip("needs a CUDA device; torch finds none")
     first = toy_trainer(tmp_path, toy_run_config(max_steps=7, device="cuda"), capture)
     assert first.train()["device"] == torch.cuda.get_device_name()
     resumed = Trainer.resume(toy_run_config(device="cpu"), capture, RunDirectory.open(tmp_path))
