@@ -19,7 +19,6 @@ from trained_scene import trained_scene
 
 from thermosplat.rasterization_functions import Project
 from thermosplat.tile_lists import bin_tiles
-from thermosplat.warp_bridge import wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending_step import BlendedArrays, blend
@@ -73,7 +72,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
                         blended.thermal_last_pairs = image(wp.int32)
                     tape = wp.Tape()
                     inputs = (
-                        arrays, wrap(opacities, wp.float32), wrap(thermal, wp.float32), wrap(features, vec), bins,
+                        arrays, wp.from_torch(opacities), wp.from_torch(thermal), wp.from_torch(features, vec), bins,
                         settings, blended,
                     )  # fmt: skip
 

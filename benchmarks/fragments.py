@@ -11,7 +11,6 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from thermosplat.warp_bridge import wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from warp_kernels.launching import launch
@@ -129,13 +128,13 @@ def count_fragments(info: Mapping[str, Any], width: int, height: int) -> Fragmen
             tiles_x,
             tile_size,
             thermal is not None,
-            wrap(means2d.contiguous(), wp.vec2f),
-            wrap(conics.contiguous(), wp.vec3f),
-            wrap(opacities, wp.float32),
-            wrap(seconds, wp.float32),
-            wrap(ids, wp.int32),
-            wrap(offsets, wp.int32),
-            wrap(counts, wp.int32),
+            wp.from_torch(means2d.contiguous(), wp.vec2f),
+            wp.from_torch(conics.contiguous(), wp.vec3f),
+            wp.from_torch(opacities, wp.float32),
+            wp.from_torch(seconds, wp.float32),
+            wp.from_torch(ids, wp.int32),
+            wp.from_torch(offsets, wp.int32),
+            wp.from_torch(counts, wp.int32),
         ]
         launch(count_kernel, width * height, arguments, warp_device)
     drawn, drawn_thermal, either = (int(n) for n in counts.sum(0, dtype=torch.int64).tolist())

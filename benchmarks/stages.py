@@ -7,7 +7,6 @@ import warp as wp
 from timing import time_interleaved
 from torch import Tensor
 
-from thermosplat.warp_bridge import wrap
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.binning_step import bin_tiles
 from warp_kernels.blending_step import BlendedArrays, blend
@@ -55,7 +54,7 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
     count = len(t["means"])
 
     def array(tensor: Tensor, kind: type) -> wp.array:
-        made = wrap(tensor, kind)
+        made = wp.from_torch(tensor, kind)
         made.requires_grad = True
         return made
 
@@ -68,8 +67,8 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
         None,
         opacities,
         thermal,
-        wrap(t["viewmats"], matrix((4, 4), dtype)),
-        wrap(t["Ks"], matrix((3, 3), dtype)),
+        wp.from_torch(t["viewmats"], matrix((4, 4), dtype)),
+        wp.from_torch(t["Ks"], matrix((3, 3), dtype)),
     )
     settings = ProjectionSettings(width=width, height=height, num_gaussians=count, num_cameras=1, num_images=1)
     projected = allocate_projected(count, dtype, device, True)
@@ -89,8 +88,8 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
         v_sh = torch.empty_like(t["sh"])
         coefficients = []
         for part in (slice(0, 1), slice(1, None)):
-            coefficients.append(wrap(t["sh"][:, part], vector(3, dtype)))
-            coefficients[-1].grad = wrap(v_sh[:, part], vector(3, dtype))
+            coefficients.append(wp.from_torch(t["sh"][:, part], vector(3, dtype)))
+            coefficients[-1].grad = wp.from_torch(v_sh[:, part], vector(3, dtype))
         arrays = ColorArrays(gaussians.means, gaussians.viewmats, *coefficients, projected.radii, colors)
         color_settings = ColorSettings(3, count, 1)
         sh_colors(arrays, color_settings)

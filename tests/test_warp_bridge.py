@@ -9,29 +9,27 @@ from torch.multiprocessing.reductions import StorageWeakRef
 
 from gaussian_scenes import gradients, leaves, random_scene, relative_error, upstream_gradients
 from thermosplat import rasterization
-from thermosplat.warp_bridge import SCALARS, to_torch, wrap
+from thermosplat.warp_bridge import SCALARS, strided_view, to_torch, vector_of, view
 from thermosplat.warp_streams import on_torch_stream
 
 
 @pytest.mark.parametrize("dtype", list(SCALARS))
-def test_wrap_shares_memory(device: torch.device, dtype: torch.dtype) -> None:
-    """A wrapped tensor is torch's memory seen as vectors."""
+def test_view_shares_memory(device: torch.device, dtype: torch.dtype) -> None:
+    """A tensor's memory seen as vectors."""
     tensor = torch.arange(12, dtype=dtype, device=device).reshape(4, 3)
-    with on_torch_stream(device):
-        array = wrap(tensor, wp.types.vector(3, SCALARS[dtype]))
+    array = view(tensor, vector_of(3, dtype))
     assert array.shape == (4,)
     assert array.ptr == tensor.data_ptr()
     tensor[2, 1] = -7.0
     assert array.numpy()[2, 1] == -7.0
 
 
-def test_wrap_leaves_autograd_alone(device: torch.device) -> None:
-    """Wrapping a leaf that needs a gradient neither gives it one nor lets Warp allocate one."""
-    leaf = torch.zeros(4, 3, device=device, requires_grad=True)
-    with on_torch_stream(device):
-        array = wrap(leaf, wp.vec3)
-    assert leaf.grad is None
-    assert array.grad is None
+@pytest.mark.parametrize("dtype", list(SCALARS))
+def test_strided_view_is_the_same_numbers(device: torch.device, dtype: torch.dtype) -> None:
+    """Whatever the strides are: slices, transposed, one column."""
+    tensor = torch.arange(24, dtype=dtype, device=device).reshape(4, 3, 2)
+    for part in (tensor, tensor[1:, :, 1], tensor[..., :1], tensor.permute(2, 0, 1), tensor[:0]):
+        assert strided_view(part).numpy().tolist() == part.tolist()
 
 
 def test_to_torch_keeps_the_memory_alive(device: torch.device) -> None:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from warp_kernels.array_views import empty
+from warp_kernels.launching import launch_again
 from warp_kernels.tensor_tables import (
     BLOCK,
     PLACES,
@@ -121,13 +123,12 @@ def adam_update(
     for first in range(0, len(parameters), PLACES):
         some = parameters[first : first + PLACES]
         device = some[0].parameter.device
-        coefficients = wp.empty(len(some), dtype=wp.vec2, device=device)
+        coefficients = empty(len(some), wp.vec2, device)
         steps, rates = addresses([p.step for p in some]), addresses([p.rate for p in some])
-        inputs = [wp.float64(betas[0]), wp.float64(betas[1]), rates, blocked, steps, coefficients]
-        wp.launch(adam_coefficients_kernel, dim=len(some), inputs=inputs, device=device, record_tape=False)
+        launch_again(adam_coefficients_kernel, len(some), [*betas, rates, blocked, steps, coefficients], device)
         sizes = [len(p.parameter) for p in some]
         ends = thread_ends(sizes)
         inputs = [counts(ends), counts(sizes), 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon, blocked, coefficients]
         inputs += [addresses([p.gradient for p in some]), addresses([p.parameter for p in some])]
         inputs += [addresses([p.exp_avg for p in some]), addresses([p.exp_avg_sq for p in some])]
-        wp.launch(adam_update_kernel, dim=ends[-1], inputs=inputs, device=device, record_tape=False, block_dim=BLOCK)
+        launch_again(adam_update_kernel, ends[-1], inputs, device, BLOCK)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import warp as wp
 
+from warp_kernels.launching import launch_again
 from warp_kernels.tensor_tables import (
     BLOCK,
     PLACES,
@@ -64,11 +65,4 @@ def note_bad(
         sizes = [len(tensor) for tensor in some]
         ends = thread_ends(sizes)
         tables = [counts(ends), counts(sizes), counts(names[first : first + PLACES]), addresses(some)]
-        wp.launch(
-            note_bad_kernel,
-            dim=ends[-1],
-            inputs=[*tables, step, first_bad_step, blocked],
-            device=step.device,
-            record_tape=False,
-            block_dim=BLOCK,
-        )
+        launch_again(note_bad_kernel, ends[-1], [*tables, step, first_bad_step, blocked], step.device, BLOCK)

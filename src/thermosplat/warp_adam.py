@@ -1,14 +1,17 @@
 """Adam whose updates of CUDA parameters are one Warp kernel; elsewhere torch's own."""
 
+import inspect
 from collections.abc import Iterable
 from typing import Any
 
 import torch
+import warp as wp
 from torch import Tensor
 
-from thermosplat.warp_bridge import SCALARS, wrap
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_bridge import view
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.adam import AdamArrays, adam_update
+from warp_kernels.array_views import ArrayView
 
 
 class WarpAdam(torch.optim.Adam):
@@ -16,6 +19,11 @@ class WarpAdam(torch.optim.Adam):
 
     Its rate ``lr`` must be a tensor on the parameters' device, so that a captured step sees it change.
     """
+
+    # Torch's own, which would import torch's compiler to be hidden from it: a second of every start.
+    add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
+    state_dict = inspect.unwrap(torch.optim.Adam.state_dict)
+    load_state_dict = inspect.unwrap(torch.optim.Adam.load_state_dict)
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> None:  # type: ignore[override]
@@ -49,11 +57,11 @@ def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
                     state["exp_avg_sq"] = torch.zeros_like(parameter)
                 moments = state["exp_avg"], state["exp_avg_sq"]
                 members.append((parameter, parameter.grad.contiguous(), *moments, state["step"], group["lr"]))
-    with on_torch_stream(blocked.device):
+    with launches_on_torch_stream(blocked.device):
         for (betas, eps), members in tensors.items():
             adam_update([AdamArrays(*map(_flat, member)) for member in members], _flat(blocked), betas, eps)
 
 
-def _flat(tensor: Tensor) -> Any:
-    """A tensor's numbers as a Warp array."""
-    return wrap(tensor.view(-1), SCALARS[tensor.dtype])
+def _flat(tensor: Tensor) -> ArrayView:
+    """A float32 tensor's numbers as an array."""
+    return view(tensor, wp.float32)

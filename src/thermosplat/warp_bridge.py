@@ -17,33 +17,6 @@ SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
 """Torch dtypes the kernels run in, and Warp's names for them."""
 
 
-def wrap(tensor: Tensor, dtype: Any) -> wp.array:
-    """A Warp array on a torch tensor's memory, as ``wp.launch`` takes it: ``wp.from_torch`` in half its time.
-
-    Args:
-        tensor: contiguous in the dimensions that the dtype takes.
-        dtype: Warp dtype of the tensor's scalars; vectors take the last dimension, matrices the last two.
-
-    Returns:
-        The array; it keeps the memory alive.
-    """
-    tensor = tensor.detach()  # the array must not keep the graph that the tensor is part of
-    lead = tensor.dim() - len(getattr(dtype, "_shape_", ()))
-    strides = None  # those of a contiguous array, whatever torch says of dimensions of size 1
-    if not tensor.is_contiguous():
-        strides = tuple(stride * tensor.element_size() for stride in tensor.stride()[:lead])
-    array = wp.array(
-        ptr=tensor.data_ptr(),
-        dtype=dtype,
-        shape=tuple(tensor.shape[:lead]),
-        strides=strides,
-        device=warp_device_of(tensor.device),
-        copy=False,
-    )
-    array._tensor = tensor
-    return array
-
-
 @functools.cache
 def warp_device_of(device: torch.device) -> wp.Device:
     """Warp's device of torch's."""
@@ -78,7 +51,7 @@ def vector_of(length: int, dtype: torch.dtype) -> Any:
 
 
 def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
-    """A torch tensor's memory as an array for the launches of warp_kernels, in a tenth of ``wrap``'s time.
+    """A torch tensor's memory as an array for the launches of warp_kernels.
 
     Args:
         tensor: contiguous; the array does not keep it alive.
@@ -90,6 +63,22 @@ def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
     """
     shape = shape or (tensor.numel() // getattr(kind, "_length_", 1),)
     return ArrayView(tensor.data_ptr(), shape, kind, warp_device_of(tensor.device))
+
+
+def strided_view(tensor: Tensor) -> ArrayView:
+    """A torch tensor's numbers in its shape and with its strides, as ``view``.
+
+    Args:
+        tensor: float32 or float64, of any strides; the array does not keep it alive.
+
+    Returns:
+        The array.
+    """
+    size = tensor.element_size()
+    # contiguous ones have the strides of their shape, whatever torch says of dimensions of size 1
+    strides = None if tensor.is_contiguous() else tuple(stride * size for stride in tensor.stride())
+    kind = SCALARS[tensor.dtype]
+    return ArrayView(tensor.data_ptr(), tuple(tensor.shape), kind, warp_device_of(tensor.device), None, strides)
 
 
 def given_view(gradient: Tensor, kind: Any, *shape: int) -> ArrayView:

@@ -3,12 +3,12 @@
 from typing import Any
 
 import torch
-import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.warp_bridge import SCALARS, wrap
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_bridge import strided_view
+from thermosplat.warp_streams import launches_on_torch_stream
+from warp_kernels.array_views import ArrayView
 from warp_kernels.covered_images import cover, cover_adjoint
 
 
@@ -28,7 +28,7 @@ class _Covered(torch.autograd.Function):
     def forward(ctx: Any, decoded: Tensor, alpha: Tensor, base: Tensor | None) -> Tensor:
         covered = torch.empty_like(decoded)
         below = decoded[:0] if base is None else base
-        with on_torch_stream(decoded.device):
+        with launches_on_torch_stream(decoded.device):
             cover(_pixels(decoded), _numbers(alpha), _pixels(below), _pixels(covered))
         ctx.has_base = base is not None
         ctx.save_for_backward(decoded, alpha)
@@ -40,14 +40,14 @@ class _Covered(torch.autograd.Function):
         decoded, alpha = ctx.saved_tensors
         v_decoded, v_alpha = torch.empty_like(decoded), torch.empty_like(alpha)
         v = v_covered.contiguous()
-        with on_torch_stream(decoded.device):
+        with launches_on_torch_stream(decoded.device):
             cover_adjoint(_pixels(decoded), _numbers(alpha), _pixels(v), _pixels(v_decoded), _numbers(v_alpha))
         return v_decoded, v_alpha, v_covered if ctx.has_base else None
 
 
-def _pixels(image: Tensor) -> wp.array:
-    return wrap(image.flatten(0, 1), SCALARS[image.dtype])
+def _pixels(image: Tensor) -> ArrayView:
+    return strided_view(image.flatten(0, 1))
 
 
-def _numbers(image: Tensor) -> wp.array:
-    return wrap(image.view(-1), SCALARS[image.dtype])
+def _numbers(image: Tensor) -> ArrayView:
+    return strided_view(image.view(-1))

@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.decoders import Decoders
-from thermosplat.warp_bridge import view, warp_device_of
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_bridge import strided_view, view, warp_device_of
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.array_views import ArrayView
 from warp_kernels.decoder_adjoint import decode_adjoint_kernel
 from warp_kernels.decoder_memory import NARROW, TEAMS, THREADS, layout_of
@@ -110,8 +110,8 @@ class _Branch(torch.autograd.Function):
         image = features.new_empty(*features.shape[:-1], parameters[-1].shape[0])
         kernel = decode_kernel(*_shape(parameters))
         programs = 2 * _multiprocessors(features.device)
-        with on_torch_stream(features.device):
-            _launch(kernel, programs, [_rows(pixels), *weights, _rows(_flat(image))], features.device)
+        with launches_on_torch_stream(features.device):
+            _launch(kernel, programs, [strided_view(pixels), *weights, strided_view(_flat(image))], features.device)
         ctx.save_for_backward(features, image, *parameters)
         ctx.team = team
         return image
@@ -127,10 +127,10 @@ class _Branch(torch.autograd.Function):
         kernel = decode_adjoint_kernel(*_shape(parameters), ctx.team)
         programs = _multiprocessors(features.device)
         partial = features.new_empty(programs, sum(sizes))
-        with on_torch_stream(features.device):
-            images = [_rows(_flat(image)), _rows(_flat(v_image)), view(largest, wp.float32, 1)]
-            outputs = [_rows(_flat(v_features)), _rows(partial)]
-            _launch(kernel, programs, [_rows(pixels), *images, *weights, *outputs], features.device)
+        with launches_on_torch_stream(features.device):
+            images = [strided_view(_flat(image)), strided_view(_flat(v_image)), view(largest, wp.float32, 1)]
+            outputs = [strided_view(_flat(v_features)), strided_view(partial)]
+            _launch(kernel, programs, [strided_view(pixels), *images, *weights, *outputs], features.device)
         sums = partial.sum(0).split(sizes)
         v_parameters = [
             None if parameter is None else total.view(parameter.shape)
@@ -160,14 +160,6 @@ def _pixels(features: Tensor) -> Tensor:
     """[..., d] as [pixels, d] on the same memory where the channels lie side by side, as in a slice of a render."""
     rows = features.reshape(-1, features.shape[-1]) if features.is_contiguous() else features.flatten(0, -2)
     return rows if rows.stride(1) == 1 else rows.contiguous()
-
-
-def _rows(tensor: Tensor) -> ArrayView:
-    """A tensor [rows, columns], columns side by side, for the kernels."""
-    size = tensor.element_size()
-    strides = (tensor.stride(0) * size, size)
-    device = warp_device_of(tensor.device)
-    return ArrayView(tensor.data_ptr(), tuple(tensor.shape), wp.float32, device, None, strides)
 
 
 def _views(parameters: Sequence[Tensor | None]) -> list[ArrayView]:

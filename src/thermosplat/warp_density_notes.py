@@ -3,8 +3,8 @@
 import warp as wp
 from torch import Tensor
 
-from thermosplat.warp_bridge import SCALARS, wrap
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_bridge import given_view, vector_of, view
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.density_notes import note_density
 
 
@@ -26,12 +26,12 @@ def note_gradients(
         norm_sums: float32 [N]; gets the norms where a camera sees a Gaussian.
         observations: float32 [N]; gets the number of those cameras.
     """
-    with on_torch_stream(gradient.device):
+    with launches_on_torch_stream(gradient.device):
         note_density(
-            wrap(gradient.contiguous().view(-1, 2), wp.types.vector(2, SCALARS[gradient.dtype])),
-            wrap(radii.contiguous().view(-1, 2), wp.vec2i),
+            given_view(gradient, vector_of(2, gradient.dtype)),
+            given_view(radii, wp.vec2i),
             half_size,
-            wrap(blocked.view(1), wp.float32),
-            wrap(norm_sums, wp.float32),
-            wrap(observations, wp.float32),
+            view(blocked, wp.float32),
+            view(norm_sums, wp.float32),
+            view(observations, wp.float32),
         )

@@ -3,8 +3,8 @@
 import warp as wp
 from torch import Tensor
 
-from thermosplat.warp_bridge import wrap
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_bridge import view
+from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.finite_check import note_bad
 
 
@@ -17,9 +17,9 @@ def note_by_warp(named: list[list[Tensor]], step: Tensor, first_bad_step: Tensor
         first_bad_step: int64, one for each name, 0 as long as all was finite; changed in place.
         blocked: float32 scalar; 1 afterwards where something was not finite, else as before.
     """
-    flat = [tensor.contiguous().view(-1) for tensors in named for tensor in tensors]
+    flat = [tensor.contiguous() for tensors in named for tensor in tensors]
     places = [place for place, tensors in enumerate(named) for _ in tensors]
-    with on_torch_stream(step.device):
-        arrays = [wrap(tensor, wp.float32) for tensor in flat]
-        scalars = wrap(step.view(1), wp.int64), wrap(first_bad_step, wp.int64), wrap(blocked.view(1), wp.float32)
+    with launches_on_torch_stream(step.device):
+        arrays = [view(tensor, wp.float32) for tensor in flat]
+        scalars = view(step, wp.int64), view(first_bad_step, wp.int64), view(blocked, wp.float32)
         note_bad(arrays, places, *scalars)

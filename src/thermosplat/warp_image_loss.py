@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
-import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.ssim import C1, C2, EPSILON, SSIM_SIGMA
-from thermosplat.warp_bridge import SCALARS, wrap
-from thermosplat.warp_streams import on_torch_stream
+from thermosplat.warp_bridge import SCALARS, strided_view
+from thermosplat.warp_streams import launches_on_torch_stream
+from warp_kernels.array_views import ArrayView
 from warp_kernels.image_loss import TERMS
 from warp_kernels.image_loss_step import (
     ImageLossSettings,
@@ -119,11 +119,13 @@ class _ImageLosses(torch.autograd.Function):
         sums = made(3 * channels, tiles_of(height, width, SCALARS[images[0].dtype]))
         derivatives = made(*((3 * channels, height, width) if wanted else (0, 0, 0)))
         losses, squared_errors = made(TERMS + 1), made(TERMS)
-        with on_torch_stream(images[0].device):
+        with launches_on_torch_stream(images[0].device):
             arrays = _arrays(renders)
-            image_losses(arrays, _arrays(targets), settings, _array(sums), _array(derivatives))
+            image_losses(arrays, _arrays(targets), settings, strided_view(sums), strided_view(derivatives))
             totals = sums.sum(1)
-            image_loss_totals(arrays, settings, _array(totals), _array(losses), _array(squared_errors))
+            image_loss_totals(
+                arrays, settings, strided_view(totals), strided_view(losses), strided_view(squared_errors)
+            )
         ctx.save_for_backward(*images, *targets, derivatives)
         errors = squared_errors.unbind()[: len(terms)]
         ctx.mark_non_differentiable(*errors)
@@ -146,13 +148,13 @@ class _ImageLosses(torch.autograd.Function):
             else torch.zeros_like(image, memory_format=torch.contiguous_format)
             for image, target in zip(images, targets, strict=True)
         ]
-        with on_torch_stream(derivatives.device):
+        with launches_on_torch_stream(derivatives.device):
             image_losses_adjoint(
                 _arrays(_compared(images, targets, ctx.firsts)),
                 _arrays(targets),
                 ctx.settings,
-                _array(derivatives),
-                _array(v_losses),
+                strided_view(derivatives),
+                strided_view(v_losses),
                 _arrays(_compared(v_images, targets, ctx.firsts)),
             )
         return None, None, *v_images
@@ -174,10 +176,5 @@ def _compared(images: Sequence[Tensor], targets: Sequence[Tensor], firsts: Seque
     ]
 
 
-def _arrays(tensors: Sequence[Tensor]) -> list[wp.array]:
-    return [_array(tensor) for tensor in tensors]
-
-
-def _array(tensor: Tensor) -> wp.array:
-    """A tensor's scalars as a Warp array on the same memory, with the tensor's strides."""
-    return wrap(tensor, SCALARS[tensor.dtype])
+def _arrays(tensors: Sequence[Tensor]) -> list[ArrayView]:
+    return [strided_view(tensor) for tensor in tensors]

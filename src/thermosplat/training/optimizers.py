@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-import torch._dynamo  # which the first optimizer asks for; among the other imports (host_settings) it takes less time
 from torch import Tensor, nn
 
 from thermosplat.config import OptimizerConfig

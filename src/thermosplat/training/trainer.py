@@ -10,7 +10,7 @@ Ctrl-C, a full memory or a bad loss.
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -152,15 +152,14 @@ class Trainer:
             while state.step < config.max_steps:
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
-                if state.step in config.save_steps and state.step < config.max_steps:
-                    self._save()
-                if state.step in config.eval_steps and state.step < config.max_steps:
-                    self._evaluate()
+                if state.step < config.max_steps:
+                    with meanwhile(self._save) if state.step in config.save_steps else nullcontext():
+                        if state.step in config.eval_steps:
+                            self._evaluate()
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
-            with meanwhile(self._save):  # nothing which goes wrong in here costs the training
+            with meanwhile(self._save), meanwhile(self._export):  # nothing that goes wrong in here costs the training
                 metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
-                export_scene(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
             state.seconds.wall = time.perf_counter() - started
             finished = self._finish(metrics)
             write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
@@ -291,6 +290,10 @@ class Trainer:
         }
         self.run.write_json(self.run.metrics_json, metrics)
         return metrics
+
+    def _export(self) -> None:
+        """Write the scene for other viewers."""
+        export_scene(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
 
     def _save(self) -> Path:
         """Write a checkpoint of the steps done. Callers have made sure that the state is finite."""
