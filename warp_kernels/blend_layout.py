@@ -75,11 +75,18 @@ CROWDED = 250
 WIDE = 24
 """Channels above which a pixel's sums take most of the registers."""
 
-SEGMENT = 512
-"""Pairs that a block of threads walks where lists are cut."""
+SEGMENT, SHORT_SEGMENT = 1024, 512
+"""Pairs that a block of threads walks where lists are cut; the shorter one where there are few tiles and many pairs in
+each, so that the longer ones would be too few for a GPU."""
+
+SHORT_FROM = 600
+"""Mean pairs a tile from which segments are short."""
 
 FEW_TILES = 4096
-"""Tiles up to which the longest list decides how long blending takes, so that lists are cut; more fill a GPU."""
+"""Tiles up to which the longest list decides how long blending takes, so that lists are cut; more fill a GPU ..."""
+
+LONG_LISTS = 9
+"""... unless there are fewer tiles than so many times the mean pairs in one."""
 
 
 def default_layout(
@@ -110,4 +117,6 @@ def default_layout(
         width = 16
     if tile_size == 32:
         height = 8  # records of more warps would not fit in shared memory
-    return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, SEGMENT if few_tiles else 0)
+    segment = SHORT_SEGMENT if few_tiles and num_pairs > SHORT_FROM * num_tiles else SEGMENT
+    cut = few_tiles or num_tiles**2 < LONG_LISTS * num_pairs
+    return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, segment if cut else 0)
