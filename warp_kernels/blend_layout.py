@@ -75,18 +75,20 @@ CROWDED = 250
 WIDE = 24
 """Channels above which a pixel's sums take most of the registers."""
 
-SEGMENT, SHORT_SEGMENT = 1024, 512
-"""Pairs that a block of threads walks where lists are cut; the shorter one where there are few tiles and many pairs in
-each, so that the longer ones would be too few for a GPU."""
-
-SHORT_FROM = 600
-"""Mean pairs a tile from which segments are short."""
-
 FEW_TILES = 4096
-"""Tiles up to which the longest list decides how long blending takes, so that lists are cut; more fill a GPU ..."""
+"""Tiles up to which the longest list decides how long blending takes, so that it is cut; more fill a GPU ..."""
 
 LONG_LISTS = 9
-"""... unless there are fewer tiles than so many times the mean pairs in one."""
+"""... unless they are fewer than so many times the mean pairs of one."""
+
+LONGEST_LISTS = 2
+"""Where they are fewer than so many times the mean pairs of one, many lists are cut, into shorter segments."""
+
+SEGMENTS = 2500
+"""Segments that fill a GPU ..."""
+
+SHORTEST, LONGEST = 256, 1024
+"""... and the pairs of one: shorter ones cost more states and joints than they bring."""
 
 
 def default_layout(
@@ -117,6 +119,8 @@ def default_layout(
         width = 16
     if tile_size == 32:
         height = 8  # records of more warps would not fit in shared memory
-    segment = SHORT_SEGMENT if few_tiles and num_pairs > SHORT_FROM * num_tiles else SEGMENT
-    cut = few_tiles or num_tiles**2 < LONG_LISTS * num_pairs
-    return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, segment if cut else 0)
+    tiles_a_pair = num_tiles**2 / max(num_pairs, 1)
+    segment = LONGEST if few_tiles or tiles_a_pair < LONG_LISTS else 0
+    if tiles_a_pair < LONGEST_LISTS:
+        segment = min(max(num_pairs // SEGMENTS // SHORTEST * SHORTEST, SHORTEST), LONGEST)
+    return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, segment)

@@ -14,6 +14,10 @@ from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
 from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
 from thermosplat.warp_streams import captured_in
 
+LARGE = 4096
+"""Numbers of a tensor from which a copy of its own is quicker than a share in one kernel for all, which has few blocks
+of threads."""
+
 
 @dataclass(frozen=True)
 class _Shape:
@@ -125,7 +129,11 @@ def _copy(target: FrameTensors, source: FrameTensors) -> None:
     values: list[Tensor] = []
     for ours, theirs in ((target.rgb, source.rgb), (target.thermal, source.thermal)):
         for tensor, value in zip(_tensors(ours), _tensors(theirs), strict=True):
-            if tensor is not None and value is not None:
+            if tensor is None or value is None:
+                continue
+            if tensor.numel() > LARGE:
+                tensor.copy_(value)
+            else:
                 to.append(tensor)
                 values.append(value)
-    torch._foreach_copy_(to, values)  # one kernel for all of them
+    torch._foreach_copy_(to, values)
