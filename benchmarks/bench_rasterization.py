@@ -57,6 +57,11 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--no-stages", action="store_true", help="neither stages nor floors")
     parser.add_argument("--cores", type=int, nargs="+", default=None, help="CPU threads to time thermosplat with")
+    parser.add_argument(
+        "--one-thread",
+        action="store_true",
+        help="run backward passes in the calling thread, where torch hands those of a GPU to a thread of its own",
+    )
     parser.add_argument("--json", type=Path, default=None, help="file to write")
     parser.add_argument(
         "--resume", action="store_true", help="keep what --json holds, and measure only what is not in it"
@@ -204,6 +209,8 @@ def main() -> int:
     """Runs the cases asked for; returns 1 if any failed, or a peer rendered something else."""
     options = arguments()
     device = torch.device(options.device)
+    if options.one_thread:
+        torch.autograd.set_multithreading_enabled(False)
     peers = cpu_peers(options.peers) if device.type == "cpu" else cuda_peers(options.peers)
     report: dict[str, Any] = {"environment": environment(device, peers), "rows": []}
     if options.resume and options.json.exists():

