@@ -20,7 +20,7 @@ class WarpAdam(torch.optim.Adam):
     Its rate ``lr`` must be a tensor on the parameters' device, so that a captured step sees it change.
     """
 
-    # Torch's own, which would import torch's compiler to be hidden from it: a second of every start.
+    # Torch's own, without what imports torch's compiler to hide them from it: a second of every start.
     add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
     state_dict = inspect.unwrap(torch.optim.Adam.state_dict)
     load_state_dict = inspect.unwrap(torch.optim.Adam.load_state_dict)

@@ -66,10 +66,10 @@ def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
 
 
 def strided_view(tensor: Tensor) -> ArrayView:
-    """A torch tensor's numbers in its shape and with its strides, as ``view``.
+    """A torch tensor's numbers as an array of its shape and strides, which keeps it alive.
 
     Args:
-        tensor: float32 or float64, of any strides; the array does not keep it alive.
+        tensor: float32 or float64, of any strides.
 
     Returns:
         The array.
@@ -78,7 +78,7 @@ def strided_view(tensor: Tensor) -> ArrayView:
     # contiguous ones have the strides of their shape, whatever torch says of dimensions of size 1
     strides = None if tensor.is_contiguous() else tuple(stride * size for stride in tensor.stride())
     kind = SCALARS[tensor.dtype]
-    return ArrayView(tensor.data_ptr(), tuple(tensor.shape), kind, warp_device_of(tensor.device), None, strides)
+    return ArrayView(tensor.data_ptr(), tuple(tensor.shape), kind, warp_device_of(tensor.device), tensor, strides)
 
 
 def given_view(gradient: Tensor, kind: Any, *shape: int) -> ArrayView:

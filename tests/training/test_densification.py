@@ -202,15 +202,16 @@ def test_losing_every_gaussian_is_an_error() -> None:
 
 
 def test_out_of_memory_between_two_operations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory that runs out after cloning, before splitting, leaves sums that fit the Gaussians there are."""
+    """Memory that runs out after growing, before pruning, leaves sums that fit the Gaussians there are."""
     gaussians = random_gaussians(20)
+    gaussians.set_opacity_logits(torch.tensor([0]), torch.tensor([-20.0]), torch.tensor([-20.0]))
     strategy = _strategy(gaussians, grow_scale3d=0.02)
     info = _info(torch.full((1, 20, 2), 1.0), torch.ones(1, 20, dtype=torch.bool))
 
     def exhausted(*args: object) -> None:
         raise torch.OutOfMemoryError
 
-    monkeypatch.setattr(densification, "split", exhausted)
+    monkeypatch.setattr(densification, "prune", exhausted)
     with pytest.raises(torch.OutOfMemoryError):
         _run(strategy, gaussians, stepped_optimizers(gaussians), [info], 601)
     assert len(gaussians) > 20

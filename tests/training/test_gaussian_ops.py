@@ -6,7 +6,7 @@ from random_gaussians import random_gaussians, stepped_optimizers
 
 from thermosplat.gaussians import Gaussians
 from thermosplat.training import gaussian_ops
-from thermosplat.training.gaussian_ops import Optimizers, clone, prune, reset_opacities, split
+from thermosplat.training.gaussian_ops import Optimizers, clone, grow, prune, reset_opacities
 
 
 def _snapshot(gaussians: Gaussians, optimizers: Optimizers) -> dict[str, dict[str, torch.Tensor]]:
@@ -34,23 +34,24 @@ def test_clone_appends_copies_with_fresh_moments(thermal: bool) -> None:
             assert not now[key][6:].any(), name
 
 
-def test_split_replaces_each_by_two_smaller_ones() -> None:
-    """The halves are 1.6 times smaller, else copies; the original is gone; moments are zero."""
+def test_growth_appends_copies_and_replaces_others_by_two_smaller_ones() -> None:
+    """The halves are 1.6 times smaller, else copies; the original is gone; moments of all new ones are zero."""
     gaussians = random_gaussians(5)
     optimizers = stepped_optimizers(gaussians)
     before = _snapshot(gaussians, optimizers)
-    selected = torch.tensor([True, False, False, True, False])
-    split(gaussians, optimizers, selected, torch.Generator().manual_seed(0))
-    assert len(gaussians) == 7
+    cloned, halved = torch.tensor([False, True, False, False, False]), torch.tensor([True, False, False, True, False])
+    grow(gaussians, optimizers, cloned, halved, torch.Generator().manual_seed(0))
+    assert len(gaussians) == 3 + 1 + 2 * 2
     for name, now in _snapshot(gaussians, optimizers).items():
-        assert torch.equal(now["value"][:3], before[name]["value"][~selected]), name
-        assert torch.equal(now["exp_avg"][:3], before[name]["exp_avg"][~selected]), name
+        assert torch.equal(now["value"][:3], before[name]["value"][~halved]), name
+        assert torch.equal(now["exp_avg"][:3], before[name]["exp_avg"][~halved]), name
+        assert torch.equal(now["value"][3:4], before[name]["value"][cloned]), name
         assert not now["exp_avg"][3:].any(), name
-        twice = torch.cat([before[name]["value"][selected]] * 2)
+        twice = torch.cat([before[name]["value"][halved]] * 2)
         if name == "log_scales":
-            torch.testing.assert_close(now["value"][3:].exp(), twice.exp() / 1.6)
+            torch.testing.assert_close(now["value"][4:].exp(), twice.exp() / 1.6)
         elif name != "means":
-            assert torch.equal(now["value"][3:], twice), name
+            assert torch.equal(now["value"][4:], twice), name
 
 
 def test_halves_are_drawn_from_the_gaussian() -> None:
@@ -69,7 +70,8 @@ def test_halves_are_drawn_from_the_gaussian() -> None:
     )
     covariance = rotation @ torch.diag(torch.tensor([0.25, 0.01, 1.0])) @ rotation.T
     many = Gaussians({name: p.detach().expand(20_000, *p.shape[1:]) for name, p in gaussians.named_parameters()})
-    split(many, fresh_optimizers(many), torch.ones(20_000, dtype=torch.bool), torch.Generator())
+    all_of_them = torch.ones(20_000, dtype=torch.bool)
+    grow(many, fresh_optimizers(many), ~all_of_them, all_of_them, torch.Generator())
     means = many.means.detach()
     torch.testing.assert_close(means.mean(dim=0), torch.full((3,), 2.0), atol=0.02, rtol=0)
     torch.testing.assert_close(torch.cov(means.T), covariance, atol=0.02, rtol=0)
@@ -114,8 +116,9 @@ def test_training_goes_on_after_every_operation() -> None:
     gaussians = random_gaussians(4)
     optimizers = stepped_optimizers(gaussians)
     clone(gaussians, optimizers, torch.tensor([True, False, False, False]))
-    split(gaussians, optimizers, torch.tensor([False, True, False, False, False]), torch.Generator())
-    prune(gaussians, optimizers, torch.tensor([True, False, False, False, False, False]))
+    first, second = torch.arange(5) == 0, torch.arange(5) == 1
+    grow(gaussians, optimizers, first, second, torch.Generator())
+    prune(gaussians, optimizers, torch.arange(7) == 0)
     reset_opacities(gaussians, optimizers, 0.01)
     for name, parameter in gaussians.named_parameters():
         before = parameter.detach().clone()

@@ -21,7 +21,7 @@ from torch import Tensor
 from thermosplat.config import DensificationConfig
 from thermosplat.errors import UserError
 from thermosplat.gaussians import Gaussians
-from thermosplat.training.gaussian_ops import Optimizers, clone, prune, reset_opacities, split
+from thermosplat.training.gaussian_ops import Optimizers, grow, prune, reset_opacities
 from thermosplat.training.modality_schedule import Span
 from thermosplat.warp_density_notes import note_gradients
 
@@ -193,12 +193,10 @@ class DefaultStrategy:
         if not self.growing:
             return 0, 0
         cloned, halved = self._growing(gaussians)
-        num_cloned, num_split = int(cloned.sum()), int(halved.sum())
-        if num_cloned:
-            clone(gaussians, optimizers, cloned)
-        if num_split:  # not the clones just appended
-            split(gaussians, optimizers, torch.cat([halved, halved.new_zeros(num_cloned)]), generator)
-        return num_cloned, num_split
+        num_cloned, num_halved = torch.stack([cloned.sum(), halved.sum()]).tolist()
+        if num_cloned or num_halved:
+            grow(gaussians, optimizers, cloned, halved, generator)
+        return num_cloned, num_halved
 
     def _growing(self, gaussians: Gaussians) -> tuple[Tensor, Tensor]:
         """Masks of the Gaussians to clone and to split, each [N]."""

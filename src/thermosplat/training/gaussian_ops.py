@@ -77,31 +77,33 @@ def clear_moments(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
 
 
 @torch.no_grad()
-def split(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor, generator: torch.Generator) -> None:
-    """Replace each selected Gaussian by two smaller ones, drawn from its own distribution. 3DGS.
+def grow(
+    gaussians: nn.Module, optimizers: Optimizers, cloned: Tensor, halved: Tensor, generator: torch.Generator
+) -> None:
+    """Append copies of some Gaussians, and replace others by two smaller ones drawn from their distribution. 3DGS.
 
     Args:
-        gaussians: The Gaussians, N of them.
+        gaussians: The Gaussians, N of them. What is left of them comes first, then the copies, then the halves.
         optimizers: Their optimizers.
-        selected: Boolean, shape [N].
+        cloned: Boolean, shape [N].
+        halved: Boolean, shape [N].
         generator: Draws the new means; a CPU generator, so that every device draws the same.
     """
     parameters = dict(gaussians.named_parameters())
-    indices = torch.where(selected)[0]  # once: every selection by a mask waits for the device
+    copies, indices = torch.where(cloned)[0], torch.where(halved)[0]  # every selection by a mask waits for the device
     scales = parameters["log_scales"][indices].exp()
     noise = torch.randn(2, *scales.shape, generator=generator, dtype=scales.dtype).to(scales.device)
     samples = rotate(parameters["quats"][indices], noise * scales)  # [2, n, 3]
 
     added = {}
     for name, parameter in parameters.items():
-        chosen = parameter[indices]
+        halves = parameter[indices].repeat(2, *[1] * (parameter.dim() - 1))
         if name == "means":
-            added[name] = (chosen + samples).reshape(-1, 3)
+            halves += samples.reshape(-1, 3)
         elif name == "log_scales":
-            added[name] = (chosen - math.log(SPLIT_SCALE)).repeat(2, 1)
-        else:
-            added[name] = chosen.repeat(2, *[1] * (chosen.dim() - 1))
-    _rebuild(gaussians, optimizers, torch.where(~selected)[0], added)
+            halves -= math.log(SPLIT_SCALE)
+        added[name] = torch.cat([parameter[copies], halves])
+    _rebuild(gaussians, optimizers, torch.where(~halved)[0], added)
 
 
 @torch.no_grad()
