@@ -78,10 +78,10 @@ WIDE = 24
 FEW_TILES = 4096
 """Tiles up to which the longest list decides how long blending takes, so that it is cut; more fill a GPU ..."""
 
-LONG_LISTS = 9
-"""... unless they are fewer than so many times the mean pairs of one."""
+LONG_LISTS, LONG_LISTS_THERMAL = 9, 5
+"""... unless they are fewer than so many times the mean pairs of one; with two opacities a cut costs more."""
 
-LONGEST_LISTS = 2
+LONGEST_LISTS = 1.5
 """Where they are fewer than so many times the mean pairs of one, many lists are cut, into shorter segments."""
 
 SEGMENTS = 2500
@@ -92,14 +92,21 @@ SHORTEST, LONGEST = 256, 1024
 
 
 def default_layout(
-    device: wp.Device, tile_size: int, channels: int, dtype: type, num_pairs: int, num_tiles: int
+    device: wp.Device,
+    tile_size: int,
+    channels: int,
+    thermal_channels: int,
+    dtype: type,
+    num_pairs: int,
+    num_tiles: int,
 ) -> BlendLayout:
     """The layout measured best for a device and a frame; see benchmarks/notes.md.
 
     Args:
         device: Warp device the kernels run on.
         tile_size: edge of a tile [px].
-        channels: channels blended, over both opacities.
+        channels: channels blended with the first opacity.
+        thermal_channels: channels blended with the second, or 0.
         dtype: ``wp.float32`` or ``wp.float64``.
         num_pairs: (Gaussian, tile) pairs of the frame.
         num_tiles: tiles of the frame.
@@ -112,15 +119,17 @@ def default_layout(
     # Crowded tiles are decided by culling, which is sharper for a small block; sparse ones by how often a Gaussian's
     # gradient is reduced over a warp, which a large block does less often. float64 has half the registers.
     crowded, few_tiles = num_pairs > CROWDED * num_tiles, num_tiles <= FEW_TILES
+    wide = channels + thermal_channels > WIDE
     width, height = 8, 8
-    if dtype is wp.float64 or (channels <= WIDE and crowded):
+    if dtype is wp.float64 or (crowded and not wide):
         height = 4
-    elif channels > WIDE and not crowded and not few_tiles:
+    elif wide and not crowded and not few_tiles:
         width = 16
     if tile_size == 32:
         height = 8  # records of more warps would not fit in shared memory
     tiles_a_pair = num_tiles**2 / max(num_pairs, 1)
-    segment = LONGEST if few_tiles or tiles_a_pair < LONG_LISTS else 0
+    cut_below = LONG_LISTS_THERMAL if thermal_channels else LONG_LISTS
+    segment = LONGEST if few_tiles or tiles_a_pair < cut_below else 0
     if tiles_a_pair < LONGEST_LISTS:
         segment = min(max(num_pairs // SEGMENTS // SHORTEST * SHORTEST, SHORTEST), LONGEST)
     return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, segment)

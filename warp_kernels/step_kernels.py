@@ -38,7 +38,7 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         The kernels, float32, the slowest to compile first.
     """
     dtype, camera_model, lanes = wp.float32, "pinhole", 1
-    layout = default_layout(wp.get_device("cpu"), TILE_SIZE, channels + thermal_channels, dtype, 0, 1)
+    layout = default_layout(wp.get_device("cpu"), TILE_SIZE, channels, thermal_channels, dtype, 0, 1)
     count, _, gather, emit = binning_kernels(dtype, lanes)  # what is compacted on CUDA is few here
     return [
         projection_kernel(dtype, camera_model, False),

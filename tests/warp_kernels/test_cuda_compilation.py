@@ -82,11 +82,11 @@ def test_decoders_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     compile_all(kernels, arch, tmp_path)
 
 
-def cuda_layouts(tile_size: int, channels: int, dtype: type) -> set[BlendLayout]:
+def cuda_layouts(tile_size: int, channels: int, thermal_channels: int, dtype: type) -> set[BlendLayout]:
     """All that a CUDA device may be given: few tiles or many, sparse ones or crowded."""
     cuda = SimpleNamespace(is_cuda=True)
     return {
-        default_layout(cuda, tile_size, channels, dtype, pairs_a_tile * tiles, tiles)
+        default_layout(cuda, tile_size, channels, thermal_channels, dtype, pairs_a_tile * tiles, tiles)
         for pairs_a_tile in (1, 1000)
         for tiles in (100, 100_000)
     }
@@ -101,7 +101,8 @@ def test_blending_compiles_for_cuda_in_all_layouts(
     tile_size: int, channels: int, thermal_channels: int, dtype: type, arch: int, tmp_path: Path
 ) -> None:
     """Tile sizes, channel counts and block shapes, with and without absgrad; float64 is the accuracy reference."""
-    for number, layout in enumerate(sorted(cuda_layouts(tile_size, channels + thermal_channels, dtype), key=str)):
+    layouts = cuda_layouts(tile_size, channels, thermal_channels, dtype)
+    for number, layout in enumerate(sorted(layouts, key=str)):
         absgrad = by_slot = number == 0
         first = channels - thermal_channels  # of a frame with two opacities, colours lie apart from the features
         kernels = [blend_kernel(channels, thermal_channels, dtype, layout, False, first)]
