@@ -8,6 +8,7 @@ with no spatial context, so any leading shape works; [H, W, ...] is written for 
 import itertools
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
@@ -54,7 +55,12 @@ class Decoders(nn.Module):
             Colours in (0, 1), shape [H, W, 3].
         """
         encoded = self.shared_encoder(visible_features)
-        return self._rgb_from(encoded, self.thermal_prior(encoded) if self.modulation is not None else None)
+        if self.modulation is not None:
+            prior = self.thermal_prior(encoded)
+            # a product each in place of one cut in two, whose gradients would be copied together again
+            (w_gamma, w_beta), (b_gamma, b_beta) = (p.chunk(2) for p in (self.modulation.weight, self.modulation.bias))
+            encoded = F.linear(prior, w_gamma, b_gamma) * encoded + F.linear(prior, w_beta, b_beta)
+        return torch.sigmoid(self.rgb_head(encoded))
 
     def thermal(self, thermal_features: Tensor) -> Tensor:
         """The thermal image, C_th.
@@ -68,10 +74,12 @@ class Decoders(nn.Module):
         Raises:
             ValueError: If the decoders were made without thermal channels.
         """
-        return self._thermal_from(self.thermal_prior(self.shared_encoder(thermal_features)))
+        if self.thermal_head is None:
+            raise ValueError("These decoders were made with thermal_channels=0; they have no thermal image.")
+        return torch.sigmoid(self.thermal_head(self.thermal_prior(self.shared_encoder(thermal_features))))
 
     def both(self, visible_features: Tensor, thermal_features: Tensor) -> tuple[Tensor, Tensor]:
-        """``rgb`` and ``thermal`` of one frame, with one pass through the layers they share.
+        """``rgb`` and ``thermal`` of one frame.
 
         Args:
             visible_features: A_f, shape [H, W, d].
@@ -83,26 +91,8 @@ class Decoders(nn.Module):
         Raises:
             ValueError: If the decoders were made without thermal channels.
         """
-        encoded = self.shared_encoder(torch.stack([visible_features, thermal_features]))
-        # unbind, not [0] and [1], whose gradients would each be added to zeros of the whole
-        visible, thermal = encoded.unbind()
-        if self.modulation is None:
-            return self._rgb_from(visible, None), self._thermal_from(self.thermal_prior(thermal))
-        visible_prior, thermal_prior = self.thermal_prior(encoded).unbind()
-        return self._rgb_from(visible, visible_prior), self._thermal_from(thermal_prior)
-
-    def _rgb_from(self, encoded: Tensor, prior: Tensor | None) -> Tensor:
-        """The RGB branch after the shared layers: modulation by the prior, where there is one, and the head."""
-        if self.modulation is not None and prior is not None:
-            gamma, beta = self.modulation(prior).chunk(2, dim=-1)
-            encoded = gamma * encoded + beta
-        return torch.sigmoid(self.rgb_head(encoded))
-
-    def _thermal_from(self, prior: Tensor) -> Tensor:
-        """The thermal branch after the shared layers: the head."""
-        if self.thermal_head is None:
-            raise ValueError("These decoders were made with thermal_channels=0; they have no thermal image.")
-        return torch.sigmoid(self.thermal_head(prior))
+        # One pass of both through the layers they share would copy the gradients of every hidden channel together.
+        return self.rgb(visible_features), self.thermal(thermal_features)
 
 
 def _identity_modulation(hidden: int) -> nn.Linear:
