@@ -107,7 +107,7 @@ def main() -> None:
     parser.add_argument("--sizes", nargs="+", default=["640x480", "1920x1080"])
     parser.add_argument("--blocks", nargs="+", default=["8x4", "8x8", "16x8"])
     parser.add_argument("--channels", nargs="+", default=["3+0", "11+0", "11+8", "32+0"], help="blended + again")
-    parser.add_argument("--segments", type=int, nargs="+", default=[0, 256, 512])
+    parser.add_argument("--segments", type=int, nargs="+", default=[0, 256, 512, 1024])
     parser.add_argument("--tile-size", type=int, default=16)
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--json", type=Path)

@@ -118,7 +118,8 @@ def default_layout(
         return BlendLayout(tile_size, tile_size, tile_size, 1)
     # Crowded tiles are decided by culling, which is sharper for a small block; sparse ones by how often a Gaussian's
     # gradient is reduced over a warp, which a large block does less often. float64 has half the registers.
-    crowded, few_tiles = num_pairs > CROWDED * num_tiles, num_tiles <= FEW_TILES
+    mean_pairs = num_pairs / max(num_tiles, 1)
+    crowded, few_tiles = mean_pairs > CROWDED, num_tiles <= FEW_TILES
     wide = channels + thermal_channels > WIDE
     width, height = 8, 8
     if dtype is wp.float64 or (crowded and not wide):
@@ -127,9 +128,8 @@ def default_layout(
         width = 16
     if tile_size == 32:
         height = 8  # records of more warps would not fit in shared memory
-    tiles_a_pair = num_tiles**2 / max(num_pairs, 1)
-    cut_below = LONG_LISTS_THERMAL if thermal_channels else LONG_LISTS
-    segment = LONGEST if few_tiles or tiles_a_pair < cut_below else 0
-    if tiles_a_pair < LONGEST_LISTS:
+    long_lists = LONG_LISTS_THERMAL if thermal_channels else LONG_LISTS
+    segment = LONGEST if few_tiles or num_tiles < long_lists * mean_pairs else 0
+    if num_tiles < LONGEST_LISTS * mean_pairs:
         segment = min(max(num_pairs // SEGMENTS // SHORTEST * SHORTEST, SHORTEST), LONGEST)
     return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, segment)

@@ -123,9 +123,7 @@ class _ImageLosses(torch.autograd.Function):
             arrays = _arrays(renders)
             image_losses(arrays, _arrays(targets), settings, strided_view(sums), strided_view(derivatives))
             totals = sums.sum(1)
-            image_loss_totals(
-                arrays, settings, strided_view(totals), strided_view(losses), strided_view(squared_errors)
-            )
+            image_loss_totals(arrays, settings, *_arrays([totals, losses, squared_errors]))
         ctx.save_for_backward(*images, *targets, derivatives)
         errors = squared_errors.unbind()[: len(terms)]
         ctx.mark_non_differentiable(*errors)

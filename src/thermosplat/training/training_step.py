@@ -111,7 +111,7 @@ class TrainingStep:
                     strategy.step_pre_backward(rendered.infos.get(name, []))
             terms = list(losses.values())
             # Of their sum, which nobody looks at; by this thread, since handing it to torch's own for the device and
-            # waiting for it takes the host longer than half of a rasterization's calls.
+            # waiting for it costs the host half a millisecond.
             with torch.autograd.set_multithreading_enabled(False):
                 torch.autograd.backward(terms, [self._one] * len(terms))
         self.guard.observe(state.step_on_device, losses, state.gradients())
