@@ -1,6 +1,7 @@
 """What an exported scene looks like: colours and opacities of each spectrum."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,6 +83,16 @@ def test_files_state_what_thermal_colors_mean(tmp_path: Path) -> None:
     assert "#000000" in palette
     assert not any("thermal" in comment for comment in rgb.comments)
     assert any("approximate" in comment for comment in rgb.comments)
+
+
+@pytest.mark.parametrize("sets", [{}, {"gaussian_sets": "separate", "feature_dim": 0}])
+def test_splats_have_tensors_of_their_own(sets: dict[str, Any]) -> None:
+    """None is a parameter of the model: files are written while another thread renders it (``meanwhile``)."""
+    capture = toy_capture()
+    model = toy_model(toy_config(**sets), capture)
+    for modality in ("rgb", "thermal"):
+        splats = modality_splats(model, modality, capture.thermal_scale)
+        assert not any(tensor.requires_grad for tensor in vars(splats).values())
 
 
 def test_unmodelled_spectrum_is_an_error(tmp_path: Path) -> None:

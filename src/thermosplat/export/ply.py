@@ -70,6 +70,7 @@ class WrittenPly:
     """Gaussians left out: a value that is not finite, or an opacity below 1/255."""
 
 
+@torch.no_grad()
 def write_splats(path: Path, splats: Splats, comments: Iterable[str] = (), *, compact: bool = False) -> WrittenPly:
     """Write Gaussians as PLY; the file appears at once and whole.
 
@@ -84,7 +85,7 @@ def write_splats(path: Path, splats: Splats, comments: Iterable[str] = (), *, co
     """
     rest = _used_coefficients(splats.shN) if compact else REST_COEFFICIENTS
     table = _table(splats, rest)
-    visible = torch.sigmoid(splats.logit_opacities.detach()).cpu().numpy() >= INVISIBLE_OPACITY
+    visible = torch.sigmoid(splats.logit_opacities).cpu().numpy() >= INVISIBLE_OPACITY
     kept = table[np.isfinite(table).all(axis=1) & visible]
     header = _header(len(kept), comments, properties(rest))
 
@@ -108,7 +109,7 @@ def _table(splats: Splats, rest_coefficients: int) -> np.ndarray:
     count, bases = len(splats.shN), min(splats.shN.shape[1], rest_coefficients)
     rest = splats.shN.new_zeros(count, 3, rest_coefficients)
     # the file runs through a channel's bases, then the next
-    rest[..., :bases] = splats.shN[:, :bases].detach().transpose(1, 2)
+    rest[..., :bases] = splats.shN[:, :bases].transpose(1, 2)
     columns = [
         splats.means,
         torch.zeros_like(splats.means),
@@ -118,7 +119,7 @@ def _table(splats: Splats, rest_coefficients: int) -> np.ndarray:
         splats.log_scales,
         torch.nn.functional.normalize(splats.quats, dim=-1),  # not every viewer normalises
     ]
-    return torch.cat([column.detach().float() for column in columns], dim=1).cpu().numpy()
+    return torch.cat([column.float() for column in columns], dim=1).cpu().numpy()
 
 
 def _header(count: int, comments: Iterable[str], names: Iterable[str]) -> bytes:

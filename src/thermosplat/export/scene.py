@@ -6,7 +6,7 @@ alone filled a pixel (A_f = f). RGB adds that decoded colour to the SH colour; t
 at the thermal opacity. Scenes without decoders are exported exactly.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Literal
 
@@ -46,16 +46,28 @@ def export_scene(
     Raises:
         UserError: A modality that is asked for but not modelled.
     """
-    if modalities is None:
-        modalities = modelled(model)
-    return {
-        modality: write_splats(
-            folder / f"splat_{modality}.ply",
-            modality_splats(model, modality, thermal_scale),
-            _comments(model, modality, thermal_scale),
-            compact=compact,
-        )
-        for modality in modalities
+    return scene_export(model, folder, thermal_scale=thermal_scale, modalities=modalities, compact=compact)()
+
+
+def scene_export(
+    model: SceneModel,
+    folder: Path,
+    *,
+    thermal_scale: ThermalScale | None,
+    modalities: Iterable[Modality] | None = None,
+    compact: bool = False,
+) -> Callable[[], dict[Modality, WrittenPly]]:
+    """As :func:`export_scene`, in two parts: reading the model here, and writing the files by what is returned.
+
+    The second part has tensors of its own and may run in another thread while this one renders the model.
+    """
+    files = {
+        modality: (modality_splats(model, modality, thermal_scale), _comments(model, modality, thermal_scale))
+        for modality in (modelled(model) if modalities is None else modalities)
+    }
+    return lambda: {
+        modality: write_splats(folder / f"splat_{modality}.ply", splats, comments, compact=compact)
+        for modality, (splats, comments) in files.items()
     }
 
 
@@ -67,7 +79,7 @@ def modelled(model: SceneModel) -> tuple[Modality, ...]:
 
 @torch.no_grad()
 def modality_splats(model: SceneModel, modality: Modality, thermal_scale: ThermalScale | None) -> Splats:
-    """Gaussians that show one modality by spherical harmonics alone.
+    """Gaussians that show one modality by spherical harmonics alone; no tensor is a parameter of the model.
 
     Args:
         model: The trained scene.
@@ -91,7 +103,8 @@ def modality_splats(model: SceneModel, modality: Modality, thermal_scale: Therma
             sh0, shN = _constant_color(decoded, shN)
     elif model.decoders is not None:
         sh0, shN = _constant_color(_decoded_thermal(model, gaussians, thermal_scale), shN)
-    return Splats(gaussians.means, gaussians.quats, gaussians.log_scales, logit_opacities, sh0, shN)
+    columns = (gaussians.means, gaussians.quats, gaussians.log_scales, logit_opacities, sh0, shN)
+    return Splats(*(column.detach() for column in columns))
 
 
 def _decoder_input(model: SceneModel, gaussians: Gaussians) -> Tensor:

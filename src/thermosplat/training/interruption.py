@@ -56,6 +56,9 @@ def meanwhile(work: Callable[[], object]) -> Iterator[None]:
 
     Args:
         work: What to do: something that the block does not disturb. What it raises is raised at the end of the block.
+            It must not use a parameter that the block uses: a thread that derives a tensor from one locks it and then
+            waits for the interpreter, which another thread at the same parameter holds while it waits for the lock
+            (seen with PyTorch 2.13). Detached tensors have no such lock.
     """
     with ThreadPoolExecutor(max_workers=1) as thread:
         working = thread.submit(work)

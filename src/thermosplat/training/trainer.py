@@ -9,7 +9,7 @@ Ctrl-C, a full memory or a bad loss.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.devices import choose_device, device_name
 from thermosplat.errors import UserError
 from thermosplat.evaluation import evaluate
-from thermosplat.export.scene import export_scene
+from thermosplat.export.scene import scene_export
 from thermosplat.labelled_regions import write_regions
 from thermosplat.lpips import Lpips, find_lpips
 from thermosplat.model import SceneModel
@@ -153,12 +153,13 @@ class Trainer:
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
                 if state.step < config.max_steps:
-                    with meanwhile(self._save) if state.step in config.save_steps else nullcontext():
+                    with meanwhile(self._saving()) if state.step in config.save_steps else nullcontext():
                         if state.step in config.eval_steps:
                             self._evaluate()
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
-            with meanwhile(self._save), meanwhile(self._export):  # nothing that goes wrong in here costs the training
+            # whatever goes wrong in here, what was trained is kept
+            with meanwhile(self._saving()), meanwhile(self._exporting()):
                 metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
             state.seconds.wall = time.perf_counter() - started
             finished = self._finish(metrics)
@@ -291,17 +292,29 @@ class Trainer:
         self.run.write_json(self.run.metrics_json, metrics)
         return metrics
 
-    def _export(self) -> None:
-        """Write the scene for other viewers."""
-        export_scene(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
+    def _exporting(self) -> Callable[[], object]:
+        """What writes the scene for other viewers; in any thread, as it has tensors of its own."""
+        return scene_export(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
+
+    def _saving(self) -> Callable[[], Path]:
+        """What writes a checkpoint of the steps done; in any thread, as it has tensors of its own.
+
+        Callers have made sure that the state is finite.
+        """
+        path = self.run.checkpoint(self.state.step)
+        state = self.state.checkpoint(self.config, self.sh_degree, self.capture.thermal_scale)
+        state["train_frames"] = [frame.name for frame in self.capture.train]
+
+        def save() -> Path:
+            save_checkpoint(path, state)
+            return path
+
+        return save
 
     def _save(self) -> Path:
-        """Write a checkpoint of the steps done. Callers have made sure that the state is finite."""
-        path = self.run.checkpoint(self.state.step)
+        """Write a checkpoint of the steps done, at once."""
         with deferred_interrupts():
-            state = self.state.checkpoint(self.config, self.sh_degree, self.capture.thermal_scale)
-            save_checkpoint(path, {**state, "train_frames": [frame.name for frame in self.capture.train]})
-        return path
+            return self._saving()()
 
     # ---- when it goes wrong ------------------------------------------------------------------------------------------
 
