@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import threading
+import time
 
 import pytest
 
@@ -104,3 +105,18 @@ def test_meanwhile_raises_what_the_work_raised() -> None:
 
     with pytest.raises(ZeroDivisionError), meanwhile(work):
         pass
+
+
+def test_meanwhile_waits_for_work_that_was_interrupted_at_its_start() -> None:
+    """Ctrl-C at the moment in which the other thread starts: whether or not the block begins, the work is complete."""
+    done = []
+
+    def work() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        done.append(1)
+
+    for count in range(1, 31):
+        with pytest.raises(KeyboardInterrupt), meanwhile(work):
+            time.sleep(10)
+        assert len(done) == count

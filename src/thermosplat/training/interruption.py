@@ -61,8 +61,9 @@ def meanwhile(work: Callable[[], object]) -> Iterator[None]:
             (seen with PyTorch 2.13). Detached tensors have no such lock.
     """
     with ThreadPoolExecutor(max_workers=1) as thread:
-        working = thread.submit(work)
         try:
+            with deferred_interrupts():  # a thread that was interrupted while it was started would not be waited for
+                working = thread.submit(work)
             yield
         finally:
             with deferred_interrupts():
