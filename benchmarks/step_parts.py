@@ -10,7 +10,7 @@ from torch.profiler import ProfilerActivity, profile
 from thermosplat.training.trainer import Trainer
 
 PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("image losses", ("image_loss_", "_ImageLoss", "conv2d", "convolution")),
+    ("image losses", ("image_loss_", "_ImageLoss", "_WindowFilter", "conv2d", "convolution")),
     ("projection adjoint", ("project_adjoint", "finish_camera_gradients", "ProjectBackward")),
     ("projection", ("project_", "Project")),
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "ShColorsBackward")),

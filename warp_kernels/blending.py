@@ -81,7 +81,7 @@ def blend_kernel(
         name=name + "_transmittance" * only_transmittance,
         enable_backward=False,
         module="unique",
-        module_options=layout.module_options,
+        module_options=layout.module_options(widest_vectors=True),
         grid_stride=False,
         launch_bounds=max(layout.threads, 32),
     )

@@ -96,7 +96,7 @@ def blend_adjoint_kernel(
         name=name + ("_abs" if absgrad else "") + ("_slots" if by_slot else ""),
         enable_backward=False,
         module="unique",
-        module_options=layout.module_options,
+        module_options=layout.module_options(widest_vectors=False),
         grid_stride=False,
         launch_bounds=max(layout.threads, 32),
     )

@@ -1,7 +1,7 @@
 """Images averaged under a symmetric window, borders reflected: by kornia, or on the CPU by OpenCV, which is quicker.
 
 kornia pads and convolves along one axis and then the other, and autograd goes the same way back. OpenCV's filter takes
-half of that time on one core where kornia has two, and is its own adjoint (``_ByOpenCV.backward``).
+half of that time on one core where kornia has two, and is its own adjoint (``_WindowFilter.backward``).
 """
 
 from typing import Any
@@ -26,12 +26,12 @@ def window_filter(images: Tensor, window: Tensor) -> Tensor:
         The averages, shape [C, H, W].
     """
     if images.device.type == "cpu" and images.dtype in _IN_OPENCV:
-        averaged: Tensor = _ByOpenCV.apply(images, window)
+        averaged: Tensor = _WindowFilter.apply(images, window)
         return averaged
     return kornia.filters.filter2d_separable(images[None], window, window)[0]
 
 
-class _ByOpenCV(torch.autograd.Function):
+class _WindowFilter(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: Tensor, window: Tensor) -> Tensor:
         ctx.window = window
