@@ -32,6 +32,7 @@ from warm_training import warm_training
 
 from thermosplat.checkpoint import write_atomically
 from thermosplat.cli.arguments import parse_train_arguments
+from thermosplat.cli.host_settings import prepare_host
 from thermosplat.cli.warp_start import start_warp
 from thermosplat.config import TrainConfig
 from thermosplat.datasets import load_capture
@@ -251,6 +252,7 @@ def print_row(row: dict[str, Any], kernels: int) -> None:
 def main(words: list[str] | None = None) -> int:
     """Runs the parts asked for; returns 1 if something failed."""
     options, flags = arguments(sys.argv[1:] if words is None else words)
+    prepare_host()  # as thermosplat-train does; what idle threads of torch do is settled by its import
     start_warp()
     try:
         benchmark = Benchmark(options, flags)

@@ -14,14 +14,11 @@ from contextlib import contextmanager
 KEPT_BYTES = 2**31 - 1
 """Freed memory that stays with the process; the largest number that ``mallopt`` takes."""
 
-LARGEST_KEPT = 32 * 2**20
-"""Larger tensors still come from the system one by one; glibc refuses more."""
-
 SPIN_COUNT = "30000"
 """How often an idle OpenMP thread looks for work before it sleeps, about a millisecond. libgomp's 300,000 keep a core
 from the renderer's threads through much of their turn."""
 
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
+_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # malloc.h
 
 
 def prepare_host() -> None:
@@ -34,7 +31,7 @@ def prepare_host() -> None:
     if sys.platform == "linux" and "MALLOC_TRIM_THRESHOLD_" not in os.environ:
         mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
         if mallopt is not None:
-            mallopt(_M_MMAP_THRESHOLD, LARGEST_KEPT)
+            mallopt(_M_MMAP_MAX, 0)  # no tensor, however large, from the system one by one
             mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
