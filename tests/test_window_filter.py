@@ -42,7 +42,6 @@ def test_strides_do_not_matter() -> None:
         torch.testing.assert_close(gradient.sum(), v_averaged.sum())
         assert torch.equal(v_averaged, torch.ones_like(averaged))
         assert torch.equal(given, before)
-        whole = whole.detach()
 
 
 def test_precisions() -> None:

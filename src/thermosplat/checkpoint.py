@@ -62,12 +62,15 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:
     """Write a checkpoint, atomically.
 
     Args:
         path: The file to write.
         state: See the head of this file; ``format`` is added.
+
+    Returns:
+        The file.
 
     Raises:
         UserError: If the file cannot be written.
@@ -83,6 +86,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
             raise
 
     write_atomically(path, write)
+    return path
 
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:

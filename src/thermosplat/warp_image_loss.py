@@ -63,7 +63,7 @@ class ImageLosses(NamedTuple):
 def warp_image_loss(render: Tensor, target: Tensor, ssim_lambda: float) -> Tensor:
     """(1 - λ_s) |render - target|_1 + λ_s (1 - SSIM), each the mean over pixels and channels (equation 9).
 
-    The same number and gradient as kornia's filters give in ``losses.image_loss``, to rounding.
+    The same number and gradient as ``ssim_map`` gives in ``losses.image_loss``, to rounding.
 
     Args:
         render: Rendered image, shape [H, W, C], H and W > 5; a view with strides is fine. Receives a gradient.

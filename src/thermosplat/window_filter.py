@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 _IN_OPENCV = (torch.float32, torch.float64)
+"""What OpenCV filters; kornia filters anything else, and whatever is on a GPU."""
 
 
 def window_filter(images: Tensor, window: Tensor) -> Tensor:

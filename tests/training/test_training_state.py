@@ -1,11 +1,9 @@
 """What changes while training is all in the checkpoint, and its gradients have names."""
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import torch
-from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_run import assert_same_state, flat_tensors, many_frames, state_tensors, toy_run_config, toy_trainer
 
 from thermosplat.checkpoint import load_checkpoint, save_checkpoint
 from thermosplat.model import SceneModel
@@ -38,17 +36,9 @@ def test_checkpoint_of_tensors_without_gradients(tmp_path: Path) -> None:
     config, capture = toy_run_config(), many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, config, capture)
     trainer._train_step()
-    tensors = list(_tensors(trainer.state.checkpoint(config, 1, capture.thermal_scale)))
+    tensors = flat_tensors(trainer.state.checkpoint(config, 1, capture.thermal_scale)).values()
     assert sum(tensor.numel() for tensor in tensors) > sum(value.numel() for value in trainer.model.parameters())
     assert not any(tensor.requires_grad for tensor in tensors)
-
-
-def _tensors(state: Any) -> Iterator[torch.Tensor]:
-    if isinstance(state, torch.Tensor):
-        yield state
-    elif isinstance(state, dict):
-        for value in state.values():
-            yield from _tensors(value)
 
 
 def test_gradients_are_named_by_set_and_parameter(tmp_path: Path) -> None:

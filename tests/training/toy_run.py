@@ -61,18 +61,20 @@ def toy_trainer(path: Path, config: TrainConfig, capture: Capture) -> Trainer:
 
 
 def state_tensors(trainer: Trainer) -> dict[str, torch.Tensor]:
-    """Everything that a checkpoint holds of the training but the clock, as one flat dictionary of tensors."""
+    """Copies of everything that a checkpoint holds of the training but the clock, as one flat dictionary of tensors."""
     state = trainer.state.checkpoint(trainer.config, 0, None)
+    held = flat_tensors({"model": state["model"], **state["training"]})
+    return {name: tensor.detach().clone() for name, tensor in held.items()}
+
+
+def flat_tensors(value: Any, name: str = "") -> dict[str, torch.Tensor]:
+    """The tensors in nested dictionaries by the keys that lead to them; anything else is left out."""
+    if isinstance(value, torch.Tensor):
+        return {name: value}
     flat: dict[str, torch.Tensor] = {}
-
-    def flatten(value: Any, name: str) -> None:
-        if isinstance(value, torch.Tensor):
-            flat[name] = value.detach().clone()
-        elif isinstance(value, dict):
-            for key, item in value.items():
-                flatten(item, f"{name}.{key}")
-
-    flatten({"model": state["model"], **state["training"]}, "")
+    if isinstance(value, dict):
+        for key, item in value.items():
+            flat |= flat_tensors(item, f"{name}.{key}")
     return flat
 
 

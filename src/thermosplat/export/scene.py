@@ -6,7 +6,7 @@ alone filled a pixel (A_f = f). RGB adds that decoded colour to the SH colour; t
 at the thermal opacity. Scenes without decoders are exported exactly.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,7 @@ from thermosplat.model import SceneModel
 from thermosplat.radiometry import ThermalScale
 
 Modality = Literal["rgb", "thermal"]
+SceneSplats = dict[Modality, tuple[Splats, list[str]]]
 
 
 def export_scene(
@@ -46,28 +47,24 @@ def export_scene(
     Raises:
         UserError: A modality that is asked for but not modelled.
     """
-    return scene_export(model, folder, thermal_scale=thermal_scale, modalities=modalities, compact=compact)()
+    return write_scene(scene_splats(model, thermal_scale, modalities), folder, compact=compact)
 
 
-def scene_export(
-    model: SceneModel,
-    folder: Path,
-    *,
-    thermal_scale: ThermalScale | None,
-    modalities: Iterable[Modality] | None = None,
-    compact: bool = False,
-) -> Callable[[], dict[Modality, WrittenPly]]:
-    """As :func:`export_scene`, in two parts: reading the model here, and writing the files by what is returned.
-
-    The second part has tensors of its own and may run in another thread while this one renders the model.
-    """
-    files = {
+def scene_splats(
+    model: SceneModel, thermal_scale: ThermalScale | None, modalities: Iterable[Modality] | None = None
+) -> SceneSplats:
+    """What :func:`write_scene` writes: by modality Gaussians, of tensors of their own, and the header's comments."""
+    return {
         modality: (modality_splats(model, modality, thermal_scale), _comments(model, modality, thermal_scale))
         for modality in (modelled(model) if modalities is None else modalities)
     }
-    return lambda: {
+
+
+def write_scene(scene: SceneSplats, folder: Path, *, compact: bool = False) -> dict[Modality, WrittenPly]:
+    """The files of :func:`export_scene`; in any thread, as it does not touch the model."""
+    return {
         modality: write_splats(folder / f"splat_{modality}.ply", splats, comments, compact=compact)
-        for modality, (splats, comments) in files.items()
+        for modality, (splats, comments) in scene.items()
     }
 
 

@@ -11,6 +11,7 @@ Ctrl-C, a full memory or a bad loss.
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.devices import choose_device, device_name
 from thermosplat.errors import UserError
 from thermosplat.evaluation import evaluate
-from thermosplat.export.scene import scene_export
+from thermosplat.export.scene import scene_splats, write_scene
 from thermosplat.labelled_regions import write_regions
 from thermosplat.lpips import Lpips, find_lpips
 from thermosplat.model import SceneModel
@@ -294,22 +295,16 @@ class Trainer:
 
     def _exporting(self) -> Callable[[], object]:
         """What writes the scene for other viewers; in any thread, as it has tensors of its own."""
-        return scene_export(self.model, self.run.ply, thermal_scale=self.capture.thermal_scale)
+        return partial(write_scene, scene_splats(self.model, self.capture.thermal_scale), self.run.ply)
 
     def _saving(self) -> Callable[[], Path]:
         """What writes a checkpoint of the steps done; in any thread, as it has tensors of its own.
 
         Callers have made sure that the state is finite.
         """
-        path = self.run.checkpoint(self.state.step)
         state = self.state.checkpoint(self.config, self.sh_degree, self.capture.thermal_scale)
         state["train_frames"] = [frame.name for frame in self.capture.train]
-
-        def save() -> Path:
-            save_checkpoint(path, state)
-            return path
-
-        return save
+        return partial(save_checkpoint, self.run.checkpoint(self.state.step), state)
 
     def _save(self) -> Path:
         """Write a checkpoint of the steps done, at once."""
