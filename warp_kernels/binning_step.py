@@ -7,7 +7,7 @@ from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.lanes import LANES_CUDA
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import TileBins, Totals, binning_kernels, tile_ranges_kernel
+from warp_kernels.tile_binning import MASK_SHIFT, TileBins, Totals, binning_kernels, tile_ranges_kernel
 
 COMPACTED = 2**18
 """Gaussians above which those without tiles are left out before the sort by depth; fewer are sorted in no time."""
@@ -15,6 +15,11 @@ COMPACTED = 2**18
 
 class TooManyPairsError(ValueError):
     """More (Gaussian, tile) pairs than 32-bit indices can number."""
+
+
+def wants_masks(device: wp.Device) -> bool:
+    """Whether the blending asks which parts of a tile a pair reaches: on the CPU a lane has all of the tile."""
+    return device.is_cuda
 
 
 def bin_tiles(
@@ -114,6 +119,7 @@ def bin_tiles(
         values = empty(2 * num_pairs, wp.int32, device)
         owners = empty(num_pairs if by_slot else 0, wp.int32, device)
         gaussian_ids = empty(num_pairs, wp.int32, device)
+        masks = empty(num_pairs if wants_masks(device) else 0, wp.uint8, device)
         tile_offsets = empty(num_tiles + 1, wp.int32, device)
     except Exception as error:
         # Of what kind depends on the allocator; what was asked for is known here only.
@@ -122,6 +128,7 @@ def bin_tiles(
             f"tiles of {tile_size} px, about {(6 if by_slot else 5) * 4 * num_pairs / 2**20:,.0f} MiB on {device}."
         )
         raise
+    masked = len(masks) > 0 and num_tiles < 2**MASK_SHIFT
     if num_pairs > 0:
         if capacity is not None:
             # Places that stay empty carry a tile after the last and sort to the end.
@@ -137,6 +144,7 @@ def bin_tiles(
                 tiles_x,
                 tiles_y,
                 by_slot,
+                masked,
                 num_pairs,
                 projected.means2d,
                 projected.roots,
@@ -156,11 +164,12 @@ def bin_tiles(
     launch_again(
         tile_ranges_kernel,
         num_pairs + 1,
-        [num_pairs, num_tiles, by_slot, pair_ends, keys, values, owners, tile_offsets, gaussian_ids],
+        [num_pairs, num_tiles, by_slot, masked, pair_ends, keys, values, owners, tile_offsets, gaussian_ids, masks],
         device,
     )
     return TileBins(
         gaussian_ids=gaussian_ids,
+        masks=masks,
         tile_offsets=tile_offsets,
         order=order,
         pair_ends=pair_ends,

@@ -20,7 +20,7 @@ from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.constants import TRANSMITTANCE_MIN
 from warp_kernels.lanes import lane_functions, warp_any
 from warp_kernels.list_segments import list_of_block
-from warp_kernels.survivors import HEADER, stages_features, survivor_functions
+from warp_kernels.survivors import HEADER, queue_functions, record_functions, stages_features
 
 BATCH = 32
 """Candidates a warp looks at between two checks for unfinished pixels."""
@@ -65,8 +65,8 @@ def blend_kernel(
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
-    whiten, alpha, _, row_range = alpha_functions(dtype)
-    exp_negative, attenuate, _ = lane_functions(dtype)
+    in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype)
+    _, attenuate, _ = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
@@ -74,7 +74,8 @@ def blend_kernel(
     batch = BATCH
     first_thermal = C - D
     staged, header = stages_features(channels, dtype, layout) and not only_transmittance, HEADER
-    candidate, features_of, records_of_warp, admit, get, integer = survivor_functions(C, A, staged, dual, dtype, layout)
+    features_of, records_of_warp, store, get, integer = record_functions(C, A, staged, dual, dtype, layout)
+    queue_of_warp, block_parts, mask_of, refill, take = queue_functions(layout, False)
     name = f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + (f"_{A}" if A < C else "")
 
     @wp.kernel(
@@ -99,6 +100,7 @@ def blend_kernel(
         features: wp.array(dtype=vecA),
         rest: wp.array(dtype=vecB),
         gaussian_ids: wp.array(dtype=wp.int32),
+        masks: wp.array(dtype=wp.uint8),
         tile_offsets: wp.array(dtype=wp.int32),
         segment: int,
         # outputs
@@ -175,22 +177,24 @@ def blend_kernel(
                             if Tt[p] <= transmittance_min:
                                 Tt[p] = minus_one
 
+        # The next up to 32 to be walked; on CUDA each lane has one
+        count = wp.min(batch, end - i)
+        place = int(0)
         g = int(0)
-        g_next = int(0)
-        mean = vec2()
-        root = vec3()
-        opacity = zero
-        opacity_t = zero
+        taken = int(0)
+        put = int(0)
+        mask = int(0)
+        parts = int(0)
+        queue = wp.uint64(0)
         address = wp.uint64(0)
         if wp.static(cuda):
+            queue = queue_of_warp(warp)
             address = records_of_warp(warp)
-            first_end = wp.min(end, (i // batch + 1) * batch)
-            if i + lane < first_end:
-                g = gaussian_ids[i + lane]
-                mean, root, opacity, opacity_t = candidate(g, means2d, roots, opacities, thermal_opacities)
-            if first_end + lane < end:
-                g_next = gaussian_ids[first_end + lane]
-        while i < end:
+            parts = block_parts(warp)
+            mask = mask_of(i + lane, end, masks)
+            put, i, mask = refill(queue, lane, parts, taken, put, i, mask, end, masks)
+            count, place, g = take(queue, lane, taken, put, gaussian_ids)
+        while count > 0:
             alive = int(0)
             for p in range(pixels):
                 alive = alive | wp.where(T[p] > zero, 1, 0)
@@ -199,19 +203,14 @@ def blend_kernel(
             if warp_any(alive) == 0:
                 break
 
-            # Batches end at multiples of 32, and so at the boundaries of segments.
-            batch_end = wp.min(end, (i // batch + 1) * batch)
-            count = batch_end - i
+            walked = count
             if wp.static(cuda):
-                count = admit(address, lane, count, x0, y0, g, mean, root, opacity, opacity_t, features, rest)
-                # What the next batch begins with is on its way while this one is walked, its identities since the last.
-                g = g_next
-                if batch_end + lane < end:
-                    mean, root, opacity, opacity_t = candidate(g, means2d, roots, opacities, thermal_opacities)
-                if batch_end + batch + lane < end:
-                    g_next = gaussian_ids[batch_end + batch + lane]
+                store(address, lane, count, place, g, means2d, roots, opacities, thermal_opacities, features, rest)
+                taken += count
+                put, i, mask = refill(queue, lane, parts, taken, put, i, mask, end, masks)
+                count, place, g = take(queue, lane, taken, put, gaussian_ids)
 
-            for k in range(count):
+            for k in range(walked):
                 pair = i + k
                 gaussian = int(0)
                 m = vec2()
@@ -227,7 +226,7 @@ def blend_kernel(
                     U = vec3(entry[2], entry[3], entry[4])
                     o = entry[5]
                     ot = entry[6]
-                    pair = i + integer(entry[7])
+                    pair = integer(entry[7])
                     if wp.static(staged):
                         for c in range(C):
                             f[c] = entry[header + c]
@@ -236,7 +235,7 @@ def blend_kernel(
                 else:
                     gaussian = gaussian_ids[pair]
                     m = means2d[gaussian]
-                    U = roots[gaussian]
+                    U = in_units(roots[gaussian])
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
                     if wp.static(not only_transmittance):
@@ -248,8 +247,8 @@ def blend_kernel(
                     weight_t = vecQ()
                     for q in range(columns):
                         zx, zy = whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
-                        visibility = exp_negative(-half * (zx * zx + zy * zy))
-                        a = alpha(o, visibility)
+                        seen = visibility(zx, zy)
+                        a = alpha(o, seen)
                         t = T[offset + q]
                         next_t = attenuate(t, a)
                         stop = next_t <= stop_at[offset + q]
@@ -258,7 +257,7 @@ def blend_kernel(
                         last[offset + q] = wp.where(w > zero, pair, last[offset + q])
                         weight[q] = w
                         if wp.static(dual):
-                            a = alpha(ot, visibility)
+                            a = alpha(ot, seen)
                             t = Tt[offset + q]
                             next_t = attenuate(t, a)
                             stop = next_t <= stop_at_t[offset + q]
@@ -273,7 +272,9 @@ def blend_kernel(
                         for c in range(colors_t):
                             for q in range(columns):
                                 acc_t[c, offset + q] += weight_t[q] * f[first_thermal + c]
-            i = batch_end
+            if wp.static(not cuda):
+                i += walked
+                count = wp.min(batch, end - i)
 
         for r in range(rows):
             for q in range(columns):

@@ -20,7 +20,7 @@ from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.gradient_records import feature_offset, kept_channels, ranges_apart, record_length
 from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, lane_functions, warp_any, warp_max
 from warp_kernels.list_segments import list_of_block
-from warp_kernels.survivors import HEADER, stages_features, survivor_functions
+from warp_kernels.survivors import HEADER, queue_functions, record_functions, stages_features
 
 
 @functools.cache
@@ -70,14 +70,15 @@ def blend_adjoint_kernel(
     first_feature_t = first_feature + C - D
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
-    whiten, alpha, _, row_range = alpha_functions(dtype)
-    exp_negative, _, reciprocal = lane_functions(dtype)
+    in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype)
+    _, _, reciprocal = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x, warps = layout.blocks_x, layout.warps
     batch, first_thermal = BATCH, C - D
     staged, header = stages_features(channels, dtype, layout), HEADER
-    candidate, features_of, records_of_warp, admit, get, integer = survivor_functions(C, A, staged, dual, dtype, layout)
+    features_of, records_of_warp, store, get, integer = record_functions(C, A, staged, dual, dtype, layout)
+    queue_of_warp, block_parts, mask_of, refill, take = queue_functions(layout, True)
 
     @wp.func
     def restored(behind: dtype, a: dtype, ra: dtype):
@@ -114,6 +115,7 @@ def blend_adjoint_kernel(
         features: rowsA,
         rest: rowsB,
         gaussian_ids: wp.array(dtype=wp.int32),
+        masks: wp.array(dtype=wp.uint8),
         slots: wp.array(dtype=wp.int32),
         tile_offsets: wp.array(dtype=wp.int32),
         segment: int,
@@ -209,34 +211,33 @@ def blend_adjoint_kernel(
                             for c in range(D):
                                 St[p] += states[end // segment, first_behind_t + c, place] * v_pixel_t[c, p]
 
-        # The batch of 32 candidates i - 31 ... i, the last one first: lane k has candidate i - k.
         i = wp.min(int(warp_max(newest)), end - 1)
+        # The next up to 32 to be walked; on CUDA each lane has one
+        count = wp.min(batch, i - begin + 1)
+        place = int(0)
         g = int(0)
-        g_next = int(0)
-        mean = vec2()
-        root = vec3()
-        opacity = zero
-        opacity_t = zero
+        taken = int(0)
+        put = int(0)
+        mask = int(0)
+        parts = int(0)
+        queue = wp.uint64(0)
         address = wp.uint64(0)
         if wp.static(cuda):
+            queue = queue_of_warp(warp)
             address = records_of_warp(warp)
-            if i - lane >= begin:
-                g = gaussian_ids[i - lane]
-                mean, root, opacity, opacity_t = candidate(g, means2d, roots, opacities, thermal_opacities)
-            if i - batch - lane >= begin:
-                g_next = gaussian_ids[i - batch - lane]
-        while i >= begin:
-            count = wp.min(batch, i - begin + 1)
+            parts = block_parts(warp)
+            mask = mask_of(i - lane, begin, masks)
+            put, i, mask = refill(queue, lane, parts, taken, put, i, mask, begin, masks)
+            count, place, g = take(queue, lane, taken, put, gaussian_ids)
+        while count > 0:
+            walked = count
             if wp.static(cuda):
-                count = admit(address, lane, count, x0, y0, g, mean, root, opacity, opacity_t, features, rest)
-                # What the next batch begins with is on its way while this one is walked, its identities since the last.
-                g = g_next
-                if i - batch - lane >= begin:
-                    mean, root, opacity, opacity_t = candidate(g, means2d, roots, opacities, thermal_opacities)
-                if i - 2 * batch - lane >= begin:
-                    g_next = gaussian_ids[i - 2 * batch - lane]
+                store(address, lane, count, place, g, means2d, roots, opacities, thermal_opacities, features, rest)
+                taken += count
+                put, i, mask = refill(queue, lane, parts, taken, put, i, mask, begin, masks)
+                count, place, g = take(queue, lane, taken, put, gaussian_ids)
 
-            for k in range(count):
+            for k in range(walked):
                 pair = i - k
                 gaussian = int(0)
                 m = vec2()
@@ -252,7 +253,7 @@ def blend_adjoint_kernel(
                     U = vec3(entry[2], entry[3], entry[4])
                     o = entry[5]
                     ot = entry[6]
-                    pair = i - integer(entry[7])
+                    pair = integer(entry[7])
                     gaussian = integer(entry[8])
                     if wp.static(staged):
                         for c in range(C):
@@ -262,7 +263,7 @@ def blend_adjoint_kernel(
                 else:
                     gaussian = gaussian_ids[pair]
                     m = means2d[gaussian]
-                    U = roots[gaussian]
+                    U = in_units(roots[gaussian])
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
                     f = features_of(gaussian, features, rest)
@@ -285,8 +286,8 @@ def blend_adjoint_kernel(
                     weight_t = vecQ()
                     for q in range(columns):
                         zx, zy = whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
-                        visibility = exp_negative(-half * (zx * zx + zy * zy))
-                        a = alpha(o, visibility)
+                        seen = visibility(zx, zy)
+                        a = alpha(o, seen)
                         a = wp.where(pair > last[offset + q], zero, a)
                         hits = hits | wp.where(a > zero, 1, 0)
                         ra = reciprocal(one - a)
@@ -300,9 +301,9 @@ def blend_adjoint_kernel(
                         # no gradient where alpha was clamped or the Gaussian not drawn
                         v_alpha = wp.where(a >= alpha_max or a == zero, zero, v_alpha)
                         v_power = v_alpha * a
-                        part[5, q * spread] += v_alpha * visibility
+                        part[5, q * spread] += v_alpha * seen
                         if wp.static(dual):
-                            a = alpha(ot, visibility)
+                            a = alpha(ot, seen)
                             a = wp.where(pair > last_t[offset + q], zero, a)
                             hits = hits | wp.where(a > zero, 1, 0)
                             ra = reciprocal(one - a)
@@ -315,7 +316,7 @@ def blend_adjoint_kernel(
                             St[offset + q] = s + w * dot_t[q]
                             v_alpha = wp.where(a >= alpha_max or a == zero, zero, v_alpha)
                             v_power = v_power + v_alpha * a
-                            part[6, q * spread] += v_alpha * visibility
+                            part[6, q * spread] += v_alpha * seen
                         px = v_power * zx
                         py = v_power * zy
                         part[0, q * spread] += px
@@ -344,6 +345,8 @@ def blend_adjoint_kernel(
                         accumulate(records, v_features, v_rest, destination, lane, G)
                     else:
                         store_column_sums(records, destination, part)
-            i -= batch
+            if wp.static(not cuda):
+                i -= walked
+                count = wp.min(batch, i - begin + 1)
 
     return blend_tiles_adjoint_kernel

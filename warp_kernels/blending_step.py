@@ -296,4 +296,4 @@ def _read(
     size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
     gaussians = [projected.means2d, projected.roots, projected.extents, opacities, thermal_opacities]
     others = _or_nothing(rest, opacities.dtype, opacities.device)
-    return size, [*size, *gaussians, features, others, bins.gaussian_ids]
+    return size, [*size, *gaussians, features, others, bins.gaussian_ids, bins.masks]

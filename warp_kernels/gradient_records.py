@@ -1,17 +1,18 @@
 """Records of gradients that the blending's adjoint writes, and their sum per Gaussian.
 
 A record holds sums over the pixels of a warp for one Gaussian: p z (2) and p z zᵀ (xx, xy, yy), p being the gradient to
--σ = -½ |z|² and z the pixel's offset in the Gaussian's standard deviations; then the gradients to opacity, [thermal
-opacity], features (C), [|mean2d| gradients (2)]. What the first five mean for mean2d and root is worked out once a
-Gaussian. Sums are added atomically per Gaussian, those to many features, which most of a record would be, where their
-gradient lies and not in the record; or records are stored one a (Gaussian, tile) pair and warp and summed per Gaussian
-afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+-σ and z the pixel's offset from the Gaussian, in ``alpha.UNIT`` standard deviations; then the gradients to opacity,
+[thermal opacity], features (C), [|mean2d| gradients (2), over UNIT²]. What the first five mean for mean2d and root is
+worked out once a Gaussian. Sums are added atomically per Gaussian, those to many features, which most of a record would
+be, where their gradient lies and not in the record; or records are stored one a (Gaussian, tile) pair and warp and
+summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
 """
 
 import functools
 
 import warp as wp
 
+from warp_kernels.alpha import UNIT
 from warp_kernels.coalesced_stores import store_functions
 
 FEW = 4
@@ -129,7 +130,7 @@ def distribute_kernel(
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
     store2, store3, _ = store_functions(dtype)
-    zero = dtype(0.0)
+    zero, unit = dtype(0.0), dtype(UNIT)
 
     @wp.kernel(
         name=f"distribute_{C}_{thermal_channels}_{dtype.__name__}{'_abs' * absgrad}_{records_per_pair}_{A}",
@@ -175,12 +176,12 @@ def distribute_kernel(
                     total = total + records[slot]
             else:
                 total = records[g]
-            # -σ = -½ |U d|² with U = [u, u k; 0, v]
+            # -σ = -½ |U d|² with U = [u, u k; 0, v], and sums of U d / unit
             u = roots[g][0]
             k = roots[g][1]
             v = roots[g][2]
-            v_mean2d = -vec2(u * total[0], u * k * total[0] + v * total[1])
-            v_root = -vec3(total[2] / u, total[3] * u / v, total[4] / v)
+            v_mean2d = -unit * vec2(u * total[0], u * k * total[0] + v * total[1])
+            v_root = -unit * unit * vec3(total[2] / u, total[3] * u / v, total[4] / v)
             v_opacity = total[5]
             if not store:
                 v_mean2d = v_mean2d + v_means2d[g]
@@ -207,7 +208,8 @@ def distribute_kernel(
                     more[c] = more[c] + total[first_rest + c]
                 v_rest[g] = more
             if wp.static(absgrad):
-                absolute[g] = absolute[g] + vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
+                size = vec2(total[wp.static(length - 2)], total[wp.static(length - 1)])
+                absolute[g] = absolute[g] + unit * unit * size
         elif store and g >= 0:
             v_opacities[g] = zero
             if wp.static(dual):

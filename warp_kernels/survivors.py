@@ -1,9 +1,11 @@
-"""The candidates of a warp that reach its pixel block, kept in shared memory while the warp walks them.
+"""The Gaussians of a list that reach a warp's pixel block, kept in shared memory while the warp walks them.
 
-Of 32 candidates, one a lane, each lane whose candidate passed the test writes its record to the place of its rank. The
-walk then reads records one after the other, all lanes the same one: addresses are known beforehand, so that the
-latency of one Gaussian's numbers hides behind the arithmetic of another, and the numbers of all survivors were fetched
-from memory at once. CUDA only; on the CPU a lane reads what it needs from the arrays.
+The binning says for every pair which parts of its tile the Gaussian reaches (its mask). A warp looks at the masks of 32
+pairs at a time, one a lane, and queues the places of those that reach its block, until 32 wait. Each lane then fetches
+one of these and writes it to a record. The walk reads records one after the other, all lanes the same one: addresses
+are known beforehand, so that the latency of one Gaussian's numbers hides behind the arithmetic of another.
+
+CUDA only; on the CPU a lane, which has all of the tile, reads what it needs from the arrays.
 """
 
 import functools
@@ -14,12 +16,17 @@ import warp as wp
 from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.lanes import LANES_CUDA, count_bits, on_cuda, warp_ballot, warp_sync
+from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS
 
 HEADER = 9
-"""Numbers before the features: mean2d (2), root (3), opacity, thermal opacity, lane of the candidate, its index."""
+"""Numbers before the features: mean2d (2), root in ``alpha.UNIT`` (3), opacity, thermal opacity, the pair's place in
+the list, its Gaussian."""
 
 SHARED_BYTES = 40 * 1024
 """Shared memory for records; a block of threads has 48 KiB without asking for more, some of which Warp takes."""
+
+QUEUE = 2 * LANES_CUDA
+"""Places that can wait: all but one of a warp's worth, and 32 that come at once; a power of two."""
 
 
 def stages_features(channels: int, dtype: type, layout: BlendLayout) -> bool:
@@ -47,10 +54,107 @@ def _stride(length: int, dtype: type) -> int:
 
 
 @functools.cache
-def survivor_functions(
+def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any, Any, Any]:
+    """From the masks of a list to the places of the pairs that reach a warp's block, in the list's order or against it.
+
+    Args:
+        layout: deal of pixels to lanes.
+        backwards: from the back of the list to its front.
+
+    Returns:
+        Warp functions ``(queue_of_warp, block_parts, mask_of, refill, take)``: the address of a warp's queue; the mask
+        of its block; that of a place within the list; queue places until a warp's worth waits or none is left, given
+        how many were taken from the queue and put into it, where the next 32 candidates begin, the mask of this lane's,
+        and the list's ``bound`` (forwards the first place behind it, backwards its first place); take up to 32: how
+        many, and this lane's place and Gaussian.
+    """
+    part_width, part_height = layout.tile_size // MASK_COLUMNS, layout.tile_size // MASK_ROWS
+    block_width, block_height, blocks_x = layout.block_width, layout.block_height, layout.blocks_x
+    step = -1 if backwards else 1
+    buffer = f"__shared__ int queues[{layout.warps * QUEUE}];"
+    spot = f"((int*)queue)[at & {QUEUE - 1}]"
+
+    @wp.func_native(on_cuda(f"{buffer}\nreturn (wp::uint64)(queues + warp * {QUEUE});", "return 0;"))
+    def queue_of_warp(warp: int) -> wp.uint64: ...
+
+    @wp.func_native(on_cuda(f"{spot} = place;"))
+    def write_spot(queue: wp.uint64, at: int, place: int): ...
+
+    @wp.func_native(on_cuda(f"return {spot};", "return 0;"))
+    def read_spot(queue: wp.uint64, at: int) -> int: ...
+
+    @wp.func
+    def block_parts(warp: int):
+        x = (warp % blocks_x) * block_width
+        y = (warp // blocks_x) * block_height
+        parts = int(0)
+        for row in range(wp.static(MASK_ROWS)):
+            for column in range(wp.static(MASK_COLUMNS)):
+                across = x < (column + 1) * part_width and x + block_width > column * part_width
+                down = y < (row + 1) * part_height and y + block_height > row * part_height
+                if across and down:
+                    parts |= 1 << (row * wp.static(MASK_COLUMNS) + column)
+        return parts
+
+    @wp.func
+    def within(place: int, bound: int):
+        if wp.static(backwards):
+            return place >= bound
+        return place < bound
+
+    @wp.func
+    def mask_of(place: int, bound: int, masks: wp.array(dtype=wp.uint8)):
+        mask = int(0)
+        if within(place, bound):
+            mask = int(masks[place])
+        return mask
+
+    @wp.func
+    def refill(
+        queue: wp.uint64,
+        lane: int,
+        parts: int,
+        taken: int,
+        put: int,
+        candidates: int,
+        mask: int,
+        bound: int,
+        masks: wp.array(dtype=wp.uint8),
+    ):
+        end = int(put)
+        first = int(candidates)
+        own = int(mask)
+        warp_sync()  # all lanes have read what they took
+        while end - taken < LANES_CUDA and within(first, bound):
+            hit = wp.where((own & parts) != 0, 1, 0)
+            hits = warp_ballot(hit)
+            if hit != 0:
+                below = (wp.uint32(1) << wp.uint32(lane)) - wp.uint32(1)
+                write_spot(queue, end + count_bits(hits & below), first + step * lane)
+            end += count_bits(hits)
+            first += step * LANES_CUDA
+            own = mask_of(first + step * lane, bound, masks)
+        warp_sync()
+        return end, first, own
+
+    @wp.func
+    def take(queue: wp.uint64, lane: int, taken: int, put: int, gaussian_ids: wp.array(dtype=wp.int32)):
+        count = wp.min(put - taken, LANES_CUDA)
+        place = int(0)
+        gaussian = int(0)
+        if lane < count:
+            place = read_spot(queue, taken + lane)
+            gaussian = gaussian_ids[place]
+        return count, place, gaussian
+
+    return queue_of_warp, block_parts, mask_of, refill, take
+
+
+@functools.cache
+def record_functions(
     channels: int, first_channels: int, staged: bool, dual: bool, dtype: type, layout: BlendLayout
-) -> tuple[Any, Any, Any, Any, Any, Any]:
-    """From a lane's candidate to the warp's records.
+) -> tuple[Any, Any, Any, Any, Any]:
+    """From the Gaussian that a lane took to the warp's records.
 
     Args:
         channels: C, features of a Gaussian.
@@ -61,9 +165,8 @@ def survivor_functions(
         layout: deal of pixels to lanes.
 
     Returns:
-        Warp functions ``(candidate, features_of, records_of_warp, admit, get, integer)``: the numbers of a Gaussian;
-        its features; the address of a warp's records; store each lane's candidate that reaches the warp's block, whose
-        first pixel centre is (x0, y0), and count them; read one; the whole number in one of its places.
+        Warp functions ``(features_of, records_of_warp, store, get, integer)``: the features of a Gaussian; the address
+        of a warp's records; store the first ``count`` lanes' Gaussians; read one; the whole number that stands in one.
     """
     length = HEADER + (channels if staged else 0)
     stride = _stride(length, dtype)
@@ -91,8 +194,7 @@ def survivor_functions(
     remaining = channels - first_channels
     vec2, vec3, vecC = (wp.types.vector(count, dtype) for count in (2, 3, channels))
     vecA, vecB = wp.types.vector(first_channels, dtype), wp.types.vector(max(remaining, 1), dtype)
-    _, _, reaches_block, _ = alpha_functions(dtype)
-    across, down, zero = dtype(layout.block_width - 1), dtype(layout.block_height - 1), dtype(0.0)
+    in_units, _, _, _, _ = alpha_functions(dtype)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
     address_snippet = on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
     put_snippet = on_cuda(f"{locate}\n{writes}")
@@ -112,22 +214,6 @@ def survivor_functions(
         return int(wp.cast(x, word))
 
     @wp.func
-    def candidate(
-        g: int,
-        means2d: wp.array(dtype=vec2),
-        roots: wp.array(dtype=vec3),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-    ):
-        mean = means2d[g]
-        root = roots[g]
-        opacity = opacities[g]
-        opacity_t = zero
-        if wp.static(dual):
-            opacity_t = thermal_opacities[g]
-        return mean, root, opacity, opacity_t
-
-    @wp.func
     def features_of(g: int, features: wp.array(dtype=vecA), rest: wp.array(dtype=vecB)):
         f = vecC()
         first = features[g]
@@ -140,46 +226,39 @@ def survivor_functions(
         return f
 
     @wp.func
-    def admit(
+    def store(
         address: wp.uint64,
         lane: int,
-        candidates: int,
-        x0: dtype,
-        y0: dtype,
+        count: int,
+        place: int,
         g: int,
-        mean: vec2,
-        root: vec3,
-        opacity: dtype,
-        opacity_t: dtype,
+        means2d: wp.array(dtype=vec2),
+        roots: wp.array(dtype=vec3),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
         features: wp.array(dtype=vecA),
         rest: wp.array(dtype=vecB),
     ):
-        hit = int(0)
-        if lane < candidates:
-            bound = opacity
-            if wp.static(dual):
-                bound = wp.max(opacity, opacity_t)
-            hit = wp.where(reaches_block(mean, root, bound, x0, y0, x0 + across, y0 + down), 1, 0)
-        survivors = warp_ballot(hit)
-        warp_sync()
-        if hit != 0:
+        warp_sync()  # all lanes have walked the records before
+        if lane < count:
             r = record()
+            mean = means2d[g]
+            root = in_units(roots[g])
             r[0] = mean[0]
             r[1] = mean[1]
             r[2] = root[0]
             r[3] = root[1]
             r[4] = root[2]
-            r[5] = opacity
-            r[6] = opacity_t
-            r[7] = wp.cast(word(lane), dtype)
+            r[5] = opacities[g]
+            if wp.static(dual):
+                r[6] = thermal_opacities[g]
+            r[7] = wp.cast(word(place), dtype)
             r[8] = wp.cast(word(g), dtype)
             if wp.static(staged):
                 f = features_of(g, features, rest)
                 for c in range(channels):
                     r[header + c] = f[c]
-            below = (wp.uint32(1) << wp.uint32(lane)) - wp.uint32(1)
-            put(address, count_bits(survivors & below), r)
+            put(address, lane, r)
         warp_sync()
-        return count_bits(survivors)
 
-    return candidate, features_of, records_of_warp, admit, get, integer
+    return features_of, records_of_warp, store, get, integer

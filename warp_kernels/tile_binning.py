@@ -7,7 +7,8 @@ pairs of one Gaussian are contiguous before the second sort, which is what the d
 
 The overlap is exact for the ellipse of alpha >= ALPHA_MIN against the pixel centres of a row of tiles: within the row's
 band of dy, the ellipse spans dx = -k dy ± sqrt(2τ (1 - (dy / ey)²)) / u with the conic's root (u, k, v), τ =
-ln(α / ALPHA_MIN) and half-height ey, so that nothing cancels for needles.
+ln(α / ALPHA_MIN) and half-height ey, so that nothing cancels for needles. On CUDA the same is asked of quarters of the
+row, and a pair carries, above the bits it is sorted by, which eighths of its tile the ellipse touches.
 """
 
 import functools
@@ -24,19 +25,25 @@ EXPONENT_MARGIN = 1.0e-5
 PIXEL_MARGIN = 1.0e-3
 
 
+MASK_COLUMNS, MASK_ROWS = 2, 4
+"""Parts of a tile that a pair's mask tells apart, row by row from the lowest bit."""
+
+MASK_SHIFT = 24
+"""Bits of a key in front of the mask, for the tile."""
+
 Totals = wp.types.vector(2, wp.int64)
 """Pairs, and Gaussians with any."""
 
 
 @functools.cache
 def overlap_functions(dtype: type):
-    """Rows and columns of tiles a Gaussian touches.
+    """Rows and columns of pixels and tiles a Gaussian touches.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(tile_rows, tile_span)``, Warp functions giving half-open tile ranges.
+        ``(pixel_rows, tile_range, pixel_span, cut_exponent)``, Warp functions: half-open ranges, and the exponent.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
@@ -53,23 +60,25 @@ def overlap_functions(dtype: type):
         return first, last + 1
 
     @wp.func
-    def tile_rows(mean2d: vec2, extent: vec2, height: int, tile_size: int):
-        """Rows of tiles [first, end) within the Gaussian's height."""
-        first, end = pixel_range(mean2d[1], -extent[1], extent[1], height)
+    def pixel_rows(mean2d: vec2, extent: vec2, height: int):
+        """Rows of pixels [first, end) within the Gaussian's height."""
+        return pixel_range(mean2d[1], -extent[1], extent[1], height)
+
+    @wp.func
+    def tile_range(first: int, end: int, tile_size: int):
+        """Tiles [first, end) with any of the pixels [first, end)."""
         if end <= first:
             return 0, 0
         return first // tile_size, (end - 1) // tile_size + 1
 
     @wp.func
-    def tile_span(
-        mean2d: vec2, root: vec3, extent: vec2, exponent: dtype, row: int, width: int, height: int, tile_size: int
-    ):
-        """Tiles [first, end) of one row that the ellipse touches."""
-        # The band of the row's pixel centres, relative to the mean, cut to the ellipse's height.
-        top = wp.max(dtype(row * tile_size) + half - mean2d[1], -extent[1])
-        bottom = wp.min(dtype(wp.min((row + 1) * tile_size, height)) - half - mean2d[1], extent[1])
+    def pixel_span(mean2d: vec2, root: vec3, extent: vec2, exponent: dtype, row: int, row_end: int, width: int):
+        """Columns of pixels [first, end) that the ellipse touches within some of its ``pixel_rows``."""
+        # The band of the rows' pixel centres, relative to the mean, cut to the ellipse's height.
+        top = wp.max(dtype(row) + half - mean2d[1], -extent[1])
+        bottom = wp.min(dtype(row_end) - half - mean2d[1], extent[1])
         if bottom < top:
-            # Only the rounding of tile_rows brought us here: the ellipse's tip, its whole width is a safe answer.
+            # Only the rounding of pixel_rows brought us here: the ellipse's tip, its whole width is a safe answer.
             top = wp.clamp(top, -extent[1], extent[1])
             bottom = top
         slope = -root[1]
@@ -83,17 +92,14 @@ def overlap_functions(dtype: type):
         left_share = left_dy / extent[1]
         right = slope * right_dy + reach * wp.sqrt(wp.max(zero, one - right_share * right_share))
         left = slope * left_dy - reach * wp.sqrt(wp.max(zero, one - left_share * left_share))
-        first, end = pixel_range(mean2d[0], wp.max(left, -extent[0]), wp.min(right, extent[0]), width)
-        if end <= first:
-            return 0, 0
-        return first // tile_size, (end - 1) // tile_size + 1
+        return pixel_range(mean2d[0], wp.max(left, -extent[0]), wp.min(right, extent[0]), width)
 
     @wp.func
     def cut_exponent(opacity: dtype):
         """τ: the exponent at which alpha falls to ALPHA_MIN, widened by the rounding margin."""
         return wp.log(opacity / alpha_min) * (one + exponent_margin) + exponent_margin
 
-    return tile_rows, tile_span, cut_exponent
+    return pixel_rows, tile_range, pixel_span, cut_exponent
 
 
 @functools.cache
@@ -108,8 +114,18 @@ def binning_kernels(dtype: type, lanes: int):
         ``(count, compact, gather, emit)``. Count and compact are launched over ``whole_warps``.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
-    tile_rows, tile_span, cut_exponent = overlap_functions(dtype)
+    pixel_rows, tile_range, pixel_span, cut_exponent = overlap_functions(dtype)
     infinity = dtype(float("inf"))
+    bounds = wp.types.vector(MASK_ROWS, wp.int32)
+
+    @wp.func
+    def tiles_of_row(
+        mean2d: vec2, root: vec3, extent: vec2, exponent: dtype, row: int, width: int, height: int, tile_size: int
+    ):
+        """Tiles [first, end) of a row of tiles that the ellipse touches."""
+        bottom = wp.min((row + 1) * tile_size, height)
+        first, end = pixel_span(mean2d, root, extent, exponent, row * tile_size, bottom, width)
+        return tile_range(first, end, tile_size)
 
     @wp.kernel(name=f"count_tiles_{dtype.__name__}_{lanes}", enable_backward=False, module="unique")
     def count_tiles_kernel(
@@ -148,9 +164,10 @@ def binning_kernels(dtype: type, lanes: int):
                 mean2d = means2d[index]
                 extent = extents[index]
                 exponent = cut_exponent(wp.max(opacities[index], thermal_opacities[index]))
-                row, row_end = tile_rows(mean2d, extent, height, tile_size)
+                y, y_end = pixel_rows(mean2d, extent, height)
+                row, row_end = tile_range(y, y_end, tile_size)
                 while row < row_end:
-                    start, end = tile_span(mean2d, roots[index], extent, exponent, row, width, height, tile_size)
+                    start, end = tiles_of_row(mean2d, roots[index], extent, exponent, row, width, height, tile_size)
                     count += end - start
                     row += 1
             else:
@@ -221,6 +238,7 @@ def binning_kernels(dtype: type, lanes: int):
         tiles_x: int,
         tiles_y: int,
         by_slot: bool,
+        masked: bool,
         capacity: int,
         means2d: wp.array(dtype=vec2),
         roots: wp.array(dtype=vec3),
@@ -250,11 +268,30 @@ def binning_kernels(dtype: type, lanes: int):
         mean2d = means2d[index]
         extent = extents[index]
         exponent = cut_exponent(wp.max(opacities[index], thermal_opacities[index]))
-        row, row_end = tile_rows(mean2d, extent, height, tile_size)
+        y, y_end = pixel_rows(mean2d, extent, height)
+        row, row_end = tile_range(y, y_end, tile_size)
         while row < row_end:
-            start, end = tile_span(mean2d, roots[index], extent, exponent, row, width, height, tile_size)
+            start, end = tiles_of_row(mean2d, roots[index], extent, exponent, row, width, height, tile_size)
+            # columns of pixels that the ellipse touches in each of the tile's parts, one below the other
+            left = bounds()
+            right = bounds()
+            if masked:
+                for part in range(wp.static(MASK_ROWS)):
+                    top = row * tile_size + part * (tile_size // wp.static(MASK_ROWS))
+                    bottom = wp.min(top + tile_size // wp.static(MASK_ROWS), height)
+                    if wp.max(top, y) < wp.min(bottom, y_end):
+                        x_first, x_end = pixel_span(mean2d, roots[index], extent, exponent, top, bottom, width)
+                        left[part] = x_first
+                        right[part] = x_end
             while start < end and slot < capacity:
-                keys[slot] = image_first + row * tiles_x + start
+                key = image_first + row * tiles_x + start
+                if masked:
+                    for part in range(wp.static(MASK_ROWS)):
+                        for column in range(wp.static(MASK_COLUMNS)):
+                            x = start * tile_size + column * (tile_size // wp.static(MASK_COLUMNS))
+                            if left[part] < x + tile_size // wp.static(MASK_COLUMNS) and right[part] > x:
+                                key |= 1 << (wp.static(MASK_SHIFT) + part * wp.static(MASK_COLUMNS) + column)
+                keys[slot] = key
                 if by_slot:
                     values[slot] = slot
                     owners[slot] = index
@@ -272,6 +309,7 @@ def tile_ranges_kernel(
     capacity: int,
     num_tiles: int,
     by_slot: bool,
+    masked: bool,
     pair_ends: wp.array(dtype=wp.int64),
     keys: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.int32),
@@ -279,8 +317,13 @@ def tile_ranges_kernel(
     # outputs
     tile_offsets: wp.array(dtype=wp.int32),
     gaussian_ids: wp.array(dtype=wp.int32),
+    masks: wp.array(dtype=wp.uint8),
 ):
-    """Offsets of each tile's pairs in the sorted list, and the Gaussian of each sorted pair; threads: capacity + 1."""
+    """Offsets of each tile's pairs in the sorted list, and each sorted pair's Gaussian and mask; threads: capacity + 1.
+
+    Without ``masked`` keys are tiles, and masks, where wanted, all of a tile.
+    """
+    tile_bits = wp.where(masked, wp.static(2**MASK_SHIFT - 1), -1)
     k = wp.tid()
     num_pairs = int(0)
     if pair_ends.shape[0] > 0:
@@ -289,14 +332,16 @@ def tile_ranges_kernel(
         return
     tile = num_tiles
     if k < num_pairs:
-        tile = keys[k]
+        tile = keys[k] & tile_bits
         if by_slot:
             gaussian_ids[k] = owners[values[k]]
         else:
             gaussian_ids[k] = values[k]
+        if masks.shape[0] > 0:
+            masks[k] = wp.uint8(wp.where(masked, keys[k] >> wp.static(MASK_SHIFT), -1))
     previous = int(-1)
     if k > 0:
-        previous = keys[k - 1]
+        previous = keys[k - 1] & tile_bits
     while previous < tile:
         previous += 1
         tile_offsets[previous] = k
@@ -308,6 +353,7 @@ class TileBins:
 
     Attributes:
         gaussian_ids: [num_pairs] flat (image, Gaussian) index of each sorted pair.
+        masks: uint8 [num_pairs] parts of its tile that each sorted pair can reach, a bit each; empty on the CPU.
         tile_offsets: [images · tiles + 1] first sorted pair of each tile; the last entry is the number of pairs.
         order: [ranks] flat indices in depth order; those without tiles, or -1 in their place, are last or left out.
         pair_ends: int64 [ranks] end of each depth rank's range of unsorted pairs. The blending reads this and ``order``
@@ -323,6 +369,7 @@ class TileBins:
     """
 
     gaussian_ids: wp.array
+    masks: wp.array
     tile_offsets: wp.array
     order: wp.array | None
     pair_ends: wp.array | None

@@ -24,6 +24,8 @@ class TileLists(NamedTuple):
     def read_by_adjoint(self) -> list[tuple[Any, Tensor]]:
         """Arrays that the blending's adjoint reads, with the tensors they lie in."""
         names = ["gaussian_ids", "tile_offsets", "tiles_per_gaussian"]
+        if len(self.bins.masks) > 0:
+            names.append("masks")
         if self.bins.slots is not None:
             names += ["slots", "order", "pair_ends"]
         return [(getattr(self.bins, name), self.tensors[name]) for name in names]

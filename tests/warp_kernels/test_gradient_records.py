@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from warp_kernels.alpha import UNIT
 from warp_kernels.gradient_records import distribute_kernel, feature_offset, kept_channels, ranges_apart, record_length
 
 
@@ -17,7 +18,7 @@ def test_records_reach_the_gradients(
     """Each Gaussian's records, by pair or already summed, are added to what its gradients hold.
 
     Stored, gradients of Gaussians without tiles are zeros. With the root (1, 0, 1) moments are the gradients to mean2d
-    and root but for the sign.
+    and root but for the sign and the unit.
     """
     rng = np.random.default_rng(0)
     order = np.array([2, 0, 3, 1])  # depth ranks to Gaussians
@@ -62,7 +63,8 @@ def test_records_reach_the_gradients(
     assert covered == list(range(length))
     for name, values in after.items():
         begin, end = columns.get(name, (0, 0))
-        added = sums[:, begin:end] * (-1.0 if name in ("means2d", "roots") else 1.0) if end > begin else 0.0
+        factor = {"means2d": -UNIT, "roots": -(UNIT**2), "absolute": UNIT**2}.get(name, 1.0)
+        added = factor * sums[:, begin:end] if end > begin else 0.0
         stored = store and end > begin and name != "absolute"
         expected = added + (0.0 if stored else before[name])
         assert np.allclose(values.numpy().reshape(4, -1), expected, rtol=0, atol=1e-14), name

@@ -12,7 +12,9 @@ from warp_kernels.binning_step import bin_tiles
 from warp_kernels.constants import ALPHA_MIN
 from warp_kernels.projection import ProjectedArrays
 from warp_kernels.rasterization import scalar_view
-from warp_kernels.tile_binning import TileBins
+from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS, TileBins
+
+PARTS = MASK_COLUMNS * MASK_ROWS
 
 SCENES = {
     "small": {"n": 60, "width": 23, "height": 18},
@@ -42,23 +44,29 @@ def bin_scene(name: str, tile_size: int, needles: bool, by_slot: bool = True) ->
     return arrays, bins, {"opacities": opacities.numpy().astype(np.float64), "settings": scene.settings}
 
 
-def drawn_tiles(arrays: ProjectedArrays, bins: TileBins, extra: dict, alpha_min: float) -> set[tuple[int, int]]:
-    """(tile, flat Gaussian) pairs in which some pixel centre has alpha of at least alpha_min, by trying them all."""
-    settings = extra["settings"]
+def drawn_parts(arrays: ProjectedArrays, bins: TileBins, extra: dict, alpha_min: float) -> set[tuple[int, int, int]]:
+    """(tile, flat Gaussian, part of the tile) in which a pixel centre has at least alpha_min, by trying them all."""
+    settings, size = extra["settings"], bins.tile_size
     visible = (arrays.radii.numpy() > 0).all(-1)
     means, roots = (np.where(visible[:, None], a.numpy(), 0).astype(np.float64) for a in (arrays.means2d, arrays.roots))
     x, y = np.meshgrid(np.arange(settings.width), np.arange(settings.height))
-    tile_of_pixel = (y // bins.tile_size) * bins.tiles_x + x // bins.tile_size
-    pairs = set()
+    tile_of_pixel = (y // size) * bins.tiles_x + x // size
+    part_of_pixel = y % size // (size // MASK_ROWS) * MASK_COLUMNS + x % size // (size // MASK_COLUMNS)
+    drawn = set()
     for g in np.flatnonzero(visible):
         dx, dy = means[g, 0] - (x + 0.5), means[g, 1] - (y + 0.5)
         u, k, v = roots[g]
         sigma = 0.5 * ((u * (dx + k * dy)) ** 2 + (v * dy) ** 2)
         alpha = extra["opacities"][g] * np.exp(-sigma)
         image = g // settings.num_gaussians
-        tiles = np.unique(tile_of_pixel[alpha >= alpha_min]) + image * bins.tiles_x * bins.tiles_y
-        pairs |= {(int(tile), int(g)) for tile in tiles}
-    return pairs
+        parts = np.unique((tile_of_pixel * PARTS + part_of_pixel)[alpha >= alpha_min])
+        drawn |= {(int(p) // PARTS + image * bins.tiles_x * bins.tiles_y, int(g), int(p) % PARTS) for p in parts}
+    return drawn
+
+
+def drawn_tiles(arrays: ProjectedArrays, bins: TileBins, extra: dict, alpha_min: float) -> set[tuple[int, int]]:
+    """(tile, flat Gaussian) pairs in which some pixel centre has alpha of at least alpha_min."""
+    return {(tile, g) for tile, g, _ in drawn_parts(arrays, bins, extra, alpha_min)}
 
 
 def listed_tiles(bins: TileBins) -> list[tuple[int, int]]:
@@ -81,6 +89,41 @@ def test_lists_are_complete_and_tight(name: str, tile_size: int, needles: bool) 
     # The ellipse may pass between the pixel centres of a row: those pairs are listed and draw nothing.
     assert len(listed) <= 1.25 * len(drawn_tiles(arrays, bins, extra, ALPHA_MIN * (1 - 1e-4))) + 2
     assert len(needed) > 50
+
+
+@pytest.mark.parametrize("needles", [False, True])
+@pytest.mark.parametrize("tile_size", [8, 16, 32])
+@pytest.mark.parametrize("name", SCENES)
+def test_masks_are_complete_and_tight(
+    name: str, tile_size: int, needles: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pair's mask names every part of its tile in which it draws something, and few others."""
+    without = listed_tiles(bin_scene(name, tile_size, needles)[1])
+    monkeypatch.setattr(binning_step, "wants_masks", lambda device: True)
+    arrays, bins, extra = bin_scene(name, tile_size, needles)
+    assert listed_tiles(bins) == without
+    masks = bins.masks.numpy()
+    assert len(masks) == bins.num_pairs
+    masked = {
+        (tile, g, part)
+        for (tile, g), mask in zip(without, masks, strict=True)
+        for part in range(PARTS)
+        if mask >> part & 1
+    }
+    needed = drawn_parts(arrays, bins, extra, ALPHA_MIN * (1 + 1e-5))
+    assert needed <= masked
+    assert len(masked) <= 1.35 * len(drawn_parts(arrays, bins, extra, ALPHA_MIN * (1 - 1e-4))) + 2
+    assert len(needed) > 50
+
+
+def test_masks_of_more_tiles_than_there_are_bits_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a tile's number takes the mask's bits, every pair may reach all of its tile."""
+    without = listed_tiles(bin_scene("ragged", 16, needles=True)[1])
+    monkeypatch.setattr(binning_step, "wants_masks", lambda device: True)
+    monkeypatch.setattr(binning_step, "MASK_SHIFT", 1)
+    _, bins, _ = bin_scene("ragged", 16, needles=True)
+    assert listed_tiles(bins) == without
+    assert (bins.masks.numpy() == 255).all()
 
 
 def test_lists_are_in_depth_order_and_ties_in_index_order() -> None:

@@ -1,12 +1,15 @@
-"""For any scene: the pass that counts pairs and the one that emits them agree, and no tile that is drawn is missing."""
+"""For any scene: the pass that counts pairs and the one that emits them agree, and no tile, or part of a tile, that is
+drawn is missing."""
 
 import numpy as np
+import pytest
 import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_tile_binning import drawn_tiles, listed_tiles
+from test_tile_binning import PARTS, drawn_parts, listed_tiles
 from warp_scene import image_opacities, projected, warp_scene
 
+from warp_kernels import binning_step
 from warp_kernels.binning_step import bin_tiles
 from warp_kernels.constants import ALPHA_MIN
 from warp_kernels.rasterization import scalar_view
@@ -40,14 +43,20 @@ def test_counted_emitted_and_drawn(
         values = scene.gaussians.opacities.numpy()
         scene.gaussians.opacities.assign((ALPHA_MIN * (1 + values**8)).astype(np.float32))
     arrays, opacities = projected(scene), image_opacities(scene, scene.gaussians.opacities)
-    bins = bin_tiles(
-        arrays, opacities, opacities, scalar_view(scene.features), scene.settings, tile_size, by_slot=by_slot
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(binning_step, "wants_masks", lambda device: True)
+        bins = bin_tiles(
+            arrays, opacities, opacities, scalar_view(scene.features), scene.settings, tile_size, by_slot=by_slot
+        )
     listed = listed_tiles(bins)
     assert len(set(listed)) == len(listed) == bins.num_pairs
     emitted = np.bincount(bins.gaussian_ids.numpy(), minlength=n) if bins.num_pairs else np.zeros(n, int)
     assert (emitted == bins.tiles_per_gaussian.numpy()).all()
     assert all(0 <= tile < bins.tiles_x * bins.tiles_y for tile, _ in listed)
     extra = {"opacities": opacities.numpy().astype(np.float64), "settings": scene.settings}
-    assert drawn_tiles(arrays, bins, extra, ALPHA_MIN * (1 + 1e-5)) <= set(listed)
+    masks = bins.masks.numpy()
+    parts = {
+        (*pair, part) for pair, mask in zip(listed, masks, strict=True) for part in range(PARTS) if mask >> part & 1
+    }
+    assert drawn_parts(arrays, bins, extra, ALPHA_MIN * (1 + 1e-5)) <= parts
     assert isinstance(bins.tile_offsets, wp.array)
