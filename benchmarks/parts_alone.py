@@ -90,7 +90,7 @@ def _bookkeeping(trainer: Trainer, frame: FrameTensors, peaks: DevicePeaks, repe
             strategy.observe(done.rendered.infos.get(name, []), blocked)
 
     calls: dict[str, Callable[[], object]] = {
-        "finite check": lambda: step.guard.observe(state.step_on_device, done.losses, state.gradients()),
+        "finite check": lambda: step.guard.observe(state.step_on_device, done.losses, state.gradients_to_watch()),
         "densification bookkeeping": noted,
     }
     times = _milliseconds(trainer, calls, repeats)

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from thermosplat.datasets.capture import Capture
+from thermosplat.errors import UserError
 from thermosplat.evaluation import evaluate
 from thermosplat.metrics import psnr, ssim
 from thermosplat.radiometry import FLIR_IRON, ThermalScale
@@ -120,6 +121,29 @@ def test_missing_modality_is_null(tmp_path: Path) -> None:
     none_held_out = run(FixedImages(None, None), dataclasses.replace(capture, test=()))
     assert none_held_out["rgb"] is None
     assert none_held_out["thermal"] is None
+
+
+def test_strips_that_cannot_be_written(tmp_path: Path) -> None:
+    """A folder for the strips that is a file is the user's to mend, and says so."""
+    (tmp_path / "strips").touch()
+    model = FixedImages(torch.zeros(HEIGHT, WIDTH, 3), None)
+    with pytest.raises(UserError, match="Could not write"):
+        run(model, held_out(toy_capture()), strips_dir=tmp_path / "strips")
+
+
+def test_degrees_are_measured_on_the_device(device: torch.device, tmp_path: Path) -> None:
+    """Numbers and strips of images on any device; through the palette, as on the CPU."""
+    capture = held_out(toy_capture())
+    generator = torch.Generator().manual_seed(2)
+    images = [torch.rand(HEIGHT, WIDTH, 3, generator=generator) for _ in range(2)]
+    options = {"sh_degree": 1, "lpips": lambda render, target: (render - target).abs().mean().item()}
+    on_cpu = evaluate(FixedImages(*images), capture, device="cpu", **options)
+    there = FixedImages(*(image.to(device) for image in images))
+    metrics = evaluate(there, capture, device=device, strips_dir=tmp_path, **options)
+    for modality in ("rgb", "thermal"):
+        # abs: the SSIM of unrelated images is about 0, as a mean of float32 numbers of order 1
+        assert metrics[modality] == pytest.approx(on_cpu[modality], rel=1e-5, abs=1e-6)
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.parametrize("aligned", [True, False])

@@ -96,6 +96,33 @@ def test_every_region_is_judged_by_its_own_pixels(tmp_path: Path) -> None:
     assert regions["unlabelled"]["rgb"]["psnr"] is None
 
 
+def test_depth_error_is_the_median(tmp_path: Path) -> None:
+    """Of an even number of pixels the median is the mean of the two middle ones, as numpy's."""
+    capture = capture_with_truth(tmp_path)
+    depth = 4.0 + torch.linspace(0.0, 1.0, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) ** 2
+    regions = measured(FixedRender(*images(capture), {"rgb": depth, "thermal": depth}), capture)
+    errors = (depth[LEFT].double() - 4.0).numpy()
+    assert errors.size % 2 == 0
+    assert regions["glass"]["rgb"]["depth_error"] == pytest.approx(np.median(errors), rel=1e-12)
+
+
+def test_regions_on_a_device(device: torch.device, tmp_path: Path) -> None:
+    """Renders on any device give the numbers that they give on the CPU."""
+    capture = capture_with_truth(tmp_path, kind="color")
+    generator = torch.Generator().manual_seed(3)
+    rgb, thermal = (torch.rand(HEIGHT, WIDTH, 3, generator=generator) for _ in range(2))
+    depths = {name: 5 * torch.rand(HEIGHT, WIDTH, generator=generator) for name in ("rgb", "thermal")}
+    on_cpu = measured(FixedRender(rgb, thermal, depths), capture)
+    there = FixedRender(rgb.to(device), thermal.to(device), {name: depth.to(device) for name, depth in depths.items()})
+    regions = region_errors(there, capture, sh_degree=1, device=device)
+    for region, numbers in on_cpu.items():
+        assert regions[region]["pixels"] == numbers["pixels"]
+        for modality in ("rgb", "thermal"):
+            for measure, number in numbers[modality].items():
+                expected = None if number is None else pytest.approx(number, rel=1e-5)
+                assert regions[region][modality][measure] == expected
+
+
 def test_depth_is_on_the_right_surface(tmp_path: Path) -> None:
     """Where RGB sees 4 and thermal 2, a depth of 2.5 is thermal's; what is empty is on neither."""
     capture = capture_with_truth(tmp_path)

@@ -9,7 +9,7 @@ from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN
 from warp_kernels.lanes import lane_functions
 
 UNIT = math.sqrt(2.0 * math.log(2.0))
-"""Standard deviations in which offsets are measured while blending: exp(-σ) is then 2^-|z|², one instruction of CUDA."""
+"""Standard deviations in which offsets are measured while blending: exp(-σ) is then 2^-|z|², one instruction."""
 
 
 @functools.cache
@@ -40,7 +40,7 @@ def alpha_functions(dtype: type):
     @wp.func
     def visibility(zx: dtype, zy: dtype):
         """exp(-σ), z being in units of ``UNIT`` standard deviations."""
-        return exp2_negative(-(zx * zx + zy * zy))
+        return exp2_negative(-zx * zx - zy * zy)
 
     @wp.func
     def alpha(opacity: dtype, visibility: dtype):

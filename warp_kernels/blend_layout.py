@@ -91,6 +91,9 @@ WIDE = 24
 FEW_TILES = 4096
 """Tiles up to which the longest list decides how long blending takes, so that it is cut; more fill a GPU ..."""
 
+SHORT_LISTS = 400
+"""Mean pairs of a tile up to which hardly a list is long enough to be cut."""
+
 LONG_LISTS, LONG_LISTS_THERMAL = 9, 5
 """... unless they are fewer than so many times the mean pairs of one; with two opacities a cut costs more."""
 
@@ -142,7 +145,8 @@ def default_layout(
     if tile_size == 32:
         height = 8  # records of more warps would not fit in shared memory
     long_lists = LONG_LISTS_THERMAL if thermal_channels else LONG_LISTS
-    segment = LONGEST if few_tiles or num_tiles < long_lists * mean_pairs else 0
+    longest_decides = mean_pairs > SHORT_LISTS and (few_tiles or num_tiles < long_lists * mean_pairs)
+    segment = LONGEST if longest_decides else 0
     if num_tiles < LONGEST_LISTS * mean_pairs:
         segment = min(max(num_pairs // SEGMENTS // SHORTEST * SHORTEST, SHORTEST), LONGEST)
     return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, segment)

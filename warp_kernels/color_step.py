@@ -11,6 +11,10 @@ from warp_kernels.launching import launch, launch_again
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sums
 from warp_kernels.tape_recording import gradient_of, record_adjoint
+from warp_kernels.warp_lists import threads_of_many
+
+LISTED = 2**20
+"""Gaussians above which a warp lists the visible ones first: of so many few are."""
 
 
 @dataclass
@@ -69,7 +73,9 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     joined = _joined(a.sh0, a.shN)
     rows, lowest = (a.shN, 1) if joined is None else (joined, 0)
     inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.radii]
-    launch(color_kernel(dtype), len(a.colors), [*inputs, a.colors], device)
+    many = device.is_cuda and len(a.colors) > LISTED
+    kernel, threads = color_kernel(dtype, many), threads_of_many(len(a.colors)) if many else len(a.colors)
+    launch(kernel, threads, [*inputs, a.colors], device)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
         record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)

@@ -10,7 +10,9 @@ import warp as wp
 
 from warp_kernels.coalesced_stores import store_functions
 from warp_kernels.coefficient_rows import row_adjoint_function, row_sum_function
+from warp_kernels.lanes import LANES_CUDA, warp_sync
 from warp_kernels.strand_sums import STRANDS
+from warp_kernels.warp_lists import EACH, MANY, WARPS, list_functions
 
 # Normalisation constants of the real basis functions.
 C0 = 0.28209479177387814  # sqrt(1 / 4π)
@@ -130,24 +132,31 @@ def direction_function(dtype: type):
 
 
 @functools.cache
-def color_kernel(dtype: type) -> wp.Kernel:
+def color_kernel(dtype: type, many: bool) -> wp.Kernel:
     """Forward kernel: colour of each (image, Gaussian) pair, not written where the Gaussian is culled.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
+        many: a warp lists the visible ones of many before it works on them, on CUDA only; else a thread has one.
 
     Returns:
-        The Warp kernel. ``rows`` begin with the coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
+        The Warp kernel, with ``many`` launched over ``warp_lists.threads_of_many``. ``rows`` begin with the
+        coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
     """
     vec3 = wp.types.vector(3, dtype)
     basis, _ = basis_functions(dtype)
     row_sum = row_sum_function(dtype)
     direction = direction_function(dtype)
+    each, lanes = (EACH, LANES_CUDA) if many else (1, 1)
+    vec_each = wp.types.vector(each, wp.int32)
+    list_of_warp, append, item = list_functions(WARPS, MANY)
 
     # A row is 48 registers, and three blocks a multiprocessor keep enough of them under way.
     bounds = (256, 3) if dtype is wp.float32 else None
 
-    @wp.kernel(name=f"sh_colors_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds)
+    @wp.kernel(
+        name=f"sh_colors_{dtype.__name__}{'_many' * many}", enable_backward=False, module="unique", launch_bounds=bounds
+    )
     def sh_colors_kernel(
         first: int,
         num_gaussians: int,
@@ -163,8 +172,26 @@ def color_kernel(dtype: type) -> wp.Kernel:
         # outputs
         colors: wp.array(dtype=vec3),
     ):
-        index = wp.tid() + first
-        if radii[index][0] > 0:
+        thread = wp.tid() + first
+        lane = thread % lanes
+        nearest = (thread // lanes) * wp.static(each * lanes) + lane
+        radius = vec_each()
+        for j in range(each):  # all are asked for before the first is looked at
+            if nearest + j * lanes < radii.shape[0]:
+                radius[j] = radii[nearest + j * lanes][0]
+        count = wp.where(radius[0] > 0, 1, 0)
+        visible = wp.uint64(0)
+        if wp.static(many):
+            visible = list_of_warp((thread // lanes) % wp.static(WARPS))
+            count = int(0)
+            warp_sync()  # of a grid that goes round, all lanes have read the list before
+            for j in range(each):
+                count = append(visible, count, lane, radius[j] > 0, nearest + j * lanes)
+            warp_sync()
+        for k in range(lane, count, lanes):
+            index = nearest
+            if wp.static(many):
+                index = item(visible, k)
             image = index // num_gaussians
             gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
             row = wp.where(per_image, index, gaussian)

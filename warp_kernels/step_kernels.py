@@ -48,7 +48,7 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         color_adjoint_kernel(dtype),
         count,
         emit,
-        color_kernel(dtype),
+        color_kernel(dtype, False),
         distribute_kernel(channels, thermal_channels, dtype, False, layout.warps, COLORS),
         tile_ranges_kernel,
         camera_position_kernels(dtype)[0],

@@ -15,8 +15,9 @@ import warp as wp
 
 from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
-from warp_kernels.lanes import LANES_CUDA, count_bits, on_cuda, warp_ballot, warp_sync
+from warp_kernels.lanes import LANES_CUDA, on_cuda, warp_sync
 from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS
+from warp_kernels.warp_lists import list_functions
 
 HEADER = 9
 """Numbers before the features: mean2d (2), root in ``alpha.UNIT`` (3), opacity, thermal opacity, the pair's place in
@@ -71,17 +72,7 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any
     part_width, part_height = layout.tile_size // MASK_COLUMNS, layout.tile_size // MASK_ROWS
     block_width, block_height, blocks_x = layout.block_width, layout.block_height, layout.blocks_x
     step = -1 if backwards else 1
-    buffer = f"__shared__ int queues[{layout.warps * QUEUE}];"
-    spot = f"((int*)queue)[at & {QUEUE - 1}]"
-
-    @wp.func_native(on_cuda(f"{buffer}\nreturn (wp::uint64)(queues + warp * {QUEUE});", "return 0;"))
-    def queue_of_warp(warp: int) -> wp.uint64: ...
-
-    @wp.func_native(on_cuda(f"{spot} = place;"))
-    def write_spot(queue: wp.uint64, at: int, place: int): ...
-
-    @wp.func_native(on_cuda(f"return {spot};", "return 0;"))
-    def read_spot(queue: wp.uint64, at: int) -> int: ...
+    queue_of_warp, append, item = list_functions(layout.warps, QUEUE)
 
     @wp.func
     def block_parts(warp: int):
@@ -126,12 +117,7 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any
         own = int(mask)
         warp_sync()  # all lanes have read what they took
         while end - taken < LANES_CUDA and within(first, bound):
-            hit = wp.where((own & parts) != 0, 1, 0)
-            hits = warp_ballot(hit)
-            if hit != 0:
-                below = (wp.uint32(1) << wp.uint32(lane)) - wp.uint32(1)
-                write_spot(queue, end + count_bits(hits & below), first + step * lane)
-            end += count_bits(hits)
+            end = append(queue, end, lane, (own & parts) != 0, first + step * lane)
             first += step * LANES_CUDA
             own = mask_of(first + step * lane, bound, masks)
         warp_sync()
@@ -143,7 +129,7 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any
         place = int(0)
         gaussian = int(0)
         if lane < count:
-            place = read_spot(queue, taken + lane)
+            place = item(queue, taken + lane)
             gaussian = gaussian_ids[place]
         return count, place, gaussian
 

@@ -19,9 +19,11 @@ import warp as wp
 from warp_kernels.constants import ALPHA_MIN
 from warp_kernels.lanes import count_bits, warp_ballot, warp_sum
 
-# The bounds are widened a little, because the blend evaluates alpha in its own rounding: relative on the exponent,
-# and in pixels on the span. Pairs admitted in excess cost time, never correctness.
+# The bounds are widened a little, because the blend evaluates alpha in its own rounding: relative on the exponent and
+# on the share of the height at which a span is taken, and in pixels on the span. Pairs admitted in excess cost time,
+# never correctness.
 EXPONENT_MARGIN = 1.0e-5
+SHARE_MARGIN = 5.0e-7
 PIXEL_MARGIN = 1.0e-3
 
 
@@ -43,12 +45,12 @@ def overlap_functions(dtype: type):
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(pixel_rows, tile_range, pixel_span, cut_exponent)``, Warp functions: half-open ranges, and the exponent.
+        ``(pixel_rows, tile_range, ellipse, pixel_span)``, Warp functions.
     """
-    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
     margin, relative, alpha_min = dtype(PIXEL_MARGIN), dtype(1.0e-6), dtype(ALPHA_MIN)
-    exponent_margin = dtype(EXPONENT_MARGIN)
+    exponent_margin, share_margin = dtype(EXPONENT_MARGIN), dtype(SHARE_MARGIN)
     far = dtype(1.0e9)  # fits an int32
 
     @wp.func
@@ -72,7 +74,15 @@ def overlap_functions(dtype: type):
         return first // tile_size, (end - 1) // tile_size + 1
 
     @wp.func
-    def pixel_span(mean2d: vec2, root: vec3, extent: vec2, exponent: dtype, row: int, row_end: int, width: int):
+    def ellipse(root: vec3, extent: vec2, opacity: dtype):
+        """What ``pixel_span`` needs of a Gaussian: -k, dy at its right extreme, half its width at dy = 0, 1 / ey."""
+        exponent = wp.log(opacity / alpha_min) * (one + exponent_margin) + exponent_margin
+        uk = root[0] * root[1]
+        tilt = uk * root[0] / (uk * uk + root[2] * root[2])  # b / c of the conic
+        return vec4(-root[1], -tilt * extent[0], wp.sqrt(two * exponent) / root[0], (one - share_margin) / extent[1])
+
+    @wp.func
+    def pixel_span(mean2d: vec2, extent: vec2, shape: vec4, row: int, row_end: int, width: int):
         """Columns of pixels [first, end) that the ellipse touches within some of its ``pixel_rows``."""
         # The band of the rows' pixel centres, relative to the mean, cut to the ellipse's height.
         top = wp.max(dtype(row) + half - mean2d[1], -extent[1])
@@ -81,25 +91,16 @@ def overlap_functions(dtype: type):
             # Only the rounding of pixel_rows brought us here: the ellipse's tip, its whole width is a safe answer.
             top = wp.clamp(top, -extent[1], extent[1])
             bottom = top
-        slope = -root[1]
-        uk = root[0] * root[1]
-        tilt = uk * root[0] / (uk * uk + root[2] * root[2])  # b / c of the conic
         # dy at which the ellipse reaches its right and left extremes, cut to the band
-        right_dy = wp.clamp(-tilt * extent[0], top, bottom)
-        left_dy = wp.clamp(tilt * extent[0], top, bottom)
-        reach = wp.sqrt(two * exponent) / root[0]
-        right_share = right_dy / extent[1]
-        left_share = left_dy / extent[1]
-        right = slope * right_dy + reach * wp.sqrt(wp.max(zero, one - right_share * right_share))
-        left = slope * left_dy - reach * wp.sqrt(wp.max(zero, one - left_share * left_share))
+        right_dy = wp.clamp(shape[1], top, bottom)
+        left_dy = wp.clamp(-shape[1], top, bottom)
+        right_share = right_dy * shape[3]
+        left_share = left_dy * shape[3]
+        right = shape[0] * right_dy + shape[2] * wp.sqrt(wp.max(zero, one - right_share * right_share))
+        left = shape[0] * left_dy - shape[2] * wp.sqrt(wp.max(zero, one - left_share * left_share))
         return pixel_range(mean2d[0], wp.max(left, -extent[0]), wp.min(right, extent[0]), width)
 
-    @wp.func
-    def cut_exponent(opacity: dtype):
-        """τ: the exponent at which alpha falls to ALPHA_MIN, widened by the rounding margin."""
-        return wp.log(opacity / alpha_min) * (one + exponent_margin) + exponent_margin
-
-    return pixel_rows, tile_range, pixel_span, cut_exponent
+    return pixel_rows, tile_range, ellipse, pixel_span
 
 
 @functools.cache
@@ -113,18 +114,16 @@ def binning_kernels(dtype: type, lanes: int):
     Returns:
         ``(count, compact, gather, emit)``. Count and compact are launched over ``whole_warps``.
     """
-    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
-    pixel_rows, tile_range, pixel_span, cut_exponent = overlap_functions(dtype)
+    vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
+    pixel_rows, tile_range, ellipse, pixel_span = overlap_functions(dtype)
     infinity = dtype(float("inf"))
     bounds = wp.types.vector(MASK_ROWS, wp.int32)
 
     @wp.func
-    def tiles_of_row(
-        mean2d: vec2, root: vec3, extent: vec2, exponent: dtype, row: int, width: int, height: int, tile_size: int
-    ):
+    def tiles_of_row(mean2d: vec2, extent: vec2, shape: vec4, row: int, width: int, height: int, tile_size: int):
         """Tiles [first, end) of a row of tiles that the ellipse touches."""
         bottom = wp.min((row + 1) * tile_size, height)
-        first, end = pixel_span(mean2d, root, extent, exponent, row * tile_size, bottom, width)
+        first, end = pixel_span(mean2d, extent, shape, row * tile_size, bottom, width)
         return tile_range(first, end, tile_size)
 
     @wp.kernel(name=f"count_tiles_{dtype.__name__}_{lanes}", enable_backward=False, module="unique")
@@ -153,6 +152,11 @@ def binning_kernels(dtype: type, lanes: int):
         inside = index < radii.shape[0]
         count = int(0)
         if inside and radii[index][0] > 0:
+            # read before the features are looked at, so that nothing is waited for twice
+            mean2d = means2d[index]
+            extent = extents[index]
+            root = roots[index]
+            opacity = wp.max(opacities[index], thermal_opacities[index])
             finite = bool(True)
             for c in range(features.shape[1]):
                 if not wp.isfinite(features[index, c]):
@@ -160,14 +164,12 @@ def binning_kernels(dtype: type, lanes: int):
             for c in range(rest.shape[1]):
                 if not wp.isfinite(rest[index, c]):
                     finite = False
+            shape = ellipse(root, extent, opacity)
             if finite:
-                mean2d = means2d[index]
-                extent = extents[index]
-                exponent = cut_exponent(wp.max(opacities[index], thermal_opacities[index]))
                 y, y_end = pixel_rows(mean2d, extent, height)
                 row, row_end = tile_range(y, y_end, tile_size)
                 while row < row_end:
-                    start, end = tiles_of_row(mean2d, roots[index], extent, exponent, row, width, height, tile_size)
+                    start, end = tiles_of_row(mean2d, extent, shape, row, width, height, tile_size)
                     count += end - start
                     row += 1
             else:
@@ -257,21 +259,20 @@ def binning_kernels(dtype: type, lanes: int):
         index = order[rank]
         if index < 0:
             return
+        # read before anything is decided, so that nothing is waited for twice
         count = tiles_per_gaussian[index]
-        if count == 0:
-            return
         first_slot = pair_ends[rank] - wp.int64(count)
-        if first_slot >= wp.int64(capacity):
+        mean2d = means2d[index]
+        extent = extents[index]
+        shape = ellipse(roots[index], extent, wp.max(opacities[index], thermal_opacities[index]))
+        if count == 0 or first_slot >= wp.int64(capacity):
             return
         slot = int(first_slot)
         image_first = (index // num_gaussians) * tiles_x * tiles_y
-        mean2d = means2d[index]
-        extent = extents[index]
-        exponent = cut_exponent(wp.max(opacities[index], thermal_opacities[index]))
         y, y_end = pixel_rows(mean2d, extent, height)
         row, row_end = tile_range(y, y_end, tile_size)
         while row < row_end:
-            start, end = tiles_of_row(mean2d, roots[index], extent, exponent, row, width, height, tile_size)
+            start, end = tiles_of_row(mean2d, extent, shape, row, width, height, tile_size)
             # columns of pixels that the ellipse touches in each of the tile's parts, one below the other
             left = bounds()
             right = bounds()
@@ -280,7 +281,7 @@ def binning_kernels(dtype: type, lanes: int):
                     top = row * tile_size + part * (tile_size // wp.static(MASK_ROWS))
                     bottom = wp.min(top + tile_size // wp.static(MASK_ROWS), height)
                     if wp.max(top, y) < wp.min(bottom, y_end):
-                        x_first, x_end = pixel_span(mean2d, roots[index], extent, exponent, top, bottom, width)
+                        x_first, x_end = pixel_span(mean2d, extent, shape, top, bottom, width)
                         left[part] = x_first
                         right[part] = x_end
             while start < end and slot < capacity:

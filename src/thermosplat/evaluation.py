@@ -4,7 +4,7 @@ import csv
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,14 +12,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from thermosplat.background_writes import background_writes
 from thermosplat.checkpoint import write_atomically
 from thermosplat.comparison_strips import Comparison, comparison_strip
 from thermosplat.datasets.capture import Capture, Frame
-from thermosplat.datasets.frame_tensors import ViewTensors, frame_tensors
+from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.image_display import rgb_bytes, thermal_bytes, write_png
-from thermosplat.metrics import mae_celsius, psnr, ssim, thermal_intensity
+from thermosplat.metrics import mae_celsius, psnr, ssim
 from thermosplat.model import SceneModel
 from thermosplat.radiometry import ThermalScale
+from thermosplat.thermal_intensity import thermal_intensity
 
 Modality = Literal["rgb", "thermal"]
 Lpips = Callable[[Tensor, Tensor], float | None]
@@ -34,6 +36,8 @@ class RenderedView:
     """One modality of one frame: its render, clamped to [0, 1], and what it should have been."""
 
     modality: Modality
+    camera: ViewTensors
+    """From where it was rendered."""
     image: Tensor
     """[H, W, C]."""
     target: Tensor
@@ -45,7 +49,7 @@ class RenderedView:
 
     @cached_property
     def intensity(self) -> Tensor:
-        """Scalar intensity of a thermal render in [0, 1], on the CPU, [H, W]; to invert a palette takes a while."""
+        """Scalar intensity of a thermal render in [0, 1], [H, W]; to invert a palette takes a while."""
         if self.scale is None:
             raise ValueError("Only thermal images have an intensity.")
         return thermal_intensity(self.image, self.scale)
@@ -63,18 +67,19 @@ def rendered_views(
         sh_degree: Highest SH degree in use.
         device: Where the model is.
     """
-    tensors = frame_tensors(frame, scale, device)
-    rendered = model.render(tensors.rgb, tensors.thermal, sh_degree=sh_degree)
+    # without the scale, so that no palette is inverted for the photographs: only renders are asked for intensities
+    rgb, thermal = (None if view is None else view_tensors(view, None, device) for view in (frame.rgb, frame.thermal))
+    rendered = model.render(rgb, thermal, sh_degree=sh_degree)
     views: tuple[tuple[Modality, Tensor | None, ViewTensors | None], ...] = (
-        ("rgb", rendered.rgb, tensors.rgb),
-        ("thermal", rendered.thermal, tensors.thermal),
+        ("rgb", rendered.rgb, rgb),
+        ("thermal", rendered.thermal, thermal),
     )
     for modality, image, view in views:
         if image is not None and view is not None and view.image is not None:
             thermal_scale = scale if modality == "thermal" else None
             has_degrees = thermal_scale is not None and thermal_scale.range_celsius is not None
             yield RenderedView(
-                modality, image.clamp(0, 1), view.image, thermal_scale, view.celsius if has_degrees else None
+                modality, view, image.clamp(0, 1), view.image, thermal_scale, view.celsius if has_degrees else None
             )
 
 
@@ -107,13 +112,15 @@ def evaluate(
     """
     scale = capture.thermal_scale
     rows: list[dict[str, Any]] = []
-    for frame in capture.test:
-        results = list(rendered_views(model, frame, scale, sh_degree, device))
-        numbers = [_numbers(result, lpips) for result in results]
-        rows += [{"frame": frame.name, "modality": r.modality, **values} for r, values in zip(results, numbers)]
-        if strips_dir is not None and results:
-            comparisons = [_comparison(result, values["psnr"]) for result, values in zip(results, numbers)]
-            write_png(strips_dir / f"{file_stem(frame.name)}.png", comparison_strip(comparisons))
+    with background_writes() as write:
+        for frame in capture.test:
+            results = list(rendered_views(model, frame, scale, sh_degree, device))
+            numbers = [_numbers(result, lpips) for result in results]
+            rows += [{"frame": frame.name, "modality": r.modality, **values} for r, values in zip(results, numbers)]
+            if strips_dir is not None and results:
+                comparisons = [_comparison(result, values["psnr"]) for result, values in zip(results, numbers)]
+                strip = strips_dir / f"{file_stem(frame.name)}.png"
+                write(partial(write_png, strip, comparison_strip(comparisons)))
     if csv_path is not None:
         _write_csv(csv_path, rows)
     return {
@@ -176,9 +183,8 @@ def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
     if result.celsius is None or result.scale.range_celsius is None:
         return Comparison("thermal", score, *shown, error, LARGEST_ERROR)
     low, high = result.scale.range_celsius
-    celsius = result.scale.celsius(result.intensity.numpy())
-    degrees = np.nan_to_num(np.abs(celsius - result.celsius.cpu().numpy()))  # unmeasured pixels show as no error
-    return Comparison("thermal", score, *shown, degrees, LARGEST_ERROR_CELSIUS * (high - low), unit="C")
+    degrees = (result.scale.celsius(result.intensity) - result.celsius).abs().nan_to_num()  # unmeasured: no error
+    return Comparison("thermal", score, *shown, degrees.cpu().numpy(), LARGEST_ERROR_CELSIUS * (high - low), unit="C")
 
 
 def _means(rows: list[dict[str, Any]], modality: Modality) -> dict[str, float | None] | None:

@@ -5,16 +5,15 @@ as much as ten pixels. Depth is the expected depth Σ w z / Σ w of what a spect
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from torch import Tensor
 
 from thermosplat.datasets.capture import Capture, Frame, Modality
-from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.datasets.ground_truth import LABELS, GroundTruth, read_ground_truth
 from thermosplat.evaluation import RenderedView, rendered_views
 from thermosplat.model import SceneModel
@@ -78,11 +77,11 @@ def region_errors(model: SceneModel, capture: Capture, *, sh_degree: int, device
     samples: dict[str, _Samples] = {name: _Samples() for name in REGIONS}
     found = False
     for frame in capture.test:
-        truth = read_ground_truth(capture, frame)
-        if truth is not None:
-            found = True
+        read = read_ground_truth(capture, frame)
+        if read is not None:
+            found, truth = True, _Truth.on(device, read)
             maps = _error_maps(model, capture, frame, truth, sh_degree, device)
-            for name, mask in _masks(truth).items():
+            for name, mask in truth.masks().items():
                 samples[name].add(mask, maps)
     return {name: of_region.numbers() for name, of_region in samples.items() if of_region.pixels} if found else None
 
@@ -109,66 +108,72 @@ def write_regions(
     return regions
 
 
-def _masks(truth: GroundTruth) -> dict[str, NDArray[np.bool_]]:
-    masks = {name: truth.label == label for label, name in LABELS.items()}
-    masks[SURFACES_DIFFER] = _surfaces_differ(truth)
-    masks[ALL] = np.ones_like(masks[SURFACES_DIFFER])
-    return masks
+@dataclass(frozen=True, eq=False)
+class _Truth:
+    """Ground truth of a frame on a device."""
+
+    depths: dict[str, Tensor]
+    """By modality, [H, W]; 0 where there is no surface."""
+    label: Tensor
+    """[H, W], keys of ``LABELS``."""
+
+    @classmethod
+    def on(cls, device: torch.device | str, truth: GroundTruth) -> "_Truth":
+        depths = {modality: torch.tensor(depth, device=device) for modality, depth in truth.depths.items()}
+        return cls(depths, torch.tensor(truth.label.astype(np.uint8), device=device))
+
+    def masks(self) -> dict[str, Tensor]:
+        masks = {name: self.label == label for label, name in LABELS.items()}
+        masks[SURFACES_DIFFER] = self.surfaces_differ()
+        masks[ALL] = torch.ones_like(masks[SURFACES_DIFFER])
+        return masks
+
+    def surfaces_differ(self) -> Tensor:
+        """Also where only one spectrum sees a surface: the other's depth is 0 there."""
+        rgb, thermal = self.depths["rgb"], self.depths["thermal"]
+        return (rgb - thermal).abs() > DIFFERING * rgb
 
 
-def _surfaces_differ(truth: GroundTruth) -> NDArray[np.bool_]:
-    """Also where only one spectrum sees a surface: the other's depth is 0 there."""
-    rgb, thermal = truth.depths["rgb"], truth.depths["thermal"]
-    return np.abs(rgb - thermal) > DIFFERING * rgb
-
-
-Maps = dict[Modality, dict[str, NDArray[np.float64]]]
-"""Errors of every pixel by modality and kind, [H, W]; NaN where there is nothing to compare with."""
+Maps = dict[Modality, dict[str, Tensor]]
+"""Errors of every pixel by modality and kind, float64 [H, W]; NaN where there is nothing to compare with."""
 
 
 def _error_maps(
     model: SceneModel,
     capture: Capture,
     frame: Frame,
-    truth: GroundTruth,
+    truth: _Truth,
     sh_degree: int,
     device: torch.device | str,
 ) -> Maps:
-    maps: Maps = {
+    return {
         view.modality: _image_errors(view)
+        | _depth_errors(model.render_depth(view.modality, view.camera), view.modality, truth)
         for view in rendered_views(model, frame, capture.thermal_scale, sh_degree, device)
     }
-    tensors = frame_tensors(frame, capture.thermal_scale, device)
-    for modality, view in (("rgb", tensors.rgb), ("thermal", tensors.thermal)):
-        if view is not None and modality in maps:
-            maps[modality] |= _depth_errors(model.render_depth(modality, view).cpu().double().numpy(), modality, truth)
-    return maps
 
 
-def _depth_errors(depth: NDArray[np.float64], modality: Modality, truth: GroundTruth) -> dict[str, NDArray[np.float64]]:
+def _depth_errors(rendered: Tensor, modality: Modality, truth: _Truth) -> dict[str, Tensor]:
+    depth = rendered.double()
     own, other = (
-        np.where(truth.depths[name] > 0, truth.depths[name].astype(np.float64), np.nan)
+        truth.depths[name].double().where(truth.depths[name] > 0, torch.nan)
         for name in (modality, "thermal" if modality == "rgb" else "rgb")
     )
-    error = np.abs(depth - own)
-    right = (error < np.abs(depth - other)) & (depth > 0)  # 0: no Gaussian is there
-    known = _surfaces_differ(truth) & ~np.isnan(own) & ~np.isnan(other)
+    error = (depth - own).abs()
+    right = (error < (depth - other).abs()) & (depth > 0)  # 0: no Gaussian is there
+    known = truth.surfaces_differ() & ~own.isnan() & ~other.isnan()
     return {
         "depth_error": error,
         "depth_error_relative": error / own,
-        "on_own_surface": np.where(known, right.astype(np.float64), np.nan),
+        "on_own_surface": right.double().where(known, torch.nan),
     }
 
 
-def _image_errors(view: RenderedView) -> dict[str, NDArray[np.float64]]:
+def _image_errors(view: RenderedView) -> dict[str, Tensor]:
     difference = (view.image - view.target).double()
-    errors = {
-        "squared": difference.square().mean(dim=-1).cpu().numpy(),
-        "absolute": difference.abs().mean(dim=-1).cpu().numpy(),
-    }
+    errors = {"squared": difference.square().mean(dim=-1), "absolute": difference.abs().mean(dim=-1)}
     if view.scale is not None and view.celsius is not None:
-        celsius = np.asarray(view.scale.celsius(view.intensity.numpy()), dtype=np.float64)
-        errors["celsius"] = np.abs(celsius - view.celsius.cpu().double().numpy())
+        errors["celsius"] = (view.scale.celsius(view.intensity).double() - view.celsius.double()).abs()
     return errors
 
 
@@ -177,13 +182,14 @@ class _Samples:
     """The errors of a region's pixels, view after view."""
 
     pixels: int = 0
-    errors: dict[tuple[str, str], list[NDArray[np.float64]]] = field(default_factory=dict)
+    errors: dict[tuple[str, str], list[Tensor]] = field(default_factory=dict)
 
-    def add(self, mask: NDArray[np.bool_], maps: Maps) -> None:
-        self.pixels += int(mask.sum())
+    def add(self, mask: Tensor, maps: Maps) -> None:
+        where = mask.flatten().nonzero().squeeze(1)  # once for all maps: a device is waited for
+        self.pixels += len(where)
         for modality, errors in maps.items():
             for kind, error in errors.items():
-                self.errors.setdefault((modality, kind), []).append(error[mask])
+                self.errors.setdefault((modality, kind), []).append(error.take(where))
 
     def numbers(self) -> dict[str, Any]:
         modalities = dict.fromkeys(modality for modality, _ in self.errors)
@@ -192,15 +198,19 @@ class _Samples:
         }
 
     def _of(self, modality: str) -> dict[str, float | None]:
-        def over(kind: str, statistic: Any) -> float | None:
+        def over(kind: str, statistic: Callable[[Tensor], Tensor]) -> float | None:
             parts = self.errors.get((modality, kind), [])
-            values = np.concatenate(parts) if parts else np.empty(0)
-            values = values[~np.isnan(values)]
-            return float(statistic(values)) if len(values) else None
+            number = statistic(torch.cat(parts)).item() if parts else math.nan
+            return None if math.isnan(number) else number
 
-        squared = over("squared", np.mean)
-        numbers = {"psnr": -10.0 * math.log10(squared) if squared else None, "mae": over("absolute", np.mean)}
+        squared = over("squared", torch.nanmean)
+        numbers = {"psnr": -10.0 * math.log10(squared) if squared else None, "mae": over("absolute", torch.nanmean)}
         if modality == "thermal":
-            numbers["mae_celsius"] = over("celsius", np.mean)
-        numbers |= {kind: over(kind, np.median) for kind in ("depth_error", "depth_error_relative")}
-        return numbers | {"on_own_surface": over("on_own_surface", np.mean)}
+            numbers["mae_celsius"] = over("celsius", torch.nanmean)
+        numbers |= {kind: over(kind, _median) for kind in ("depth_error", "depth_error_relative")}
+        return numbers | {"on_own_surface": over("on_own_surface", torch.nanmean)}
+
+
+def _median(values: Tensor) -> Tensor:
+    """The mean of the two middle values where their number is even, of which torch's median is the lower one."""
+    return (values.nanmedian() - (-values).nanmedian()) / 2

@@ -6,16 +6,11 @@ by 0.006 dB at 30 dB, by 0.06 dB at 40 dB.) Averages over views are means of per
 """
 
 import math
-from typing import TYPE_CHECKING
 
-import numpy as np
-import torch
 from torch import Tensor
 
+from thermosplat.radiometry import ThermalScale
 from thermosplat.ssim import ssim_map
-
-if TYPE_CHECKING:
-    from thermosplat.radiometry import ThermalScale
 
 
 def psnr(render: Tensor, target: Tensor) -> float:
@@ -45,24 +40,7 @@ def ssim(render: Tensor, target: Tensor) -> float:
     return ssim_map(render.clamp(0, 1).permute(2, 0, 1), target.permute(2, 0, 1)).mean().item()
 
 
-def thermal_intensity(render: Tensor, scale: "ThermalScale") -> Tensor:
-    """Scalar intensity of a rendered thermal image.
-
-    Args:
-        render: Rendered thermal image, shape [H, W, C]: pseudo-colours for a "color" scale, one channel for a "scalar"
-            one; clamped to [0, 1] here.
-        scale: What thermal pixel values mean.
-
-    Returns:
-        Intensity in [0, 1], on the CPU, shape [H, W]. For pseudo-colours: of the palette's nearest colour.
-    """
-    pixels = render.detach().clamp(0, 1).cpu()
-    if scale.kind == "scalar":
-        return pixels[..., 0]
-    return torch.from_numpy(scale.palette.to_intensity(pixels.numpy()))
-
-
-def mae_celsius(intensity: Tensor, celsius: Tensor, scale: "ThermalScale") -> float | None:
+def mae_celsius(intensity: Tensor, celsius: Tensor, scale: ThermalScale) -> float | None:
     """Mean absolute temperature error.
 
     Args:
@@ -75,7 +53,5 @@ def mae_celsius(intensity: Tensor, celsius: Tensor, scale: "ThermalScale") -> fl
     """
     if scale.range_celsius is None:
         return None
-    measured = celsius.detach().cpu().double().numpy()
-    rendered = np.asarray(scale.celsius(intensity.detach().cpu().numpy()), dtype=np.float64)
-    valid = np.isfinite(measured)
-    return float(np.abs(rendered - measured)[valid].mean()) if valid.any() else None
+    errors = (scale.celsius(intensity).double() - celsius.double()).abs()[celsius.isfinite()]
+    return errors.mean().item() if len(errors) else None

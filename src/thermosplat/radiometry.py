@@ -15,13 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermosplat.errors import UserError
+from thermosplat.palette_inverse import TABLE_SIZE, Curve, nearest_points
 
-_TABLE_SIZE = 32
-"""Cells along each colour axis of the table that starts the inverse: 8 levels of 8 bits each."""
 _TABLE_SAMPLES = 512
 """Points of the curve that compete for a cell of the table."""
-_WINDOW = 1 / 64
-"""Share of the curve to either side of the table's answer within which the inverse looks for the nearest segment."""
 _CHUNK = 1 << 13
 """Pixels treated at once, so that the intermediate arrays stay in the cache."""
 
@@ -98,44 +95,21 @@ class Palette:
         distance = np.empty(len(flat), np.float32)
         for start in range(0, len(flat), _CHUNK):
             part = slice(start, start + _CHUNK)
-            intensity[part], distance[part] = self._project_near_table(flat[part])
+            channels = np.ascontiguousarray(flat[part].T)
+            intensity[part], distance[part] = nearest_points(channels, self.curve, np)
         return intensity.reshape(color.shape[:-1]), distance.reshape(color.shape[:-1])
 
-    def _project_near_table(self, color: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Exact projection [m] onto the segments around the one that the table names for each colour [m, 3]."""
-        cell = np.clip((color * _TABLE_SIZE).astype(np.intp), 0, _TABLE_SIZE - 1)
-        centre = self._table[cell[:, 0], cell[:, 1], cell[:, 2]]
-        red, green, blue = np.ascontiguousarray(color.T)
-        (red0, green0, blue0), (red1, green1, blue1), squared_lengths = self._segments
-        best = np.full(len(color), np.inf, np.float32)
-        position = np.zeros(len(color), np.float32)
-        window = 1 + int(_WINDOW * len(self.colors))
-        for offset in range(-window, window + 1):
-            segment = np.clip(centre + offset, 0, len(self.colors) - 2)
-            # a channel at a time, several times faster than rows of three; from the segment's start to the colour
-            x, y, z = red - red0.take(segment), green - green0.take(segment), blue - blue0.take(segment)
-            dx, dy, dz = red1.take(segment), green1.take(segment), blue1.take(segment)
-            along = np.clip((x * dx + y * dy + z * dz) / squared_lengths.take(segment), 0, 1)
-            x -= along * dx
-            y -= along * dy
-            z -= along * dz
-            squared = x * x + y * y + z * z
-            closer = squared < best
-            best = np.where(closer, squared, best)
-            position = np.where(closer, segment + along, position)
-        return (position / np.float32(len(self.colors) - 1)).astype(np.float32), np.sqrt(best)
-
     @cached_property
-    def _segments(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """First colour and direction of each segment, both channels first [3, n-1], and its squared length [n-1]."""
+    def curve(self) -> Curve:
+        """The palette as its inverse reads it; made once, the first time the inverse is asked."""
         starts = np.ascontiguousarray(self.colors[:-1].T)
         directions = np.ascontiguousarray(np.diff(self.colors, axis=0).T)
-        return starts, directions, np.maximum((directions * directions).sum(axis=0), np.float32(1e-12))
+        squared_lengths = np.maximum((directions * directions).sum(axis=0), np.float32(1e-12))
+        return Curve(starts, directions, squared_lengths, self._table())
 
-    @cached_property
-    def _table(self) -> NDArray[np.intp]:
-        """Nearest segment of each cell's centre, [32, 32, 32]; made once, the first time the inverse is asked."""
-        axis = (np.arange(_TABLE_SIZE, dtype=np.float32) + 0.5) / _TABLE_SIZE
+    def _table(self) -> NDArray[np.int64]:
+        """Nearest segment of each cell's centre, [TABLE_SIZE³]."""
+        axis = (np.arange(TABLE_SIZE, dtype=np.float32) + 0.5) / TABLE_SIZE
         centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
         intensity = np.linspace(0, 1, _TABLE_SAMPLES, dtype=np.float32)
         samples = self.to_color(intensity)
@@ -144,8 +118,7 @@ class Palette:
             np.argmin(half_squares - centres[start : start + 4096] @ samples.T, axis=1)
             for start in range(0, len(centres), 4096)
         ]
-        segment = (intensity[np.concatenate(parts)] * (len(self.colors) - 1)).astype(np.intp)
-        return segment.reshape(_TABLE_SIZE, _TABLE_SIZE, _TABLE_SIZE)
+        return (intensity[np.concatenate(parts)] * (len(self.colors) - 1)).astype(np.int64)
 
 
 def _flir_iron() -> Palette:

@@ -42,16 +42,19 @@ def test_checkpoint_of_tensors_without_gradients(tmp_path: Path) -> None:
 
 
 def test_gradients_are_named_by_set_and_parameter(tmp_path: Path) -> None:
-    """Every parameter with a gradient is listed under its set, the decoders' together; clearing forgets them."""
+    """Every parameter with a gradient is listed under its set, the decoders' together, but for colours that are finite
+    where others are; clearing forgets them."""
     trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
     state = trainer.state
-    assert not any(state.gradients().values())
+    assert not any(state.gradients_to_watch().values())
     for parameter in state.model.parameters():
         parameter.grad = torch.ones_like(parameter)
-    gradients = state.gradients()
+    gradients = state.gradients_to_watch()
     assert {"shared means", "shared thermal_opacity_offsets", "decoders"} <= set(gradients)
     listed = sum(len(tensors) for tensors in gradients.values())
-    assert listed == len(list(state.model.parameters()))
+    assert listed == len(list(state.model.parameters())) - 1
+    assert "shared sh0" in gradients
+    assert "shared shN" not in gradients
     state.clear_gradients()
     assert all(parameter.grad is None for parameter in state.model.parameters())
 

@@ -38,7 +38,12 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     ]
     kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, camera_finish_kernel(dtype)]
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
-    kernels += [color_kernel(dtype), color_adjoint_kernel(dtype), *camera_position_kernels(dtype)]
+    kernels += [
+        color_kernel(dtype, False),
+        color_kernel(dtype, True),
+        color_adjoint_kernel(dtype),
+        *camera_position_kernels(dtype),
+    ]
     kernels += [
         distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair, first_channels)
         for channels, thermal_channels, per_pair, first_channels in ((3, 0, 0, 3), (11, 8, 0, 3), (11, 8, 8, 3))

@@ -60,7 +60,7 @@ def test_exponential(dtype: type, tolerance: float) -> None:
 
 def test_exponential_far_below_zero() -> None:
     """Exponents beyond float32's range give a negligible number, not garbage."""
-    x = wp.array([-100.0, -1e4, -1e30, -np.inf], dtype=wp.float32, device="cpu")
+    x = wp.array([-130.0, -1e4, -1e30, -np.inf], dtype=wp.float32, device="cpu")
     y = wp.zeros(4, dtype=wp.float32, device="cpu")
     wp.launch(exp2_f32_kernel, dim=4, inputs=[x, y], device="cpu")
     assert (y.numpy() >= 0).all()

@@ -1,13 +1,16 @@
 """Frames as torch tensors: what the model renders from and the losses compare with."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from thermosplat.datasets.capture import Frame, View
 from thermosplat.radiometry import ThermalScale
+from thermosplat.thermal_intensity import thermal_intensity
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +72,23 @@ def view_tensors(view: View, scale: ThermalScale | None, device: torch.device | 
     """Put a view on a device; with a scale also its thermal intensity (inverse palette, or the scalar itself)."""
     image = view.image
     unit = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
+    pixels = torch.tensor(unit, device=device)
     intensity = None
     if view.modality == "thermal" and scale is not None:
-        intensity = scale.palette.to_intensity(image) if scale.kind == "color" else unit[..., 0]
+        intensity = _intensity(image, pixels, scale)
     return ViewTensors(
         torch.tensor(view.viewmat, dtype=torch.float32, device=device),
         torch.tensor(view.camera.K, dtype=torch.float32, device=device),
         view.camera.width,
         view.camera.height,
-        torch.tensor(unit, device=device),
-        None if intensity is None else torch.tensor(intensity, device=device),
+        pixels,
+        intensity,
         None if view.celsius is None else torch.tensor(view.celsius, device=device),
     )
+
+
+def _intensity(image: NDArray[Any], pixels: Tensor, scale: ThermalScale) -> Tensor:
+    """Thermal intensity [H, W] of an image as it is stored and as the tensor made of it, on the tensor's device."""
+    if scale.kind == "color" and pixels.device.type == "cpu":
+        return torch.from_numpy(scale.palette.to_intensity(image))  # each 8-bit colour that occurs is looked up once
+    return thermal_intensity(pixels, scale)

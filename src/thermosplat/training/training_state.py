@@ -117,8 +117,12 @@ class TrainingState:
                 for parameter in optimizer.param_groups[0]["params"]:
                     parameter.grad = None  # Optimizer.zero_grad takes ten times as long
 
-    def gradients(self) -> dict[str, list[Tensor]]:
-        """The gradients there are, by set and parameter name; the decoders' all under one name."""
+    def gradients_to_watch(self) -> dict[str, list[Tensor]]:
+        """The gradients there are, by set and parameter name; the decoders' all under one name.
+
+        Without those of spherical harmonics above degree 0, which are most of all numbers. They are the colours'
+        gradients times values below 1, and those of degree 0 the same times a constant: finite where these are.
+        """
         return {
             owner if owner == name else f"{owner} {name}": [
                 parameter.grad
@@ -127,6 +131,7 @@ class TrainingState:
             ]
             for owner, optimizers in self.optimizers.items()
             for name, optimizer in optimizers.items()
+            if name not in ("shN", "thermal_shN")
         }
 
     def checkpoint(self, config: TrainConfig, sh_degree: int, thermal_scale: ThermalScale | None) -> dict[str, Any]:

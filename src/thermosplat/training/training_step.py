@@ -114,7 +114,7 @@ class TrainingStep:
             # waiting for it costs the host half a millisecond.
             with torch.autograd.set_multithreading_enabled(False):
                 torch.autograd.backward(terms, [self._one] * len(terms))
-        self.guard.observe(state.step_on_device, losses, state.gradients())
+        self.guard.observe(state.step_on_device, losses, state.gradients_to_watch())
         return _Differentiated(rendered, losses, compared.squared_errors)
 
     def update(self, frame: FrameTensors, kind: StepKind, done: "_Differentiated") -> StepValues:
