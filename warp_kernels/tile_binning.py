@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warp_kernels.constants import ALPHA_MIN
-from warp_kernels.lanes import count_bits, warp_ballot, warp_sum
+from warp_kernels.lanes import count_bits, on_cuda, warp_ballot, warp_sum
 
 # The bounds are widened a little, because the blend evaluates alpha in its own rounding: relative on the exponent and
 # on the share of the height at which a span is taken, and in pixels on the span. Pairs admitted in excess cost time,
@@ -26,12 +26,18 @@ EXPONENT_MARGIN = 1.0e-5
 SHARE_MARGIN = 5.0e-7
 PIXEL_MARGIN = 1.0e-3
 
-
 MASK_COLUMNS, MASK_ROWS = 2, 4
 """Parts of a tile that a pair's mask tells apart, row by row from the lowest bit."""
 
 MASK_SHIFT = 24
 """Bits of a key in front of the mask, for the tile."""
+
+# On CUDA within 1 ulp, which the margins cover; the exact one branches.
+SQUARE_ROOT_F32 = (
+    on_cuda('float r; asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(x));', "const float r = ::sqrtf(x);")
+    + "return r;"
+)
+SQUARE_ROOT_F64 = "return ::sqrt(x);"
 
 Totals = wp.types.vector(2, wp.int64)
 """Pairs, and Gaussians with any."""
@@ -52,6 +58,9 @@ def overlap_functions(dtype: type):
     margin, relative, alpha_min = dtype(PIXEL_MARGIN), dtype(1.0e-6), dtype(ALPHA_MIN)
     exponent_margin, share_margin = dtype(EXPONENT_MARGIN), dtype(SHARE_MARGIN)
     far = dtype(1.0e9)  # fits an int32
+
+    @wp.func_native(SQUARE_ROOT_F32 if dtype is wp.float32 else SQUARE_ROOT_F64)
+    def square_root(x: dtype) -> dtype: ...
 
     @wp.func
     def pixel_range(center: dtype, low: dtype, high: dtype, size: int):
@@ -96,8 +105,8 @@ def overlap_functions(dtype: type):
         left_dy = wp.clamp(-shape[1], top, bottom)
         right_share = right_dy * shape[3]
         left_share = left_dy * shape[3]
-        right = shape[0] * right_dy + shape[2] * wp.sqrt(wp.max(zero, one - right_share * right_share))
-        left = shape[0] * left_dy - shape[2] * wp.sqrt(wp.max(zero, one - left_share * left_share))
+        right = shape[0] * right_dy + shape[2] * square_root(wp.max(zero, one - right_share * right_share))
+        left = shape[0] * left_dy - shape[2] * square_root(wp.max(zero, one - left_share * left_share))
         return pixel_range(mean2d[0], wp.max(left, -extent[0]), wp.min(right, extent[0]), width)
 
     return pixel_rows, tile_range, ellipse, pixel_span
