@@ -69,6 +69,23 @@ def test_isect_ids_pack_image_tile_and_depth() -> None:
     assert isect_ids(flatten_ids, tile_offsets, depths, 3).tolist() == expected
 
 
+@pytest.mark.cuda
+@pytest.mark.parametrize("tile_size", [8, 16])
+@pytest.mark.parametrize("deterministic", [False, True])
+def test_lists_on_cuda_are_those_of_the_cpu(tile_size: int, deterministic: bool) -> None:
+    """Of Gaussians that touch from a tile to a thousand: there a whole warp counts and emits those of many tiles."""
+    scene = random_scene(n=500, width=700, height=500, cameras=2)
+    scene["scales"] *= torch.logspace(-2, 0.5, 500)[:, None]
+    infos = [
+        rasterization(**leaves(scene, device, torch.float64), tile_size=tile_size, deterministic=deterministic)[2]
+        for device in ("cpu", "cuda")
+    ]
+    assert infos[0]["tiles_per_gauss"].max() > 1000
+    assert (infos[0]["tiles_per_gauss"] == 1).any()
+    for key in ("tiles_per_gauss", "isect_offsets", "flatten_ids"):
+        assert torch.equal(infos[0][key], infos[1][key].cpu()), key
+
+
 def test_number_of_non_finite_gaussians(device: torch.device) -> None:
     """Each counts once, whatever is wrong with it and in however many cameras; over all scenes of a batch."""
     scene = random_scene(n=20, cameras=3, batch=(2,), per_camera_colors=True)

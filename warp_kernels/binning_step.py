@@ -135,7 +135,7 @@ def bin_tiles(
             memory.source.fill(keys, num_pairs, num_tiles)
         launch(
             emit_kernel,
-            ranks,
+            whole_warps(ranks, device),
             [
                 settings.num_gaussians,
                 settings.width,

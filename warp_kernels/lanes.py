@@ -84,6 +84,28 @@ def warp_sum(x: wp.uint32) -> wp.uint32: ...
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    for (int distance = 1; distance < 32; distance *= 2) {
+        const int before = __shfl_up_sync(0xffffffffu, x, distance);
+        if ((threadIdx.x & 31) >= distance) x += before;
+    }
+#endif
+    return x;
+""")
+def warp_scan(x: int) -> int: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ffs(x) - 1;
+#else
+    return __builtin_ffs(x) - 1;
+#endif
+""")
+def first_bit(x: wp.uint32) -> int: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __syncwarp();
 #endif
 """)

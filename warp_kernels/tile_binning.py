@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warp_kernels.constants import ALPHA_MIN
-from warp_kernels.lanes import count_bits, on_cuda, warp_ballot, warp_sum
+from warp_kernels.lanes import count_bits, first_bit, on_cuda, warp_ballot, warp_scan, warp_sum
 
 # The bounds are widened a little, because the blend evaluates alpha in its own rounding: relative on the exponent and
 # on the share of the height at which a span is taken, and in pixels on the span. Pairs admitted in excess cost time,
@@ -31,6 +31,9 @@ MASK_COLUMNS, MASK_ROWS = 2, 4
 
 MASK_SHIFT = 24
 """Bits of a key in front of the mask, for the tile."""
+
+LARGE_ROWS, LARGE_TILES = 8, 32
+"""Rows of tiles, or tiles, above which a whole warp counts or emits a Gaussian's pairs, and not one lane for all."""
 
 # On CUDA within 1 ulp, which the margins cover; the exact one branches.
 SQUARE_ROOT_F32 = (
@@ -121,12 +124,13 @@ def binning_kernels(dtype: type, lanes: int):
         lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
 
     Returns:
-        ``(count, compact, gather, emit)``. Count and compact are launched over ``whole_warps``.
+        ``(count, compact, gather, emit)``. All but gather are launched over ``whole_warps``.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     pixel_rows, tile_range, ellipse, pixel_span = overlap_functions(dtype)
     infinity = dtype(float("inf"))
-    bounds = wp.types.vector(MASK_ROWS, wp.int32)
+    parts = wp.types.vector(MASK_ROWS, wp.int32)
+    bounds = (256, 3) if dtype is wp.float32 else None  # three blocks a multiprocessor, which mostly wait for memory
 
     @wp.func
     def tiles_of_row(mean2d: vec2, extent: vec2, shape: vec4, row: int, width: int, height: int, tile_size: int):
@@ -134,6 +138,56 @@ def binning_kernels(dtype: type, lanes: int):
         bottom = wp.min((row + 1) * tile_size, height)
         first, end = pixel_span(mean2d, extent, shape, row * tile_size, bottom, width)
         return tile_range(first, end, tile_size)
+
+    @wp.func
+    def count_rows(
+        mean2d: vec2,
+        extent: vec2,
+        shape: vec4,
+        row: int,
+        row_end: int,
+        step: int,
+        width: int,
+        height: int,
+        tile_size: int,
+    ):
+        """Tiles that the ellipse touches in every ``step``-th row of tiles from ``row`` on."""
+        count = int(0)
+        for r in range(row, row_end, step):
+            start, end = tiles_of_row(mean2d, extent, shape, r, width, height, tile_size)
+            count += end - start
+        return count
+
+    @wp.func
+    def count_large(
+        large: bool,
+        index: int,
+        lane: int,
+        width: int,
+        height: int,
+        tile_size: int,
+        means2d: wp.array(dtype=vec2),
+        roots: wp.array(dtype=vec3),
+        extents: wp.array(dtype=vec2),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+    ):
+        """Tiles of this lane's Gaussian where it is ``large``: of one such after the other all lanes count rows."""
+        count = int(0)
+        waiting = warp_ballot(wp.where(large, 1, 0))
+        while waiting != wp.uint32(0):
+            leader = first_bit(waiting)
+            waiting = waiting & (waiting - wp.uint32(1))
+            g = index - lane + leader
+            extent = extents[g]
+            shape = ellipse(roots[g], extent, wp.max(opacities[g], thermal_opacities[g]))
+            y, y_end = pixel_rows(means2d[g], extent, height)
+            row, row_end = tile_range(y, y_end, tile_size)
+            own = count_rows(means2d[g], extent, shape, row + lane, row_end, lanes, width, height, tile_size)
+            total = int(warp_sum(wp.uint32(own)))
+            if lane == leader:
+                count = total
+        return count
 
     @wp.kernel(name=f"count_tiles_{dtype.__name__}_{lanes}", enable_backward=False, module="unique")
     def count_tiles_kernel(
@@ -158,14 +212,15 @@ def binning_kernels(dtype: type, lanes: int):
     ):
         """With ``warp_totals`` notes each warp's pairs and Gaussians, without writes the keys to sort by."""
         index = wp.tid() + first
+        lane = index % lanes
         inside = index < radii.shape[0]
         count = int(0)
+        large = bool(False)
         if inside and radii[index][0] > 0:
             # read before the features are looked at, so that nothing is waited for twice
             mean2d = means2d[index]
             extent = extents[index]
-            root = roots[index]
-            opacity = wp.max(opacities[index], thermal_opacities[index])
+            shape = ellipse(roots[index], extent, wp.max(opacities[index], thermal_opacities[index]))
             finite = bool(True)
             for c in range(features.shape[1]):
                 if not wp.isfinite(features[index, c]):
@@ -173,23 +228,26 @@ def binning_kernels(dtype: type, lanes: int):
             for c in range(rest.shape[1]):
                 if not wp.isfinite(rest[index, c]):
                     finite = False
-            shape = ellipse(root, extent, opacity)
             if finite:
                 y, y_end = pixel_rows(mean2d, extent, height)
                 row, row_end = tile_range(y, y_end, tile_size)
-                while row < row_end:
-                    start, end = tiles_of_row(mean2d, extent, shape, row, width, height, tile_size)
-                    count += end - start
-                    row += 1
+                if wp.static(lanes > 1):
+                    large = row_end - row > wp.static(LARGE_ROWS)
+                if not large:
+                    count = count_rows(mean2d, extent, shape, row, row_end, 1, width, height, tile_size)
             else:
                 # A Gaussian whose colour or features are not finite would spread over every pixel it touches.
                 radii[index] = wp.vec2i(0, 0)
+        if wp.static(lanes > 1):
+            count += count_large(
+                large, index, lane, width, height, tile_size, means2d, roots, extents, opacities, thermal_opacities
+            )
         if inside:
             tiles_per_gaussian[index] = count
         if warp_totals.shape[0] > 0:
             pairs = warp_sum(wp.uint32(count))
             gaussians = count_bits(warp_ballot(wp.where(count > 0, 1, 0)))
-            if index % lanes == 0:
+            if lane == 0:
                 warp_totals[index // lanes] = Totals(wp.int64(pairs), wp.int64(gaussians))
         elif inside:
             depth_keys[index] = wp.where(count > 0, depths[index], infinity)
@@ -239,7 +297,67 @@ def binning_kernels(dtype: type, lanes: int):
         order[rank] = index
         counts[rank] = count
 
-    @wp.kernel(name=f"emit_pairs_{dtype.__name__}", enable_backward=False, module="unique")
+    @wp.func
+    def emit_row(
+        index: int,
+        row: int,
+        start: int,
+        end: int,
+        slot: int,
+        mean2d: vec2,
+        extent: vec2,
+        shape: vec4,
+        image_first: int,
+        width: int,
+        height: int,
+        tile_size: int,
+        tiles_x: int,
+        by_slot: bool,
+        masked: bool,
+        capacity: int,
+        keys: wp.array(dtype=wp.int32),
+        values: wp.array(dtype=wp.int32),
+        owners: wp.array(dtype=wp.int32),
+    ):
+        """Writes a Gaussian's pairs with the tiles [start, end) of a row from ``slot`` on, as far as there is room."""
+        # columns of pixels that the ellipse touches in each of the row's parts, and those that it does in all of them
+        left = parts()
+        right = parts()
+        inner = int(0)
+        inner_end = width
+        whole = int(0)
+        if masked and end > start:
+            y, y_end = pixel_rows(mean2d, extent, height)
+            for part in range(wp.static(MASK_ROWS)):
+                top = row * tile_size + part * (tile_size // wp.static(MASK_ROWS))
+                bottom = wp.min(top + tile_size // wp.static(MASK_ROWS), height)
+                if wp.max(top, y) < wp.min(bottom, y_end):
+                    x_first, x_end = pixel_span(mean2d, extent, shape, top, bottom, width)
+                    left[part] = x_first
+                    right[part] = x_end
+                    inner = wp.max(inner, x_first)
+                    inner_end = wp.min(inner_end, x_end)
+                    whole |= wp.static(2**MASK_COLUMNS - 1) << (wp.static(MASK_SHIFT) + part * wp.static(MASK_COLUMNS))
+        for tile in range(start, wp.min(end, start + capacity - slot)):
+            mask = whole
+            if masked and (tile * tile_size < inner or wp.min((tile + 1) * tile_size, width) > inner_end):
+                mask = int(0)
+                for part in range(wp.static(MASK_ROWS)):
+                    for column in range(wp.static(MASK_COLUMNS)):
+                        x = tile * tile_size + column * (tile_size // wp.static(MASK_COLUMNS))
+                        if left[part] < x + tile_size // wp.static(MASK_COLUMNS) and right[part] > x:
+                            mask |= 1 << (wp.static(MASK_SHIFT) + part * wp.static(MASK_COLUMNS) + column)
+            at = slot + tile - start
+            keys[at] = (image_first + row * tiles_x + tile) | mask
+            if by_slot:
+                values[at] = at
+                owners[at] = index
+            else:
+                values[at] = index
+
+    @wp.kernel(
+        name=f"emit_pairs_{dtype.__name__}_{lanes}", enable_backward=False, module="unique", launch_bounds=bounds
+    )
     def emit_pairs_kernel(
         first: int,
         num_gaussians: int,
@@ -264,52 +382,51 @@ def binning_kernels(dtype: type, lanes: int):
         values: wp.array(dtype=wp.int32),
         owners: wp.array(dtype=wp.int32),
     ):
-        rank = wp.tid() + first
-        index = order[rank]
-        if index < 0:
-            return
-        # read before anything is decided, so that nothing is waited for twice
-        count = tiles_per_gaussian[index]
-        first_slot = pair_ends[rank] - wp.int64(count)
-        mean2d = means2d[index]
-        extent = extents[index]
-        shape = ellipse(roots[index], extent, wp.max(opacities[index], thermal_opacities[index]))
-        if count == 0 or first_slot >= wp.int64(capacity):
-            return
-        slot = int(first_slot)
-        image_first = (index // num_gaussians) * tiles_x * tiles_y
-        y, y_end = pixel_rows(mean2d, extent, height)
-        row, row_end = tile_range(y, y_end, tile_size)
-        while row < row_end:
-            start, end = tiles_of_row(mean2d, extent, shape, row, width, height, tile_size)
-            # columns of pixels that the ellipse touches in each of the tile's parts, one below the other
-            left = bounds()
-            right = bounds()
-            if masked:
-                for part in range(wp.static(MASK_ROWS)):
-                    top = row * tile_size + part * (tile_size // wp.static(MASK_ROWS))
-                    bottom = wp.min(top + tile_size // wp.static(MASK_ROWS), height)
-                    if wp.max(top, y) < wp.min(bottom, y_end):
-                        x_first, x_end = pixel_span(mean2d, extent, shape, top, bottom, width)
-                        left[part] = x_first
-                        right[part] = x_end
-            while start < end and slot < capacity:
-                key = image_first + row * tiles_x + start
-                if masked:
-                    for part in range(wp.static(MASK_ROWS)):
-                        for column in range(wp.static(MASK_COLUMNS)):
-                            x = start * tile_size + column * (tile_size // wp.static(MASK_COLUMNS))
-                            if left[part] < x + tile_size // wp.static(MASK_COLUMNS) and right[part] > x:
-                                key |= 1 << (wp.static(MASK_SHIFT) + part * wp.static(MASK_COLUMNS) + column)
-                keys[slot] = key
-                if by_slot:
-                    values[slot] = slot
-                    owners[slot] = index
-                else:
-                    values[slot] = index
-                slot += 1
-                start += 1
-            row += 1
+        own_rank = wp.tid() + first
+        lane = own_rank % lanes
+        count = int(0)
+        if own_rank < order.shape[0]:
+            if order[own_rank] >= 0:
+                count = tiles_per_gaussian[order[own_rank]]
+                if pair_ends[own_rank] - wp.int64(count) >= wp.int64(capacity):
+                    count = int(0)  # no room
+        # First each lane emits a Gaussian of its own; then all lanes one large one after the other, some rows each.
+        large = lanes > 1 and count > wp.static(LARGE_TILES)
+        waiting = warp_ballot(wp.where(large, 1, 0))
+        together = bool(False)
+        rank = int(own_rank)
+        emits = count > 0 and not large
+        done = bool(False)
+        while not done:
+            if emits:
+                index = order[rank]
+                mean2d = means2d[index]
+                extent = extents[index]
+                shape = ellipse(roots[index], extent, wp.max(opacities[index], thermal_opacities[index]))
+                image_first = (index // num_gaussians) * tiles_x * tiles_y
+                slot = int(pair_ends[rank] - wp.int64(tiles_per_gaussian[index]))
+                y, y_end = pixel_rows(mean2d, extent, height)
+                row, row_end = tile_range(y, y_end, tile_size)
+                if wp.static(lanes > 1):
+                    if together:
+                        share = (row_end - row + lanes - 1) // lanes
+                        row = wp.min(row + lane * share, row_end)
+                        row_end = wp.min(row + share, row_end)
+                        tiles = count_rows(mean2d, extent, shape, row, row_end, 1, width, height, tile_size)
+                        slot += warp_scan(tiles) - tiles
+                for r in range(row, row_end):
+                    start, end = tiles_of_row(mean2d, extent, shape, r, width, height, tile_size)
+                    emit_row(
+                        index, r, start, end, slot, mean2d, extent, shape, image_first, width, height, tile_size,
+                        tiles_x, by_slot, masked, capacity, keys, values, owners,
+                    )  # fmt: skip
+                    slot += end - start
+            done = waiting == wp.uint32(0)
+            if not done:
+                rank = own_rank - lane + first_bit(waiting)
+                waiting = waiting & (waiting - wp.uint32(1))
+                together = True
+                emits = True
 
     return count_tiles_kernel, compact_gaussians_kernel, gather_counts_kernel, emit_pairs_kernel
 
