@@ -33,8 +33,8 @@ MASK_SHIFT = 24
 """Bits of a key in front of the mask, for the tile."""
 
 LARGE_ROWS, LARGE_TILES = 32, 256
-"""Rows of tiles, or tiles, above which a whole warp counts or emits a Gaussian's pairs; fewer are quicker by a lane each,
-all at once."""
+"""Rows of tiles, or tiles, above which a whole warp counts or emits a Gaussian's pairs. Lanes take those of fewer one
+each, all at once."""
 
 # On CUDA within 1 ulp, which the margins cover; the exact one branches.
 SQUARE_ROOT_F32 = (
