@@ -23,7 +23,7 @@ from warp_kernels.list_segments import list_of_block
 from warp_kernels.survivors import HEADER, queue_functions, record_functions, stages_features
 
 BATCH = 32
-"""Candidates a warp looks at between two checks for unfinished pixels."""
+"""Gaussians walked between two checks for unfinished pixels."""
 
 
 @functools.cache

@@ -5,7 +5,15 @@ import pytest
 import torch
 import warp as wp
 
-from warp_kernels.lanes import accumulate_snippet, butterfly_widths, column_sums_snippet, count_bits, lane_functions
+from warp_kernels.lanes import (
+    accumulate_snippet,
+    butterfly_widths,
+    column_sums_snippet,
+    count_bits,
+    first_bit,
+    lane_functions,
+    warp_scan,
+)
 
 EXP2_F32, ATTENUATE, RECIPROCAL = lane_functions(wp.float32)
 EXP2_F64 = lane_functions(wp.float64)[0]
@@ -40,10 +48,14 @@ def reciprocal_kernel(x: wp.array(dtype=wp.float32), y: wp.array(dtype=wp.float3
 
 
 @wp.kernel(enable_backward=False, module="unique")
-def bits_kernel(x: wp.array(dtype=wp.uint32), count: wp.array(dtype=int)):
-    """Number of set bits."""
+def bits_kernel(
+    x: wp.array(dtype=wp.uint32), count: wp.array(dtype=int), first: wp.array(dtype=int), upto: wp.array(dtype=int)
+):
+    """Number of set bits, the lowest of them, and the sum over the warp's lanes up to this one."""
     i = wp.tid()
     count[i] = count_bits(x[i])
+    first[i] = first_bit(x[i])
+    upto[i] = warp_scan(i)
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(wp.float32, 1e-7), (wp.float64, 4e-16)])
@@ -88,12 +100,18 @@ def test_reciprocal(device: torch.device) -> None:
     assert np.abs(y.numpy() * x.astype(np.float64) - 1).max() < 7e-8
 
 
-def test_bit_counts() -> None:
-    """The number of a ballot's survivors."""
-    x = np.array([0, 1, 3, 0x80000000, 0xFFFFFFFF, 0b10110000], np.uint32)
-    count = wp.zeros(len(x), dtype=int, device="cpu")
-    wp.launch(bits_kernel, dim=len(x), inputs=[wp.array(x, dtype=wp.uint32, device="cpu"), count], device="cpu")
-    assert count.numpy().tolist() == [0, 1, 2, 1, 32, 3]
+@pytest.mark.parametrize("on", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+def test_bits_and_scans(on: str) -> None:
+    """A ballot's takers and the first of them, and the lanes' sum so far: on the CPU a warp is one lane."""
+    x = np.array([0, 1, 3, 0x80000000, 0xFFFFFFFF, 0b10110000] + 58 * [0], np.uint32)
+    counts, firsts, scans = (wp.zeros(len(x), dtype=int, device=on) for _ in range(3))
+    wp.launch(
+        bits_kernel, dim=len(x), inputs=[wp.array(x, dtype=wp.uint32, device=on), counts, firsts, scans], device=on
+    )
+    assert counts.numpy()[:6].tolist() == [0, 1, 2, 1, 32, 3]
+    assert firsts.numpy()[:6].tolist() == [-1, 0, 0, 31, 0, 4]
+    lanes = np.arange(len(x)).reshape(-1, 32 if on == "cuda" else 1)
+    assert scans.numpy().tolist() == lanes.cumsum(axis=1).flatten().tolist()
 
 
 @pytest.mark.parametrize("length", [1, 7, 9, 17, 18, 31, 32, 33, 42, 74])
