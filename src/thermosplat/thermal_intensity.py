@@ -1,5 +1,7 @@
 """The scalar intensity of thermal images that are tensors."""
 
+import functools
+
 import torch
 from torch import Tensor
 
@@ -27,7 +29,13 @@ def thermal_intensity(image: Tensor, scale: ThermalScale) -> Tensor:
 
 
 def _inverted(colors: Tensor, palette: Palette) -> Tensor:
-    """As ``Palette.to_intensity``, on the colours' device, which takes all pixels at once and is never waited for."""
-    curve = Curve(*(torch.tensor(part, device=colors.device) for part in palette.curve))
+    """As ``Palette.to_intensity``, on the colours' device, which takes all pixels at once."""
+    curve = _curve_on(palette, colors.device)
     intensity, _ = nearest_points(colors.float().reshape(-1, 3).T.contiguous(), curve, torch)
     return intensity.reshape(colors.shape[:-1])
+
+
+@functools.lru_cache(maxsize=8)
+def _curve_on(palette: Palette, device: torch.device) -> Curve:
+    """The palette's curve on a device, to which it is brought once and not for every image."""
+    return Curve(*(torch.tensor(part, device=device) for part in palette.curve))
