@@ -42,7 +42,7 @@ def test_fixed_room_changes_nothing(device: torch.device) -> None:
     expected = _gradients(inputs)
     inputs = leaves(scene, device, torch.float32)
     with capacity.step(fixed=True):
-        assert capacity.limit() == max(1024, round(SPARE * pairs + 0.49))
+        assert capacity.room().pairs == max(1024, round(SPARE * pairs + 0.49))
         fixed_images, fixed_alphas, info = rasterization(**inputs)
     fixed_images.square().sum().backward()
     assert torch.equal(fixed_images, images)
@@ -60,14 +60,15 @@ def test_too_little_room_is_told(device: torch.device) -> None:
     inputs = leaves(random_scene(n=6000, width=70, height=50), device, torch.float32)
     complete, _, info = rasterization(**inputs)
     needed = len(info["flatten_ids"])
-    assert needed > capacity._limits[0] >= 1024 > pairs
     with capacity.step(fixed=True):
+        room = capacity.room()
+        assert needed > room.pairs >= 1024 > pairs == room.expected_pairs
         image, alphas, _ = rasterization(**inputs)
     image.sum().backward()
     assert all(torch.isfinite(gradient).all() for gradient in _gradients(inputs).values())
     assert capacity.overflow == 1
     assert capacity.is_short()
-    with pytest.raises(UserError, match=f"{needed:,} .Gaussian, tile. pairs and room for {capacity._limits[0]:,}"):
+    with pytest.raises(UserError, match=f"{needed:,} .Gaussian, tile. pairs and room for {room.pairs:,}"):
         capacity.check()
     assert capacity.most[0] == needed
     assert 0 < alphas.mean() < 1
@@ -103,13 +104,13 @@ def test_no_gaussians_need_no_room(device: torch.device) -> None:
     assert capacity.overflow == 0
 
 
-@pytest.mark.parametrize("name", ["limit", "most"])
+@pytest.mark.parametrize("name", ["room", "most"])
 def test_small_scenes_get_a_least_room(name: str) -> None:
     """A room is never so small that the first bright Gaussian overflows it."""
     capacity = PairCapacity("cpu")
     capacity.measure()
     with capacity.step(fixed=True):
-        assert (capacity.limit() if name == "limit" else int(capacity.most.sum()) + 1024) == 1024
+        assert (capacity.room().pairs if name == "room" else int(capacity.most.sum()) + 1024) == 1024
 
 
 def test_a_room_must_be_measured() -> None:
@@ -127,7 +128,7 @@ def test_spare_room_is_chosen() -> None:
         image, _, info = rasterization(**inputs)
     capacity.measure()
     with capacity.step(fixed=True):
-        assert capacity.limit() == len(info["flatten_ids"]) > 1024
+        assert capacity.room().pairs == len(info["flatten_ids"]) > 1024
         assert torch.equal(rasterization(**inputs)[0], image)
     capacity.check()
 

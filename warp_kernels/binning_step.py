@@ -7,7 +7,7 @@ from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.lanes import LANES_CUDA
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import MASK_SHIFT, TileBins, Totals, binning_kernels, tile_ranges_kernel
+from warp_kernels.tile_binning import MASK_SHIFT, Room, TileBins, Totals, binning_kernels, tile_ranges_kernel
 
 COMPACTED = 2**18
 """Gaussians above which those without tiles are left out before the sort by depth; fewer are sorted in no time."""
@@ -32,12 +32,11 @@ def bin_tiles(
     *,
     by_slot: bool,
     rest: wp.array | None = None,
-    capacity: int | None = None,
-    room: int | None = None,
+    room: Room | None = None,
 ) -> TileBins:
     """Lists the Gaussians of each tile in depth order.
 
-    Without ``capacity`` the number of pairs is read back to the host once, and every pair is listed. With it nothing is
+    Without a ``room`` the number of pairs is read back to the host once, and every pair is listed. With it nothing is
     read back, so that the step can be captured in a CUDA graph; pairs beyond it, those of the farthest Gaussians, are
     left out, and ``bins.pair_ends`` says how many were needed.
 
@@ -50,8 +49,7 @@ def bin_tiles(
         tile_size: edge of a tile [px].
         by_slot: number the pairs, for an adjoint that writes one record a pair.
         rest: as ``features``, channels that lie apart from them; None: there are no others.
-        capacity: pairs there is room for; None for as many as there are.
-        room: with ``capacity``, Gaussians with pairs there is room for, which are sorted; None for all.
+        room: None for as many pairs as there are.
 
     Returns:
         The bins.
@@ -82,16 +80,17 @@ def bin_tiles(
         projected.radii,
         tiles_per_gaussian,
     ]
-    compacted, ranks, num_pairs, totals = entries > COMPACTED, entries, capacity, None
+    compacted, ranks, totals = entries > COMPACTED, entries, None
+    num_pairs = None if room is None else room.pairs
     if compacted:
         totals = empty(-(-entries // lanes), Totals, device)
         unsorted = [nothing(dtype, 1, device), nothing(wp.int32, 1, device)]
         launch(count_kernel, whole_warps(entries, device), [*counted, totals, *unsorted], device)
         wp.utils.array_scan(totals, totals, inclusive=True)
-        if capacity is None:
+        if room is None:
             num_pairs, ranks = memory.source.last(totals)
         else:
-            ranks = min(entries, capacity, entries if room is None else room)
+            ranks = min(entries, room.pairs, room.gaussians)
     # radix_sort_pairs sorts in place and needs room for a second copy
     depth_keys, unsorted = empty(2 * ranks, dtype, device), empty(2 * ranks, wp.int32, device)
     if compacted:
@@ -130,7 +129,7 @@ def bin_tiles(
         raise
     masked = len(masks) > 0 and num_tiles < 2**MASK_SHIFT
     if num_pairs > 0:
-        if capacity is not None:
+        if room is not None:
             # Places that stay empty carry a tile after the last and sort to the end.
             memory.source.fill(keys, num_pairs, num_tiles)
         launch(
@@ -177,6 +176,7 @@ def bin_tiles(
         tiles_per_gaussian=tiles_per_gaussian,
         slots=values if by_slot else None,
         num_pairs=num_pairs,
+        expected_pairs=num_pairs if room is None else room.expected_pairs,
         tile_size=tile_size,
         tiles_x=tiles_x,
         tiles_y=tiles_y,

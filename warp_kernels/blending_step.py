@@ -100,7 +100,8 @@ def blend(
         raise ValueError(f"features must have at most {CHANNELS_MAX} channels a traversal, got {channels}.")
     num_tiles = len(bins.tile_offsets) - 1
     if layout is None:
-        layout = default_layout(device, bins.tile_size, channels, thermal_channels, dtype, bins.num_pairs, num_tiles)
+        of_frame = bins.expected_pairs, num_tiles
+        layout = default_layout(device, bins.tile_size, channels, thermal_channels, dtype, *of_frame)
     segment = layout.segment
     num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
     length = state_length(channels, thermal_channels)

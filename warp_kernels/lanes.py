@@ -96,12 +96,28 @@ def warp_scan(x: int) -> int: ...
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    return __ffs(x) - 1;
+    return __shfl_sync(0xffffffffu, x, source);
 #else
-    return __builtin_ffs(x) - 1;
+    return x;
 #endif
 """)
-def first_bit(x: wp.uint32) -> int: ...
+def warp_shuffle(x: int, source: int) -> int: ...
+
+
+# The first lane whose ``end`` is above ``item``, by halving; the last one where there is none. Ends rise from lane to
+# lane.
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    int owner = 0;
+    for (int step = 16; step > 0; step /= 2) {
+        if (__shfl_sync(0xffffffffu, end, owner + step - 1) <= item) owner += step;
+    }
+    return owner;
+#else
+    return 0;
+#endif
+""")
+def warp_owner(end: int, item: int) -> int: ...
 
 
 @wp.func_native("""
@@ -281,6 +297,23 @@ def column_sums_snippet(length: int, columns: int, dtype: type) -> str:
             names, segment = folded, half
         lines += [f"p[{first + k}] = {names[0]}[{k}];" for k in range(count)]
     return "\n#if !defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#endif\n"
+
+
+@functools.cache
+def shuffle_function(dtype: type):
+    """``warp_shuffle`` of scalars.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        A Warp function (value, lane): that lane's value.
+    """
+
+    @wp.func_native(on_cuda("return __shfl_sync(0xffffffffu, x, source);", "return x;"))
+    def shuffle(x: dtype, source: int) -> dtype: ...
+
+    return shuffle
 
 
 @functools.cache

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from warp_kernels.lanes import count_bits, first_bit, warp_ballot, warp_scan, warp_sum
+from warp_kernels.lanes import count_bits, shuffle_function, warp_ballot, warp_owner, warp_scan, warp_shuffle, warp_sum
 from warp_kernels.tile_overlap import overlap_functions
 
 MASK_COLUMNS, MASK_ROWS = 2, 4
@@ -22,10 +22,6 @@ MASK_COLUMNS, MASK_ROWS = 2, 4
 
 MASK_SHIFT = 24
 """Bits of a key in front of the mask, for the tile."""
-
-LARGE_ROWS, LARGE_TILES = 32, 256
-"""Rows of tiles, or tiles, above which a whole warp counts or emits a Gaussian's pairs. Lanes take those of fewer one
-each, all at once."""
 
 Totals = wp.types.vector(2, wp.int64)
 """Pairs, and Gaussians with any."""
@@ -45,8 +41,10 @@ def binning_kernels(dtype: type, lanes: int):
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     pixel_rows, tile_range, ellipse, pixel_span = overlap_functions(dtype)
     infinity = dtype(float("inf"))
+    shuffle = shuffle_function(dtype)
     parts = wp.types.vector(MASK_ROWS, wp.int32)
-    bounds = (256, 3) if dtype is wp.float32 else None  # three blocks a multiprocessor, which mostly wait for memory
+    # blocks a multiprocessor, which mostly wait for memory
+    count_bounds, emit_bounds = ((256, 6), (256, 3)) if dtype is wp.float32 else (None, None)
 
     @wp.func
     def tiles_of_row(mean2d: vec2, extent: vec2, shape: vec4, row: int, width: int, height: int, tile_size: int):
@@ -56,56 +54,19 @@ def binning_kernels(dtype: type, lanes: int):
         return tile_range(first, end, tile_size)
 
     @wp.func
-    def count_rows(
-        mean2d: vec2,
-        extent: vec2,
-        shape: vec4,
-        row: int,
-        row_end: int,
-        step: int,
-        width: int,
-        height: int,
-        tile_size: int,
-    ):
-        """Tiles that the ellipse touches in every ``step``-th row of tiles from ``row`` on."""
-        count = int(0)
-        for r in range(row, row_end, step):
-            start, end = tiles_of_row(mean2d, extent, shape, r, width, height, tile_size)
-            count += end - start
-        return count
+    def of_lane(lane: int, mean2d: vec2, extent: vec2, shape: vec4):
+        """That lane's ellipse."""
+        mean = vec2(shuffle(mean2d[0], lane), shuffle(mean2d[1], lane))
+        half_size = vec2(shuffle(extent[0], lane), shuffle(extent[1], lane))
+        rest = vec4(shuffle(shape[0], lane), shuffle(shape[1], lane), shuffle(shape[2], lane), shuffle(shape[3], lane))
+        return mean, half_size, rest
 
-    @wp.func
-    def count_large(
-        large: bool,
-        index: int,
-        lane: int,
-        width: int,
-        height: int,
-        tile_size: int,
-        means2d: wp.array(dtype=vec2),
-        roots: wp.array(dtype=vec3),
-        extents: wp.array(dtype=vec2),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-    ):
-        """Tiles of this lane's Gaussian where it is ``large``: of one such after the other all lanes count rows."""
-        count = int(0)
-        waiting = warp_ballot(wp.where(large, 1, 0))
-        while waiting != wp.uint32(0):
-            leader = first_bit(waiting)
-            waiting = waiting & (waiting - wp.uint32(1))
-            g = index - lane + leader
-            extent = extents[g]
-            shape = ellipse(roots[g], extent, wp.max(opacities[g], thermal_opacities[g]))
-            y, y_end = pixel_rows(means2d[g], extent, height)
-            row, row_end = tile_range(y, y_end, tile_size)
-            own = count_rows(means2d[g], extent, shape, row + lane, row_end, lanes, width, height, tile_size)
-            total = int(warp_sum(wp.uint32(own)))
-            if lane == leader:
-                count = total
-        return count
-
-    @wp.kernel(name=f"count_tiles_{dtype.__name__}_{lanes}", enable_backward=False, module="unique")
+    @wp.kernel(
+        name=f"count_tiles_{dtype.__name__}_{lanes}",
+        enable_backward=False,
+        module="unique",
+        launch_bounds=count_bounds,
+    )
     def count_tiles_kernel(
         first: int,
         width: int,
@@ -130,8 +91,11 @@ def binning_kernels(dtype: type, lanes: int):
         index = wp.tid() + first
         lane = index % lanes
         inside = index < radii.shape[0]
-        count = int(0)
-        large = bool(False)
+        mean2d = vec2()
+        extent = vec2()
+        shape = vec4()
+        row = int(0)
+        row_end = int(0)
         if inside and radii[index][0] > 0:
             # read before the features are looked at, so that nothing is waited for twice
             mean2d = means2d[index]
@@ -147,17 +111,35 @@ def binning_kernels(dtype: type, lanes: int):
             if finite:
                 y, y_end = pixel_rows(mean2d, extent, height)
                 row, row_end = tile_range(y, y_end, tile_size)
-                if wp.static(lanes > 1):
-                    large = row_end - row > wp.static(LARGE_ROWS)
-                if not large:
-                    count = count_rows(mean2d, extent, shape, row, row_end, 1, width, height, tile_size)
             else:
                 # A Gaussian whose colour or features are not finite would spread over every pixel it touches.
                 radii[index] = wp.vec2i(0, 0)
-        if wp.static(lanes > 1):
-            count += count_large(
-                large, index, lane, width, height, tile_size, means2d, roots, extents, opacities, thermal_opacities
-            )
+        # The rows of the warp's Gaussians are dealt to its lanes, one after the other.
+        end = warp_scan(row_end - row)
+        rows = warp_shuffle(end, lanes - 1)
+        dealt = int(0)
+        tiles_before = int(0)
+        tiles_to_end = int(0)  # of this Gaussian and those before it in the warp
+        while dealt < rows:
+            item = dealt + lane
+            owner = warp_owner(end, item)
+            r = warp_shuffle(row_end - end, owner) + item
+            mean, half_size, others = of_lane(owner, mean2d, extent, shape)
+            tiles = int(0)
+            if item < rows:
+                start, stop = tiles_of_row(mean, half_size, others, r, width, height, tile_size)
+                tiles = stop - start
+            total = tiles_before + warp_scan(tiles)
+            last = end - 1 - dealt
+            total_there = warp_shuffle(total, wp.clamp(last, 0, lanes - 1))
+            if last >= 0 and last < lanes:
+                tiles_to_end = total_there
+            tiles_before = warp_shuffle(total, lanes - 1)
+            dealt += lanes
+        count = tiles_to_end
+        before = warp_shuffle(tiles_to_end, wp.max(lane - 1, 0))
+        if lane > 0:
+            count -= before
         if inside:
             tiles_per_gaussian[index] = count
         if warp_totals.shape[0] > 0:
@@ -272,7 +254,7 @@ def binning_kernels(dtype: type, lanes: int):
                 values[at] = index
 
     @wp.kernel(
-        name=f"emit_pairs_{dtype.__name__}_{lanes}", enable_backward=False, module="unique", launch_bounds=bounds
+        name=f"emit_pairs_{dtype.__name__}_{lanes}", enable_backward=False, module="unique", launch_bounds=emit_bounds
     )
     def emit_pairs_kernel(
         first: int,
@@ -298,51 +280,49 @@ def binning_kernels(dtype: type, lanes: int):
         values: wp.array(dtype=wp.int32),
         owners: wp.array(dtype=wp.int32),
     ):
-        own_rank = wp.tid() + first
-        lane = own_rank % lanes
-        count = int(0)
-        if own_rank < order.shape[0]:
-            if order[own_rank] >= 0:
-                count = tiles_per_gaussian[order[own_rank]]
-                if pair_ends[own_rank] - wp.int64(count) >= wp.int64(capacity):
-                    count = int(0)  # no room
-        # First each lane emits a Gaussian of its own; then all lanes one large one after the other, some rows each.
-        large = lanes > 1 and count > wp.static(LARGE_TILES)
-        waiting = warp_ballot(wp.where(large, 1, 0))
-        together = bool(False)
-        rank = int(own_rank)
-        emits = count > 0 and not large
-        done = bool(False)
-        while not done:
-            if emits:
-                index = order[rank]
+        rank = wp.tid() + first
+        lane = rank % lanes
+        index = int(-1)
+        slot = int(0)
+        mean2d = vec2()
+        extent = vec2()
+        shape = vec4()
+        row = int(0)
+        row_end = int(0)
+        if rank < order.shape[0]:
+            index = order[rank]
+        if index >= 0:
+            count = tiles_per_gaussian[index]
+            begin = pair_ends[rank] - wp.int64(count)
+            slot = int(wp.min(begin, wp.int64(capacity)))
+            if count > 0 and slot < capacity:
                 mean2d = means2d[index]
                 extent = extents[index]
                 shape = ellipse(roots[index], extent, wp.max(opacities[index], thermal_opacities[index]))
-                image_first = (index // num_gaussians) * tiles_x * tiles_y
-                slot = int(pair_ends[rank] - wp.int64(tiles_per_gaussian[index]))
                 y, y_end = pixel_rows(mean2d, extent, height)
                 row, row_end = tile_range(y, y_end, tile_size)
-                if wp.static(lanes > 1):
-                    if together:
-                        share = (row_end - row + lanes - 1) // lanes
-                        row = wp.min(row + lane * share, row_end)
-                        row_end = wp.min(row + share, row_end)
-                        tiles = count_rows(mean2d, extent, shape, row, row_end, 1, width, height, tile_size)
-                        slot += warp_scan(tiles) - tiles
-                for r in range(row, row_end):
-                    start, end = tiles_of_row(mean2d, extent, shape, r, width, height, tile_size)
-                    emit_row(
-                        index, r, start, end, slot, mean2d, extent, shape, image_first, width, height, tile_size,
-                        tiles_x, by_slot, masked, capacity, keys, values, owners,
-                    )  # fmt: skip
-                    slot += end - start
-            done = waiting == wp.uint32(0)
-            if not done:
-                rank = own_rank - lane + first_bit(waiting)
-                waiting = waiting & (waiting - wp.uint32(1))
-                together = True
-                emits = True
+        end = warp_scan(row_end - row)
+        rows = warp_shuffle(end, lanes - 1)
+        slot = warp_shuffle(slot, 0)  # from where on the pairs of the warp's Gaussians lie side by side
+        dealt = int(0)
+        while dealt < rows:
+            item = dealt + lane
+            owner = warp_owner(end, item)
+            g = warp_shuffle(index, owner)
+            r = warp_shuffle(row_end - end, owner) + item
+            mean, half_size, others = of_lane(owner, mean2d, extent, shape)
+            start = int(0)
+            stop = int(0)
+            if item < rows:
+                start, stop = tiles_of_row(mean, half_size, others, r, width, height, tile_size)
+            total = warp_scan(stop - start)
+            emit_row(
+                g, r, start, stop, slot + total - (stop - start), mean, half_size, others,
+                (g // num_gaussians) * tiles_x * tiles_y, width, height, tile_size, tiles_x, by_slot, masked, capacity,
+                keys, values, owners,
+            )  # fmt: skip
+            slot += warp_shuffle(total, lanes - 1)
+            dealt += lanes
 
     return count_tiles_kernel, compact_gaussians_kernel, gather_counts_kernel, emit_pairs_kernel
 
@@ -390,6 +370,21 @@ def tile_ranges_kernel(
         tile_offsets[previous] = k
 
 
+@dataclass(frozen=True)
+class Room:
+    """Room for lists whose lengths are not read back.
+
+    Attributes:
+        pairs: so many are listed at most.
+        gaussians: so many of those with pairs are sorted at most.
+        expected_pairs: pairs there may well be; decides how they are blended.
+    """
+
+    pairs: int
+    gaussians: int
+    expected_pairs: int
+
+
 @dataclass
 class TileBins:
     """Pairs sorted by image, tile and depth.
@@ -405,7 +400,8 @@ class TileBins:
             ``pair_ends`` has all Gaussians.
         tiles_per_gaussian: [images · N] number of tiles.
         slots: [pairs] unsorted position of each sorted pair; None unless the adjoint writes one record a pair.
-        num_pairs: number of pairs, or the capacity where one was given; ``tile_offsets`` ends with the pairs there are.
+        num_pairs: number of pairs, or those there is room for; ``tile_offsets`` ends with the pairs there are.
+        expected_pairs: number of pairs, or what was expected where there was room for so many.
         tile_size: edge of a tile [px].
         tiles_x: tiles across the image.
         tiles_y: tiles down the image.
@@ -420,6 +416,7 @@ class TileBins:
     tiles_per_gaussian: wp.array
     slots: wp.array | None
     num_pairs: int
+    expected_pairs: int
     tile_size: int
     tiles_x: int
     tiles_y: int

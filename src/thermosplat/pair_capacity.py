@@ -15,6 +15,7 @@ from torch import Tensor
 
 from thermosplat.errors import UserError
 from thermosplat.warp_pair_notes import note_totals
+from warp_kernels.tile_binning import Room
 
 CALLS = 8
 """Most rasterizations in a step."""
@@ -45,6 +46,7 @@ class PairCapacity:
         most: int64 [CALLS], most pairs of each call of a step so far.
         most_listed: int64 [CALLS], most Gaussians with pairs; 0 where that was not counted, as there were few.
         overflow: float32 scalar on the device, 1 where a call of the last step (or replay) had more pairs than room.
+        spare: as given; the next :meth:`measure` makes room by it.
 
     Example:
         >>> capacity = PairCapacity("cuda")                                    # doctest: +SKIP
@@ -66,8 +68,7 @@ class PairCapacity:
         self.most_listed = torch.zeros_like(self.most)
         self.overflow = torch.zeros((), device=device)
         self.spare = spare
-        self._limits: list[int] = []
-        self._listed_limits: list[int] = []
+        self._rooms: list[Room] = []
         self._calls = 0
         self._fixed = False
 
@@ -81,7 +82,7 @@ class PairCapacity:
         Raises:
             UserError: for a fixed room before anything was measured.
         """
-        if fixed and not self._limits:
+        if fixed and not self._rooms:
             raise UserError(
                 "PairCapacity.step(fixed=True) must know how many pairs need room, and nothing was measured.",
                 "Render inside step(fixed=False) first, and call measure().",
@@ -96,10 +97,14 @@ class PairCapacity:
 
     def measure(self) -> None:
         """Make room for the most that was seen. Waits for the device."""
-        self._limits, self._listed_limits = (
-            [max(LEAST, math.ceil(self.spare * count)) for count in most.tolist()]
-            for most in (self.most, self.most_listed)
-        )
+        most = zip(self.most.tolist(), self.most_listed.tolist(), strict=True)
+        # where Gaussians were not counted, there may soon be more: they have no more than pairs
+        self._rooms = [
+            Room(self._with_spare(pairs), self._with_spare(listed or pairs), pairs) for pairs, listed in most
+        ]
+
+    def _with_spare(self, count: int) -> int:
+        return max(LEAST, math.ceil(self.spare * count))
 
     def is_short(self) -> bool:
         """Whether there was more than room since the last :meth:`measure`. Waits for the device."""
@@ -108,8 +113,8 @@ class PairCapacity:
     def _short(self) -> Iterator[tuple[int, str, int, int]]:
         """Calls that had more than room: number, of what, how many, and the room."""
         for what, most, limits in (
-            ("(Gaussian, tile) pairs", self.most, self._limits),
-            ("Gaussians in the image", self.most_listed, self._listed_limits),
+            ("(Gaussian, tile) pairs", self.most, [room.pairs for room in self._rooms]),
+            ("Gaussians in the image", self.most_listed, [room.gaussians for room in self._rooms]),
         ):
             for call, (count, limit) in enumerate(zip(most.tolist(), limits)):
                 if count > limit:
@@ -127,7 +132,7 @@ class PairCapacity:
                 "Call PairCapacity.measure() and capture the step again.",
             )
 
-    def limit(self) -> int | None:
+    def room(self) -> Room | None:
         """Room of the next call of this step; None: it reads its number of pairs back.
 
         Raises:
@@ -137,11 +142,7 @@ class PairCapacity:
             raise UserError(
                 f"A step of PairCapacity holds at most {CALLS} rasterizations.", "Render several cameras in one call."
             )
-        return self._limits[self._calls] if self._fixed else None
-
-    def listed_limit(self) -> int | None:
-        """Room of the next call for Gaussians that have pairs; None: it reads their number back."""
-        return self._listed_limits[self._calls] if self._fixed else None
+        return self._rooms[self._calls] if self._fixed else None
 
     def note(self, totals: Tensor) -> None:
         """Note the pairs of a call, room for them or not.
@@ -149,7 +150,8 @@ class PairCapacity:
         Args:
             totals: int64 on the device: [1] all pairs, or [2] and the Gaussians that have any; [0] without Gaussians.
         """
-        limits = (self._limits[self._calls], self._listed_limits[self._calls]) if self._fixed else None
+        room = self._rooms[self._calls] if self._fixed else None
+        limits = None if room is None else (room.pairs, room.gaussians)
         note_totals(self._calls, limits, totals, self.most, self.most_listed, self.overflow)
         self._calls += 1
 

@@ -167,7 +167,7 @@ class ProjectedScene:
     def _bin(self, features: Tensor, rest: Tensor | None = None) -> TileLists:
         """The lists of Gaussians, made once; the features of the first call are checked for being finite."""
         if self._lists is None:
-            room = active_pair_capacity()
+            capacity = active_pair_capacity()
             self._lists = bin_tiles(
                 self._arrays,
                 self.opacities,
@@ -176,13 +176,12 @@ class ProjectedScene:
                 self.settings,
                 self.tile_size,
                 rest,
-                room.limit() if room is not None else None,
-                room.listed_limit() if room is not None else None,
+                capacity.room() if capacity is not None else None,
                 deterministic=self.deterministic,
             )
-            if room is not None:
+            if capacity is not None:
                 tensors = self._lists.tensors
-                room.note(tensors["totals"][-1] if "totals" in tensors else tensors["pair_ends"][-1:])
+                capacity.note(tensors["totals"][-1] if "totals" in tensors else tensors["pair_ends"][-1:])
         return self._lists
 
     def info(self) -> RasterizationInfo:

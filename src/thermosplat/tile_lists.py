@@ -10,7 +10,7 @@ from thermosplat.warp_streams import joined_capture, on_torch_stream
 from warp_kernels import binning_step
 from warp_kernels.array_views import ArrayView
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import TileBins
+from warp_kernels.tile_binning import Room, TileBins
 
 
 class TileLists(NamedTuple):
@@ -39,8 +39,7 @@ def bin_tiles(
     settings: ProjectionSettings,
     tile_size: int,
     rest: Tensor | None = None,
-    capacity: int | None = None,
-    room: int | None = None,
+    room: Room | None = None,
     *,
     deterministic: bool = False,
 ) -> TileLists:
@@ -54,19 +53,18 @@ def bin_tiles(
         settings: image size.
         tile_size: edge of a tile [px].
         rest: [images · N, D'], channels that lie apart from those; None: there are no others.
-        capacity: pairs there is room for; None: their number is read back from the device.
-        room: with ``capacity``, Gaussians with pairs there is room for; None: for all.
+        room: of the lists; None: the number of pairs is read back from the device.
         deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
 
     Returns:
         The lists.
 
     Raises:
-        UserError: if a CUDA graph is captured without ``capacity``, or there are too many pairs to number.
+        UserError: if a CUDA graph is captured without a ``room``, or there are too many pairs to number.
     """
     scalar = kinds_of(opacities.dtype).scalar
     with on_torch_stream(opacities.device) as device, joined_capture(opacities.device) as captured:
-        if captured and capacity is None:
+        if captured and room is None:
             raise UserError(
                 "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs back.",
                 "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
@@ -81,7 +79,6 @@ def bin_tiles(
                 tile_size,
                 by_slot=deterministic or not device.is_cuda,
                 rest=None if rest is None else view(rest, scalar, *rest.shape),
-                capacity=capacity,
                 room=room,
             )
         except binning_step.TooManyPairsError as error:

@@ -77,66 +77,115 @@ class FusedDecoders:
 
     def rgb(self, visible_features: Tensor) -> Tensor:
         """As ``Decoders.rgb``."""
-        d = self.decoders
-        modulation, head = _parameters(d.modulation), _parameters(d.rgb_head)
-        return _Branch.apply(visible_features, self.team, *self._shared(), *modulation, *head)
+        return _Branches.apply(self.team, visible_features, None, *self._parameters())[0]
 
     def thermal(self, thermal_features: Tensor) -> Tensor:
         """As ``Decoders.thermal``."""
         if self.decoders.thermal_head is None:
             raise ValueError("These decoders were made with thermal_channels=0; they have no thermal image.")
-        head = _parameters(self.decoders.thermal_head)
-        return _Branch.apply(thermal_features, self.team, *self._shared(), None, None, *head)
+        return _Branches.apply(self.team, None, thermal_features, *self._parameters())[1]
 
     def both(self, visible_features: Tensor, thermal_features: Tensor) -> tuple[Tensor, Tensor]:
         """As ``Decoders.both``."""
-        return self.rgb(visible_features), self.thermal(thermal_features)
+        return _Branches.apply(self.team, visible_features, thermal_features, *self._parameters())
 
-    def _shared(self) -> list[Tensor]:
-        d = self.decoders
-        return [*_parameters(d.shared_encoder[0]), *_parameters(d.shared_encoder[2]), *_parameters(d.thermal_prior[0])]
+    def _parameters(self) -> list[Tensor | None]:
+        """Weights and biases in the order of ``_Branches``."""
+        d: Any = self.decoders
+        layers = [d.shared_encoder[0], d.shared_encoder[2], d.thermal_prior[0], d.modulation, d.rgb_head]
+        both = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]
+        return [*both, *((None, None) if d.thermal_head is None else (d.thermal_head.weight, d.thermal_head.bias))]
 
 
-def _parameters(layer: Any) -> tuple[Tensor, Tensor]:
-    return layer.weight, layer.bias
+SHARED, MODULATION, RGB_HEAD, THERMAL_HEAD = slice(0, 6), slice(6, 8), slice(8, 10), slice(10, 12)
+"""Weights and biases of three layers that both branches have, and of those that one has."""
 
 
-class _Branch(torch.autograd.Function):
-    """Features [..., d] to an image [..., channels]; with a modulation the RGB branch, without it the thermal one."""
+class _Branches(torch.autograd.Function):
+    """Features [..., d] of each branch to its image [..., channels]; None for a branch that is not asked for.
+
+    The gradients of the layers that both have are sums over the pixels of both, so one function has both.
+    """
 
     @staticmethod
-    def forward(ctx: Any, features: Tensor, team: int, *parameters: Any) -> Tensor:
-        pixels, weights = _pixels(features), _views(parameters)
-        image = features.new_empty(*features.shape[:-1], parameters[-1].shape[0])
-        kernel = decode_kernel(*_shape(parameters))
-        programs = 2 * warp_device_of(features.device).sm_count
-        with launches_on_torch_stream(features.device):
-            _launch(kernel, programs, [strided_view(pixels), *weights, strided_view(_flat(image))], features.device)
-        ctx.save_for_backward(features, image, *parameters)
+    def forward(
+        ctx: Any, team: int, visible: Tensor | None, thermal: Tensor | None, *parameters: Tensor | None
+    ) -> tuple[Tensor | None, Tensor | None]:
+        rgb_parameters, thermal_parameters = _by_branch(parameters)
+        images = (
+            None if visible is None else _decoded(visible, rgb_parameters),
+            None if thermal is None else _decoded(thermal, thermal_parameters),
+        )
+        ctx.save_for_backward(visible, thermal, *images, *parameters)
+        ctx.set_materialize_grads(False)
         ctx.team = team
-        return image
+        return images
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, v_image: Tensor) -> tuple[Tensor | None, ...]:
-        features, image, *parameters = ctx.saved_tensors
-        pixels, weights = _pixels(features), _views(parameters)
-        v_features, v_image = features.new_empty(features.shape), v_image.contiguous()
-        largest = torch.linalg.vector_norm(v_image, torch.inf)
-        sizes = [0 if parameter is None else parameter.numel() for parameter in parameters]
-        kernel = decode_adjoint_kernel(*_shape(parameters), ctx.team)
-        programs = warp_device_of(features.device).sm_count
-        partial = features.new_empty(programs, sum(sizes))
-        with launches_on_torch_stream(features.device):
-            images = [strided_view(_flat(image)), strided_view(_flat(v_image)), view(largest, wp.float32, 1)]
-            outputs = [strided_view(_flat(v_features)), strided_view(partial)]
-            _launch(kernel, programs, [strided_view(pixels), *images, *weights, *outputs], features.device)
-        sums = partial.sum(0).split(sizes)
-        v_parameters = [
-            None if parameter is None else total.view(parameter.shape)
-            for parameter, total in zip(parameters, sums, strict=True)
+    def backward(ctx: Any, v_rgb: Tensor | None, v_thermal: Tensor | None) -> tuple[Tensor | None, ...]:
+        visible, thermal, rgb_image, thermal_image, *parameters = ctx.saved_tensors
+        given = (visible, rgb_image, v_rgb), (thermal, thermal_image, v_thermal)
+        branches = [(*of, own) for of, own in zip(given, _by_branch(parameters), strict=True)]
+        sizes = [0 if v_image is None else _size(own) for *_, v_image, own in branches]
+        programs = warp_device_of(parameters[0].device).sm_count
+        partial = parameters[0].new_empty(programs, sum(sizes))
+        v_features = [
+            None if v_image is None else _decoded_adjoint(ctx.team, features, image, v_image, own, of_branch)
+            for (features, image, v_image, own), of_branch in zip(branches, partial.split(sizes, 1), strict=True)
         ]
-        return v_features, None, *v_parameters
+        of_rgb, of_thermal = partial.sum(0).split(sizes)
+        if v_rgb is not None and v_thermal is not None:
+            shared = _size(parameters[SHARED])
+            of_rgb[:shared] += of_thermal[:shared]
+        v_parameters: list[Tensor | None] = [None] * len(parameters)
+        for sums, places in ((of_thermal, (SHARED, THERMAL_HEAD)), (of_rgb, (SHARED, MODULATION, RGB_HEAD))):
+            if len(sums) > 0:
+                own = [k for place in places for k in range(*place.indices(len(parameters)))]
+                pieces = sums.split([parameters[k].numel() for k in own])
+                for k, piece in zip(own, pieces, strict=True):
+                    v_parameters[k] = piece.view(parameters[k].shape)
+        return None, *v_features, *v_parameters
+
+
+def _by_branch(parameters: Sequence[Tensor | None]) -> tuple[list[Tensor | None], list[Tensor | None]]:
+    """Parameters of the RGB branch and of the thermal one in the order of their kernels, which has a modulation."""
+    shared = parameters[SHARED]
+    rgb = [*shared, *parameters[MODULATION], *parameters[RGB_HEAD]]
+    return rgb, [*shared, None, None, *parameters[THERMAL_HEAD]]
+
+
+def _size(parameters: Sequence[Tensor | None]) -> int:
+    """Numbers of all of them."""
+    return sum(0 if parameter is None else parameter.numel() for parameter in parameters)
+
+
+def _decoded(features: Tensor, parameters: Sequence[Tensor | None]) -> Tensor:
+    """A branch's image."""
+    pixels, weights = _pixels(features), _views(parameters)
+    image = features.new_empty(*features.shape[:-1], parameters[-1].shape[0])  # type: ignore[union-attr]
+    programs = 2 * warp_device_of(features.device).sm_count
+    inputs = [strided_view(pixels), *weights, strided_view(_flat(image))]
+    _launch(decode_kernel(*_shape(parameters)), programs, inputs, features.device)
+    return image
+
+
+def _decoded_adjoint(
+    team: int,
+    features: Tensor,
+    image: Tensor,
+    v_image: Tensor,
+    parameters: Sequence[Tensor | None],
+    partial: Tensor,
+) -> Tensor:
+    """Gradient of a branch's features; ``partial`` [programs, numbers] gets those of the parameters, to be summed."""
+    v_features, v_image = features.new_empty(features.shape), v_image.contiguous()
+    largest = torch.linalg.vector_norm(v_image, torch.inf)
+    images = [strided_view(_flat(image)), strided_view(_flat(v_image)), view(largest, wp.float32, 1)]
+    outputs = [strided_view(_flat(v_features)), strided_view(partial)]
+    inputs = [strided_view(_pixels(features)), *images, *_views(parameters), *outputs]
+    _launch(decode_adjoint_kernel(*_shape(parameters), team), len(partial), inputs, features.device)
+    return v_features
 
 
 def _shape(parameters: Sequence[Tensor | None]) -> tuple[int, bool]:
@@ -145,7 +194,8 @@ def _shape(parameters: Sequence[Tensor | None]) -> tuple[int, bool]:
 
 
 def _launch(kernel: wp.Kernel, programs: int, inputs: list[Any], device: torch.device) -> None:
-    launch_again(kernel, (programs, THREADS), [programs, *inputs], warp_device_of(device), THREADS)
+    with launches_on_torch_stream(device):
+        launch_again(kernel, (programs, THREADS), [programs, *inputs], warp_device_of(device), THREADS)
 
 
 def _flat(tensor: Tensor) -> Tensor:

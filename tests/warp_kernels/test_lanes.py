@@ -10,13 +10,16 @@ from warp_kernels.lanes import (
     butterfly_widths,
     column_sums_snippet,
     count_bits,
-    first_bit,
     lane_functions,
+    shuffle_function,
+    warp_owner,
     warp_scan,
+    warp_shuffle,
 )
 
 EXP2_F32, ATTENUATE, RECIPROCAL = lane_functions(wp.float32)
 EXP2_F64 = lane_functions(wp.float64)[0]
+SHUFFLE_F64 = shuffle_function(wp.float64)
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -48,14 +51,27 @@ def reciprocal_kernel(x: wp.array(dtype=wp.float32), y: wp.array(dtype=wp.float3
 
 
 @wp.kernel(enable_backward=False, module="unique")
-def bits_kernel(
-    x: wp.array(dtype=wp.uint32), count: wp.array(dtype=int), first: wp.array(dtype=int), upto: wp.array(dtype=int)
-):
-    """Number of set bits, the lowest of them, and the sum over the warp's lanes up to this one."""
+def bits_kernel(x: wp.array(dtype=wp.uint32), count: wp.array(dtype=int), upto: wp.array(dtype=int)):
+    """Number of set bits, and the sum over the warp's lanes up to this one."""
     i = wp.tid()
     count[i] = count_bits(x[i])
-    first[i] = first_bit(x[i])
     upto[i] = warp_scan(i)
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def deal_kernel(
+    counts: wp.array(dtype=int),
+    items: wp.array(dtype=int),
+    owner: wp.array(dtype=int),
+    owners_count: wp.array(dtype=int),
+    owners_half: wp.array(dtype=wp.float64),
+):
+    """Whose an item of the warp's lanes is, and two of that lane's numbers."""
+    i = wp.tid()
+    end = warp_scan(counts[i])
+    owner[i] = warp_owner(end, items[i])
+    owners_count[i] = warp_shuffle(counts[i], owner[i])
+    owners_half[i] = SHUFFLE_F64(wp.float64(counts[i]) / wp.float64(2.0), owner[i])
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(wp.float32, 1e-7), (wp.float64, 4e-16)])
@@ -100,18 +116,37 @@ def test_reciprocal(device: torch.device) -> None:
     assert np.abs(y.numpy() * x.astype(np.float64) - 1).max() < 7e-8
 
 
-@pytest.mark.parametrize("on", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+ON_BOTH = pytest.mark.parametrize("on", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+
+
+@ON_BOTH
 def test_bits_and_scans(on: str) -> None:
-    """A ballot's takers and the first of them, and the lanes' sum so far: on the CPU a warp is one lane."""
+    """A ballot's takers, and the lanes' sum so far: on the CPU a warp is one lane."""
     x = np.array([0, 1, 3, 0x80000000, 0xFFFFFFFF, 0b10110000] + 58 * [0], np.uint32)
-    counts, firsts, scans = (wp.zeros(len(x), dtype=int, device=on) for _ in range(3))
-    wp.launch(
-        bits_kernel, dim=len(x), inputs=[wp.array(x, dtype=wp.uint32, device=on), counts, firsts, scans], device=on
-    )
+    counts, scans = (wp.zeros(len(x), dtype=int, device=on) for _ in range(2))
+    wp.launch(bits_kernel, dim=len(x), inputs=[wp.array(x, dtype=wp.uint32, device=on), counts, scans], device=on)
     assert counts.numpy()[:6].tolist() == [0, 1, 2, 1, 32, 3]
-    assert firsts.numpy()[:6].tolist() == [-1, 0, 0, 31, 0, 4]
     lanes = np.arange(len(x)).reshape(-1, 32 if on == "cuda" else 1)
     assert scans.numpy().tolist() == lanes.cumsum(axis=1).flatten().tolist()
+
+
+@ON_BOTH
+@pytest.mark.parametrize("most", [1, 3, 40])
+def test_items_are_dealt(on: str, most: int) -> None:
+    """Each item finds the lane that has it, past lanes that have none; items that nobody has find the last lane."""
+    width, rng = 32 if on == "cuda" else 1, np.random.default_rng(most)
+    counts = rng.integers(0, most + 1, size=(96 // width, width))
+    counts[0] = 0
+    items = rng.integers(0, 2 + counts.sum(axis=1, keepdims=True), size=counts.shape)
+    given = [wp.array(numbers.ravel(), dtype=int, device=on) for numbers in (counts, items)]
+    owner, owners_count = (wp.zeros(counts.size, dtype=int, device=on) for _ in range(2))
+    owners_half = wp.zeros(counts.size, dtype=wp.float64, device=on)
+    wp.launch(deal_kernel, dim=counts.size, inputs=[*given, owner, owners_count, owners_half], device=on)
+    holders = [list(np.repeat(np.arange(width), row)) + 2 * [width - 1] for row in counts]
+    expected = np.array([[holder[item] for item in row] for holder, row in zip(holders, items, strict=True)])
+    assert owner.numpy().tolist() == expected.ravel().tolist()
+    assert owners_count.numpy().tolist() == np.take_along_axis(counts, expected, axis=1).ravel().tolist()
+    assert (2 * owners_half.numpy() == owners_count.numpy()).all()
 
 
 @pytest.mark.parametrize("length", [1, 7, 9, 17, 18, 31, 32, 33, 42, 74])

@@ -12,7 +12,7 @@ from warp_kernels.binning_step import bin_tiles
 from warp_kernels.constants import ALPHA_MIN
 from warp_kernels.projection import ProjectedArrays
 from warp_kernels.rasterization import scalar_view
-from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS, TileBins
+from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS, Room, TileBins
 
 PARTS = MASK_COLUMNS * MASK_ROWS
 
@@ -197,8 +197,7 @@ def test_gaussians_beyond_the_room_are_left_out() -> None:
             scene.settings,
             16,
             by_slot=False,
-            capacity=500,
-            room=room,
+            room=Room(500, room or 80, 100),
         )
         pairs = bins.tile_offsets.numpy()[-1]
         counts = np.bincount(bins.gaussian_ids.numpy()[:pairs], minlength=80)

@@ -11,12 +11,16 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
+from thermosplat.pair_capacity import SPARE
 from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
 from thermosplat.warp_streams import captured_in
 
 LARGE = 4096
 """Numbers of a tensor from which a copy of its own is quicker than a share in one kernel for all, which has few blocks
 of threads."""
+
+SETTLED_SPARE = 1.15
+"""Room for pairs, over the most that were seen, once no Gaussians are added; what is not used is sorted too."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ class CapturedSteps:
             self._frames[shape] = _clone(frame)
         static, graph = self._frames[shape], torch.cuda.CUDAGraph()
         if not self._graphs:
+            self.step.capacity.spare = SPARE if kind.densifying else SETTLED_SPARE
             self.step.capacity.measure()
         if self.step.state.noise.device.type == "cuda":
             # each replay then draws from where the step starts it

@@ -57,8 +57,7 @@ def append_copies(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
         indices: int64, shape [n].
     """
     number = len(next(gaussians.parameters()))
-    added = {name: parameter[indices] for name, parameter in gaussians.named_parameters()}
-    _rebuild(gaussians, optimizers, torch.arange(number, device=indices.device), added)
+    _rebuild(gaussians, optimizers, torch.cat([torch.arange(number, device=indices.device), indices]), number)
 
 
 @torch.no_grad()
@@ -95,15 +94,12 @@ def grow(
     noise = torch.randn(2, *scales.shape, generator=generator, dtype=scales.dtype).to(scales.device)
     samples = rotate(parameters["quats"][indices], noise * scales)  # [2, n, 3]
 
-    added = {}
-    for name, parameter in parameters.items():
-        halves = parameter[indices].repeat(2, *[1] * (parameter.dim() - 1))
-        if name == "means":
-            halves += samples.reshape(-1, 3)
-        elif name == "log_scales":
-            halves -= math.log(SPLIT_SCALE)
-        added[name] = torch.cat([parameter[copies], halves])
-    _rebuild(gaussians, optimizers, torch.where(~halved)[0], added)
+    kept = torch.where(~halved)[0]
+    rows = torch.cat([kept, copies, indices, indices])
+    _rebuild(gaussians, optimizers, rows, len(kept))
+    parameters, first_half = dict(gaussians.named_parameters()), len(rows) - 2 * len(indices)
+    parameters["means"][first_half:] += samples.reshape(-1, 3)
+    parameters["log_scales"][first_half:] -= math.log(SPLIT_SCALE)
 
 
 @torch.no_grad()
@@ -115,8 +111,8 @@ def prune(gaussians: nn.Module, optimizers: Optimizers, removed: Tensor) -> None
         optimizers: Their optimizers.
         removed: Boolean, shape [N].
     """
-    added = {name: parameter[:0] for name, parameter in gaussians.named_parameters()}
-    _rebuild(gaussians, optimizers, torch.where(~removed)[0], added)
+    kept = torch.where(~removed)[0]
+    _rebuild(gaussians, optimizers, kept, len(kept))
 
 
 @torch.no_grad()
@@ -128,9 +124,13 @@ def become_copy(gaussians: nn.Module, optimizers: Optimizers, source: nn.Module)
         optimizers: Their optimizers.
         source: Gaussians with parameters of the same names.
     """
-    nobody = torch.zeros(0, dtype=torch.int64, device=next(gaussians.parameters()).device)
-    added = dict(source.named_parameters())
-    _rebuild(gaussians, optimizers, nobody, {name: added[name] for name, _ in gaussians.named_parameters()})
+    copied = dict(source.named_parameters())
+    replacements = {}
+    for name, parameter in gaussians.named_parameters():
+        new = _parameter_like(parameter, copied[name].detach().clone())
+        state = dict(optimizers[name].state.get(parameter, {}))
+        replacements[name] = new, {k: v if k == "step" else torch.zeros_like(new) for k, v in state.items()}
+    _put(gaussians, optimizers, replacements)
 
 
 @torch.no_grad()
@@ -162,31 +162,35 @@ def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: f
                     value.zero_()
 
 
-def _rebuild(gaussians: nn.Module, optimizers: Optimizers, kept: Tensor, added: dict[str, Tensor]) -> None:
-    """Make the Gaussians those of indices ``kept`` followed by ``added``, in every parameter and its moments."""
+def _rebuild(gaussians: nn.Module, optimizers: Optimizers, rows: Tensor, num_kept: int) -> None:
+    """Make Gaussian k a copy of the present one ``rows[k]``; the first ``num_kept`` keep their moments."""
     replacements = {}
     for name, parameter in gaussians.named_parameters():
-        new = nn.Parameter(_chosen(parameter, kept, added[name]), requires_grad=parameter.requires_grad)
+        new = _parameter_like(parameter, torch.index_select(parameter.detach(), 0, rows))
         state = dict(optimizers[name].state.get(parameter, {}))
         for key, moment in state.items():
             if key != "step":
-                state[key] = _chosen(moment, kept, torch.zeros_like(added[name]))
-        replacements[name] = (parameter, new, state)
+                state[key] = torch.index_select(moment, 0, rows)
+                state[key][num_kept:].zero_()
+        replacements[name] = new, state
+    _put(gaussians, optimizers, replacements)
 
-    for name, (parameter, new, state) in replacements.items():
+
+def _parameter_like(parameter: nn.Parameter, values: Tensor) -> nn.Parameter:
+    return nn.Parameter(values, requires_grad=parameter.requires_grad)
+
+
+def _put(
+    gaussians: nn.Module, optimizers: Optimizers, replacements: dict[str, tuple[nn.Parameter, dict[str, Tensor]]]
+) -> None:
+    """Replace every parameter and what its optimizer knows of it."""
+    for name, parameter in list(gaussians.named_parameters()):
+        new, state = replacements[name]
         setattr(gaussians, name, new)
         optimizers[name].param_groups[0]["params"] = [new]
         optimizers[name].state.pop(parameter, None)
         if state:
             optimizers[name].state[new] = state
-
-
-def _chosen(values: Tensor, kept: Tensor, added: Tensor) -> Tensor:
-    """Rows ``kept`` of values, then ``added``; as ``torch.cat([values[kept], added])`` in half its time."""
-    new = values.new_empty(len(kept) + len(added), *values.shape[1:])
-    torch.index_select(values, 0, kept, out=new[: len(kept)])
-    new[len(kept) :] = added
-    return new
 
 
 def rotate(quats: Tensor, vectors: Tensor) -> Tensor:
