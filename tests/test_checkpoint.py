@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat.checkpoint import FORMAT, load_checkpoint, save_checkpoint, write_atomically
+from thermosplat.checkpoint import FORMAT, load_checkpoint, on_host, save_checkpoint, write_atomically
 from thermosplat.errors import UserError
 
 
@@ -89,6 +89,18 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
     """The path that was looked for is in the message."""
     with pytest.raises(UserError, match=r"No checkpoint at .*absent\.pt"):
         load_checkpoint(tmp_path / "absent.pt")
+
+
+def test_content_on_the_host_is_of_its_own() -> None:
+    """What was gathered for a file stays as it was when training changes tensors, lists and dictionaries."""
+    means, groups = torch.ones(2, 3), [{"lr": torch.tensor(0.1), "betas": (0.9, 0.999)}]
+    state = {"means": means, "training": {"groups": groups, "step": 7}}
+    gathered = on_host(state)
+    means.zero_()
+    groups[0]["lr"].zero_()
+    groups.clear()
+    assert torch.equal(gathered["means"], torch.ones(2, 3))
+    assert gathered["training"] == {"groups": [{"lr": torch.tensor(0.1), "betas": (0.9, 0.999)}], "step": 7}
 
 
 @pytest.mark.parametrize("keep", [0, 100, 1500])

@@ -1,13 +1,12 @@
-"""The adjoint of a sum over one row of spherical harmonics coefficients a thread, moved by whole warps.
+"""Sums over one row of spherical harmonics coefficients a thread, and their adjoint, moved by whole warps.
 
 A Gaussian's coefficients are one row of up to 48 numbers, and so is their gradient: basis value times colour gradient.
-Were each thread to write its own, neighbouring threads would write 192 bytes apart. Where the rows of a warp's 32
-threads follow each other, as they do but at the end of an image, its lanes walk all of them as one run: the basis
-values and colour gradients lie in shared memory, a row nobody uses is only written, and 4 numbers are written at once
-where nothing lies between rows. Other rows are read and written directly; on the CPU, where a warp is one lane, they
-all are.
+Were each thread to read and write its own, neighbouring threads would do so 192 bytes apart. Where the rows of a warp's
+32 threads follow each other, as they do but at the end of an image, its lanes move some rows at a time as one run, 4
+numbers at once where nothing lies between rows, and each lane has its own row in shared memory. Rows that nobody uses
+are only written. Other rows are read and written directly; on the CPU, where a warp is one lane, they all are.
 
-On CUDA all lanes of a warp must call the adjoint together: see ``whole_warps``.
+On CUDA all lanes of a warp must call such a function together: see ``whole_warps``.
 """
 
 import functools
@@ -21,119 +20,144 @@ BLOCK = 256
 
 # What varies, the scalar S and the threads of a block, is declared in front of the bodies.
 
-ADJOINT = """
-    wp::vec_t<16, S> v_b = {};
+# What a body that moves rows together needs of its warp; at the end of it, whether the rows follow each other.
+WARP_OF_ROWS = """
+    const unsigned all = 0xffffffffu;
+    const unsigned present = __ballot_sync(all, row >= 0), in_use = __ballot_sync(all, used);
+    const int lane = threadIdx.x & 31, width = 3 * count, leader = __shfl_sync(all, row, 0);
+    constexpr bool single = sizeof(S) == 4;
+    constexpr int at_once = single ? 16 : 8;
+    __shared__ __align__(16) S staged[block / 32][at_once * 49 + 96];
+    S* numbers = staged[threadIdx.x >> 5];
+    const int pitch = width | 1;  // odd, so that lanes meet in no bank
+    const unsigned per_number = 0xffffffffu / width + 1;  // the row of number f is the high half of f times this
+    const int source_pitch = rows.strides[0] / (int)sizeof(S), num_rows = __popc(present), read = 3 * (end - lowest);
+    const S* source = (const S*)((const char*)rows.data + (long long)leader * rows.strides[0]);
+    const bool reads_quads = single && source_pitch == width && ((size_t)source & 15) == 0;
+    const bool dense = width <= 48 && (count < 2 || rows.strides[1] == 3 * (int)sizeof(S));
+    const bool together = __all_sync(all, dense && (row < 0 || row == leader + lane));
+"""
+
+# Of the warp's rows, those from `first` on: what is used of them, into shared memory.
+READ_ROWS = """
+            const int total = width * (num_rows - first < at_once ? num_rows - first : at_once);
+            const unsigned wanted = in_use >> first & ((1u << at_once) - 1);
+            if (!wanted) continue;
+            const S* from = source + first * source_pitch;
+            int f = lane;
+            if (reads_quads) {
+                #pragma unroll 3
+                for (f = 4 * lane; f + 3 < total; f += 128) {
+                    const int r = __umulhi(f, per_number), e = f - r * width;
+                    // of an even width no 4 numbers are of two rows
+                    if ((e < read && (wanted >> r & 1)) || (e + 3 >= width && (wanted >> (r + 1) & 1))) {
+                        const float4 quad = __ldg((const float4*)(from + f));
+                        S* to = numbers + f + r * (pitch - width);
+                        to[0] = quad.x; to[1] = quad.y; to[2] = quad.z; to[3] = quad.w;
+                    }
+                }
+                f = (total & ~3) + lane;
+            }
+            for (; f < total; f += 32) {
+                const int r = __umulhi(f, per_number), e = f - r * width;
+                if (e < read && (wanted >> r & 1)) numbers[r * pitch + e] = from[r * source_pitch + e];
+            }
+            __syncwarp();
+            const bool mine = used && lane >= first && lane < first + at_once;
+            const S* own = numbers + (lane - first) * pitch - 3 * lowest;
+"""
+
+ADJOINT = f"""
+    wp::vec_t<16, S> v_b = {{}};
     const S zero = 0;
     const int count = rows.shape[1], held = count + lowest < 16 ? count + lowest : 16;
     const int end = active < held ? active : held;
-    bool together = false;
+    if (count == 0) return v_b;
 #if defined(__CUDA_ARCH__)
-    __shared__ S staged_values[block / 32][32 * 17];
-    __shared__ S staged_v[block / 32][32 * 3];
-    const unsigned all = 0xffffffffu;
-    const unsigned present = __ballot_sync(all, row >= 0), in_use = __ballot_sync(all, used);
-    if (count == 0 || (add && !in_use)) return v_b;
-    const int lane = threadIdx.x & 31, width = 3 * count, count_rows = __popc(present);
-    const int leader = __shfl_sync(all, row, 0);
-    const bool dense = count < 2 || (rows.strides[1] == 3 * (int)sizeof(S) && v_rows.strides[1] == rows.strides[1]);
-    together = __all_sync(all, dense && (row < 0 || row == leader + lane));
-    S* all_values = staged_values[threadIdx.x >> 5];
-    S* all_v = staged_v[threadIdx.x >> 5];
-    S* values = all_values + lane * 17;  // this lane's; an odd distance apart, so that lanes meet in no bank
-    if (in_use) {
-        #pragma unroll
-        for (int k = 0; k < 16; ++k) values[k] = used && k < end ? b[k] : zero;
-        #pragma unroll
-        for (int c = 0; c < 3; ++c) all_v[lane * 3 + c] = used ? v[c] : zero;
-        __syncwarp();
-    }
-    if (together) {
-        // Gradients: a sweep of the warp writes `sweep` numbers; this lane's are those from `e` of row `r` on.
-        const int pitch = v_rows.strides[0] / (int)sizeof(S), total = width * count_rows;
+    {WARP_OF_ROWS.strip()}
+    if (add && !in_use) return v_b;
+    if (together && (count < 2 || v_rows.strides[1] == rows.strides[1])) {{
+        const int target_pitch = v_rows.strides[0] / (int)sizeof(S);
         S* target = (S*)((char*)v_rows.data + (long long)leader * v_rows.strides[0]);
-        const bool wide = sizeof(S) == 4 && pitch == width && !add && ((size_t)target & 15) == 0;
-        const int sweep = wide ? 128 : 32, next_r = sweep / width, next_e = sweep % width;
-        int r = lane * (sweep / 32) / width, e = lane * (sweep / 32) % width;
-        for (int f = lane * (sweep / 32); f < total; f += sweep) {
-            if (wide) {
-                float quad[4] = {0.0f, 0.0f, 0.0f, 0.0f};
-                if (in_use) {
-                    int row_at = r, at = e;
-                    #pragma unroll
-                    for (int j = 0; j < 4; ++j) {
-                        const int k = at / 3;
-                        if (k + lowest < 16 && f + j < total)
-                            quad[j] = (float)(all_values[row_at * 17 + k + lowest] * all_v[row_at * 3 + at - 3 * k]);
-                        if (++at == width) { at = 0; ++row_at; }
-                    }
-                }
-                if (f + 3 < total) *(float4*)(target + f) = make_float4(quad[0], quad[1], quad[2], quad[3]);
-                else
-                    for (int j = 0; f + j < total; ++j) target[f + j] = quad[j];
-            } else if (!add || in_use >> r & 1) {
-                const int k = e / 3;
-                const bool any = in_use && k + lowest < 16;
-                const S value = any ? all_values[r * 17 + k + lowest] * all_v[r * 3 + e - 3 * k] : zero;
-                S* gradient = target + r * pitch + e;
+        const bool writes_quads = single && target_pitch == width && !add && ((size_t)target & 15) == 0;
+        // The gradients first, as the basis values are in registers until then. v waits in shared memory, or the
+        // compiler would keep all products in registers, which both turns have in common.
+        S* factors = numbers + at_once * 49 + 3 * lane;
+        for (int c = 0; c < 3; ++c) factors[c] = v[c];
+        for (int first = 0; first < num_rows; first += at_once) {{
+            const int total = width * (num_rows - first < at_once ? num_rows - first : at_once);
+            const unsigned wanted = in_use >> first & ((1u << at_once) - 1);
+            if (wanted && lane >= first && lane < first + at_once) {{
+                S* own = numbers + (lane - first) * pitch - 3 * lowest;
+                const S v0 = factors[0], v1 = factors[1], v2 = factors[2];
+                #pragma unroll
+                for (int k = 0; k < 17; ++k)
+                    if (k >= lowest && k < count + lowest) {{
+                        const S scale = used && k < end ? b[k & 15] : zero;
+                        own[3 * k] = scale * v0;
+                        own[3 * k + 1] = scale * v1;
+                        own[3 * k + 2] = scale * v2;
+                    }}
+            }}
+            __syncwarp();
+            S* to = target + first * target_pitch;
+            int f = lane;
+            if (writes_quads) {{
+                #pragma unroll 3
+                for (f = 4 * lane; f + 3 < total; f += 128) {{
+                    const S* s = numbers + f + (int)__umulhi(f, per_number) * (pitch - width);
+                    float4 quad = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+                    if (wanted) quad = make_float4((float)s[0], (float)s[1], (float)s[2], (float)s[3]);
+                    __stcs((float4*)(to + f), quad);
+                }}
+                f = (total & ~3) + lane;
+            }}
+            for (; f < total; f += 32) {{
+                const int r = __umulhi(f, per_number), e = f - r * width;
+                if (add && !(wanted >> r & 1)) continue;
+                S* gradient = to + r * target_pitch + e;
+                const S value = wanted ? numbers[r * pitch + e] : zero;
                 *gradient = add ? *gradient + value : value;
-            }
-            r += next_r;
-            e += next_e;
-            if (e >= width) { e -= width; ++r; }
-        }
-        // Dot products, in the places of the basis values.
-        if (in_use && end > 1) {
+            }}
             __syncwarp();
-            const S* source = (const S*)((const char*)rows.data + (long long)leader * rows.strides[0]);
-            const int pitch = rows.strides[0] / (int)sizeof(S), products = end - 1;
-            const int next_r = 32 / products, next_k = 32 % products;
-            int r = lane / products, k = lane % products + 1;
-            #pragma unroll 4
-            for (int item = lane; item < products * count_rows; item += 32) {
-                const S *c = source + r * pitch + (k - lowest) * 3, *w = all_v + r * 3;
-                if (in_use >> r & 1) all_values[r * 17 + k] = c[0] * w[0] + c[1] * w[1] + c[2] * w[2];
-                r += next_r;
-                k += next_k;
-                if (k >= end) { k -= products; ++r; }
-            }
+        }}
+        for (int first = 0; first < num_rows && end > 1; first += at_once) {{
+            {READ_ROWS.strip()}
+            if (mine) {{
+                #pragma unroll
+                for (int k = 1; k < 16; ++k)
+                    if (k < end) v_b[k] = own[3 * k] * v[0] + own[3 * k + 1] * v[1] + own[3 * k + 2] * v[2];
+            }}
             __syncwarp();
-        }
-    }
-#else
-    S values[16];
-    for (int k = 0; k < 16; ++k) values[k] = b[k];
+        }}
+        return v_b;
+    }}
 #endif
-    if (row >= 0 && !together) {
-        const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
-        char* target = (char*)v_rows.data + (long long)row * v_rows.strides[0];
-        const int written = used ? end : lowest;
-        #pragma unroll 1
-        for (int k = lowest; k < written; ++k) {
+    if (row < 0) return v_b;
+    const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
+    char* target = (char*)v_rows.data + (long long)row * v_rows.strides[0];
+    #pragma unroll
+    for (int k = 0; k < 16; ++k)
+        if (k >= lowest && k < held) {{
             const S* coefficient = (const S*)(mine + (k - lowest) * rows.strides[1]);
             S* gradient = (S*)(target + (k - lowest) * v_rows.strides[1]);
-            for (int c = 0; c < 3; ++c) gradient[c] = add ? gradient[c] + values[k] * v[c] : values[k] * v[c];
-            values[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
-        }
-        if (!add)
-            #pragma unroll 1
-            for (int k = written; k < count + lowest; ++k) {
-                S* gradient = (S*)(target + (k - lowest) * v_rows.strides[1]);
-                for (int c = 0; c < 3; ++c) gradient[c] = zero;
-            }
-    }
-    if (used)
-        #pragma unroll
-        for (int k = 1; k < 16; ++k)
-            if (k < end) v_b[k] = values[k];
-#if defined(__CUDA_ARCH__)
-    __syncwarp();
-#endif
+            const bool counts = used && k < end;
+            if (counts && k > 0) v_b[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
+            for (int c = 0; c < 3; ++c) {{
+                const S value = counts ? b[k] * v[c] : zero;
+                if (!add || counts) gradient[c] = add ? gradient[c] + value : value;
+            }}
+        }}
+    if (!add)
+        for (int k = held; k < count + lowest; ++k) {{
+            S* gradient = (S*)(target + (k - lowest) * v_rows.strides[1]);
+            for (int c = 0; c < 3; ++c) gradient[c] = zero;
+        }}
     return v_b;
 """
 
-
 # A row's numbers 4 at a time where its memory allows that, all asked for before the first is used.
-SUM = """
+ROW_SUM = """
     wp::vec_t<3, S> total = start;
     const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
 #if defined(__CUDA_ARCH__)
@@ -166,6 +190,31 @@ SUM = """
     return total;
 """
 
+WARP_SUM = f"""
+    const int count = rows.shape[1], end = active;
+    if (count == 0) return start;
+#if defined(__CUDA_ARCH__)
+    {WARP_OF_ROWS.strip()}
+    if (!in_use) return start;
+    if (together) {{
+        wp::vec_t<3, S> total_of_row = start;
+        for (int first = 0; first < num_rows; first += at_once) {{
+            {READ_ROWS.strip()}
+            if (mine) {{
+                #pragma unroll
+                for (int k = 0; k < 16; ++k)
+                    if (k >= lowest && k < end)
+                        for (int c = 0; c < 3; ++c) total_of_row[c] += b[k] * own[3 * k + c];
+            }}
+            __syncwarp();
+        }}
+        return total_of_row;
+    }}
+#endif
+    if (!used) return start;
+    {ROW_SUM.strip()}
+"""
+
 
 def whole_warps(count: int, device: wp.Device) -> int:
     """Threads to launch for so many rows: on CUDA full warps, whose last lanes pass row -1.
@@ -178,22 +227,29 @@ def whole_warps(count: int, device: wp.Device) -> int:
 
 
 @functools.cache
-def row_sum_function(dtype: type):
-    """A row's sum.
+def row_sum_functions(dtype: type):
+    """A row's sum, by a thread or by a warp's together.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``row_sum(rows, lowest, row, b, active, start)``: start + Σ b[k] rows[row, k - lowest] over lowest <= k <
-        active, where rows begin with the coefficient ``lowest``, 0 or 1.
+        ``(row_sum, warp_row_sum)``. ``row_sum(rows, lowest, row, b, active, start)`` is start + Σ b[k] rows[row, k -
+        lowest] over lowest <= k < active, where rows begin with the coefficient ``lowest``, 0 or 1.
+        ``warp_row_sum(..., start, used)`` is the same by whole warps, or ``start`` where a row is not ``used``.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    declared = f"using S = {scalar_name(dtype)}; constexpr int block = {BLOCK};"
 
-    @wp.func_native(f"using S = {scalar_name(dtype)};{SUM}")
+    @wp.func_native(f"{declared}{ROW_SUM}")
     def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3) -> vec3: ...
 
-    return row_sum
+    @wp.func_native(f"{declared}{WARP_SUM}")
+    def warp_row_sum(
+        rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3, used: bool
+    ) -> vec3: ...
+
+    return row_sum, warp_row_sum
 
 
 @functools.cache

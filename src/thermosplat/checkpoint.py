@@ -89,6 +89,22 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:
     return path
 
 
+@torch.no_grad()
+def on_host(state: Any) -> Any:
+    """A checkpoint's content in tensors of its own, in the host's memory, which no training changes.
+
+    Args:
+        state: Tensors and built-in types, in dicts, lists and tuples.
+    """
+    if isinstance(state, torch.Tensor):
+        return state.to("cpu", copy=True)
+    if isinstance(state, dict):
+        return {key: on_host(value) for key, value in state.items()}
+    if isinstance(state, list | tuple):
+        return type(state)(on_host(value) for value in state)
+    return state
+
+
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
     """Read a checkpoint.
 

@@ -1,4 +1,4 @@
-"""Kernels of a step are compiled while images are read."""
+"""Warp is started, and kernels of a step are compiled, while images are read."""
 
 import errno
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from thermosplat.cli import warp_start
-from thermosplat.cli.warp_start import compiled_meanwhile
+from thermosplat.cli.warp_start import started_meanwhile
 from thermosplat.config import TrainConfig
 from thermosplat.errors import UserError
 from warp_kernels import step_kernels
@@ -23,6 +23,21 @@ def test_a_cache_that_cannot_be_written_is_told(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(UserError, match=r"Permission denied \(/home/me/\.cache/warp\)") as caught:
         warp_start.start_warp()
     assert "WARP_CACHE_PATH" in caught.value.hint
+
+
+def test_a_start_that_fails_beside_other_work_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The work is done first; an error of its own goes before."""
+
+    def refuse() -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", "/home/me/.cache/warp")
+
+    monkeypatch.setattr(warp_start.wp, "init", refuse)
+    done = []
+    with pytest.raises(UserError, match="Permission denied"), started_meanwhile(TrainConfig()):
+        done.append(True)
+    assert done
+    with pytest.raises(ZeroDivisionError), started_meanwhile(TrainConfig()):
+        raise ZeroDivisionError
 
 
 @pytest.mark.parametrize(
@@ -43,7 +58,7 @@ def test_kernels_are_compiled_before_the_block_ends(
     monkeypatch.setattr(step_kernels, "compile_for_cpu", lambda shape: compiled.append(shape))
     config = replace(TrainConfig(), device=changes.pop("device", "cpu"))
     model = replace(config.model, **{key.removeprefix("model."): value for key, value in changes.items()})
-    with compiled_meanwhile(replace(config, model=model)):
+    with started_meanwhile(replace(config, model=model)):
         pass
     assert compiled == kernels
 
@@ -55,5 +70,5 @@ def test_errors_of_the_compiler_are_not_lost(monkeypatch: pytest.MonkeyPatch) ->
         raise RuntimeError("no compiler")
 
     monkeypatch.setattr(step_kernels, "compile_for_cpu", fail)
-    with pytest.raises(RuntimeError, match="no compiler"), compiled_meanwhile(replace(TrainConfig(), device="cpu")):
+    with pytest.raises(RuntimeError, match="no compiler"), started_meanwhile(replace(TrainConfig(), device="cpu")):
         pass

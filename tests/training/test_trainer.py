@@ -5,6 +5,7 @@ import dataclasses
 import json
 import os
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,14 @@ import pytest
 import torch
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 
+from thermosplat.checkpoint import load_checkpoint, save_checkpoint
 from thermosplat.config import DensificationConfig, LossConfig, OptimizerConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
+from thermosplat.model import SceneModel
 from thermosplat.run_directory import RunDirectory
+from thermosplat.training import checkpoint_writer, training_step
 from thermosplat.training import trainer as trainer_module
-from thermosplat.training import training_step
 from thermosplat.training.interruption import TrainingInterrupted
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
@@ -155,12 +158,12 @@ def test_interrupt_between_updates(
     assert_same_state(state_tensors(resumed), whole_run[12])
 
 
-@pytest.mark.parametrize("place", ["step_unless", "random_stream", "save_checkpoint"])
+@pytest.mark.parametrize("place", ["step_unless", "random_stream"])
 def test_interrupt_during_an_update(
     tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
-    """Ctrl-C while optimizers, density control or a checkpoint are at work lets them finish first."""
-    trainer = toy_trainer(tmp_path, toy_run_config(save_steps=(6,)), capture)
+    """Ctrl-C while optimizers or density control are at work lets them finish first."""
+    trainer = toy_trainer(tmp_path, toy_run_config(), capture)
     owner = training_step if place == "step_unless" else trainer_module
     genuine: Callable[..., Any] = getattr(owner, place)
     done = []
@@ -178,6 +181,119 @@ def test_interrupt_during_an_update(
     assert stop.value.checkpoint == tmp_path / "ckpts" / "step_000006.pt"
     resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))
     assert_same_state(state_tensors(resumed), whole_run[6])
+
+
+def write_when(monkeypatch: pytest.MonkeyPatch, ready: Callable[[Path], bool]) -> list[Path]:
+    """Let every write of a checkpoint wait until it may begin; returns the files in the order they are done."""
+    done: list[Path] = []
+
+    def save(path: Path, state: dict[str, Any]) -> Path:
+        for _ in range(1000):
+            if ready(path):
+                break
+            time.sleep(0.01)
+        done.append(save_checkpoint(path, state))
+        return path
+
+    monkeypatch.setattr(checkpoint_writer, "save_checkpoint", save)
+    return done
+
+
+def test_training_goes_on_while_a_checkpoint_is_written(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file holds the state of its own step, though it is written when the model has changed and grown."""
+    config = toy_run_config(save_steps=(4,))
+    trainer = toy_trainer(tmp_path, config, capture)
+    done = write_when(monkeypatch, lambda path: trainer.step >= 8)
+    trainer.train()
+    monkeypatch.undo()
+    assert [path.name for path in done] == ["step_000004.pt", "step_000012.pt"]
+    done[1].unlink()
+    resumed = Trainer.resume(config, capture, RunDirectory.open(tmp_path))
+    assert_same_state(state_tensors(resumed), whole_run[4])
+    resumed.train()
+    assert_same_state(state_tensors(resumed), whole_run[12])
+
+
+def test_interrupt_while_a_checkpoint_is_written(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C waits for the file that is being written, and for that of the step that was reached."""
+    trainer = toy_trainer(tmp_path, toy_run_config(save_steps=(4,)), capture)
+    interrupted = []
+    genuine = trainer.model.render
+
+    def render(*args: Any, **kwargs: Any) -> object:
+        if trainer.step == 6 and not interrupted:
+            interrupted.append(True)
+            os.kill(os.getpid(), signal.SIGINT)
+        return genuine(*args, **kwargs)
+
+    monkeypatch.setattr(trainer.model, "render", render)
+    done = write_when(monkeypatch, lambda path: bool(interrupted))
+    with pytest.raises(TrainingInterrupted) as stop:
+        trainer.train()
+    assert [path.name for path in done] == ["step_000004.pt", "step_000006.pt"]
+    assert stop.value.checkpoint == done[1]
+    assert [load_checkpoint(path)["step"] for path in done] == [4, 6]
+    resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))
+    assert_same_state(state_tensors(resumed), whole_run[6])
+
+
+def full_disk(monkeypatch: pytest.MonkeyPatch, spared: str, ready: Callable[[], bool]) -> None:
+    """Let every write of a checkpoint wait until it may begin, and fail unless the file has that name."""
+
+    def save(path: Path, state: dict[str, Any]) -> Path:
+        if path.name == spared:
+            return save_checkpoint(path, state)
+        for _ in range(1000):
+            if ready():
+                break
+            time.sleep(0.01)
+        raise UserError(f"Could not write {path}: No space left on device.")
+
+    monkeypatch.setattr(checkpoint_writer, "save_checkpoint", save)
+
+
+def test_failed_write_is_told_soon(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that is full for a checkpoint beside the training ends the training, not only its last step."""
+    trainer = toy_trainer(tmp_path, toy_run_config(max_steps=60, save_steps=(4,)), capture)
+    full_disk(monkeypatch, "none", lambda: True)
+    with pytest.raises(UserError, match=r"step_000004\.pt: No space left"):
+        trainer.train()
+    assert trainer.step < 60
+    assert not (tmp_path / "metrics.json").exists()
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_failed_write_costs_no_later_checkpoint(
+    tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch, stopped: bool
+) -> None:
+    """One that is still under way at the end, or at Ctrl-C, is told once the newest state is safe."""
+    config = toy_run_config(save_steps=(4,))
+    trainer = toy_trainer(tmp_path, config, capture)
+    last = 6 if stopped else 12
+    genuine, ending = trainer.run.checkpoint, []
+
+    def checkpoint(step: int) -> Path:
+        if step == last:
+            ending.append(step)
+        return genuine(step)
+
+    def render(*args: Any, **kwargs: Any) -> object:
+        if stopped and trainer.step == last:
+            raise KeyboardInterrupt
+        return SceneModel.render(trainer.model, *args, **kwargs)
+
+    monkeypatch.setattr(trainer.run, "checkpoint", checkpoint)
+    monkeypatch.setattr(trainer.model, "render", render)
+    full_disk(monkeypatch, f"step_{last:06d}.pt", lambda: bool(ending))
+    with pytest.raises(UserError, match=r"step_000004\.pt: No space left"):
+        trainer.train()
+    assert [path.name for path in (tmp_path / "ckpts").iterdir()] == [f"step_{last:06d}.pt"]
+    resumed = Trainer.resume(config, capture, RunDirectory.open(tmp_path))
+    assert_same_state(state_tensors(resumed), state_tensors(trainer))
 
 
 @pytest.mark.parametrize("looks_every", [1, 3])

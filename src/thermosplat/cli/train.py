@@ -40,12 +40,16 @@ def _train(argv: list[str]) -> int:
     config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
     prepare_host()
     with importing():
-        from thermosplat.cli.warp_start import compiled_meanwhile, start_warp
-        from thermosplat.training.interruption import TrainingInterrupted
+        from thermosplat.cli.warp_start import started_meanwhile
 
-        start_warp()
-        with compiled_meanwhile(config):
-            trainer = _resumed_trainer(config) if config.resume is not None else _new_trainer(config)
+        with started_meanwhile(config):
+            if config.resume is not None:
+                _check_capture_to_go_on_with(config)
+            capture, trainer_class = _capture_and_trainer(config)
+        make = _new_trainer if config.resume is None else _resumed_trainer
+        trainer = make(config, capture, trainer_class)
+    from thermosplat.training.interruption import TrainingInterrupted
+
     try:
         trainer.train()
     except TrainingInterrupted as stop:
@@ -55,21 +59,8 @@ def _train(argv: list[str]) -> int:
     return 0
 
 
-def _new_trainer(config: "TrainConfig") -> "Trainer":
-    from thermosplat.run_directory import RunDirectory
-
-    capture, trainer_class = _capture_and_trainer(config)
-    folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
-    data = config.data if config.data == "sample" else str(Path(config.data).resolve())  # holds from any directory
-    trainer = trainer_class(
-        replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder)
-    )
-    # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
-    RunDirectory.create(folder, overwrite=config.overwrite)
-    return trainer
-
-
-def _resumed_trainer(config: "TrainConfig") -> "Trainer":
+def _check_capture_to_go_on_with(config: "TrainConfig") -> None:
+    """Say how to name the capture of a resumed run that is no longer where it was."""
     from thermosplat.run_directory import RunDirectory
 
     run = RunDirectory.open(str(config.resume))
@@ -78,13 +69,11 @@ def _resumed_trainer(config: "TrainConfig") -> "Trainer":
             f"The capture {config.data}, on which {run.path} was to go on, is not there.",
             f"Say where it lies now: thermosplat-train FOLDER --resume {shlex.quote(str(run.path))}",
         )
-    capture, trainer_class = _capture_and_trainer(config)
-    return trainer_class.resume(replace(config, resume=None), capture, run)
 
 
 def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Trainer"]]:
-    """The capture, and the trainer's class: images are read while modules are imported."""
-    from thermosplat.datasets import load_capture
+    """The capture, and the trainer's class: images are read while torch and the trainer are imported."""
+    from thermosplat.datasets import load_capture  # takes no torch
 
     with ThreadPoolExecutor(max_workers=1) as thread:
         reading = thread.submit(
@@ -97,6 +86,25 @@ def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Traine
         from thermosplat.training.trainer import Trainer
 
         return reading.result(), Trainer
+
+
+def _new_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type["Trainer"]) -> "Trainer":
+    from thermosplat.run_directory import RunDirectory
+
+    folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
+    data = config.data if config.data == "sample" else str(Path(config.data).resolve())  # holds from any directory
+    trainer = trainer_class(
+        replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder)
+    )
+    # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
+    RunDirectory.create(folder, overwrite=config.overwrite)
+    return trainer
+
+
+def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type["Trainer"]) -> "Trainer":
+    from thermosplat.run_directory import RunDirectory
+
+    return trainer_class.resume(replace(config, resume=None), capture, RunDirectory.open(str(config.resume)))
 
 
 def _say_where(trainer: "Trainer") -> None:

@@ -1,4 +1,4 @@
-"""Starting Warp: without a needless warning, and with a step's kernels compiled while other things are done."""
+"""Starting Warp: without a needless warning, and, with a step's kernels compiled, while other things are done."""
 
 import os
 import sys
@@ -51,25 +51,34 @@ def start_warp() -> None:
 
 
 @contextmanager
-def compiled_meanwhile(config: "TrainConfig") -> Iterator[None]:
-    """Around imports and the reading of images: where a training will run on the CPU, its kernels are compiled.
+def started_meanwhile(config: "TrainConfig") -> Iterator[None]:
+    """Around imports and the reading of images, none of which may use Warp: it is ready when they are done.
 
-    On two cores that is a few seconds of the first run. On CUDA, which kernels blend depends on the frame.
+    The CUDA driver takes a while to start and leaves Python to others meanwhile. Where the training will run on the
+    CPU, its kernels are compiled as well: a few seconds of the first run on two cores. On CUDA, which kernels blend
+    depends on the frame.
 
     Args:
         config: The training's. Gaussians of one spectrum each have kernels of their own, compiled when they are needed.
+
+    Raises:
+        UserError: As :func:`start_warp`.
     """
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        starting = thread.submit(_start, config)
+        yield
+        starting.result()
+
+
+def _start(config: "TrainConfig") -> None:
+    """Start Warp, and compile the kernels of a training on the CPU."""
+    start_warp()
     on_cpu = config.device == "cpu" or (config.device == "auto" and wp.get_cuda_device_count() == 0)
     model = config.model
     if not on_cpu or model.gaussian_sets != "shared" or model.feature_dim == 0:
-        yield
         return
     from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels
 
     thermal_channels = model.feature_dim if model.geometric_decoupling else 0
     antialiased = model.rasterize_mode == "antialiased"
-    kernels = cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased)
-    with ThreadPoolExecutor(max_workers=1) as thread:
-        compiling = thread.submit(compile_for_cpu, kernels)
-        yield
-        compiling.result()
+    compile_for_cpu(cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased))

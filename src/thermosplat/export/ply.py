@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -85,17 +84,17 @@ def write_splats(path: Path, splats: Splats, comments: Iterable[str] = (), *, co
     """
     rest = _used_coefficients(splats.shN) if compact else REST_COEFFICIENTS
     table = _table(splats, rest)
-    visible = torch.sigmoid(splats.logit_opacities).cpu().numpy() >= INVISIBLE_OPACITY
-    kept = table[np.isfinite(table).all(axis=1) & visible]
-    header = _header(len(kept), comments, properties(rest))
+    drawable = _drawable(table, splats.logit_opacities).cpu().numpy()
+    rows = table.cpu().numpy()[drawable].astype("<f4", copy=False)  # chosen on the host: no second table on the device
+    header = _header(len(rows), comments, properties(rest))
 
     def write(temporary: Path) -> None:
         with temporary.open("wb") as file:
             file.write(header)
-            file.write(np.ascontiguousarray(kept, dtype="<f4").tobytes())
+            file.write(rows.data)  # as they lie in memory: so large a write goes past the file's buffer
 
     write_atomically(path, write)
-    return WrittenPly(path, len(kept), len(table) - len(kept))
+    return WrittenPly(path, len(rows), len(table) - len(rows))
 
 
 def _used_coefficients(shN: Tensor) -> int:
@@ -104,22 +103,26 @@ def _used_coefficients(shN: Tensor) -> int:
     return (degree + 1) ** 2 - 1
 
 
-def _table(splats: Splats, rest_coefficients: int) -> np.ndarray:
-    """All properties in file order, float32 [N, properties]."""
+def _table(splats: Splats, rest_coefficients: int) -> Tensor:
+    """All properties in file order, float32 [N, properties], where the Gaussians are."""
     count, bases = len(splats.shN), min(splats.shN.shape[1], rest_coefficients)
-    rest = splats.shN.new_zeros(count, 3, rest_coefficients)
+    widths = (3, 3, 3, 3 * rest_coefficients, 1, 3, 4)
+    table = torch.zeros(count, sum(widths), device=splats.means.device)
+    means, _, sh0, rest, logit_opacities, log_scales, quats = table.split(widths, dim=1)
+    means[:] = splats.means
+    sh0[:] = splats.sh0.reshape(count, 3)
     # the file runs through a channel's bases, then the next
-    rest[..., :bases] = splats.shN[:, :bases].transpose(1, 2)
-    columns = [
-        splats.means,
-        torch.zeros_like(splats.means),
-        splats.sh0.reshape(count, 3),
-        rest.reshape(count, 3 * rest_coefficients),
-        splats.logit_opacities.reshape(count, 1),
-        splats.log_scales,
-        torch.nn.functional.normalize(splats.quats, dim=-1),  # not every viewer normalises
-    ]
-    return torch.cat([column.float() for column in columns], dim=1).cpu().numpy()
+    rest.view(count, 3, rest_coefficients)[..., :bases] = splats.shN[:, :bases].transpose(1, 2)
+    logit_opacities[:] = splats.logit_opacities.reshape(count, 1)
+    log_scales[:] = splats.log_scales
+    quats[:] = torch.nn.functional.normalize(splats.quats, dim=-1)  # not every viewer normalises
+    return table
+
+
+def _drawable(table: Tensor, logit_opacities: Tensor) -> Tensor:
+    """Mask [N] of the rows that a viewer can show: all values finite, and not too faint."""
+    lowest, highest = torch.aminmax(table, dim=1)  # NaN where there is one
+    return torch.isfinite(lowest) & torch.isfinite(highest) & (torch.sigmoid(logit_opacities) >= INVISIBLE_OPACITY)
 
 
 def _header(count: int, comments: Iterable[str], names: Iterable[str]) -> bytes:

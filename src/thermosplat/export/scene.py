@@ -7,6 +7,7 @@ at the thermal opacity. Scenes without decoders are exported exactly.
 """
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal
 
@@ -61,11 +62,13 @@ def scene_splats(
 
 
 def write_scene(scene: SceneSplats, folder: Path, *, compact: bool = False) -> dict[Modality, WrittenPly]:
-    """The files of :func:`export_scene`; in any thread, as it does not touch the model."""
-    return {
-        modality: write_splats(folder / f"splat_{modality}.ply", splats, comments, compact=compact)
-        for modality, (splats, comments) in scene.items()
-    }
+    """The files of :func:`export_scene`, side by side; in any thread, as it does not touch the model."""
+    with ThreadPoolExecutor() as threads:
+        writing = {
+            modality: threads.submit(write_splats, folder / f"splat_{modality}.ply", *splats, compact=compact)
+            for modality, splats in scene.items()
+        }
+    return {modality: file.result() for modality, file in writing.items()}
 
 
 def modelled(model: SceneModel) -> tuple[Modality, ...]:

@@ -10,14 +10,13 @@ Ctrl-C, a full memory or a bad loss.
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from thermosplat.checkpoint import save_checkpoint
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.devices import choose_device, device_name
@@ -31,6 +30,7 @@ from thermosplat.pair_capacity import PairCapacity
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training.auto_budget import AutoBudget
 from thermosplat.training.captured_steps import CapturedSteps
+from thermosplat.training.checkpoint_writer import CheckpointWriter
 from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.gaussian_ops import become_copy
@@ -98,6 +98,7 @@ class Trainer:
             self.device_step.decoding = fast.active
         if on_cuda and config.graph:
             self.captured = CapturedSteps(self.device_step, len(self.frames))
+        self.checkpoints = CheckpointWriter()
         self.lpips: Lpips | None = None
         self._warm = False
 
@@ -153,14 +154,15 @@ class Trainer:
             while state.step < config.max_steps:
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
+                self.checkpoints.look()
                 if state.step < config.max_steps:
-                    with meanwhile(self._saving()) if state.step in config.save_steps else nullcontext():
+                    with self._saving() if state.step in config.save_steps else nullcontext():
                         if state.step in config.eval_steps:
                             self._evaluate()
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
             # whatever goes wrong in here, what was trained is kept
-            with meanwhile(self._saving()), meanwhile(self._exporting()):
+            with meanwhile(partial(self.checkpoints.write, *self._checkpoint())), meanwhile(self._exporting()):
                 metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
             state.seconds.wall = time.perf_counter() - started
             finished = self._finish(metrics)
@@ -176,6 +178,7 @@ class Trainer:
             raise self._out_of_memory() from error
         finally:
             self.logger.close()
+            self.checkpoints.wait()
 
     def _train_step(self) -> None:
         """One step: render a frame, compare it with its images, improve Gaussians and decoders."""
@@ -297,19 +300,20 @@ class Trainer:
         """What writes the scene for other viewers; in any thread, as it has tensors of its own."""
         return partial(write_scene, scene_splats(self.model, self.capture.thermal_scale), self.run.ply)
 
-    def _saving(self) -> Callable[[], Path]:
-        """What writes a checkpoint of the steps done; in any thread, as it has tensors of its own.
-
-        Callers have made sure that the state is finite.
-        """
+    def _checkpoint(self) -> tuple[Path, dict[str, Any]]:
+        """File and content of a checkpoint of the steps done; callers have made sure that the state is finite."""
         state = self.state.checkpoint(self.config, self.sh_degree, self.capture.thermal_scale)
         state["train_frames"] = [frame.name for frame in self.capture.train]
-        return partial(save_checkpoint, self.run.checkpoint(self.state.step), state)
+        return self.run.checkpoint(self.state.step), state
+
+    def _saving(self) -> AbstractContextManager[None]:
+        """Around what leaves the model as it is: begin to write a checkpoint of the steps done."""
+        return self.checkpoints.beginning(*self._checkpoint())
 
     def _save(self) -> Path:
         """Write a checkpoint of the steps done, at once."""
         with deferred_interrupts():
-            return self._saving()()
+            return self.checkpoints.write(*self._checkpoint())
 
     # ---- when it goes wrong ------------------------------------------------------------------------------------------
 
