@@ -1,4 +1,4 @@
-"""Sums over one row of spherical harmonics coefficients a thread, and their adjoint, moved by whole warps.
+"""The adjoint of a sum over one row of spherical harmonics coefficients a thread, moved by whole warps.
 
 A Gaussian's coefficients are one row of up to 48 numbers, and so is their gradient: basis value times colour gradient.
 Were each thread to read and write its own, neighbouring threads would do so 192 bytes apart. Where the rows of a warp's
@@ -6,7 +6,8 @@ Were each thread to read and write its own, neighbouring threads would do so 192
 numbers at once where nothing lies between rows, and each lane has its own row in shared memory. Rows that nobody uses
 are only written. Other rows are read and written directly; on the CPU, where a warp is one lane, they all are.
 
-On CUDA all lanes of a warp must call such a function together: see ``whole_warps``.
+On CUDA all lanes of a warp must call the adjoint together: see ``whole_warps``. The sums themselves lose by this: a
+thread has its own row's numbers in a few wide reads, and waits for nobody.
 """
 
 import functools
@@ -20,8 +21,13 @@ BLOCK = 256
 
 # What varies, the scalar S and the threads of a block, is declared in front of the bodies.
 
-# What a body that moves rows together needs of its warp; at the end of it, whether the rows follow each other.
-WARP_OF_ROWS = """
+ADJOINT = """
+    wp::vec_t<16, S> v_b = {};
+    const S zero = 0;
+    const int count = rows.shape[1], held = count + lowest < 16 ? count + lowest : 16;
+    const int end = active < held ? active : held;
+    if (count == 0) return v_b;
+#if defined(__CUDA_ARCH__)
     const unsigned all = 0xffffffffu;
     const unsigned present = __ballot_sync(all, row >= 0), in_use = __ballot_sync(all, used);
     const int lane = threadIdx.x & 31, width = 3 * count, leader = __shfl_sync(all, row, 0);
@@ -36,10 +42,53 @@ WARP_OF_ROWS = """
     const bool reads_quads = single && source_pitch == width && ((size_t)source & 15) == 0;
     const bool dense = width <= 48 && (count < 2 || rows.strides[1] == 3 * (int)sizeof(S));
     const bool together = __all_sync(all, dense && (row < 0 || row == leader + lane));
-"""
-
-# Of the warp's rows, those from `first` on: what is used of them, into shared memory.
-READ_ROWS = """
+    if (add && !in_use) return v_b;
+    if (together && (count < 2 || v_rows.strides[1] == rows.strides[1])) {
+        const int target_pitch = v_rows.strides[0] / (int)sizeof(S);
+        S* target = (S*)((char*)v_rows.data + (long long)leader * v_rows.strides[0]);
+        const bool writes_quads = single && target_pitch == width && !add && ((size_t)target & 15) == 0;
+        // The gradients first, as the basis values are in registers until then. v waits in shared memory, or the
+        // compiler would keep all products in registers, which both turns have in common.
+        S* factors = numbers + at_once * 49 + 3 * lane;
+        for (int c = 0; c < 3; ++c) factors[c] = used ? v[c] : zero;
+        for (int first = 0; first < num_rows; first += at_once) {
+            const int total = width * (num_rows - first < at_once ? num_rows - first : at_once);
+            const unsigned wanted = in_use >> first & ((1u << at_once) - 1);
+            if (wanted && lane >= first && lane < first + at_once) {
+                S* own = numbers + (lane - first) * pitch - 3 * lowest;
+                const S v0 = factors[0], v1 = factors[1], v2 = factors[2];
+                #pragma unroll
+                for (int k = 0; k < 17; ++k)
+                    if (k >= lowest && k < count + lowest) {
+                        const S scale = used && k < end ? b[k & 15] : zero;
+                        own[3 * k] = scale * v0;
+                        own[3 * k + 1] = scale * v1;
+                        own[3 * k + 2] = scale * v2;
+                    }
+            }
+            __syncwarp();
+            S* to = target + first * target_pitch;
+            int f = lane;
+            if (writes_quads) {
+                #pragma unroll 3
+                for (f = 4 * lane; f + 3 < total; f += 128) {
+                    const S* s = numbers + f + (int)__umulhi(f, per_number) * (pitch - width);
+                    float4 quad = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+                    if (wanted) quad = make_float4((float)s[0], (float)s[1], (float)s[2], (float)s[3]);
+                    __stcs((float4*)(to + f), quad);
+                }
+                f = (total & ~3) + lane;
+            }
+            for (; f < total; f += 32) {
+                const int r = __umulhi(f, per_number), e = f - r * width;
+                if (add && !(wanted >> r & 1)) continue;
+                S* gradient = to + r * target_pitch + e;
+                const S value = wanted ? numbers[r * pitch + e] : zero;
+                *gradient = add ? *gradient + value : value;
+            }
+            __syncwarp();
+        }
+        for (int first = 0; first < num_rows && end > 1; first += at_once) {
             const int total = width * (num_rows - first < at_once ? num_rows - first : at_once);
             const unsigned wanted = in_use >> first & ((1u << at_once) - 1);
             if (!wanted) continue;
@@ -63,101 +112,42 @@ READ_ROWS = """
                 if (e < read && (wanted >> r & 1)) numbers[r * pitch + e] = from[r * source_pitch + e];
             }
             __syncwarp();
-            const bool mine = used && lane >= first && lane < first + at_once;
-            const S* own = numbers + (lane - first) * pitch - 3 * lowest;
-"""
-
-ADJOINT = f"""
-    wp::vec_t<16, S> v_b = {{}};
-    const S zero = 0;
-    const int count = rows.shape[1], held = count + lowest < 16 ? count + lowest : 16;
-    const int end = active < held ? active : held;
-    if (count == 0) return v_b;
-#if defined(__CUDA_ARCH__)
-    {WARP_OF_ROWS.strip()}
-    if (add && !in_use) return v_b;
-    if (together && (count < 2 || v_rows.strides[1] == rows.strides[1])) {{
-        const int target_pitch = v_rows.strides[0] / (int)sizeof(S);
-        S* target = (S*)((char*)v_rows.data + (long long)leader * v_rows.strides[0]);
-        const bool writes_quads = single && target_pitch == width && !add && ((size_t)target & 15) == 0;
-        // The gradients first, as the basis values are in registers until then. v waits in shared memory, or the
-        // compiler would keep all products in registers, which both turns have in common.
-        S* factors = numbers + at_once * 49 + 3 * lane;
-        for (int c = 0; c < 3; ++c) factors[c] = v[c];
-        for (int first = 0; first < num_rows; first += at_once) {{
-            const int total = width * (num_rows - first < at_once ? num_rows - first : at_once);
-            const unsigned wanted = in_use >> first & ((1u << at_once) - 1);
-            if (wanted && lane >= first && lane < first + at_once) {{
-                S* own = numbers + (lane - first) * pitch - 3 * lowest;
-                const S v0 = factors[0], v1 = factors[1], v2 = factors[2];
-                #pragma unroll
-                for (int k = 0; k < 17; ++k)
-                    if (k >= lowest && k < count + lowest) {{
-                        const S scale = used && k < end ? b[k & 15] : zero;
-                        own[3 * k] = scale * v0;
-                        own[3 * k + 1] = scale * v1;
-                        own[3 * k + 2] = scale * v2;
-                    }}
-            }}
-            __syncwarp();
-            S* to = target + first * target_pitch;
-            int f = lane;
-            if (writes_quads) {{
-                #pragma unroll 3
-                for (f = 4 * lane; f + 3 < total; f += 128) {{
-                    const S* s = numbers + f + (int)__umulhi(f, per_number) * (pitch - width);
-                    float4 quad = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
-                    if (wanted) quad = make_float4((float)s[0], (float)s[1], (float)s[2], (float)s[3]);
-                    __stcs((float4*)(to + f), quad);
-                }}
-                f = (total & ~3) + lane;
-            }}
-            for (; f < total; f += 32) {{
-                const int r = __umulhi(f, per_number), e = f - r * width;
-                if (add && !(wanted >> r & 1)) continue;
-                S* gradient = to + r * target_pitch + e;
-                const S value = wanted ? numbers[r * pitch + e] : zero;
-                *gradient = add ? *gradient + value : value;
-            }}
-            __syncwarp();
-        }}
-        for (int first = 0; first < num_rows && end > 1; first += at_once) {{
-            {READ_ROWS.strip()}
-            if (mine) {{
+            if (used && lane >= first && lane < first + at_once) {
+                const S* own = numbers + (lane - first) * pitch - 3 * lowest;
                 #pragma unroll
                 for (int k = 1; k < 16; ++k)
                     if (k < end) v_b[k] = own[3 * k] * v[0] + own[3 * k + 1] * v[1] + own[3 * k + 2] * v[2];
-            }}
+            }
             __syncwarp();
-        }}
+        }
         return v_b;
-    }}
+    }
 #endif
     if (row < 0) return v_b;
     const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
     char* target = (char*)v_rows.data + (long long)row * v_rows.strides[0];
     #pragma unroll
     for (int k = 0; k < 16; ++k)
-        if (k >= lowest && k < held) {{
+        if (k >= lowest && k < held) {
             const S* coefficient = (const S*)(mine + (k - lowest) * rows.strides[1]);
             S* gradient = (S*)(target + (k - lowest) * v_rows.strides[1]);
             const bool counts = used && k < end;
             if (counts && k > 0) v_b[k] = coefficient[0] * v[0] + coefficient[1] * v[1] + coefficient[2] * v[2];
-            for (int c = 0; c < 3; ++c) {{
+            for (int c = 0; c < 3; ++c) {
                 const S value = counts ? b[k] * v[c] : zero;
                 if (!add || counts) gradient[c] = add ? gradient[c] + value : value;
-            }}
-        }}
+            }
+        }
     if (!add)
-        for (int k = held; k < count + lowest; ++k) {{
+        for (int k = held; k < count + lowest; ++k) {
             S* gradient = (S*)(target + (k - lowest) * v_rows.strides[1]);
             for (int c = 0; c < 3; ++c) gradient[c] = zero;
-        }}
+        }
     return v_b;
 """
 
 # A row's numbers 4 at a time where its memory allows that, all asked for before the first is used.
-ROW_SUM = """
+SUM = """
     wp::vec_t<3, S> total = start;
     const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
 #if defined(__CUDA_ARCH__)
@@ -190,31 +180,6 @@ ROW_SUM = """
     return total;
 """
 
-WARP_SUM = f"""
-    const int count = rows.shape[1], end = active;
-    if (count == 0) return start;
-#if defined(__CUDA_ARCH__)
-    {WARP_OF_ROWS.strip()}
-    if (!in_use) return start;
-    if (together) {{
-        wp::vec_t<3, S> total_of_row = start;
-        for (int first = 0; first < num_rows; first += at_once) {{
-            {READ_ROWS.strip()}
-            if (mine) {{
-                #pragma unroll
-                for (int k = 0; k < 16; ++k)
-                    if (k >= lowest && k < end)
-                        for (int c = 0; c < 3; ++c) total_of_row[c] += b[k] * own[3 * k + c];
-            }}
-            __syncwarp();
-        }}
-        return total_of_row;
-    }}
-#endif
-    if (!used) return start;
-    {ROW_SUM.strip()}
-"""
-
 
 def whole_warps(count: int, device: wp.Device) -> int:
     """Threads to launch for so many rows: on CUDA full warps, whose last lanes pass row -1.
@@ -227,29 +192,22 @@ def whole_warps(count: int, device: wp.Device) -> int:
 
 
 @functools.cache
-def row_sum_functions(dtype: type):
-    """A row's sum, by a thread or by a warp's together.
+def row_sum_function(dtype: type):
+    """A row's sum.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(row_sum, warp_row_sum)``. ``row_sum(rows, lowest, row, b, active, start)`` is start + Σ b[k] rows[row, k -
-        lowest] over lowest <= k < active, where rows begin with the coefficient ``lowest``, 0 or 1.
-        ``warp_row_sum(..., start, used)`` is the same by whole warps, or ``start`` where a row is not ``used``.
+        ``row_sum(rows, lowest, row, b, active, start)``: start + Σ b[k] rows[row, k - lowest] over lowest <= k <
+        active, where rows begin with the coefficient ``lowest``, 0 or 1.
     """
     vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
-    declared = f"using S = {scalar_name(dtype)}; constexpr int block = {BLOCK};"
 
-    @wp.func_native(f"{declared}{ROW_SUM}")
+    @wp.func_native(f"using S = {scalar_name(dtype)};{SUM}")
     def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3) -> vec3: ...
 
-    @wp.func_native(f"{declared}{WARP_SUM}")
-    def warp_row_sum(
-        rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3, used: bool
-    ) -> vec3: ...
-
-    return row_sum, warp_row_sum
+    return row_sum
 
 
 @functools.cache

@@ -74,8 +74,8 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     rows, lowest = (a.shN, 1) if joined is None else (joined, 0)
     inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.radii]
     many = device.is_cuda and len(a.colors) > LISTED
-    threads = threads_of_many(len(a.colors)) if many else whole_warps(len(a.colors), device)
-    launch(color_kernel(dtype, many), threads, [*inputs, a.colors], device)
+    kernel, threads = color_kernel(dtype, many), threads_of_many(len(a.colors)) if many else len(a.colors)
+    launch(kernel, threads, [*inputs, a.colors], device)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
         record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)

@@ -9,7 +9,7 @@ import functools
 import warp as wp
 
 from warp_kernels.coalesced_stores import store_functions
-from warp_kernels.coefficient_rows import row_adjoint_function, row_sum_functions
+from warp_kernels.coefficient_rows import row_adjoint_function, row_sum_function
 from warp_kernels.lanes import LANES_CUDA, warp_sync
 from warp_kernels.strand_sums import STRANDS
 from warp_kernels.warp_lists import EACH, MANY, WARPS, list_functions
@@ -140,29 +140,19 @@ def color_kernel(dtype: type, many: bool) -> wp.Kernel:
         many: a warp lists the visible ones of many before it works on them, on CUDA only; else a thread has one.
 
     Returns:
-        The Warp kernel, launched over ``whole_warps``, or with ``many`` over ``warp_lists.threads_of_many``. ``rows``
-        begin with the coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
+        The Warp kernel, with ``many`` launched over ``warp_lists.threads_of_many``. ``rows`` begin with the
+        coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    vec3 = wp.types.vector(3, dtype)
     basis, _ = basis_functions(dtype)
-    row_sum, warp_row_sum = row_sum_functions(dtype)
+    row_sum = row_sum_function(dtype)
     direction = direction_function(dtype)
-    each, lanes = EACH, LANES_CUDA
+    each, lanes = (EACH, LANES_CUDA) if many else (1, 1)
     vec_each = wp.types.vector(each, wp.int32)
     list_of_warp, append, item = list_functions(WARPS, MANY)
 
     # A row is 48 registers, and three blocks a multiprocessor keep enough of them under way.
     bounds = (256, 3) if dtype is wp.float32 else None
-
-    @wp.func
-    def shaded(color: vec3):
-        # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
-        shade = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
-        for c in range(3):
-            # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
-            if shade[c] < dtype(0.0):
-                shade[c] = dtype(0.0) * shade[c]  # -0, whose sign tells the adjoint
-        return shade
 
     @wp.kernel(
         name=f"sh_colors_{dtype.__name__}{'_many' * many}", enable_backward=False, module="unique", launch_bounds=bounds
@@ -183,48 +173,41 @@ def color_kernel(dtype: type, many: bool) -> wp.Kernel:
         colors: wp.array(dtype=vec3),
     ):
         thread = wp.tid() + first
-        active = (degree + 1) * (degree + 1)
+        lane = thread % lanes
+        nearest = (thread // lanes) * wp.static(each * lanes) + lane
+        radius = vec_each()
+        for j in range(each):  # all are asked for before the first is looked at
+            if nearest + j * lanes < radii.shape[0]:
+                radius[j] = radii[nearest + j * lanes][0]
+        count = wp.where(radius[0] > 0, 1, 0)
+        visible = wp.uint64(0)
         if wp.static(many):
-            lane = thread % lanes
-            nearest = (thread // lanes) * wp.static(each * lanes) + lane
-            radius = vec_each()
-            for j in range(each):  # all are asked for before the first is looked at
-                if nearest + j * lanes < radii.shape[0]:
-                    radius[j] = radii[nearest + j * lanes][0]
             visible = list_of_warp((thread // lanes) % wp.static(WARPS))
             count = int(0)
             warp_sync()  # of a grid that goes round, all lanes have read the list before
             for j in range(each):
                 count = append(visible, count, lane, radius[j] > 0, nearest + j * lanes)
             warp_sync()
-            for k in range(lane, count, lanes):
+        for k in range(lane, count, lanes):
+            index = nearest
+            if wp.static(many):
                 index = item(visible, k)
-                image = index // num_gaussians
-                gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
-                row = wp.where(per_image, index, gaussian)
-                unit, _ = direction(means[gaussian], camera_positions[image])
-                b = basis(unit, degree)
-                color = vec3()
-                if lowest > 0:
-                    color = b[0] * sh0[row, 0]
-                colors[index] = shaded(row_sum(rows, lowest, row, b, active, color))
-        else:
-            inside = thread < radii.shape[0]
-            index = wp.min(thread, radii.shape[0] - 1)
             image = index // num_gaussians
             gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
             row = wp.where(per_image, index, gaussian)
-            seen = inside and radii[index][0] > 0
-            b = vec16()
+            unit, _ = direction(means[gaussian], camera_positions[image])
+            b = basis(unit, degree)
             color = vec3()
-            if seen:
-                unit, _ = direction(means[gaussian], camera_positions[image])
-                b = basis(unit, degree)
-                if lowest > 0:
-                    color = b[0] * sh0[row, 0]
-            color = warp_row_sum(rows, lowest, wp.where(inside, row, -1), b, active, color, seen)
-            if seen:
-                colors[index] = shaded(color)
+            if lowest > 0:
+                color = b[0] * sh0[row, 0]
+            color = row_sum(rows, lowest, row, b, (degree + 1) * (degree + 1), color)
+            # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
+            color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
+            for c in range(3):
+                # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
+                if color[c] < dtype(0.0):
+                    color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
+            colors[index] = color
 
     return sh_colors_kernel
 

@@ -99,7 +99,7 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     capacity = captured.step.capacity
     frame = trainer.frames[0]
     capacity.measure()
-    capacity._limits = [10] * len(capacity._limits)
+    capacity._rooms = [dataclasses.replace(room, pairs=10) for room in capacity._rooms]
     capacity.measure = lambda: None  # type: ignore[method-assign]
     before = trainer.model.gaussians("shared").means.detach().clone()
     captured.run(frame, kind)

@@ -53,6 +53,29 @@ def test_plain_lines_every_interval(tmp_path: Path) -> None:
     assert "loss 0.5000 rgb 0.5000" in lines[1]
 
 
+@pytest.mark.parametrize("ending", ["close", "evaluation"])
+def test_lines_of_a_gpu_are_late_but_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
+    """A line is that of its step although others were done meanwhile; the end and an evaluation do not wait for it."""
+    monkeypatch.setattr(run_logger, "_memory_bytes", lambda device: 0)
+    logger, output = _logger(tmp_path, device=torch.device("cuda"))
+    logger.start(0)
+    for step in range(1, 9):
+        logger.step(_record(step, rgb=0.1 * step))
+    assert output.getvalue() == ""
+    logger.step(_record(9))
+    assert _entries(tmp_path)[0] == {**_entries(tmp_path)[0], "step": 5, "rgb": pytest.approx(0.3)}
+    assert output.getvalue().split()[1] == "5/20"
+    logger.step(_record(10, rgb=0.7))
+    logger.step(_record(11, rgb=9.0))
+    if ending == "close":
+        logger.close()
+    else:
+        logger.evaluation(11, {})
+    second = _entries(tmp_path)[1]
+    assert second["step"] == 10
+    assert second["rgb"] == pytest.approx((0.6 + 0.7 + 0.8 + 0.5 + 0.7) / 5)
+
+
 def test_narrow_log_file_keeps_one_line_a_record(tmp_path: Path) -> None:
     """Lines for a file are not broken at its assumed width."""
     logger, output = _logger(tmp_path)

@@ -7,7 +7,7 @@ import pytest
 import torch
 import warp as wp
 
-from warp_kernels.coefficient_rows import row_adjoint_function, row_sum_functions, whole_warps
+from warp_kernels.coefficient_rows import row_adjoint_function, whole_warps
 
 ROWS = 77
 """Not a multiple of a warp."""
@@ -48,71 +48,6 @@ def adjoint_kernel(dtype: type) -> wp.Kernel:
             v_b[row] = dots
 
     return adjoint
-
-
-@functools.cache
-def sum_kernel(dtype: type) -> wp.Kernel:
-    """A kernel that calls both functions of the sum, one thread a row."""
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
-    row_sum, warp_row_sum = row_sum_functions(dtype)
-
-    @wp.kernel(name=f"row_sums_{dtype.__name__}", module="unique", enable_backward=False)
-    def sums(
-        order: wp.array(dtype=int),
-        used: wp.array(dtype=int),
-        rows: wp.array2d(dtype=vec3),
-        b: wp.array(dtype=vec16),
-        lowest: int,
-        active: int,
-        # outputs
-        alone: wp.array(dtype=vec3),
-        together: wp.array(dtype=vec3),
-    ):
-        thread = wp.tid()
-        row = -1
-        needed = False
-        weights = vec16()
-        start = vec3(dtype(1.0), dtype(2.0), dtype(3.0))
-        if thread < order.shape[0]:
-            row = order[thread]
-            needed = used[row] != 0
-            weights = b[row]
-        total = warp_row_sum(rows, lowest, row, weights, active, start, needed)
-        if row >= 0:
-            together[row] = total
-            alone[row] = start
-            if needed:
-                alone[row] = row_sum(rows, lowest, row, weights, active, start)
-
-    return sums
-
-
-@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
-@pytest.mark.parametrize("shuffled", [False, True])
-@pytest.mark.parametrize(("count", "lowest", "active"), [(15, 1, 16), (15, 1, 9), (16, 0, 16), (3, 1, 1), (0, 1, 1)])
-@pytest.mark.parametrize("gaps", [False, True])
-def test_sums_are_plain_sums(
-    device: torch.device, dtype: type, shuffled: bool, count: int, lowest: int, active: int, gaps: bool
-) -> None:
-    """By a thread alone and by whole warps; a row that is not used is not read."""
-    rng, where = np.random.default_rng(count), wp.get_device(str(device))
-    rows, b, used = rng.normal(size=(ROWS, count, 3)), rng.normal(size=(ROWS, 16)), rng.random(ROWS) < 0.5
-    used[32:64] = False  # a whole warp
-    order = rng.permutation(ROWS) if shuffled else np.arange(ROWS)
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
-    given = np.where(used[:, None, None], rows, np.nan)
-    padded = wp.array(np.pad(given, ((0, 0), (0, 2 if gaps else 0), (0, 0))), dtype=vec3, device=where)
-    if gaps and count > 0:
-        padded = padded[:, :count]
-    inputs = [wp.array(numbers, dtype=int, device=where) for numbers in (order, used.astype(int))]
-    alone, together = (wp.zeros(ROWS, dtype=vec3, device=where) for _ in range(2))
-    inputs += [padded, wp.array(b, dtype=vec16, device=where), lowest, active, alone, together]
-    wp.launch(sum_kernel(dtype), dim=whole_warps(ROWS, where), inputs=inputs, device=where, block_dim=256)
-    expected = np.einsum("nk,nkc->nc", b[:, lowest:active], rows[:, : active - lowest])
-    expected = np.array([1.0, 2.0, 3.0]) + np.where(used[:, None], expected, 0.0)
-    tolerance = 1e-12 if dtype is wp.float64 else 2e-5
-    np.testing.assert_allclose(alone.numpy(), expected, atol=tolerance)
-    np.testing.assert_allclose(together.numpy(), expected, atol=tolerance)
 
 
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])

@@ -19,6 +19,9 @@ LARGE = 4096
 """Numbers of a tensor from which a copy of its own is quicker than a share in one kernel for all, which has few blocks
 of threads."""
 
+MEASURED = 16
+"""Steps that run line by line at first, to see how many pairs frames have."""
+
 SETTLED_SPARE = 1.15
 """Room for pairs, over the most that were seen, once no Gaussians are added; what is not used is sorted too."""
 
@@ -46,12 +49,12 @@ class CapturedSteps:
 
     Args:
         step: The step.
-        num_frames: Training frames; as many first steps run line by line, to see how many pairs there can be.
+        num_frames: Training frames; up to ``MEASURED`` first steps run line by line.
     """
 
     def __init__(self, step: TrainingStep, num_frames: int) -> None:
         self.step = step
-        self._to_measure = num_frames
+        self._to_measure = min(num_frames, MEASURED)
         self._seen: set[tuple[_Shape, StepKind]] = set()
         self._frames: dict[_Shape, FrameTensors] = {}
         self._graphs: dict[tuple[_Shape, StepKind], _Captured] = {}

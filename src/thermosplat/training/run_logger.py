@@ -1,7 +1,8 @@
 """What a training run says: one live line on a terminal, plain lines elsewhere, metrics.jsonl and TensorBoard.
 
 Values stay on the device until a line is due: once every ``log_every`` steps. In between, the live line counts steps
-and keeps the values of the last line; on the CPU, where reading costs nothing, it shows the newest.
+and keeps the values of the last line; on the CPU, where reading costs nothing, it shows the newest. Reading the values
+leaves a GPU without work, so the line itself, a few milliseconds, is written some steps later.
 """
 
 import json
@@ -26,6 +27,9 @@ from thermosplat.run_directory import RunDirectory, finite_or_null
 
 _REFRESH_SECONDS = 0.25  # of the live line
 _COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is compiling kernels
+LATE_BY = 4
+"""Steps that a GPU is given before the line of a step is written."""
+
 _METRICS = {"psnr": "PSNR {:.2f} dB", "ssim": "SSIM {:.3f}", "lpips": "LPIPS {:.3f}", "mae_celsius": "MAE {:.2f} °C"}
 
 
@@ -84,6 +88,7 @@ class RunLogger:
         self._rate_from: tuple[int, float] | None = None
         self._rate = 0.0
         self._refreshed = 0.0
+        self._late: StepRecord | None = None
 
     def start(self, step: int) -> None:
         """Open the files; drop lines of metrics.jsonl from after the step that a resumed run starts from.
@@ -134,6 +139,8 @@ class RunLogger:
         if self._rate_from is None:
             self._rate_from = (record.step, record.train_seconds)  # after the first step, which may have compiled
         due = record.step % self.log_every == 0 or record.step == self.max_steps
+        if self._late is not None and (due or record.step >= self._late.step + LATE_BY):
+            self._report_late()
         if not due and not self.console.is_terminal:
             return
         now = time.perf_counter()
@@ -145,15 +152,13 @@ class RunLogger:
         steps, seconds = record.step - self._rate_from[0], record.train_seconds - self._rate_from[1]
         if steps > 0 and seconds > 0:
             self._rate = steps / seconds
-        line = self._line(record)
-        if self.console.is_terminal:
-            self._show(line)
-        else:
-            self.say(line)
         if due:
-            self._write(record)
             self._sums, self._counts = {}, {}
             self._rate_from = (record.step, record.train_seconds)
+        if due and self.device.type == "cuda" and record.step < self.max_steps:
+            self._late = record
+        else:
+            self._report(record, due=due)
 
     def evaluation(self, step: int, metrics: dict[str, Any]) -> None:
         """Record an evaluation on the held-out views.
@@ -162,6 +167,7 @@ class RunLogger:
             step: Steps done.
             metrics: What ``evaluation.evaluate`` returned.
         """
+        self._report_late()
         parts = []
         for modality in ("rgb", "thermal"):
             values = metrics.get(modality)
@@ -177,12 +183,29 @@ class RunLogger:
 
     def close(self) -> None:
         """Take the live line down and close the files. The logger cannot be used afterwards."""
+        self._report_late()
         if self._live is not None:
             self._live.stop()
             self._live = None
         if self._writer is not None:
             self._writer.close()
             self._writer = None
+
+    def _report_late(self) -> None:
+        """Write the line that waits, if one does."""
+        if self._late is not None:
+            record, self._late = self._late, None
+            self._report(record, due=True)
+
+    def _report(self, record: StepRecord, *, due: bool) -> None:
+        """Say how far training is, and write a line to the files if one is due."""
+        line = self._line(record)
+        if self.console.is_terminal:
+            self._show(line)
+        else:
+            self.say(line)
+        if due:
+            self._write(record)
 
     def _means(self) -> dict[str, float]:
         """Means since the last line: losses, their sum, and PSNR [dB] of the mean squared errors."""
