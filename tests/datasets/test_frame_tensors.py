@@ -1,5 +1,7 @@
 """Frames as tensors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,7 @@ from capture_folders import HEIGHT, WIDTH, temperatures, write_rgbt_scenes
 
 from thermosplat.config import ThermalConfig
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.frame_tensors import frame_tensors
+from thermosplat.datasets.frame_tensors import frame_tensors, packed, packed_elsewhere, place_in_frame
 
 
 def test_pseudo_color_frame(tmp_path):
@@ -48,3 +50,28 @@ def test_missing_modality_is_none(tmp_path):
     assert frame_tensors(capture.train[0], None, "cpu").thermal is None
     with pytest.raises(ValueError, match="thermal scale"):
         frame_tensors(capture.train[1], None, "cpu")
+
+
+def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device) -> None:
+    """The same tensors in one memory, whose copy moves all of them, also of a frame without one of its views."""
+    capture = load_capture(write_rgbt_scenes(tmp_path, raw=True))
+    plain, other = (
+        replace(frame_tensors(frame, capture.thermal_scale, device), index=torch.tensor(index, device=device))
+        for frame, index in zip(capture.train[:2], (3, 7), strict=True)
+    )
+    frame, next_frame = packed(plain), packed(other)
+    assert frame.memory is not None
+    assert next_frame.memory is not None
+    assert len(plain.packable()) == len(frame.packable()) == 8
+    assert all(torch.equal(a, b) for a, b in zip(frame.packable(), plain.packable(), strict=True))
+    places = [place_in_frame(frame, tensor) for tensor in frame.packable()]
+    assert places == [place_in_frame(next_frame, tensor) for tensor in next_frame.packable()]
+    assert all(place % 16 == 0 for place in places)
+    for view in (frame, replace(frame, rgb=None, aligned=False)):
+        static = packed_elsewhere(view)
+        assert static.memory is not None
+        assert static.memory.data_ptr() != frame.memory.data_ptr()
+        static.memory.copy_(next_frame.memory)
+        expected = other if view.rgb is not None else replace(other, rgb=None)
+        assert all(torch.equal(a, b) for a, b in zip(static.packable(), expected.packable(), strict=True))
+        assert static.index == 7

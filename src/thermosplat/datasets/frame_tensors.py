@@ -1,6 +1,8 @@
 """Frames as torch tensors: what the model renders from and the losses compare with."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -40,7 +42,8 @@ class ViewTensors:
 class FrameTensors:
     """A frame on a device; `aligned` as `Frame.aligned`.
 
-    Training frames know their place among them: `index`, int64 scalar on the device.
+    Training frames know their place among them: `index`, int64 scalar on the device. Of a frame that is ``packed``, all
+    tensors but the temperatures lie in `memory`, float32 [n].
     """
 
     name: str
@@ -48,6 +51,64 @@ class FrameTensors:
     thermal: ViewTensors | None
     aligned: bool
     index: Tensor | None = None
+    memory: Tensor | None = None
+
+    def packable(self) -> list[Tensor]:
+        """The tensors that ``memory`` holds where there is one."""
+        views = [view for view in (self.rgb, self.thermal) if view is not None]
+        tensors = [tensor for view in views for tensor in (view.viewmat, view.K, view.image, view.intensity)]
+        return [tensor for tensor in (*tensors, self.index) if tensor is not None]
+
+
+ALIGNED = 16
+"""Numbers of a packed frame's memory that every tensor starts at a multiple of."""
+
+
+def packed(frame: FrameTensors) -> FrameTensors:
+    """The same frame in one piece of memory, so that a training step takes it over by a single copy."""
+    tensors = frame.packable()
+    sizes = [-(-_numbers(tensor) // ALIGNED) * ALIGNED for tensor in tensors]
+    starts = dict(zip(map(id, tensors), accumulate(sizes, initial=0)))
+    memory = torch.zeros(sum(sizes), dtype=torch.float32, device=tensors[0].device)
+    return _placed(frame, memory, lambda tensor: _part(memory, starts[id(tensor)], tensor).copy_(tensor))
+
+
+def packed_elsewhere(frame: FrameTensors) -> FrameTensors:
+    """A copy of a packed frame, or of what is left of it without a view: everything is at the same place in it."""
+    if frame.memory is None:
+        raise ValueError("Only a packed frame has a memory to copy.")
+    memory = frame.memory.clone()
+    return _placed(frame, memory, lambda tensor: _part(memory, place_in_frame(frame, tensor), tensor))
+
+
+def place_in_frame(frame: FrameTensors, tensor: Tensor) -> int:
+    """Where in a packed frame's memory a tensor of it starts [numbers]."""
+    if frame.memory is None:
+        raise ValueError("Only a packed frame has a memory to be in.")
+    return (tensor.data_ptr() - frame.memory.data_ptr()) // frame.memory.element_size()
+
+
+def _placed(frame: FrameTensors, memory: Tensor, place: Callable[[Tensor], Tensor]) -> FrameTensors:
+    """The frame with other tensors for those that can be packed."""
+
+    def placed(view: ViewTensors | None) -> ViewTensors | None:
+        if view is None:
+            return None
+        image, intensity = (None if tensor is None else place(tensor) for tensor in (view.image, view.intensity))
+        return replace(view, viewmat=place(view.viewmat), K=place(view.K), image=image, intensity=intensity)
+
+    index = None if frame.index is None else place(frame.index)
+    return replace(frame, rgb=placed(frame.rgb), thermal=placed(frame.thermal), index=index, memory=memory)
+
+
+def _part(memory: Tensor, start: int, like: Tensor) -> Tensor:
+    """The part of a memory from a number on that holds a tensor of that shape and type."""
+    return memory[start : start + _numbers(like)].view(like.dtype).view(like.shape)
+
+
+def _numbers(tensor: Tensor) -> int:
+    """float32 numbers that take as many bytes."""
+    return tensor.numel() * tensor.element_size() // 4
 
 
 def frame_tensors(frame: Frame, scale: ThermalScale | None, device: torch.device | str) -> FrameTensors:

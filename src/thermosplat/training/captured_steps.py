@@ -10,14 +10,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, packed_elsewhere, place_in_frame
 from thermosplat.pair_capacity import SPARE
 from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
 from thermosplat.warp_streams import captured_in
-
-LARGE = 4096
-"""Numbers of a tensor from which a copy of its own is quicker than a share in one kernel for all, which has few blocks
-of threads."""
 
 MEASURED = 16
 """Steps that run line by line at first, to see how many pairs frames have."""
@@ -28,10 +24,11 @@ SETTLED_SPARE = 1.15
 
 @dataclass(frozen=True)
 class _Shape:
-    """What two frames must share to be the same work."""
+    """What two frames must share to be the same work: where which tensors lie, of which shape."""
 
-    rgb: tuple[tuple[int, ...] | None, ...]
-    thermal: tuple[tuple[int, ...] | None, ...]
+    rgb: tuple[tuple[int, tuple[int, ...]] | None, ...]
+    thermal: tuple[tuple[int, tuple[int, ...]] | None, ...]
+    numbers: int
     aligned: bool
 
 
@@ -79,7 +76,7 @@ class CapturedSteps:
         if (shape, kind) not in self._graphs:
             self._graphs[shape, kind] = self._capture(frame, shape, kind)
         captured = self._graphs[shape, kind]
-        _copy(captured.frame, frame)
+        _memory(captured.frame).copy_(_memory(frame))
         captured.graph.replay()
         return captured.values
 
@@ -94,7 +91,7 @@ class CapturedSteps:
 
     def _capture(self, frame: FrameTensors, shape: _Shape, kind: StepKind) -> _Captured:
         if shape not in self._frames:
-            self._frames[shape] = _clone(frame)
+            self._frames[shape] = packed_elsewhere(frame)
         static, graph = self._frames[shape], torch.cuda.CUDAGraph()
         if not self._graphs:
             self.step.capacity.spare = SPARE if kind.densifying else SETTLED_SPARE
@@ -107,41 +104,19 @@ class CapturedSteps:
         return _Captured(graph, static, values)
 
 
-def _tensors(view: ViewTensors | None) -> list[Tensor | None]:
-    return [] if view is None else [view.viewmat, view.K, view.image, view.intensity]
+def _memory(frame: FrameTensors) -> Tensor:
+    if frame.memory is None:
+        raise ValueError("Captured steps take packed frames.")
+    return frame.memory
 
 
 def _shape(frame: FrameTensors) -> _Shape:
     rgb, thermal = (
-        tuple(None if tensor is None else tuple(tensor.shape) for tensor in _tensors(view))
-        for view in (frame.rgb, frame.thermal)
+        tuple(None if tensor is None else (place_in_frame(frame, tensor), tuple(tensor.shape)) for tensor in tensors)
+        for tensors in (_tensors(frame.rgb), _tensors(frame.thermal))
     )
-    return _Shape(rgb, thermal, frame.aligned)
+    return _Shape(rgb, thermal, len(_memory(frame)), frame.aligned)
 
 
-def _clone(frame: FrameTensors) -> FrameTensors:
-    def cloned(view: ViewTensors | None) -> ViewTensors | None:
-        if view is None:
-            return None
-        image, intensity = (None if tensor is None else tensor.clone() for tensor in (view.image, view.intensity))
-        return ViewTensors(view.viewmat.clone(), view.K.clone(), view.width, view.height, image, intensity)
-
-    index = None if frame.index is None else frame.index.clone()
-    return FrameTensors(frame.name, cloned(frame.rgb), cloned(frame.thermal), frame.aligned, index)
-
-
-def _copy(target: FrameTensors, source: FrameTensors) -> None:
-    if target.index is not None and source.index is not None:
-        target.index.copy_(source.index)
-    to: list[Tensor] = []
-    values: list[Tensor] = []
-    for ours, theirs in ((target.rgb, source.rgb), (target.thermal, source.thermal)):
-        for tensor, value in zip(_tensors(ours), _tensors(theirs), strict=True):
-            if tensor is None or value is None:
-                continue
-            if tensor.numel() > LARGE:
-                tensor.copy_(value)
-            else:
-                to.append(tensor)
-                values.append(value)
-    torch._foreach_copy_(to, values)
+def _tensors(view: ViewTensors | None) -> list[Tensor | None]:
+    return [] if view is None else [view.viewmat, view.K, view.image, view.intensity]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from thermosplat.config import ModelConfig
 from thermosplat.datasets.capture import Capture
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, frame_tensors
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, frame_tensors, packed
 from thermosplat.errors import UserError
 
 _CACHED_SHARE = 0.25
@@ -52,7 +52,7 @@ class TrainFrames:
         if index in self._cache:
             return self._cache[index]
         place = torch.tensor(index, device=self.device)
-        frame = replace(frame_tensors(self.frames[index], self.thermal_scale, self.device), index=place)
+        frame = packed(replace(frame_tensors(self.frames[index], self.thermal_scale, self.device), index=place))
         size = sum(_bytes(view) for view in (frame.rgb, frame.thermal))
         if size <= self._budget:
             self._budget -= size
