@@ -2,10 +2,12 @@
 
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+import torch
 from torch import Tensor
 
 from thermosplat.gaussians import Gaussians
 from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
+from thermosplat.warp_activations import activated
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
@@ -32,7 +34,7 @@ class Rendering(NamedTuple):
 def see(
     gaussians: Gaussians,
     colors: Tensor | Coefficients,
-    opacities: Tensor,
+    logit_opacities: Tensor,
     view: "ViewTensors",
     rendering: Rendering,
     *,
@@ -43,7 +45,7 @@ def see(
     Args:
         gaussians: The set.
         colors: Features [N, X], or spherical harmonics (X = 3).
-        opacities: Either opacity of the set, [N].
+        logit_opacities: Logits of either opacity of the set, [N].
         view: Camera and pose.
         rendering: How; its background is not used.
         backgrounds: Colour behind the Gaussians, [1, X].
@@ -51,10 +53,11 @@ def see(
     Returns:
         Image [H, W, X], accumulated opacity [H, W, 1], and what the rasterization says about the call.
     """
+    scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
     image, alpha, info = rasterization(
         gaussians.means,
         gaussians.quats,
-        gaussians.scales,
+        scales,
         opacities,
         colors,
         view.viewmat[None],
@@ -71,19 +74,20 @@ def see(
     return image.squeeze(0), alpha.squeeze(0), info  # [0] would have its gradient copied into zeros
 
 
-def see_depth(gaussians: Gaussians, opacities: Tensor, view: "ViewTensors", rendering: Rendering) -> Tensor:
+def see_depth(gaussians: Gaussians, logit_opacities: Tensor, view: "ViewTensors", rendering: Rendering) -> Tensor:
     """Expected z-depth Σ w z / Σ w [world units], [H, W]; 0 where nothing is drawn.
 
     Args:
         gaussians: The set.
-        opacities: Either opacity of the set, [N].
+        logit_opacities: Logits of either opacity of the set, [N].
         view: Camera and pose.
         rendering: How.
     """
+    scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
     depth, _, _ = rasterization(
         gaussians.means,
         gaussians.quats,
-        gaussians.scales,
+        scales,
         opacities,
         opacities[:, None],  # not drawn
         view.viewmat[None],
@@ -100,25 +104,30 @@ def see_depth(gaussians: Gaussians, opacities: Tensor, view: "ViewTensors", rend
 
 def see_both(
     gaussians: Gaussians,
-    thermal_opacities: Tensor | None,
+    with_thermal: bool,
     features: Tensor | Coefficients,
     view: "ViewTensors",
     rendering: Rendering,
 ) -> RGBTRender:
-    """SH colours and features at α, and the features at α_t where there are thermal opacities, in one traversal.
+    """SH colours and features at α, and the features at α_t where asked, in one traversal.
 
     Args:
         gaussians: The set.
-        thermal_opacities: α_t, [N], or None.
+        with_thermal: Also render the features at α_t, which in a set with one opacity is α.
         features: Features [N, d], or a second spectrum's spherical harmonics (d = 3).
         view: Camera and pose.
         rendering: How.
     """
+    thermal_opacities: Tensor | None = None
+    if with_thermal:
+        scales, opacities, thermal_opacities = _scales_and_both_opacities(gaussians)
+    else:
+        scales, opacities = _scales_and_opacities(gaussians, gaussians.logit_opacities)
     return rasterization_rgbt(
         gaussians.means,
         gaussians.quats,
-        gaussians.scales,
-        gaussians.opacities,
+        scales,
+        opacities,
         thermal_opacities,
         gaussians.sh_coeffs,
         features,
@@ -133,3 +142,29 @@ def see_both(
         rasterize_mode=rendering.rasterize_mode,
         deterministic=rendering.deterministic,
     )
+
+
+def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tuple[Tensor, Tensor]:
+    """Scales [N, 3], and the opacities [N] of those logits."""
+    if not _activated_by_one_kernel(gaussians):
+        return gaussians.scales, torch.sigmoid(logit_opacities)
+    scales, opacities, _ = activated(gaussians.log_scales, logit_opacities)
+    return scales, opacities
+
+
+def _scales_and_both_opacities(gaussians: Gaussians) -> tuple[Tensor, Tensor, Tensor]:
+    """Scales [N, 3], α [N] and α_t [N]."""
+    if not _activated_by_one_kernel(gaussians):
+        return gaussians.scales, gaussians.opacities, gaussians.thermal_opacities
+    scales, opacities, thermal_opacities = activated(
+        gaussians.log_scales,
+        gaussians.logit_opacities,
+        offsets=getattr(gaussians, "thermal_opacity_offsets", None),
+        logit_thermal_opacities=getattr(gaussians, "logit_thermal_opacities", None),
+    )
+    return scales, opacities, opacities if thermal_opacities is None else thermal_opacities
+
+
+def _activated_by_one_kernel(gaussians: Gaussians) -> bool:
+    """On CUDA, where each of torch's kernels takes longer to start than to run; on the CPU torch's are vectorised."""
+    return gaussians.means.is_cuda

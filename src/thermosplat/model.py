@@ -148,7 +148,7 @@ class SceneModel(nn.Module):
             rendered.infos["shared"][0]["modality"] = "rgb"
         if thermal is not None:
             gaussians = self.gaussians("shared")
-            features, alpha, info = see(gaussians, gaussians.features, gaussians.thermal_opacities, thermal, how)
+            features, alpha, info = see(gaussians, gaussians.features, gaussians.thermal_logits, thermal, how)
             decoded = self.decoders.thermal(*self._decoder_inputs(thermal, features))
             rendered.thermal, rendered.thermal_alpha = self._covered(decoded, alpha), alpha
             rendered.thermal_features = features
@@ -164,9 +164,9 @@ class SceneModel(nn.Module):
             view: Camera and pose.
         """
         gaussians = self.gaussians(modality if modality in self.gaussian_sets else "shared")
-        opacities = gaussians.opacities if modality == "rgb" else gaussians.thermal_opacities
+        logits = gaussians.logit_opacities if modality == "rgb" else gaussians.thermal_logits
         how = Rendering(0, False, self.config.rasterize_mode, None)
-        return see_depth(gaussians, opacities, view, how)
+        return see_depth(gaussians, logits, view, how)
 
     def _common_view(
         self, rgb: "ViewTensors | None", thermal: "ViewTensors | None", aligned: bool | None
@@ -181,8 +181,7 @@ class SceneModel(nn.Module):
     ) -> RenderedFrame:
         """SH colours and features at α, and with them the features at α_t where asked, in one traversal."""
         gaussians = self.gaussians("shared")
-        thermal_opacities = gaussians.thermal_opacities if with_thermal else None
-        output = see_both(gaussians, thermal_opacities, gaussians.features, view, how)
+        output = see_both(gaussians, with_thermal, gaussians.features, view, how)
         # squeeze, not [0], whose gradient would be copied into zeros
         visible_features, alpha = output.render_features.squeeze(0), output.render_alphas.squeeze(0)
         rendered = RenderedFrame(visible_features=visible_features, rgb_alpha=alpha, infos={"shared": [output.info]})
@@ -221,8 +220,7 @@ class SceneModel(nn.Module):
     def _render_sh_traversal(self, view: "ViewTensors", how: Rendering) -> RenderedFrame:
         """Both spectra from the spherical harmonics of one set, in one traversal."""
         gaussians = self.gaussians("shared")
-        decoupled = gaussians.thermal_opacities if self.config.geometric_decoupling else None
-        output = see_both(gaussians, decoupled, gaussians.thermal_sh_coeffs, view, how)
+        output = see_both(gaussians, self.config.geometric_decoupling, gaussians.thermal_sh_coeffs, view, how)
         thermal, alphas = output.render_thermal_features, output.render_thermal_alphas
         if thermal is None or alphas is None:
             thermal, alphas = output.render_features, output.render_alphas
@@ -241,7 +239,7 @@ class SceneModel(nn.Module):
             name = "rgb" if "rgb" in self.gaussian_sets else "shared"
             gaussians = self.gaussians(name)
             rendered.rgb, rendered.rgb_alpha, info = see(
-                gaussians, gaussians.sh_coeffs, gaussians.opacities, rgb, how, backgrounds=how.backgrounds
+                gaussians, gaussians.sh_coeffs, gaussians.logit_opacities, rgb, how, backgrounds=how.backgrounds
             )
             info["modality"] = "rgb"
             rendered.infos[name] = [info]
@@ -249,7 +247,7 @@ class SceneModel(nn.Module):
             name = "thermal" if "thermal" in self.gaussian_sets else "shared"
             gaussians = self.gaussians(name)
             colors, rendered.thermal_alpha, info = see(
-                gaussians, gaussians.thermal_sh_coeffs, gaussians.thermal_opacities, thermal, how
+                gaussians, gaussians.thermal_sh_coeffs, gaussians.thermal_logits, thermal, how
             )
             rendered.thermal = self._thermal_image(colors)
             info["modality"] = "thermal"

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 import warp as wp
 
+from warp_kernels.activations import activation_kernels
 from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
@@ -37,6 +38,7 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for antialiased in (False, True)
     ]
     kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, camera_finish_kernel(dtype)]
+    kernels += activation_kernels(dtype)
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
     kernels += [
         color_kernel(dtype, False),
@@ -73,7 +75,7 @@ def test_blending_compiles_for_cuda(tmp_path: Path) -> None:
 @pytest.mark.parametrize("arch", [80, 90])
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
-    """Projection, colours, binning, sums."""
+    """Activations, projection, colours, binning, sums."""
     compile_all(gaussian_kernels(dtype), arch, tmp_path)
 
 
