@@ -11,8 +11,8 @@ from thermosplat.training.trainer import Trainer
 
 PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("image losses", ("image_loss_", "_ImageLoss", "_WindowFilter", "conv2d", "convolution")),
-    ("projection adjoint", ("project_adjoint", "finish_camera_gradients", "ProjectBackward")),
-    ("projection", ("project_", "Project")),
+    ("projection adjoint", ("project_adjoint", "activate_adjoint", "finish_camera_gradients", "ProjectBackward")),
+    ("projection", ("project_", "activate_", "Project")),
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "ShColorsBackward")),
     ("SH", ("sh_colors", "camera_positions", "ShColors")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "strand_sums", "BlendBackward")),
