@@ -155,10 +155,14 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         reach = wp.static(dtype(1.001)) * extent_max * deviation + two
         return center + reach < zero or center - reach > dtype(size)
 
+    # Five blocks a multiprocessor wait for memory at once; for six too few registers would be left.
+    bounds = (256, 5) if dtype is wp.float32 else None
+
     @wp.kernel(
         name=f"project_{camera_model}_{'covars' if from_covars else 'quats'}_{dtype.__name__}",
         enable_backward=False,
         module="unique",
+        launch_bounds=bounds,
     )
     def project_kernel(
         first: int,

@@ -14,16 +14,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from warp_kernels.lanes import (
-    count_bits,
-    shuffle_function,
-    warp_ballot,
-    warp_max,
-    warp_owner,
-    warp_scan,
-    warp_shuffle,
-    warp_sum,
-)
+from warp_kernels.lanes import count_bits, shuffle_function, warp_ballot, warp_owner, warp_scan, warp_shuffle, warp_sum
 from warp_kernels.tile_overlap import overlap_functions
 
 MASK_COLUMNS, MASK_ROWS = 2, 4
@@ -31,10 +22,6 @@ MASK_COLUMNS, MASK_ROWS = 2, 4
 
 MASK_SHIFT = 24
 """Bits of a key in front of the mask, for the tile."""
-
-FEW_ROWS = 4
-"""Rows of tiles up to which each lane counts or emits its own Gaussian's pairs. Where one of a warp's Gaussians has
-more, the rows of all are dealt to its lanes, one after the other."""
 
 Totals = wp.types.vector(2, wp.int64)
 """Pairs, and Gaussians with any."""
@@ -127,40 +114,32 @@ def binning_kernels(dtype: type, lanes: int):
             else:
                 # A Gaussian whose colour or features are not finite would spread over every pixel it touches.
                 radii[index] = wp.vec2i(0, 0)
+        # The rows of the warp's Gaussians are dealt to its lanes, one after the other.
         end = warp_scan(row_end - row)
-        most_rows = warp_max(row_end - row)
-        alone = most_rows <= wp.static(FEW_ROWS)
         rows = warp_shuffle(end, lanes - 1)
-        turns = wp.where(alone, most_rows, (rows + lanes - 1) // lanes)
-        count = int(0)
-        tiles_before = int(0)  # of the rows before this turn
+        dealt = int(0)
+        tiles_before = int(0)
         tiles_to_end = int(0)  # of this Gaussian and those before it in the warp
-        for turn in range(turns):
-            r = row + turn
-            wanted = r < row_end
-            mean, half_size, others = mean2d, extent, shape
-            if not alone:
-                item = turn * lanes + lane
-                wanted = item < rows
-                owner = warp_owner(end, item)
-                r = warp_shuffle(row_end - end, owner) + item
-                mean, half_size, others = of_lane(owner, mean2d, extent, shape)
+        while dealt < rows:
+            item = dealt + lane
+            owner = warp_owner(end, item)
+            r = warp_shuffle(row_end - end, owner) + item
+            mean, half_size, others = of_lane(owner, mean2d, extent, shape)
             tiles = int(0)
-            if wanted:
+            if item < rows:
                 start, stop = tiles_of_row(mean, half_size, others, r, width, height, tile_size)
                 tiles = stop - start
-            if alone:
-                count += tiles
-            else:
-                total = tiles_before + warp_scan(tiles)
-                last = end - 1 - turn * lanes
-                total_there = warp_shuffle(total, wp.clamp(last, 0, lanes - 1))
-                if last >= 0 and last < lanes:
-                    tiles_to_end = total_there
-                tiles_before = warp_shuffle(total, lanes - 1)
-        if not alone:
-            before = warp_shuffle(tiles_to_end, wp.max(lane - 1, 0))
-            count = tiles_to_end - wp.where(lane > 0, before, 0)
+            total = tiles_before + warp_scan(tiles)
+            last = end - 1 - dealt
+            total_there = warp_shuffle(total, wp.clamp(last, 0, lanes - 1))
+            if last >= 0 and last < lanes:
+                tiles_to_end = total_there
+            tiles_before = warp_shuffle(total, lanes - 1)
+            dealt += lanes
+        count = tiles_to_end
+        before = warp_shuffle(tiles_to_end, wp.max(lane - 1, 0))
+        if lane > 0:
+            count -= before
         if inside:
             tiles_per_gaussian[index] = count
         if warp_totals.shape[0] > 0:
@@ -323,39 +302,27 @@ def binning_kernels(dtype: type, lanes: int):
                 y, y_end = pixel_rows(mean2d, extent, height)
                 row, row_end = tile_range(y, y_end, tile_size)
         end = warp_scan(row_end - row)
-        most_rows = warp_max(row_end - row)
-        alone = most_rows <= wp.static(FEW_ROWS)
         rows = warp_shuffle(end, lanes - 1)
-        turns = wp.where(alone, most_rows, (rows + lanes - 1) // lanes)
-        if not alone:
-            slot = warp_shuffle(slot, 0)  # from where on the pairs of the warp's Gaussians lie side by side
-        for turn in range(turns):
-            g = index
-            r = row + turn
-            wanted = r < row_end
-            mean, half_size, others = mean2d, extent, shape
-            if not alone:
-                item = turn * lanes + lane
-                wanted = item < rows
-                owner = warp_owner(end, item)
-                g = warp_shuffle(index, owner)
-                r = warp_shuffle(row_end - end, owner) + item
-                mean, half_size, others = of_lane(owner, mean2d, extent, shape)
+        slot = warp_shuffle(slot, 0)  # from where on the pairs of the warp's Gaussians lie side by side
+        dealt = int(0)
+        while dealt < rows:
+            item = dealt + lane
+            owner = warp_owner(end, item)
+            g = warp_shuffle(index, owner)
+            r = warp_shuffle(row_end - end, owner) + item
+            mean, half_size, others = of_lane(owner, mean2d, extent, shape)
             start = int(0)
             stop = int(0)
-            if wanted:
+            if item < rows:
                 start, stop = tiles_of_row(mean, half_size, others, r, width, height, tile_size)
-            tiles = stop - start
-            following = slot + tiles
-            if not alone:
-                total = warp_scan(tiles)
-                following = slot + warp_shuffle(total, lanes - 1)
-                slot += total - tiles
+            total = warp_scan(stop - start)
             emit_row(
-                g, r, start, stop, slot, mean, half_size, others, (g // num_gaussians) * tiles_x * tiles_y,
-                width, height, tile_size, tiles_x, by_slot, masked, capacity, keys, values, owners,
+                g, r, start, stop, slot + total - (stop - start), mean, half_size, others,
+                (g // num_gaussians) * tiles_x * tiles_y, width, height, tile_size, tiles_x, by_slot, masked, capacity,
+                keys, values, owners,
             )  # fmt: skip
-            slot = following
+            slot += warp_shuffle(total, lanes - 1)
+            dealt += lanes
 
     return count_tiles_kernel, compact_gaussians_kernel, gather_counts_kernel, emit_pairs_kernel
 
