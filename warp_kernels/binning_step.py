@@ -7,7 +7,8 @@ from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.lanes import LANES_CUDA
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import MASK_SHIFT, Room, TileBins, Totals, binning_kernels, tile_ranges_kernel
+from warp_kernels.tile_binning import MASK_SHIFT, Totals, binning_kernels, tile_ranges_kernel
+from warp_kernels.tile_bins import Room, TileBins
 
 COMPACTED = 2**18
 """Gaussians above which those without tiles are left out before the sort by depth; fewer are sorted in no time."""

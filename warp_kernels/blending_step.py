@@ -17,7 +17,7 @@ from warp_kernels.launching import launch, launch_again, launch_tiles
 from warp_kernels.list_segments import join_segments_kernel, state_length
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tape_recording import given_gradient, gradient_of, record_adjoint
-from warp_kernels.tile_binning import TileBins
+from warp_kernels.tile_bins import TileBins
 
 
 @dataclass

@@ -94,14 +94,24 @@ def warp_sum(x: wp.uint32) -> wp.uint32: ...
 def warp_scan(x: int) -> int: ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, x, source);
-#else
-    return x;
-#endif
-""")
-def warp_shuffle(x: int, source: int) -> int: ...
+@functools.cache
+def shuffle_function(dtype: type):
+    """What lanes read each other's numbers by; all of a warp together.
+
+    Args:
+        dtype: ``wp.int32``, ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        A Warp function (value, lane): that lane's value.
+    """
+
+    @wp.func_native(on_cuda("return __shfl_sync(0xffffffffu, x, source);", "return x;"))
+    def shuffle(x: dtype, source: int) -> dtype: ...
+
+    return shuffle
+
+
+warp_shuffle = shuffle_function(wp.int32)
 
 
 # The first lane whose ``end`` is above ``item``, by halving; the last one where there is none. Ends rise from lane to
@@ -297,23 +307,6 @@ def column_sums_snippet(length: int, columns: int, dtype: type) -> str:
             names, segment = folded, half
         lines += [f"p[{first + k}] = {names[0]}[{k}];" for k in range(count)]
     return "\n#if !defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#endif\n"
-
-
-@functools.cache
-def shuffle_function(dtype: type):
-    """``warp_shuffle`` of scalars.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
-    Returns:
-        A Warp function (value, lane): that lane's value.
-    """
-
-    @wp.func_native(on_cuda("return __shfl_sync(0xffffffffu, x, source);", "return x;"))
-    def shuffle(x: dtype, source: int) -> dtype: ...
-
-    return shuffle
 
 
 @functools.cache

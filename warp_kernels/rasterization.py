@@ -13,7 +13,7 @@ from warp_kernels.binning_step import bin_tiles
 from warp_kernels.blending_step import BlendedArrays, blend
 from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
 from warp_kernels.projection_step import project
-from warp_kernels.tile_binning import TileBins
+from warp_kernels.tile_bins import TileBins
 
 
 @dataclass

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from thermosplat.errors import UserError
 from thermosplat.warp_pair_notes import note_totals
-from warp_kernels.tile_binning import Room
+from warp_kernels.tile_bins import Room
 
 CALLS = 8
 """Most rasterizations in a step."""

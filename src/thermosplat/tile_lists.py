@@ -10,7 +10,7 @@ from thermosplat.warp_streams import joined_capture, on_torch_stream
 from warp_kernels import binning_step
 from warp_kernels.array_views import ArrayView
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import Room, TileBins
+from warp_kernels.tile_bins import Room, TileBins
 
 
 class TileLists(NamedTuple):

@@ -97,8 +97,11 @@ class FusedDecoders:
         return [*both, *((None, None) if d.thermal_head is None else (d.thermal_head.weight, d.thermal_head.bias))]
 
 
-SHARED, MODULATION, RGB_HEAD, THERMAL_HEAD = slice(0, 6), slice(6, 8), slice(8, 10), slice(10, 12)
-"""Weights and biases of three layers that both branches have, and of those that one has."""
+SHARED = 6
+"""The first weights and biases are those of three layers that both branches have."""
+
+RGB, THERMAL = range(10), (*range(SHARED), None, None, 10, 11)
+"""Which of them a branch has, in the order of its kernels; the thermal one has no modulation."""
 
 
 class _Branches(torch.autograd.Function):
@@ -111,10 +114,9 @@ class _Branches(torch.autograd.Function):
     def forward(
         ctx: Any, team: int, visible: Tensor | None, thermal: Tensor | None, *parameters: Tensor | None
     ) -> tuple[Tensor | None, Tensor | None]:
-        rgb_parameters, thermal_parameters = _by_branch(parameters)
         images = (
-            None if visible is None else _decoded(visible, rgb_parameters),
-            None if thermal is None else _decoded(thermal, thermal_parameters),
+            None if visible is None else _decoded(visible, _of_branch(RGB, parameters)),
+            None if thermal is None else _decoded(thermal, _of_branch(THERMAL, parameters)),
         )
         ctx.save_for_backward(visible, thermal, *images, *parameters)
         ctx.set_materialize_grads(False)
@@ -125,8 +127,10 @@ class _Branches(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, v_rgb: Tensor | None, v_thermal: Tensor | None) -> tuple[Tensor | None, ...]:
         visible, thermal, rgb_image, thermal_image, *parameters = ctx.saved_tensors
-        given = (visible, rgb_image, v_rgb), (thermal, thermal_image, v_thermal)
-        branches = [(*of, own) for of, own in zip(given, _by_branch(parameters), strict=True)]
+        branches = [
+            (visible, rgb_image, v_rgb, _of_branch(RGB, parameters)),
+            (thermal, thermal_image, v_thermal, _of_branch(THERMAL, parameters)),
+        ]
         sizes = [0 if v_image is None else _size(own) for *_, v_image, own in branches]
         programs = warp_device_of(parameters[0].device).sm_count
         partial = parameters[0].new_empty(programs, sum(sizes))
@@ -136,23 +140,21 @@ class _Branches(torch.autograd.Function):
         ]
         of_rgb, of_thermal = partial.sum(0).split(sizes)
         if v_rgb is not None and v_thermal is not None:
-            shared = _size(parameters[SHARED])
+            shared = _size(parameters[:SHARED])
             of_rgb[:shared] += of_thermal[:shared]
         v_parameters: list[Tensor | None] = [None] * len(parameters)
-        for sums, places in ((of_thermal, (SHARED, THERMAL_HEAD)), (of_rgb, (SHARED, MODULATION, RGB_HEAD))):
+        for sums, places in ((of_thermal, THERMAL), (of_rgb, RGB)):  # of both, the sums with both are the last
             if len(sums) > 0:
-                own = [k for place in places for k in range(*place.indices(len(parameters)))]
+                own = [k for k in places if k is not None]
                 pieces = sums.split([parameters[k].numel() for k in own])
                 for k, piece in zip(own, pieces, strict=True):
                     v_parameters[k] = piece.view(parameters[k].shape)
         return None, *v_features, *v_parameters
 
 
-def _by_branch(parameters: Sequence[Tensor | None]) -> tuple[list[Tensor | None], list[Tensor | None]]:
-    """Parameters of the RGB branch and of the thermal one in the order of their kernels, which has a modulation."""
-    shared = parameters[SHARED]
-    rgb = [*shared, *parameters[MODULATION], *parameters[RGB_HEAD]]
-    return rgb, [*shared, None, None, *parameters[THERMAL_HEAD]]
+def _of_branch(places: Sequence[int | None], parameters: Sequence[Tensor | None]) -> list[Tensor | None]:
+    """A branch's weights and biases."""
+    return [None if k is None else parameters[k] for k in places]
 
 
 def _size(parameters: Sequence[Tensor | None]) -> int:

@@ -12,7 +12,8 @@ from warp_kernels.binning_step import bin_tiles
 from warp_kernels.constants import ALPHA_MIN
 from warp_kernels.projection import ProjectedArrays
 from warp_kernels.rasterization import scalar_view
-from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS, Room, TileBins
+from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS
+from warp_kernels.tile_bins import Room, TileBins
 
 PARTS = MASK_COLUMNS * MASK_ROWS
 

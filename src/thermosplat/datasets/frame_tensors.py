@@ -75,17 +75,25 @@ def packed(frame: FrameTensors) -> FrameTensors:
 
 def packed_elsewhere(frame: FrameTensors) -> FrameTensors:
     """A copy of a packed frame, or of what is left of it without a view: everything is at the same place in it."""
-    if frame.memory is None:
-        raise ValueError("Only a packed frame has a memory to copy.")
-    memory = frame.memory.clone()
+    memory = packed_memory(frame).clone()
     return _placed(frame, memory, lambda tensor: _part(memory, place_in_frame(frame, tensor), tensor))
 
 
 def place_in_frame(frame: FrameTensors, tensor: Tensor) -> int:
     """Where in a packed frame's memory a tensor of it starts [numbers]."""
+    memory = packed_memory(frame)
+    return (tensor.data_ptr() - memory.data_ptr()) // memory.element_size()
+
+
+def packed_memory(frame: FrameTensors) -> Tensor:
+    """The memory of a packed frame.
+
+    Raises:
+        ValueError: of another frame.
+    """
     if frame.memory is None:
-        raise ValueError("Only a packed frame has a memory to be in.")
-    return (tensor.data_ptr() - frame.memory.data_ptr()) // frame.memory.element_size()
+        raise ValueError(f"Frame {frame.name} is not packed.")
+    return frame.memory
 
 
 def _placed(frame: FrameTensors, memory: Tensor, place: Callable[[Tensor], Tensor]) -> FrameTensors:

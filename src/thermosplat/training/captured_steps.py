@@ -8,9 +8,8 @@ the spherical harmonics changes, or frames have another size. Frames are copied 
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, packed_elsewhere, place_in_frame
+from thermosplat.datasets.frame_tensors import FrameTensors, packed_elsewhere, packed_memory, place_in_frame
 from thermosplat.pair_capacity import SPARE
 from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
 from thermosplat.warp_streams import captured_in
@@ -24,11 +23,14 @@ SETTLED_SPARE = 1.15
 
 @dataclass(frozen=True)
 class _Shape:
-    """What two frames must share to be the same work: where which tensors lie, of which shape."""
+    """What two frames must share to be the same work."""
 
-    rgb: tuple[tuple[int, tuple[int, ...]] | None, ...]
-    thermal: tuple[tuple[int, tuple[int, ...]] | None, ...]
+    tensors: tuple[tuple[int, tuple[int, ...]], ...]
+    """Where they lie, and their shapes."""
     numbers: int
+    """Of all the memory."""
+    has_rgb: bool
+    has_thermal: bool
     aligned: bool
 
 
@@ -76,7 +78,7 @@ class CapturedSteps:
         if (shape, kind) not in self._graphs:
             self._graphs[shape, kind] = self._capture(frame, shape, kind)
         captured = self._graphs[shape, kind]
-        _memory(captured.frame).copy_(_memory(frame))
+        packed_memory(captured.frame).copy_(packed_memory(frame))
         captured.graph.replay()
         return captured.values
 
@@ -104,19 +106,7 @@ class CapturedSteps:
         return _Captured(graph, static, values)
 
 
-def _memory(frame: FrameTensors) -> Tensor:
-    if frame.memory is None:
-        raise ValueError("Captured steps take packed frames.")
-    return frame.memory
-
-
 def _shape(frame: FrameTensors) -> _Shape:
-    rgb, thermal = (
-        tuple(None if tensor is None else (place_in_frame(frame, tensor), tuple(tensor.shape)) for tensor in tensors)
-        for tensors in (_tensors(frame.rgb), _tensors(frame.thermal))
-    )
-    return _Shape(rgb, thermal, len(_memory(frame)), frame.aligned)
-
-
-def _tensors(view: ViewTensors | None) -> list[Tensor | None]:
-    return [] if view is None else [view.viewmat, view.K, view.image, view.intensity]
+    tensors = tuple((place_in_frame(frame, tensor), tuple(tensor.shape)) for tensor in frame.packable())
+    has_rgb, has_thermal = frame.rgb is not None, frame.thermal is not None
+    return _Shape(tensors, len(packed_memory(frame)), has_rgb, has_thermal, frame.aligned)
