@@ -17,7 +17,7 @@ import warp as wp
 from benchmark_scenes import BenchmarkScene, garden_scene
 from trained_scene import trained_scene
 
-from thermosplat.rasterization_functions import Project
+from thermosplat.rasterization_functions import Project, ProjectInputs
 from thermosplat.tile_lists import bin_tiles
 from thermosplat.warp_streams import on_torch_stream
 from warp_kernels.blend_layout import BlendLayout
@@ -47,7 +47,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
     with torch.no_grad():
         *_projected, arrays = Project.apply(
             scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
-            scene.intrinsics(width, height)[None], settings, (1,),
+            scene.intrinsics(width, height)[None], ProjectInputs(settings, (), (1,)),
         )  # fmt: skip
     flat = scene.features(max(channels for channels, _ in args.channels))
     bins, memory = bin_tiles(arrays, opacities, thermal, flat, settings, args.tile_size)

@@ -117,9 +117,9 @@ def bin_tiles(
     try:
         keys = empty(2 * num_pairs, wp.int32, device)
         values = empty(2 * num_pairs, wp.int32, device)
-        owners = empty(num_pairs if by_slot else 0, wp.int32, device)
+        owners = empty(num_pairs, wp.int32, device) if by_slot else nothing(wp.int32, 1, device)
         gaussian_ids = empty(num_pairs, wp.int32, device)
-        masks = empty(num_pairs if wants_masks(device) else 0, wp.uint8, device)
+        masks = empty(num_pairs, wp.uint8, device) if wants_masks(device) else nothing(wp.uint8, 1, device)
         tile_offsets = empty(num_tiles + 1, wp.int32, device)
     except Exception as error:
         # Of what kind depends on the allocator; what was asked for is known here only.

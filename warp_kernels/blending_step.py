@@ -105,7 +105,8 @@ def blend(
     segment = layout.segment
     num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
     length = state_length(channels, thermal_channels)
-    states = empty((num_states, length, bins.tile_size**2), dtype, device)
+    size_of_state = (length, bins.tile_size**2)
+    states = empty((num_states, *size_of_state), dtype, device) if num_states > 0 else nothing(dtype, 3, device)
 
     thermal_render = _thermal_render(blended, dtype, device)
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)

@@ -1,17 +1,28 @@
 """A scene projected once, and the tensors everything blended from it shares. Flat index: image · N + Gaussian."""
 
 import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
 from thermosplat.blend_function import Blend, BlendedTensors, BlendInputs
 from thermosplat.pair_capacity import active_pair_capacity
-from thermosplat.rasterization_functions import Project, ProjectedTensors, ShColors
+from thermosplat.rasterization_functions import Harmonics, Project, ProjectedTensors, ProjectInputs
 from thermosplat.rasterization_info import RasterizationInfo, conics, isect_ids, num_nonfinite
 from thermosplat.tile_lists import TileLists, bin_tiles
 from warp_kernels.color_step import ColorSettings
 from warp_kernels.projection import ProjectionSettings
+
+
+class Drawn(NamedTuple):
+    """Colours or features, which are blended."""
+
+    values: Tensor | tuple[Tensor, Tensor]
+    """[..., (C,) N, X]; with ``sh_degree`` [..., (C,) N, K, 3], or the first coefficient and the others apart."""
+    sh_degree: int | None
+    per_camera: bool
 
 
 class ProjectedScene:
@@ -28,6 +39,7 @@ class ProjectedScene:
         Ks: [..., C, 3, 3], px.
         settings: image size, counts, planes and mode.
         tile_size: edge of a tile [px].
+        drawn: what is to be blended, of which ``features`` holds the final values, each flat [images · N, X].
         deterministic: sum gradients in the same order every time, on CUDA at a cost (on the CPU that is always so).
     """
 
@@ -44,14 +56,14 @@ class ProjectedScene:
         settings: ProjectionSettings,
         tile_size: int,
         *,
+        drawn: Sequence[Drawn] = (),
         deterministic: bool = False,
     ) -> None:
         self.tile_size = tile_size
         self.deterministic = deterministic
         self.settings = settings
         self.images_shape = (*means.shape[:-2], settings.num_cameras)
-        self.means = means.contiguous()
-        self.viewmats = viewmats.contiguous()
+        means = means.contiguous()
         upper = None
         if covars is not None or quats is None or scales is None:
             quats = scales = None
@@ -60,22 +72,28 @@ class ProjectedScene:
         else:
             quats, scales = quats.contiguous(), scales.contiguous()
         shape = [(quats, 4), (scales, 3), (upper, 6)]
-        # and what per_image and colors are given; detached when they are counted
-        self._inputs = [(self.means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
+        # and what is drawn as it is; detached when they are counted
+        self._inputs = [(means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
+        harmonics = [_harmonics(one, settings) for one in drawn]
+        self._harmonics = [one for one in harmonics if one is not None]
         bound = opacities.detach().contiguous()
-        *projected, self._means, self._arrays = Project.apply(
-            self.means,
+        *projected, self._arrays = Project.apply(
+            means,
             quats,
             scales,
             upper,
             bound,
             bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
-            self.viewmats,
+            viewmats.contiguous(),
             Ks.contiguous(),
-            settings,
-            self.images_shape,
+            ProjectInputs(settings, tuple(one.settings for one in self._harmonics), self.images_shape),
+            *(coefficients for one in self._harmonics for coefficients in one[:2]),
         )
-        self.projected = ProjectedTensors(*projected)
+        self.projected = ProjectedTensors(*projected[:6])
+        evaluated = iter(projected[6:])
+        self.features = [
+            self._per_image(one) if sh is None else next(evaluated) for one, sh in zip(drawn, harmonics, strict=True)
+        ]
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
         self.means2d, self.depths = self.projected.means2d, self.projected.depths
         self.opacities = self._per_image_opacities(opacities)
@@ -87,38 +105,17 @@ class ProjectedScene:
         per_image = opacities.unsqueeze(-2)
         if self.settings.num_cameras != 1:
             per_image = per_image.expand(*self.images_shape, -1)
-        if self.settings.antialiased:
+        if self.projected.compensations is not None:
             per_image = per_image * self.projected.compensations
         return per_image.contiguous()
 
-    def per_image(self, values: Tensor, *, per_camera: bool) -> Tensor:
-        """Values [..., (C,) N, X] repeated for each camera where they are shared, flat [images · N, X]."""
+    def _per_image(self, drawn: Drawn) -> Tensor:
+        """Final values repeated for each camera where they are shared."""
+        values = cast("Tensor", drawn.values)  # only coefficients come in pairs
         self._inputs.append((values, values.shape[-1]))
-        if not per_camera and self.settings.num_cameras != 1:
+        if not drawn.per_camera and self.settings.num_cameras != 1:
             values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
         return _flat(values)
-
-    def colors(
-        self, colors: Tensor, sh_degree: int | None, *, per_camera: bool, higher_degrees: Tensor | None = None
-    ) -> Tensor:
-        """Colours, or with ``sh_degree`` their coefficients in the view directions, flat [images · N, D].
-
-        ``higher_degrees``: coefficients above degree 0, where ``colors`` holds those of degree 0 alone.
-        """
-        if sh_degree is None:
-            return self.per_image(colors, per_camera=per_camera)
-        active = (sh_degree + 1) ** 2
-        self._note(colors if colors.shape[-2] == active else colors[..., :active, :])
-        if higher_degrees is not None:
-            self._note(higher_degrees[..., : active - 1, :])
-            higher_degrees = higher_degrees.contiguous() if higher_degrees.shape[-2] > 0 else None
-        settings = ColorSettings(sh_degree, self.settings.num_gaussians, self.settings.num_cameras, per_camera)
-        arguments = (colors.contiguous(), higher_degrees, self.projected.radii, settings)
-        return ShColors.apply(self._means, self.viewmats, *arguments)
-
-    def _note(self, coefficients: Tensor) -> None:
-        """Remembers coefficients [..., N, K, 3] as an input whose numbers should be finite."""
-        self._inputs.append((coefficients, coefficients.shape[-2] * 3))
 
     def blend(
         self,
@@ -202,9 +199,7 @@ class ProjectedScene:
             "opacities": self.opacities,
             "tile_width": bins.tiles_x,
             "tile_height": bins.tiles_y,
-            "tiles_per_gauss": tensors["tiles_per_gaussian"].reshape(*shape, -1),
             "flatten_ids": flatten_ids,
-            "isect_offsets": tile_offsets[:-1].reshape(*shape, bins.tiles_y, bins.tiles_x),
             "width": settings.width,
             "height": settings.height,
             "tile_size": bins.tile_size,
@@ -213,17 +208,42 @@ class ProjectedScene:
         }
         if self.thermal_opacities is not None:
             values["thermal_opacities"] = self.thermal_opacities
-        depths, tiles = self.depths, bins.tiles_x * bins.tiles_y
+        # What is computed later holds the tensors that it reads and not this scene.
+        depths, tiles_of_gaussians = self.depths, tensors["tiles_per_gaussian"]
+        tiles_y, tiles_x = bins.tiles_y, bins.tiles_x
         roots, radii = self.projected.roots, self.projected.radii
-        inputs, scenes, num_gaussians = self._inputs, math.prod(shape[:-1]), settings.num_gaussians
+        inputs, harmonics = self._inputs, self._harmonics
+        scenes, num_gaussians = math.prod(shape[:-1]), settings.num_gaussians
         return RasterizationInfo(
             values,
             {
                 "conics": lambda: conics(roots, radii),
-                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles),
-                "num_nonfinite": lambda: num_nonfinite(inputs, scenes, num_gaussians),
+                "tiles_per_gauss": lambda: tiles_of_gaussians.reshape(*shape, -1),
+                "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
+                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
+                "num_nonfinite": lambda: num_nonfinite([*inputs, *_used(harmonics)], scenes, num_gaussians),
             },
         )
+
+
+def _harmonics(drawn: Drawn, settings: ProjectionSettings) -> Harmonics | None:
+    """Coefficients as ``Project`` takes them; None of final values."""
+    if drawn.sh_degree is None:
+        return None
+    sh0, shN = drawn.values if isinstance(drawn.values, tuple) else (drawn.values, None)
+    shN = None if shN is None or shN.shape[-2] == 0 else shN.contiguous()
+    counts = (settings.num_gaussians, settings.num_cameras)
+    return Harmonics(sh0.contiguous(), shN, ColorSettings(drawn.sh_degree, *counts, drawn.per_camera))
+
+
+def _used(harmonics: Sequence[Harmonics]) -> Iterator[tuple[Tensor, int]]:
+    """The coefficients of active degrees, each tensor with its number of values a Gaussian."""
+    for sh0, shN, settings in harmonics:
+        active = (settings.degree + 1) ** 2
+        first = min(active, sh0.shape[-2])
+        yield sh0[..., :first, :], 3 * first
+        if shN is not None:
+            yield shN[..., : active - 1, :], 3 * (active - 1)
 
 
 def _flat(values: Tensor) -> Tensor:

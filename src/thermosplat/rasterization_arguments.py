@@ -157,10 +157,13 @@ def check_scene(
         raise UserError(f"means must be float32 or float64, got {means.dtype}.")
     batch, count = tuple(means.shape[:-2]), means.shape[-2]
     if covars is None:
-        for name, value, width in (("quats", quats, 4), ("scales", scales, 3)):
+        for name, value, width, meaning in (
+            ("quats", quats, 4, "[..., N, 4] with N from means"),
+            ("scales", scales, 3, "[..., N, 3] with N from means"),
+        ):
             if value is None:
                 raise UserError(f"{name} must be given unless covars is, got None.")
-            check_shape(name, value, (*batch, count, width), means, f"[..., N, {width}] with N from means")
+            check_shape(name, value, (*batch, count, width), means, meaning)
     else:
         check_shape("covars", covars, (*batch, count, 3, 3), means, "[..., N, 3, 3] with N from means")
     check_shape("opacities", opacities, (*batch, count), means, "[..., N] with N from means")
@@ -232,7 +235,11 @@ def _check_pair(name: str, sh0: Tensor, shN: Tensor, means: Tensor, cameras: int
 
 
 def check_backgrounds(
-    backgrounds: Tensor | None, colors: Tensor, sh_degree: int | None, means: Tensor, cameras: int
+    backgrounds: Tensor | None,
+    colors: Tensor | tuple[Tensor, Tensor],
+    sh_degree: int | None,
+    means: Tensor,
+    cameras: int,
 ) -> None:
     """Checks the colours behind everything.
 
@@ -247,7 +254,7 @@ def check_backgrounds(
         UserError: naming the argument, what was expected and what was found.
     """
     if backgrounds is not None:
-        channels = 3 if sh_degree is not None else colors.shape[-1]
+        channels = 3 if sh_degree is not None or isinstance(colors, tuple) else colors.shape[-1]
         check_shape("backgrounds", backgrounds, (*means.shape[:-2], cameras, channels), means)
 
 

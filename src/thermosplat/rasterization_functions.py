@@ -1,19 +1,28 @@
 """Torch autograd over the steps of warp_kernels.
 
-Each step of the rasterizer is one ``torch.autograd.Function``, whose passes look at torch's memory as Warp arrays and
-run the step or its adjoint. Adjoints store gradients in memory that is not
-initialised where they can. Only what a function saves keeps memory alive until its backward pass, after which torch
+What is done for each Gaussian, and the blending, are one ``torch.autograd.Function`` each, whose passes look at torch's
+memory as Warp arrays and run steps or their adjoints. Adjoints store gradients in memory that is not initialised where
+they can. Only what a function saves keeps memory alive until its backward pass, after which torch
 lets go of it. Work runs on torch's current stream. The blending's function is in blend_function.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import torch
 import warp as wp
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-from thermosplat.warp_bridge import keep, kept, kinds_of, lend, take_back, view, warp_device_of
+from thermosplat.warp_bridge import (
+    differentiable_once,
+    keep,
+    kept,
+    kinds_of,
+    lend,
+    take_back,
+    view,
+    warp_device_of,
+)
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
@@ -35,23 +44,50 @@ class ProjectedTensors(NamedTuple):
     means2d: Tensor
     depths: Tensor
     roots: Tensor
-    compensations: Tensor  # empty in the classic mode
+    compensations: Tensor | None  # None in the classic mode
     radii: Tensor  # int32, not differentiable
     extents: Tensor  # not differentiable
 
     def arrays(self) -> ProjectedArrays:
         """The same memory as flat Warp arrays, which do not keep it alive."""
         scalar, vec2, vec3 = kinds_of(self.means2d.dtype)[:3]
-        return ProjectedArrays(*map(view, self, (vec2, scalar, vec3, scalar, wp.vec2i, vec2)))
+        factors = self.compensations
+        return ProjectedArrays(
+            means2d=view(self.means2d, vec2),
+            depths=view(self.depths, scalar),
+            roots=view(self.roots, vec3),
+            compensations=nothing(scalar, 1, warp_device_of(self.means2d.device))
+            if factors is None
+            else view(factors, scalar),
+            radii=view(self.radii, wp.vec2i),
+            extents=view(self.extents, vec2),
+        )
+
+
+class Harmonics(NamedTuple):
+    """Coefficients of spherical harmonics [..., (C,) N, K, 3], to become colours in the view directions."""
+
+    sh0: Tensor
+    """Those of degree 0, or of all degrees."""
+    shN: Tensor | None
+    """Those of the other degrees, where they lie apart."""
+    settings: ColorSettings
+
+
+class ProjectInputs(NamedTuple):
+    """What ``Project`` needs beside the tensors it differentiates."""
+
+    settings: ProjectionSettings
+    color_settings: tuple[ColorSettings, ...]
+    """One for each pair of coefficients among the tensors."""
+    images_shape: tuple[int, ...]
 
 
 class Project(torch.autograd.Function):
-    """Projection; see ``projection_step``.
+    """Projection, and colours in the view directions; see ``projection_step`` and ``color_step``.
 
-    Returns the fields of ``ProjectedTensors``, the means once more, and the arrays of the former.
-
-    What is computed from the means of projected Gaussians should take those: its gradient is then added to by the
-    projection's adjoint, instead of a second gradient of that size by torch.
+    Returns the fields of ``ProjectedTensors``, the colours [images · N, 3] of each pair of coefficients, and the arrays
+    of the former. One function for both, so that the gradient to the means is added up in place.
     """
 
     @staticmethod
@@ -65,25 +101,33 @@ class Project(torch.autograd.Function):
         thermal_opacities: Tensor,
         viewmats: Tensor,
         Ks: Tensor,
-        settings: ProjectionSettings,
-        images_shape: tuple[int, ...],
+        inputs: ProjectInputs,
+        *coefficients: Any,
     ) -> tuple[Any, ...]:
-        shape = (*images_shape, settings.num_gaussians)
+        settings = inputs.settings
+        shape = (*inputs.images_shape, settings.num_gaussians)
         projected = ProjectedTensors(
             means2d=means.new_empty((*shape, 2)),
             depths=means.new_empty(shape),
             roots=means.new_empty((*shape, 3)),
-            compensations=means.new_empty(shape if settings.antialiased else 0),
+            compensations=means.new_empty(shape) if settings.antialiased else None,
             radii=means.new_empty((*shape, 2), dtype=torch.int32),
             extents=means.new_empty((*shape, 2)),
         )
         p = projected.arrays()
         g = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
+        colors = [means.new_empty((math.prod(shape), 3)) for _ in inputs.color_settings]
+        c = []
         with launches_on_torch_stream(means.device):
             project(g, settings, p)
+            for sh0, shN, shown, how in zip(
+                coefficients[::2], coefficients[1::2], colors, inputs.color_settings, strict=True
+            ):
+                c.append(ColorArrays(g.means, g.viewmats, *_by_degree(sh0, shN), p.radii, view(shown, g.means.dtype)))
+                sh_colors(c[-1], how)
         ctx.mark_non_differentiable(projected.radii, projected.extents)
         ctx.set_materialize_grads(False)
-        ctx.settings, ctx.gaussians, ctx.projected = settings, g, p
+        ctx.inputs, ctx.gaussians, ctx.projected, ctx.colors = inputs, g, p, c
         keep(
             ctx,
             (g.means, means),
@@ -96,38 +140,78 @@ class Project(torch.autograd.Function):
             (p.roots, projected.roots),
             (p.compensations, projected.compensations),
             (p.radii, projected.radii),
+            *zip([arrays.colors for arrays in c], colors, strict=True),
+            *zip([array for arrays in c for array in (arrays.sh0, arrays.shN)], coefficients, strict=True),
         )
-        return *projected, means.view_as(means), p
+        return *projected, *colors, p
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        means, quats, scales, covars, viewmats, Ks, *_held = kept(ctx)
-        to_cameras = ctx.needs_input_grad[6] or ctx.needs_input_grad[7]
-        *v_projected, given = gradients[:-1]
-        v_means = torch.empty_like(means) if given is None else given.contiguous()
-        v_quats, v_covars = _empty(quats), _empty(covars)
-        v_roots = v_projected[2]
-        if v_roots is not None and scales is not None and ctx.settings.num_cameras == 1:
-            # A thread reads its Gaussian's gradient before it writes: where there was one to the root, one to the
-            # scales. Nobody else has it: roots are not shown.
-            v_roots = v_projected[2] = v_roots.contiguous()
-            v_scales: Tensor | None = v_roots.view_as(scales)
-        else:
-            v_scales = _empty(scales)
+        means, quats, scales, covars, viewmats, Ks, *held = kept(ctx)
+        *v_projected, _radii, _extents = gradients[:6]
+        v_colors, coefficients = gradients[6:-1], held[3 + len(ctx.colors) :]
+        to_gaussians, to_cameras = any(ctx.needs_input_grad[:4]), any(ctx.needs_input_grad[6:8])
+        g, p, settings = ctx.gaussians, ctx.projected, ctx.inputs.settings
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
-        g, p = ctx.gaussians, ctx.projected
-        inputs = (g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks)
-        outputs = (p.means2d, p.depths, p.roots, p.compensations)
-        for array, gradient in zip(inputs, (v_means, v_quats, v_scales, v_covars, v_viewmats, v_Ks), strict=True):
-            if gradient is not None:
-                array.grad = view(gradient, array.dtype)
-        for array, gradient in zip(outputs, v_projected, strict=False):
-            lend(array, gradient)
+        v_quats, v_scales, v_covars = None, None, None
         with launches_on_torch_stream(means.device):
-            project_adjoint(g, ctx.settings, p, store=True, add_to_means=given is not None)
-        take_back(*inputs, *outputs)
-        return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, None
+            if v_viewmats is not None:
+                g.viewmats.grad = view(v_viewmats, g.viewmats.dtype)
+            v_means, v_coefficients = _color_adjoints(ctx, means, coefficients, v_colors)
+            if to_gaussians or to_cameras:
+                added = v_means is not None
+                v_means = torch.empty_like(means) if v_means is None else v_means
+                v_quats, v_covars = _empty(quats), _empty(covars)
+                v_roots = v_projected[2]
+                if v_roots is not None and scales is not None and settings.num_cameras == 1:
+                    # A thread reads its Gaussian's gradient before it writes: where there was one to the root, one to
+                    # the scales. Nobody else has it: roots are not shown.
+                    v_roots = v_projected[2] = v_roots.contiguous()
+                    v_scales = v_roots.view_as(scales)
+                else:
+                    v_scales = _empty(scales)
+                inputs = (g.means, g.quats, g.scales, g.covars, g.Ks)
+                for array, gradient in zip(inputs, (v_means, v_quats, v_scales, v_covars, v_Ks), strict=True):
+                    if gradient is not None:
+                        array.grad = view(gradient, array.dtype)
+                outputs = (p.means2d, p.depths, p.roots, p.compensations)
+                for array, gradient in zip(outputs, v_projected, strict=True):
+                    if gradient is not None:
+                        lend(array, gradient)
+                project_adjoint(g, settings, p, store=True, add_to_means=added)
+                take_back(*inputs, *outputs)
+        take_back(g.means, g.viewmats)
+        return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, *v_coefficients
+
+
+def _color_adjoints(
+    ctx: Any, means: Tensor, coefficients: list[Any], v_colors: tuple[Tensor | None, ...]
+) -> tuple[Tensor | None, list[Tensor | None]]:
+    """Gradients to the means and to all coefficients, from those to the colours of each pair of coefficients."""
+    v_means: Tensor | None = None
+    v_coefficients: list[Tensor | None] = []
+    for sh0, shN, arrays, settings, v_color in zip(
+        coefficients[::2], coefficients[1::2], ctx.colors, ctx.inputs.color_settings, v_colors, strict=True
+    ):
+        if v_color is None:
+            v_coefficients += [None, None]
+            continue
+        if shN is None:
+            arrays.shN.place(arrays.sh0.ptr + arrays.sh0.strides[1])
+        v_color = v_color.contiguous()
+        # A thread reads its Gaussian's gradient before it writes: the one to the colours of one camera becomes the one
+        # to the means.
+        v_own = v_color.view_as(means) if settings.num_cameras == 1 else torch.empty_like(means)
+        v_sh0, v_shN = torch.empty_like(sh0), _empty(shN)
+        arrays.means.grad = view(v_own, arrays.means.dtype)
+        arrays.sh0.grad, arrays.shN.grad = _by_degree(v_sh0, v_shN)
+        lend(arrays.colors, v_color)
+        sh_colors_adjoint(arrays, settings, store=True)
+        take_back(arrays.sh0, arrays.shN, arrays.colors)
+        v_means = v_own if v_means is None else v_means.add_(v_own)
+        v_coefficients += [v_sh0, v_shN]
+    return v_means, v_coefficients
 
 
 def _gaussians(
@@ -152,67 +236,6 @@ def _gaussians(
         viewmats=view(viewmats, kinds.mat44),
         Ks=view(Ks, kinds.mat33),
     )
-
-
-class ShColors(torch.autograd.Function):
-    """Colours from spherical harmonics; see ``color_step``. ``shN`` None: ``sh0`` holds all coefficients."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        means: Tensor,
-        viewmats: Tensor,
-        sh0: Tensor,
-        shN: Tensor | None,
-        radii: Tensor,
-        settings: ColorSettings,
-    ) -> Tensor:
-        colors = means.new_empty((radii.numel() // 2, 3))
-        arrays = _color_arrays(means, viewmats, sh0, shN, radii, colors)
-        with launches_on_torch_stream(means.device):
-            sh_colors(arrays, settings)
-        ctx.settings, ctx.colors = settings, arrays
-        keep(
-            ctx,
-            (arrays.means, means),
-            (arrays.viewmats, viewmats),
-            (arrays.sh0, sh0),
-            (arrays.shN, shN),
-            (arrays.radii, radii),
-            (arrays.colors, colors),
-        )
-        return colors
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, v_colors: Tensor) -> tuple[Tensor | None, ...]:
-        means, viewmats, sh0, shN, *_held = kept(ctx)
-        arrays = ctx.colors
-        if shN is None:
-            arrays.shN.place(arrays.sh0.ptr + arrays.sh0.strides[1])
-        v_colors = v_colors.contiguous()
-        # As with roots and scales in Project: the gradient to the colours of one camera becomes the one to the means.
-        v_means = v_colors.view_as(means) if ctx.settings.num_cameras == 1 else torch.empty_like(means)
-        v_sh0, v_shN = torch.empty_like(sh0), _empty(shN)
-        v_viewmats = _zeros(viewmats, ctx.needs_input_grad[1])
-        arrays.means.grad = view(v_means, arrays.means.dtype)
-        arrays.sh0.grad, arrays.shN.grad = _by_degree(v_sh0, v_shN)
-        if v_viewmats is not None:
-            arrays.viewmats.grad = view(v_viewmats, arrays.viewmats.dtype)
-        lend(arrays.colors, v_colors)
-        with launches_on_torch_stream(means.device):
-            sh_colors_adjoint(arrays, ctx.settings, store=True)
-        take_back(arrays.means, arrays.viewmats, arrays.sh0, arrays.shN, arrays.colors)
-        return v_means, v_viewmats, v_sh0, v_shN, None, None
-
-
-def _color_arrays(
-    means: Tensor, viewmats: Tensor, sh0: Tensor, shN: Tensor | None, radii: Tensor, colors: Tensor
-) -> ColorArrays:
-    kinds = kinds_of(means.dtype)
-    coefficients = _by_degree(sh0, shN)
-    positions = (view(means, kinds.vec3), view(viewmats, kinds.mat44))
-    return ColorArrays(*positions, *coefficients, view(radii, wp.vec2i), view(colors, kinds.vec3))
 
 
 def _by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[ArrayView, ArrayView]:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from thermosplat.errors import UserError
 from thermosplat.graph_breaks import not_compiled
-from thermosplat.projected_scene import ProjectedScene
+from thermosplat.projected_scene import Drawn, ProjectedScene
 from thermosplat.rasterization_arguments import (
     CameraModel,
     RasterizeMode,
@@ -186,13 +186,11 @@ def rasterization(
     if channel_chunk < 1:
         raise UserError(f"channel_chunk must be at least 1, got {channel_chunk}.")
     per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
-    colors, higher_degrees = colors if isinstance(colors, tuple) else (colors, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
+    drawn = [Drawn(colors, sh_degree, per_camera)] if "RGB" in render_mode else []
     gaussians = (means, quats, scales, covars, opacities, None)
-    scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, deterministic=deterministic)
-    columns = []
-    if "RGB" in render_mode:
-        columns.append(scene.colors(colors, sh_degree, per_camera=per_camera, higher_degrees=higher_degrees))
+    scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, drawn=drawn, deterministic=deterministic)
+    columns = [*scene.features]
     if "D" in render_mode:
         columns.append(scene.depths.reshape(-1, 1))
         if "ED" in render_mode:
@@ -301,16 +299,15 @@ def rasterization_rgbt(
     if thermal_opacities is not None:
         check_shape("thermal_opacities", thermal_opacities, tuple(opacities.shape), means)
     colors_per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
-    colors, higher_degrees = colors if isinstance(colors, tuple) else (colors, None)
     features_per_camera = check_colors("features", features, means, settings.num_cameras, features_sh_degree)
-    features, features_rest = features if isinstance(features, tuple) else (features, None)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
+    drawn = [
+        Drawn(colors, sh_degree, colors_per_camera),
+        Drawn(features, features_sh_degree, features_per_camera),
+    ]
     gaussians = (means, quats, scales, None, opacities, thermal_opacities)
-    scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, deterministic=deterministic)
-    flat_colors = scene.colors(colors, sh_degree, per_camera=colors_per_camera, higher_degrees=higher_degrees)
-    flat_features = scene.colors(
-        features, features_sh_degree, per_camera=features_per_camera, higher_degrees=features_rest
-    )
+    scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, drawn=drawn, deterministic=deterministic)
+    flat_colors, flat_features = scene.features
     channels, dim = flat_colors.shape[-1], flat_features.shape[-1]
     thermal_channels = 0 if thermal_opacities is None else dim
     if channels + dim + thermal_channels <= CHANNELS_MAX:

@@ -16,7 +16,7 @@ from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
 from thermosplat.gaussian_views import Coefficients
 from thermosplat.gaussians import Gaussians
 from thermosplat.model import SceneModel
-from thermosplat.projected_scene import ProjectedScene
+from thermosplat.projected_scene import Drawn, ProjectedScene
 from thermosplat.rasterization_arguments import checked_settings
 from thermosplat.training.contributions import contributions
 from thermosplat.training.image_change import ImageChange, most_within
@@ -88,12 +88,11 @@ def color_changes(
     changes = gaussians.means.new_zeros(sh_degree + 1, len(gaussians))
     times_seen = gaussians.means.new_zeros(len(gaussians))
     for view in views:
-        scene = _projected(gaussians, view)
+        scene = _projected(gaussians, coefficients, view, sh_degree)
         seen = (scene.projected.radii > 0).all(dim=-1).reshape(-1)
         times_seen += seen
-        colors = [_colors(scene, coefficients, degree) for degree in range(sh_degree + 1)]
         for degree in range(sh_degree):
-            change = (colors[degree] - colors[-1]).square().sum(dim=-1).reshape(-1)
+            change = (scene.features[degree] - scene.features[-1]).square().sum(dim=-1).reshape(-1)
             changes[degree] += torch.where(seen, change, 0.0)
     return changes / times_seen.clamp(min=1.0)
 
@@ -119,11 +118,6 @@ def _bands(model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int) ->
             yield _Band(coefficients[1], coefficients[1].clone(), changes * weights[name])
 
 
-def _colors(scene: ProjectedScene, coefficients: Coefficients, degree: int) -> Tensor:
-    sh0, shN = coefficients
-    return scene.colors(sh0, degree, per_camera=False, higher_degrees=shN)
-
-
 def _up_to(shN: Tensor, degrees: Tensor) -> Tensor:
     """Coefficients [N, K-1, 3] with zeros above each one's degree [N]."""
     bases = torch.arange(shN.shape[1], device=shN.device)
@@ -131,8 +125,8 @@ def _up_to(shN: Tensor, degrees: Tensor) -> Tensor:
     return shN.masked_fill(dropped[..., None], 0.0)
 
 
-def _projected(gaussians: Gaussians, view: ViewTensors) -> ProjectedScene:
-    """The set projected to one camera, which says who is seen."""
+def _projected(gaussians: Gaussians, coefficients: Coefficients, view: ViewTensors, sh_degree: int) -> ProjectedScene:
+    """The set projected to one camera, which says who is seen, with its colours of every degree up to ``sh_degree``."""
     viewmats, Ks = view.viewmat[None], view.K[None]
     settings = checked_settings(
         gaussians.means,
@@ -165,4 +159,5 @@ def _projected(gaussians: Gaussians, view: ViewTensors) -> ProjectedScene:
         Ks,
         settings,
         16,
+        drawn=[Drawn(coefficients, degree, per_camera=False) for degree in range(sh_degree + 1)],
     )
