@@ -9,6 +9,7 @@ from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import MASK_SHIFT, Totals, binning_kernels, tile_ranges_kernel
 from warp_kernels.tile_bins import Room, TileBins
+from warp_kernels.warp_lists import threads_of_many
 
 COMPACTED = 2**18
 """Gaussians above which those without tiles are left out before the sort by depth; fewer are sorted in no time."""
@@ -96,7 +97,7 @@ def bin_tiles(
     depth_keys, unsorted = empty(2 * ranks, dtype, device), empty(2 * ranks, wp.int32, device)
     if compacted:
         inputs = [ranks, tiles_per_gaussian, totals, projected.depths, depth_keys, unsorted]
-        launch(compact_kernel, whole_warps(entries, device), inputs, device)
+        launch(compact_kernel, threads_of_many(entries) if device.is_cuda else entries, inputs, device)
     else:
         inputs = [*counted, nothing(Totals, 1, device), depth_keys, unsorted]
         launch(count_kernel, whole_warps(entries, device), inputs, device)

@@ -11,10 +11,7 @@ from warp_kernels.launching import launch, launch_again
 from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sums
 from warp_kernels.tape_recording import gradient_of, record_adjoint
-from warp_kernels.warp_lists import threads_of_many
-
-LISTED = 2**20
-"""Gaussians above which a warp lists the visible ones first: of so many few are."""
+from warp_kernels.warp_lists import LISTED, threads_of_many
 
 
 @dataclass

@@ -228,11 +228,12 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
             xx, xy, yy, det = from_covariance(m0, m1, symmetric(covars[gaussian]))
         else:
             s = scales[gaussian]
+            raw = quats[gaussian]  # with the scales, for one more wait would cost more than what is read in vain
             # A sphere around it outside of the image, and nothing else need be read.
             largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
             if outside(mean2d[0], m0, largest, eps2d, width) or outside(mean2d[1], m1, largest, eps2d, height):
                 return
-            rotation = to_matrix(normalize(quats[gaussian]))
+            rotation = to_matrix(normalize(raw))
             back = wp.transpose(rotation)
             xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
         det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d

@@ -15,15 +15,17 @@ import warp as wp
 
 from warp_kernels.camera_gradients import CAMERA_RECORD
 from warp_kernels.coalesced_stores import store_functions
+from warp_kernels.lanes import LANES_CUDA
 from warp_kernels.projection import CameraModel, covariance_functions, projection_functions
 from warp_kernels.rotation import rotation_functions
+from warp_kernels.warp_lists import EACH
 
 
 @functools.cache
 def projection_adjoint_kernel(
-    dtype: type, camera_model: CameraModel, from_covars: bool, to_cameras: bool, antialiased: bool
+    dtype: type, camera_model: CameraModel, from_covars: bool, to_cameras: bool, antialiased: bool, many: bool = False
 ) -> wp.Kernel:
-    """The adjoint kernel, one thread a Gaussian of a scene.
+    """The adjoint kernel, one thread a Gaussian of a scene, or a warp for each ``warp_lists.MANY``.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
@@ -31,9 +33,10 @@ def projection_adjoint_kernel(
         from_covars: 3D covariances were given instead of quaternions and scales.
         to_cameras: Also write gradients to view matrices and intrinsics.
         antialiased: The projection's compensations were used.
+        many: Most Gaussians may be out of view; on CUDA, of scenes with one camera.
 
     Returns:
-        The Warp kernel, launched over ``whole_warps``.
+        The Warp kernel, launched over ``whole_warps``, or with ``many`` over ``threads_of_many``.
     """
     vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
     _, store3, store4 = store_functions(dtype)
@@ -45,6 +48,8 @@ def projection_adjoint_kernel(
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
     pinhole = camera_model == "pinhole"
     suffix = f"{camera_model}_{'covars' if from_covars else 'quats'}{'_cameras' * to_cameras}{'_aa' * antialiased}"
+    suffix += "_many" * many
+    each, lanes = (EACH, LANES_CUDA) if many else (1, 1)
     # Two blocks a multiprocessor: most Gaussians may be out of view, which only waits for memory.
     bounds = (256, 2) if dtype is wp.float32 else None
 
@@ -95,232 +100,253 @@ def projection_adjoint_kernel(
         v_cameras: wp.array(dtype=record),
     ):
         thread = wp.tid() + first
-        inside = thread < means.shape[0]
-        gaussian = wp.min(thread, means.shape[0] - 1)
-        scene = gaussian // num_gaussians
-        seen = bool(False)
-        for camera in range(num_cameras):
-            if radii[(scene * num_cameras + camera) * num_gaussians + gaussian % num_gaussians][0] > 0:
-                seen = inside
-
-        # Nothing else is read of a Gaussian that no camera sees.
-        mean = vec3()
-        s = vec3()
-        raw = vec4()
-        covariance = mat33()
-        if seen:
-            mean = means[gaussian]
-            if wp.static(from_covars):
-                covariance = symmetric(covars[gaussian])
+        nearest = (thread // lanes) * wp.static(each * lanes) + thread % lanes
+        seen_bits = int(0)
+        if wp.static(many):
+            for j in range(each):  # all are asked for before the first is looked at
+                if nearest + j * lanes < means.shape[0] and radii[nearest + j * lanes][0] > 0:
+                    seen_bits |= 1 << j
+        step = int(0)
+        while step < each:
+            inside = nearest + step * lanes < means.shape[0]
+            gaussian = wp.min(nearest + step * lanes, means.shape[0] - 1)
+            scene = gaussian // num_gaussians
+            seen = bool(False)
+            if wp.static(many):
+                seen = (seen_bits >> step) & 1 > 0
             else:
-                raw = quats[gaussian]
-                s = scales[gaussian]
-        q = normalize(raw)
-        rotation = to_matrix(q)
-        back = wp.transpose(rotation)
+                for camera in range(num_cameras):
+                    if radii[(scene * num_cameras + camera) * num_gaussians + gaussian % num_gaussians][0] > 0:
+                        seen = inside
 
-        given = bool(True)
-        g_mean = vec3()
-        g_scale = vec3()
-        g_rotation = mat33()
-        g_covar = vec6()
-        for camera in range(num_cameras):
-            image = scene * num_cameras + camera
-            index = image * num_gaussians + gaussian % num_gaussians
-            if seen and radii[index][0] > 0:
-                view = viewmats[image]
-                K = Ks[image]
-                R = mat33(
-                    view[0, 0], view[0, 1], view[0, 2],
-                    view[1, 0], view[1, 1], view[1, 2],
-                    view[2, 0], view[2, 1], view[2, 2],
-                )  # fmt: skip
-                exact = camera_position(view, mean)
-                p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
-                J = jacobian(p, K, width, height)
-                M = J * R
-                m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
-                m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
-
-                # root -> W, the moments in whitened coordinates (see gradient_records)
-                u = roots[index][0]
-                k = roots[index][1]
-                v = roots[index][2]
-                # gradients that are not given are zero
-                v_xy2, v_depth, v_root, v_compensation = vec2(), zero, vec3(), zero
-                if v_means2d.shape[0] > 0:
-                    v_xy2 = v_means2d[index]
-                if v_depths.shape[0] > 0:
-                    v_depth = v_depths[index]
-                if v_roots.shape[0] > 0:
-                    v_root = v_roots[index]
-                if v_compensations.shape[0] > 0:
-                    v_compensation = v_compensations[index]
-                finite = wp.isfinite(v_root) and wp.isfinite(v_xy2) and wp.isfinite(v_depth)
-                finite = finite and wp.isfinite(v_compensation)
-                given = given and finite
-                w00 = -u * v_root[0]
-                w01 = -v / u * v_root[1]
-                w11 = -v * v_root[2]
-
-                # W -> whitened M and the Gaussian's own shape
-                n0 = u * (m0 + k * m1)
-                n1 = v * m1
-                v_n0 = vec3()
-                v_n1 = vec3()
-                if wp.static(from_covars):
-                    c0 = covariance * n0
-                    c1 = covariance * n1
-                    v_n0 = w00 * c0 + w01 * c1
-                    v_n1 = w01 * c0 + w11 * c1
-                    V = half * (
-                        w00 * wp.outer(n0, n0) + w01 * (wp.outer(n0, n1) + wp.outer(n1, n0)) + w11 * wp.outer(n1, n1)
-                    )
-                    g_covar = g_covar + vec6(V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2])
-                else:
-                    b0 = back * n0
-                    b1 = back * n1
-                    a0 = wp.cw_mul(b0, s)
-                    a1 = wp.cw_mul(b1, s)
-                    v_a0 = w00 * a0 + w01 * a1
-                    v_a1 = w01 * a0 + w11 * a1
-                    g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
-                    v_b0 = wp.cw_mul(v_a0, s)
-                    v_b1 = wp.cw_mul(v_a1, s)
-                    g_rotation = g_rotation + wp.outer(n0, v_b0) + wp.outer(n1, v_b1)
-                    v_n0 = rotation * v_b0
-                    v_n1 = rotation * v_b1
-                v_m0 = u * v_n0
-                v_m1 = k * v_m0 + v * v_n1
-
-                # compensation -> determinant and blur
-                if wp.static(antialiased):
-                    rho = compensations[index]
-                    if rho > zero:
-                        xx, xy, yy, det = zero, zero, zero, zero
-                        if wp.static(from_covars):
-                            xx, xy, yy, det = from_covariance(m0, m1, covariance)
-                        else:
-                            xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
-                        det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
-                        share = half * v_compensation / (rho * det_blurred)
-                        v_det = share * (one - rho * rho)
-                        v_blur = -share * rho * rho * eps2d
-                        if wp.static(from_covars):
-                            c0 = covariance * m0
-                            c1 = covariance * m1
-                            v_xx = v_blur + v_det * yy
-                            v_yy = v_blur + v_det * xx
-                            v_xy = -v_det * xy
-                            v_m0 = v_m0 + two * (v_xx * c0 + v_xy * c1)
-                            v_m1 = v_m1 + two * (v_xy * c0 + v_yy * c1)
-                            V = (
-                                v_xx * wp.outer(m0, m0)
-                                + v_xy * (wp.outer(m0, m1) + wp.outer(m1, m0))
-                                + v_yy * wp.outer(m1, m1)
-                            )
-                            g_covar = g_covar + vec6(
-                                V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2]
-                            )
-                        else:
-                            b0 = back * m0
-                            b1 = back * m1
-                            a0 = wp.cw_mul(b0, s)
-                            a1 = wp.cw_mul(b1, s)
-                            normal = wp.cross(a0, a1)
-                            v_a0 = two * (v_blur * a0 + v_det * wp.cross(a1, normal))
-                            v_a1 = two * (v_blur * a1 + v_det * wp.cross(normal, a0))
-                            g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
-                            v_b0 = wp.cw_mul(v_a0, s)
-                            v_b1 = wp.cw_mul(v_a1, s)
-                            g_rotation = g_rotation + wp.outer(m0, v_b0) + wp.outer(m1, v_b1)
-                            v_m0 = v_m0 + rotation * v_b0
-                            v_m1 = v_m1 + rotation * v_b1
-
-                # M = J R -> J and R
-                v_M = mat23(v_m0[0], v_m0[1], v_m0[2], v_m1[0], v_m1[1], v_m1[2])
-                v_J = v_M * wp.transpose(R)
-                v_R = wp.transpose(J) * v_M
-
-                # image position and Jacobian -> camera-space position
-                v_p = vec3(zero, zero, v_depth)
-                v_fx = zero
-                v_fy = zero
-                v_cx = v_xy2[0]
-                v_cy = v_xy2[1]
-                fx = K[0, 0]
-                fy = K[1, 1]
-                if wp.static(pinhole):
-                    rz = one / p[2]
-                    rz2 = rz * rz
-                    v_fx = p[0] * rz * v_xy2[0] + rz * v_J[0, 0]
-                    v_fy = p[1] * rz * v_xy2[1] + rz * v_J[1, 1]
-                    # t = clamped position; J[0, 2] = -fx tx / z²
-                    tx = -J[0, 2] * p[2] * p[2] / fx
-                    ty = -J[1, 2] * p[2] * p[2] / fy
-                    v_fx = v_fx - tx * rz2 * v_J[0, 2]
-                    v_fy = v_fy - ty * rz2 * v_J[1, 2]
-                    x_x, x_z, x_f, x_c = clamp_adjoint(p[0], p[2], fx, K[0, 2], dtype(width), -fx * rz2 * v_J[0, 2])
-                    y_y, y_z, y_f, y_c = clamp_adjoint(p[1], p[2], fy, K[1, 2], dtype(height), -fy * rz2 * v_J[1, 2])
-                    v_fx = v_fx + x_f
-                    v_fy = v_fy + y_f
-                    v_cx = v_cx + x_c
-                    v_cy = v_cy + y_c
-                    v_z = (
-                        -(fx * p[0] * v_xy2[0] + fy * p[1] * v_xy2[1]) * rz2
-                        - (fx * v_J[0, 0] + fy * v_J[1, 1]) * rz2
-                        + two * (fx * tx * v_J[0, 2] + fy * ty * v_J[1, 2]) * rz2 * rz
-                        + x_z
-                        + y_z
-                    )
-                    v_p = v_p + vec3(fx * rz * v_xy2[0] + x_x, fy * rz * v_xy2[1] + y_y, v_z)
-                else:
-                    v_fx = p[0] * v_xy2[0] + v_J[0, 0]
-                    v_fy = p[1] * v_xy2[1] + v_J[1, 1]
-                    v_p = v_p + vec3(fx * v_xy2[0], fy * v_xy2[1], zero)
-
-                g_mean = g_mean + wp.transpose(R) * v_p
-                if wp.static(to_cameras):
-                    v_R = v_R + wp.outer(v_p, mean)
-                    G = record(
-                        v_R[0, 0], v_R[0, 1], v_R[0, 2],
-                        v_R[1, 0], v_R[1, 1], v_R[1, 2],
-                        v_R[2, 0], v_R[2, 1], v_R[2, 2],
-                        v_p[0], v_p[1], v_p[2],
-                        v_fx, v_fy, v_cx, v_cy,
-                    )  # fmt: skip
-                    if finite and not wp.isfinite(G):
-                        G = record()
-                    v_cameras[index] = G
-            elif inside:
-                if wp.static(to_cameras):
-                    v_cameras[index] = record()
-
-        g_quat = vec4()
-        if wp.static(not from_covars):
+            # Nothing else is read of a Gaussian that no camera sees.
+            mean = vec3()
+            s = vec3()
+            raw = vec4()
+            q = vec4()
+            rotation = mat33()
+            covariance = mat33()
             if seen:
-                g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(raw)
-        held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
-        # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
-        seen = seen and (held or not given)
-        if not seen:
-            g_mean, g_quat, g_scale, g_covar = vec3(), vec4(), vec3(), vec6()
-        written = wp.where(inside and (seen or store), gaussian, -1)
-        if seen and not store:
+                mean = means[gaussian]
+                if wp.static(from_covars):
+                    covariance = symmetric(covars[gaussian])
+                else:
+                    raw = quats[gaussian]
+                    s = scales[gaussian]
+                    q = normalize(raw)
+                    rotation = to_matrix(q)
+            back = wp.transpose(rotation)
+
+            given = bool(True)
+            g_mean = vec3()
+            g_scale = vec3()
+            g_rotation = mat33()
+            g_covar = vec6()
+            for camera in range(num_cameras):
+                image = scene * num_cameras + camera
+                index = image * num_gaussians + gaussian % num_gaussians
+                drawn = seen
+                if wp.static(not many):
+                    drawn = seen and radii[index][0] > 0
+                if drawn:
+                    view = viewmats[image]
+                    K = Ks[image]
+                    R = mat33(
+                        view[0, 0], view[0, 1], view[0, 2],
+                        view[1, 0], view[1, 1], view[1, 2],
+                        view[2, 0], view[2, 1], view[2, 2],
+                    )  # fmt: skip
+                    exact = camera_position(view, mean)
+                    p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
+                    J = jacobian(p, K, width, height)
+                    M = J * R
+                    m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
+                    m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
+
+                    # root -> W, the moments in whitened coordinates (see gradient_records)
+                    u = roots[index][0]
+                    k = roots[index][1]
+                    v = roots[index][2]
+                    # gradients that are not given are zero
+                    v_xy2, v_depth, v_root, v_compensation = vec2(), zero, vec3(), zero
+                    if v_means2d.shape[0] > 0:
+                        v_xy2 = v_means2d[index]
+                    if v_depths.shape[0] > 0:
+                        v_depth = v_depths[index]
+                    if v_roots.shape[0] > 0:
+                        v_root = v_roots[index]
+                    if v_compensations.shape[0] > 0:
+                        v_compensation = v_compensations[index]
+                    finite = wp.isfinite(v_root) and wp.isfinite(v_xy2) and wp.isfinite(v_depth)
+                    finite = finite and wp.isfinite(v_compensation)
+                    given = given and finite
+                    w00 = -u * v_root[0]
+                    w01 = -v / u * v_root[1]
+                    w11 = -v * v_root[2]
+
+                    # W -> whitened M and the Gaussian's own shape
+                    n0 = u * (m0 + k * m1)
+                    n1 = v * m1
+                    v_n0 = vec3()
+                    v_n1 = vec3()
+                    if wp.static(from_covars):
+                        c0 = covariance * n0
+                        c1 = covariance * n1
+                        v_n0 = w00 * c0 + w01 * c1
+                        v_n1 = w01 * c0 + w11 * c1
+                        V = half * (
+                            w00 * wp.outer(n0, n0)
+                            + w01 * (wp.outer(n0, n1) + wp.outer(n1, n0))
+                            + w11 * wp.outer(n1, n1)
+                        )
+                        g_covar = g_covar + vec6(V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2])
+                    else:
+                        b0 = back * n0
+                        b1 = back * n1
+                        a0 = wp.cw_mul(b0, s)
+                        a1 = wp.cw_mul(b1, s)
+                        v_a0 = w00 * a0 + w01 * a1
+                        v_a1 = w01 * a0 + w11 * a1
+                        g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
+                        v_b0 = wp.cw_mul(v_a0, s)
+                        v_b1 = wp.cw_mul(v_a1, s)
+                        g_rotation = g_rotation + wp.outer(n0, v_b0) + wp.outer(n1, v_b1)
+                        v_n0 = rotation * v_b0
+                        v_n1 = rotation * v_b1
+                    v_m0 = u * v_n0
+                    v_m1 = k * v_m0 + v * v_n1
+
+                    # compensation -> determinant and blur
+                    if wp.static(antialiased):
+                        rho = compensations[index]
+                        if rho > zero:
+                            xx, xy, yy, det = zero, zero, zero, zero
+                            if wp.static(from_covars):
+                                xx, xy, yy, det = from_covariance(m0, m1, covariance)
+                            else:
+                                xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
+                            det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
+                            share = half * v_compensation / (rho * det_blurred)
+                            v_det = share * (one - rho * rho)
+                            v_blur = -share * rho * rho * eps2d
+                            if wp.static(from_covars):
+                                c0 = covariance * m0
+                                c1 = covariance * m1
+                                v_xx = v_blur + v_det * yy
+                                v_yy = v_blur + v_det * xx
+                                v_xy = -v_det * xy
+                                v_m0 = v_m0 + two * (v_xx * c0 + v_xy * c1)
+                                v_m1 = v_m1 + two * (v_xy * c0 + v_yy * c1)
+                                V = (
+                                    v_xx * wp.outer(m0, m0)
+                                    + v_xy * (wp.outer(m0, m1) + wp.outer(m1, m0))
+                                    + v_yy * wp.outer(m1, m1)
+                                )
+                                g_covar = g_covar + vec6(
+                                    V[0, 0], two * V[0, 1], two * V[0, 2], V[1, 1], two * V[1, 2], V[2, 2]
+                                )
+                            else:
+                                b0 = back * m0
+                                b1 = back * m1
+                                a0 = wp.cw_mul(b0, s)
+                                a1 = wp.cw_mul(b1, s)
+                                normal = wp.cross(a0, a1)
+                                v_a0 = two * (v_blur * a0 + v_det * wp.cross(a1, normal))
+                                v_a1 = two * (v_blur * a1 + v_det * wp.cross(normal, a0))
+                                g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
+                                v_b0 = wp.cw_mul(v_a0, s)
+                                v_b1 = wp.cw_mul(v_a1, s)
+                                g_rotation = g_rotation + wp.outer(m0, v_b0) + wp.outer(m1, v_b1)
+                                v_m0 = v_m0 + rotation * v_b0
+                                v_m1 = v_m1 + rotation * v_b1
+
+                    # M = J R -> J and R
+                    v_M = mat23(v_m0[0], v_m0[1], v_m0[2], v_m1[0], v_m1[1], v_m1[2])
+                    v_J = v_M * wp.transpose(R)
+                    v_R = wp.transpose(J) * v_M
+
+                    # image position and Jacobian -> camera-space position
+                    v_p = vec3(zero, zero, v_depth)
+                    v_fx = zero
+                    v_fy = zero
+                    v_cx = v_xy2[0]
+                    v_cy = v_xy2[1]
+                    fx = K[0, 0]
+                    fy = K[1, 1]
+                    if wp.static(pinhole):
+                        rz = one / p[2]
+                        rz2 = rz * rz
+                        v_fx = p[0] * rz * v_xy2[0] + rz * v_J[0, 0]
+                        v_fy = p[1] * rz * v_xy2[1] + rz * v_J[1, 1]
+                        # t = clamped position; J[0, 2] = -fx tx / z²
+                        tx = -J[0, 2] * p[2] * p[2] / fx
+                        ty = -J[1, 2] * p[2] * p[2] / fy
+                        v_fx = v_fx - tx * rz2 * v_J[0, 2]
+                        v_fy = v_fy - ty * rz2 * v_J[1, 2]
+                        x_x, x_z, x_f, x_c = clamp_adjoint(p[0], p[2], fx, K[0, 2], dtype(width), -fx * rz2 * v_J[0, 2])
+                        y_y, y_z, y_f, y_c = clamp_adjoint(
+                            p[1], p[2], fy, K[1, 2], dtype(height), -fy * rz2 * v_J[1, 2]
+                        )
+                        v_fx = v_fx + x_f
+                        v_fy = v_fy + y_f
+                        v_cx = v_cx + x_c
+                        v_cy = v_cy + y_c
+                        v_z = (
+                            -(fx * p[0] * v_xy2[0] + fy * p[1] * v_xy2[1]) * rz2
+                            - (fx * v_J[0, 0] + fy * v_J[1, 1]) * rz2
+                            + two * (fx * tx * v_J[0, 2] + fy * ty * v_J[1, 2]) * rz2 * rz
+                            + x_z
+                            + y_z
+                        )
+                        v_p = v_p + vec3(fx * rz * v_xy2[0] + x_x, fy * rz * v_xy2[1] + y_y, v_z)
+                    else:
+                        v_fx = p[0] * v_xy2[0] + v_J[0, 0]
+                        v_fy = p[1] * v_xy2[1] + v_J[1, 1]
+                        v_p = v_p + vec3(fx * v_xy2[0], fy * v_xy2[1], zero)
+
+                    g_mean = g_mean + wp.transpose(R) * v_p
+                    if wp.static(to_cameras):
+                        v_R = v_R + wp.outer(v_p, mean)
+                        G = record(
+                            v_R[0, 0], v_R[0, 1], v_R[0, 2],
+                            v_R[1, 0], v_R[1, 1], v_R[1, 2],
+                            v_R[2, 0], v_R[2, 1], v_R[2, 2],
+                            v_p[0], v_p[1], v_p[2],
+                            v_fx, v_fy, v_cx, v_cy,
+                        )  # fmt: skip
+                        if finite and not wp.isfinite(G):
+                            G = record()
+                        v_cameras[index] = G
+                elif inside:
+                    if wp.static(to_cameras):
+                        v_cameras[index] = record()
+
+            g_quat = vec4()
+            if wp.static(not from_covars):
+                if seen:
+                    g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(raw)
+            held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
+            # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
+            seen = seen and (held or not given)
+            if not seen:
+                g_mean, g_quat, g_scale, g_covar = vec3(), vec4(), vec3(), vec6()
+            written = wp.where(inside and (seen or store), gaussian, -1)
+            if seen and not store:
+                if wp.static(from_covars):
+                    g_covar = v_covars[gaussian] + g_covar
+                else:
+                    g_scale = v_scales[gaussian] + g_scale
+                    g_quat = v_quats[gaussian] + g_quat
+            if seen and not store_means:
+                g_mean = v_means[gaussian] + g_mean
+            store3(v_means, wp.where(inside and (seen or store_means), gaussian, -1), g_mean)
             if wp.static(from_covars):
-                g_covar = v_covars[gaussian] + g_covar
+                if written >= 0:
+                    v_covars[gaussian] = g_covar
             else:
-                g_scale = v_scales[gaussian] + g_scale
-                g_quat = v_quats[gaussian] + g_quat
-        if seen and not store_means:
-            g_mean = v_means[gaussian] + g_mean
-        store3(v_means, wp.where(inside and (seen or store_means), gaussian, -1), g_mean)
-        if wp.static(from_covars):
-            if written >= 0:
-                v_covars[gaussian] = g_covar
-        else:
-            store3(v_scales, written, g_scale)
-            if written >= 0:
-                store4(v_quats, gaussian, g_quat)
+                store3(v_scales, written, g_scale)
+                if written >= 0:
+                    store4(v_quats, gaussian, g_quat)
+            step += 1
 
     return project_adjoint_kernel

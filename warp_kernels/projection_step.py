@@ -10,6 +10,7 @@ from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionS
 from warp_kernels.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.strand_sums import strand_sums
 from warp_kernels.tape_recording import given_gradient, gradient_of, record_adjoint
+from warp_kernels.warp_lists import LISTED, threads_of_many
 
 
 def project(
@@ -89,9 +90,10 @@ def project_adjoint(
     )
     covars = _covars(gaussians)
     variant = (settings.camera_model, gaussians.covars is not None, to_cameras, settings.antialiased)
+    many = device.is_cuda and settings.num_cameras == 1 and len(gaussians.means) > LISTED
     launch(
-        projection_adjoint_kernel(dtype, *variant),
-        whole_warps(len(gaussians.means), device),
+        projection_adjoint_kernel(dtype, *variant, many),
+        threads_of_many(len(gaussians.means)) if many else whole_warps(len(gaussians.means), device),
         [
             settings.num_gaussians,
             settings.num_cameras,

@@ -15,6 +15,7 @@ import warp as wp
 
 from warp_kernels.lanes import count_bits, shuffle_function, warp_ballot, warp_owner, warp_scan, warp_shuffle, warp_sum
 from warp_kernels.tile_overlap import overlap_functions
+from warp_kernels.warp_lists import EACH
 
 MASK_COLUMNS, MASK_ROWS = 2, 4
 """Parts of a tile that a pair's mask tells apart, row by row from the lowest bit."""
@@ -35,13 +36,16 @@ def binning_kernels(dtype: type, lanes: int):
         lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
 
     Returns:
-        ``(count, compact, gather, emit)``. All but gather are launched over ``whole_warps``.
+        ``(count, compact, gather, emit)``. Counting and emission are launched over ``whole_warps``, the compaction
+        on CUDA over ``threads_of_many``.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     pixel_rows, tile_range, ellipse, pixel_span = overlap_functions(dtype)
     infinity = dtype(float("inf"))
     shuffle = shuffle_function(dtype)
     parts = wp.types.vector(MASK_ROWS, wp.int32)
+    each = EACH if lanes > 1 else 1  # Gaussians that a thread of the compaction looks at
+    vec_each = wp.types.vector(each, wp.int32)
     # blocks a multiprocessor, which mostly wait for memory
     count_bounds, emit_bounds = ((256, 6), (256, 3)) if dtype is wp.float32 else (None, None)
 
@@ -162,21 +166,25 @@ def binning_kernels(dtype: type, lanes: int):
         order: wp.array(dtype=wp.int32),
     ):
         """Lists the Gaussians with tiles in the order of their indices; what remains of the room is marked -1."""
-        index = wp.tid() + first
-        inside = index < tiles_per_gaussian.shape[0]
-        lists = bool(False)
-        if inside:
-            lists = tiles_per_gaussian[index] > 0
-        listed = warp_ballot(wp.where(lists, 1, 0))
-        behind = listed >> wp.uint32(index % lanes)  # this lane's and those of the lanes after it
-        if lists:
-            place = int(totals[index // lanes][1]) - count_bits(behind)
-            if place < room:
-                depth_keys[place] = depths[index]
-                order[place] = index
-        if index < room and wp.int64(index) >= totals[totals.shape[0] - 1][1]:
-            depth_keys[index] = infinity
-            order[index] = -1
+        thread = wp.tid() + first
+        lane = thread % lanes
+        nearest = (thread // lanes) * wp.static(each * lanes) + lane
+        count = vec_each()
+        for j in range(each):  # all are asked for before the first is looked at
+            if nearest + j * lanes < tiles_per_gaussian.shape[0]:
+                count[j] = tiles_per_gaussian[nearest + j * lanes]
+        num_listed = totals[totals.shape[0] - 1][1]
+        for j in range(each):
+            index = nearest + j * lanes
+            behind = warp_ballot(wp.where(count[j] > 0, 1, 0)) >> wp.uint32(lane)  # this lane's and those after it
+            if count[j] > 0:
+                place = int(totals[index // lanes][1]) - count_bits(behind)
+                if place < room:
+                    depth_keys[place] = depths[index]
+                    order[place] = index
+            if index < room and wp.int64(index) >= num_listed:
+                depth_keys[index] = infinity
+                order[index] = -1
 
     @wp.kernel(name="gather_counts", enable_backward=False, module="unique")
     def gather_counts_kernel(

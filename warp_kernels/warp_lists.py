@@ -21,6 +21,10 @@ MANY = EACH * LANES_CUDA
 """... those of so many candidates by a warp."""
 
 
+LISTED = 2**20
+"""Gaussians above which a warp looks at ``MANY``: of so many few are visible."""
+
+
 def threads_of_many(count: int) -> int:
     """Threads to launch for so many candidates: a warp for each ``MANY``."""
     return -(-count // MANY) * LANES_CUDA

@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+import torch
 import warp as wp
 
+from gaussian_scenes import leaves, random_scene
+from thermosplat import rasterization
+from warp_kernels import binning_step, color_step, projection_step
 from warp_kernels.lanes import LANES_CUDA, warp_sync
 from warp_kernels.warp_lists import MANY, WARPS, list_functions, threads_of_many
 
@@ -43,3 +47,30 @@ def test_threads_are_whole_warps_that_cover_all(count: int) -> None:
     threads = threads_of_many(count)
     assert threads % LANES_CUDA == 0
     assert threads // LANES_CUDA * MANY >= count > (threads // LANES_CUDA - 1) * MANY
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("options", [{}, {"rasterize_mode": "antialiased"}, {"with_covars": True}, {"batch": (2,)}])
+@pytest.mark.parametrize("n", [5, 129, 700])
+def test_kernels_that_look_at_many_do_what_the_others_do(
+    options: dict, n: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Images and all gradients, where half of the Gaussians lie behind the camera and get zeros."""
+    scene = random_scene(n=n, sh_degree=3, width=70, height=50, **options)
+    scene["means"][..., ::2, 2] -= 20.0
+
+    def gradients() -> dict[str, torch.Tensor]:
+        inputs = leaves(scene, torch.device("cuda"), torch.float32)
+        image, _, info = rasterization(**inputs)
+        assert (info["radii"][..., ::2, :] == 0).all()
+        image.square().sum().backward()
+        found = {name: value.grad for name, value in inputs.items() if isinstance(value, torch.Tensor)}
+        return {"image": image.detach(), **{name: value for name, value in found.items() if value is not None}}
+
+    expected = gradients()
+    for module, limit in ((binning_step, "COMPACTED"), (color_step, "LISTED"), (projection_step, "LISTED")):
+        monkeypatch.setattr(module, limit, 0)
+    found = gradients()
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        torch.testing.assert_close(found[name], value, rtol=1e-5, atol=1e-6 * float(value.abs().max()))
