@@ -12,7 +12,7 @@ from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.constants import CHANNELS_MAX
-from warp_kernels.gradient_records import clear_kernel, distribute_kernel, kept_channels, record_length
+from warp_kernels.gradient_records import distribute_kernel, kept_channels, record_length
 from warp_kernels.launching import launch, launch_again, launch_tiles
 from warp_kernels.list_segments import join_segments_kernel, state_length
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
@@ -194,12 +194,8 @@ def blend_adjoint(
     by_slot, absgrad = bins.slots is not None, absolute is not None
     length = record_length(sum(kept_channels(channels, first_channels, by_slot)), thermal_channels, absgrad)
     per_pair = layout.warps if by_slot else 0
-    record = wp.types.vector(length, dtype)
-    if by_slot:
-        records = zeros(bins.num_pairs * per_pair, record, device)
-    else:
-        records = empty(len(features), record, device)
-        launch_again(clear_kernel(length, dtype), len(features), [bins.tiles_per_gaussian, records], device)
+    count = bins.num_pairs * per_pair if by_slot else len(features)
+    records = zeros(count, wp.types.vector(length, dtype), device)
     v_features = gradient_of(features)
     v_rest = _or_nothing(None if rest is None else gradient_of(rest), dtype, device)
     if v_images is None:

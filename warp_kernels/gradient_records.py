@@ -98,32 +98,6 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
 
 
 @functools.cache
-def clear_kernel(length: int, dtype: type) -> wp.Kernel:
-    """Zeros for the records of Gaussians with tiles, one thread a Gaussian. Nobody looks at those of others.
-
-    Args:
-        length: numbers in a record.
-        dtype: ``wp.float32`` or ``wp.float64``.
-
-    Returns:
-        The Warp kernel.
-    """
-    record = wp.types.vector(length, dtype)
-
-    @wp.kernel(name=f"clear_records_{length}_{dtype.__name__}", enable_backward=False, module="unique")
-    def clear_records_kernel(
-        tiles_per_gaussian: wp.array(dtype=wp.int32),
-        # outputs
-        records: wp.array(dtype=record),
-    ):
-        g = wp.tid()
-        if tiles_per_gaussian[g] > 0:
-            records[g] = record()
-
-    return clear_records_kernel
-
-
-@functools.cache
 def distribute_kernel(
     channels: int,
     thermal_channels: int,

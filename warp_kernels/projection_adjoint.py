@@ -120,14 +120,13 @@ def projection_adjoint_kernel(
                         seen = inside
 
             # Nothing else is read of a Gaussian that no camera sees.
-            mean = vec3()
-            s = vec3()
-            raw = vec4()
-            q = vec4()
-            rotation = mat33()
-            covariance = mat33()
+            mean, v_mean_before, s = vec3(), vec3(), vec3()
+            raw, q = vec4(), vec4()
+            rotation, covariance = mat33(), mat33()
             if seen:
                 mean = means[gaussian]
+                if not store_means:
+                    v_mean_before = v_means[gaussian]
                 if wp.static(from_covars):
                     covariance = symmetric(covars[gaussian])
                 else:
@@ -149,6 +148,20 @@ def projection_adjoint_kernel(
                 if wp.static(not many):
                     drawn = seen and radii[index][0] > 0
                 if drawn:
+                    # All that is read of it is asked for before anything is worked out.
+                    u = roots[index][0]
+                    k = roots[index][1]
+                    v = roots[index][2]
+                    # gradients that are not given are zero
+                    v_xy2, v_depth, v_root, v_compensation = vec2(), zero, vec3(), zero
+                    if v_means2d.shape[0] > 0:
+                        v_xy2 = v_means2d[index]
+                    if v_depths.shape[0] > 0:
+                        v_depth = v_depths[index]
+                    if v_roots.shape[0] > 0:
+                        v_root = v_roots[index]
+                    if v_compensations.shape[0] > 0:
+                        v_compensation = v_compensations[index]
                     view = viewmats[image]
                     K = Ks[image]
                     R = mat33(
@@ -164,19 +177,6 @@ def projection_adjoint_kernel(
                     m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
 
                     # root -> W, the moments in whitened coordinates (see gradient_records)
-                    u = roots[index][0]
-                    k = roots[index][1]
-                    v = roots[index][2]
-                    # gradients that are not given are zero
-                    v_xy2, v_depth, v_root, v_compensation = vec2(), zero, vec3(), zero
-                    if v_means2d.shape[0] > 0:
-                        v_xy2 = v_means2d[index]
-                    if v_depths.shape[0] > 0:
-                        v_depth = v_depths[index]
-                    if v_roots.shape[0] > 0:
-                        v_root = v_roots[index]
-                    if v_compensations.shape[0] > 0:
-                        v_compensation = v_compensations[index]
                     finite = wp.isfinite(v_root) and wp.isfinite(v_xy2) and wp.isfinite(v_depth)
                     finite = finite and wp.isfinite(v_compensation)
                     given = given and finite
@@ -337,9 +337,7 @@ def projection_adjoint_kernel(
                 else:
                     g_scale = v_scales[gaussian] + g_scale
                     g_quat = v_quats[gaussian] + g_quat
-            if seen and not store_means:
-                g_mean = v_means[gaussian] + g_mean
-            store3(v_means, wp.where(inside and (seen or store_means), gaussian, -1), g_mean)
+            store3(v_means, wp.where(inside and (seen or store_means), gaussian, -1), v_mean_before + g_mean)
             if wp.static(from_covars):
                 if written >= 0:
                     v_covars[gaussian] = g_covar

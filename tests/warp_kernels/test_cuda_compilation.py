@@ -14,7 +14,7 @@ from warp_kernels.camera_gradients import CAMERA_RECORD, camera_finish_kernel
 from warp_kernels.decoder_adjoint import decode_adjoint_kernel
 from warp_kernels.decoder_memory import TEAMS
 from warp_kernels.decoder_networks import HIDDEN, decode_kernel
-from warp_kernels.gradient_records import clear_kernel, distribute_kernel, record_length
+from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.list_segments import join_segments_kernel
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import projection_adjoint_kernel
@@ -52,7 +52,6 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for channels, thermal_channels, per_pair, first_channels in ((3, 0, 0, 3), (11, 8, 0, 3), (11, 8, 8, 3))
         for absgrad in (False, True)
     ]
-    kernels.append(clear_kernel(record_length(3, 0, False), dtype))
     return kernels
 
 
