@@ -60,6 +60,17 @@ def test_zero_scales(device: torch.device, rasterize_mode: str, axes: list[int])
 
 
 @pytest.mark.parametrize("rasterize_mode", RASTERIZE_MODES)
+def test_turning_a_sphere_changes_nothing(device: torch.device, rasterize_mode: str) -> None:
+    """The gradient to its quaternion is zero and not what rounding leaves, of which Adam would make a whole step."""
+    scene = random_scene(n=20, rasterize_mode=rasterize_mode)
+    scene["scales"][::2] = scene["scales"][::2, :1]
+    inputs = leaves(scene, device, torch.float32)
+    rasterization(**inputs)[0].sum().backward()
+    assert (inputs["quats"].grad[::2] == 0).all()
+    assert inputs["quats"].grad[1::2].abs().sum() > 0
+
+
+@pytest.mark.parametrize("rasterize_mode", RASTERIZE_MODES)
 @pytest.mark.parametrize("thin", [[0], [0, 1]], ids=["pancake", "needle"])
 def test_needles_and_pancakes(device: torch.device, thin: list[int], rasterize_mode: str) -> None:
     """Axis ratios of a million."""
