@@ -65,9 +65,9 @@ def blend_kernel(
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
-    in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype)
+    from_middle, in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype)
     _, attenuate, _ = lane_functions(dtype)
-    zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
+    zero, one, minus_one = dtype(0.0), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
@@ -93,6 +93,7 @@ def blend_kernel(
         width: int,
         height: int,
         means2d: wp.array(dtype=vec2),
+        remainders: wp.array(dtype=vec2),
         roots: wp.array(dtype=vec3),
         extents: wp.array(dtype=vec2),
         opacities: wp.array(dtype=dtype),
@@ -132,8 +133,10 @@ def blend_kernel(
         block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
         block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
 
-        x0 = dtype(block_x) + half
-        y0 = dtype(block_y) + half
+        # Pixels and means are seen from the middle of the block
+        middle = vec2(dtype(block_x + wp.static(block_width // 2)), dtype(block_y + wp.static(block_height // 2)))
+        x0 = wp.static(dtype(0.5 - block_width // 2))
+        y0 = wp.static(dtype(0.5 - block_height // 2))
         PX = vecQ()
         PY = vecQ()
         for q in range(columns):
@@ -151,7 +154,7 @@ def blend_kernel(
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
-                inside = int(PX[q]) < width and int(PY[q]) + r < height
+                inside = int(middle[0] + PX[q]) < width and int(middle[1] + PY[q]) + r < height
                 T[p] = wp.where(inside, one, minus_one)
                 Tt[p] = wp.where(inside, one, minus_one)
                 last[p] = -1
@@ -205,7 +208,10 @@ def blend_kernel(
 
             walked = count
             if wp.static(cuda):
-                store(address, lane, count, place, g, means2d, roots, opacities, thermal_opacities, features, rest)
+                store(
+                    address, lane, count, place, g, middle,
+                    means2d, remainders, roots, opacities, thermal_opacities, features, rest,
+                )  # fmt: skip
                 taken += count
                 put, i, mask = refill(queue, lane, parts, taken, put, i, mask, end, masks)
                 count, place, g = take(queue, lane, taken, put, gaussian_ids)
@@ -234,7 +240,7 @@ def blend_kernel(
                         f = features_of(integer(entry[8]), features, rest)
                 else:
                     gaussian = gaussian_ids[pair]
-                    m = means2d[gaussian]
+                    m = from_middle(means2d[gaussian], remainders[gaussian], middle)
                     U = in_units(roots[gaussian])
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
@@ -279,8 +285,8 @@ def blend_kernel(
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
-                x = int(PX[q])
-                y = int(PY[q]) + r
+                x = int(middle[0] + PX[q])
+                y = int(middle[1] + PY[q]) + r
                 place = p * threads + thread
                 if wp.static(only_transmittance):
                     states[end // segment, 0, place] = wp.max(T[p], zero)

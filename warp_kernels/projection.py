@@ -82,13 +82,14 @@ def projection_functions(dtype: type, camera_model: CameraModel):
 
     @wp.func
     def project_mean(p: wp.vec3d, K: mat33):
-        """Image position [px] of a camera-space point, rounded once: errors here move the whole Gaussian."""
+        """Image position [px] of a camera-space point, and what rounding took from it, an error of all pixels."""
         rz = wp.float64(1.0)
         if wp.static(pinhole):
             rz = rz / p[2]
         u = wp.float64(K[0, 0]) * p[0] * rz + wp.float64(K[0, 2])
         v = wp.float64(K[1, 1]) * p[1] * rz + wp.float64(K[1, 2])
-        return vec2(dtype(u), dtype(v))
+        mean2d = vec2(dtype(u), dtype(v))
+        return mean2d, vec2(dtype(u - wp.float64(mean2d[0])), dtype(v - wp.float64(mean2d[1])))
 
     return camera_position, camera_axes, jacobian, project_mean, fov_limits
 
@@ -198,6 +199,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         compensations: wp.array(dtype=dtype),
         radii: wp.array(dtype=wp.vec2i),
         extents: wp.array(dtype=vec2),
+        remainders: wp.array(dtype=vec2),
     ):
         index = wp.tid() + first
         image = index // num_gaussians
@@ -223,7 +225,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
 
         M = jacobian(exact, K, width, height) * camera_axes(view)
         m0, m1 = rounded(M[0]), rounded(M[1])
-        mean2d = project_mean(exact, K)
+        mean2d, remainder = project_mean(exact, K)
         xx, xy, yy, det = zero, zero, zero, zero
         if wp.static(from_covars):
             xx, xy, yy, det = from_covariance(m0, m1, symmetric(covars[gaussian]))
@@ -271,6 +273,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
             compensations[index] = compensation
         store_pair(radii, index, wp.vec2i(int(rx), int(ry)))
         store2(extents, index, vec2(ex, ey))
+        store2(remainders, index, remainder)
 
     return project_kernel
 
@@ -314,6 +317,7 @@ class ProjectedArrays:
         radii: vec2i [images · N], px; 0 where culled.
         extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN; not written where
             culled.
+        remainders: vec2 [images · N], px: what rounding took from means2d; not written where culled.
     """
 
     means2d: wp.array
@@ -322,6 +326,7 @@ class ProjectedArrays:
     compensations: wp.array
     radii: wp.array
     extents: wp.array
+    remainders: wp.array
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ def project(
             projected.compensations,
             projected.radii,
             projected.extents,
+            projected.remainders,
         ],
         device,
     )

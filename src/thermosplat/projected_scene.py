@@ -140,6 +140,7 @@ class ProjectedScene:
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
+            self.projected.remainders,
             self._bin(features, rest),
             self.settings,
             thermal_channels,

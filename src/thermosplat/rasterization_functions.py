@@ -38,11 +38,12 @@ class ProjectedTensors(NamedTuple):
     compensations: Tensor  # empty in the classic mode
     radii: Tensor  # int32, not differentiable
     extents: Tensor  # not differentiable
+    remainders: Tensor  # not differentiable
 
     def arrays(self) -> ProjectedArrays:
         """The same memory as flat Warp arrays, which do not keep it alive."""
         scalar, vec2, vec3 = kinds_of(self.means2d.dtype)[:3]
-        return ProjectedArrays(*map(view, self, (vec2, scalar, vec3, scalar, wp.vec2i, vec2)))
+        return ProjectedArrays(*map(view, self, (vec2, scalar, vec3, scalar, wp.vec2i, vec2, vec2)))
 
 
 class Project(torch.autograd.Function):
@@ -76,12 +77,13 @@ class Project(torch.autograd.Function):
             compensations=means.new_empty(shape if settings.antialiased else 0),
             radii=means.new_empty((*shape, 2), dtype=torch.int32),
             extents=means.new_empty((*shape, 2)),
+            remainders=means.new_empty((*shape, 2)),
         )
         p = projected.arrays()
         g = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
         with launches_on_torch_stream(means.device):
             project(g, settings, p)
-        ctx.mark_non_differentiable(projected.radii, projected.extents)
+        ctx.mark_non_differentiable(projected.radii, projected.extents, projected.remainders)
         ctx.set_materialize_grads(False)
         ctx.settings, ctx.gaussians, ctx.projected = settings, g, p
         keep(
