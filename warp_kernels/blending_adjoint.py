@@ -149,10 +149,14 @@ def blend_adjoint_kernel(
         block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
         block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
 
-        # Pixels and means are seen from the middle of the block
-        middle = vec2(dtype(block_x + wp.static(block_width // 2)), dtype(block_y + wp.static(block_height // 2)))
-        x0 = wp.static(dtype(0.5 - block_width // 2))
-        y0 = wp.static(dtype(0.5 - block_height // 2))
+        # Pixels and means are seen from the middle of the block; of a tile, from that of its part in the image
+        before_x, before_y = wp.static(block_width // 2), wp.static(block_height // 2)
+        if wp.static(not cuda):
+            before_x = wp.min(block_width, width - block_x) // 2
+            before_y = wp.min(block_height, height - block_y) // 2
+        middle = vec2(dtype(block_x + before_x), dtype(block_y + before_y))
+        x0 = half - dtype(before_x)
+        y0 = half - dtype(before_y)
         PX = vecQ()
         PY = vecQ()
         for q in range(columns):
