@@ -59,6 +59,31 @@ def test_zero_scales(device: torch.device, rasterize_mode: str, axes: list[int])
         assert not truth["visible"][0, ::2].any()
 
 
+def test_float32_does_not_move_gaussians_far_from_the_corner(device: torch.device) -> None:
+    """Positions of 8,000 px are rounded to 2.4e-4 px, which alone is an error of 1e-4."""
+    width, height, n = 8000, 6, 40
+    scene = random_scene(n=n, width=width, height=height, backgrounds=False)
+    scene["viewmats"] = torch.eye(4, dtype=torch.float64)[None]
+    scene["Ks"][0] = torch.tensor([[4000.0, 0.0, 4000.0], [0.0, 4000.0, 3.0], [0.0, 0.0, 1.0]])
+    depths = torch.linspace(4.0, 5.0, n)
+    columns = torch.linspace(7900.0, 7990.0, n)
+    scene["means"] = torch.stack([(columns / 4000.0 - 1.0) * depths, torch.zeros(n), depths], -1).double()
+    scene["scales"] = (0.005 * scene["scales"]).float().double()
+    _, (_, alphas, _) = assert_matches_reference(rasterization, scene, device)
+    assert (alphas > 0.5).any()
+
+
+@pytest.mark.parametrize("rasterize_mode", RASTERIZE_MODES)
+def test_turning_a_sphere_changes_nothing(device: torch.device, rasterize_mode: str) -> None:
+    """The gradient to its quaternion is zero and not what rounding leaves, of which Adam would make a whole step."""
+    scene = random_scene(n=20, rasterize_mode=rasterize_mode)
+    scene["scales"][::2] = scene["scales"][::2, :1]
+    inputs = leaves(scene, device, torch.float32)
+    rasterization(**inputs)[0].sum().backward()
+    assert (inputs["quats"].grad[::2] == 0).all()
+    assert inputs["quats"].grad[1::2].abs().sum() > 0
+
+
 @pytest.mark.parametrize("rasterize_mode", RASTERIZE_MODES)
 @pytest.mark.parametrize("thin", [[0], [0, 1]], ids=["pancake", "needle"])
 def test_needles_and_pancakes(device: torch.device, thin: list[int], rasterize_mode: str) -> None:

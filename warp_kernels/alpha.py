@@ -20,12 +20,17 @@ def alpha_functions(dtype: type):
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(in_units, whiten, visibility, alpha, row_range)``, Warp functions.
+        ``(from_middle, in_units, whiten, visibility, alpha, row_range)``, Warp functions.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     zero = dtype(0.0)
     alpha_min, alpha_max, per_unit = dtype(ALPHA_MIN), dtype(ALPHA_MAX), dtype(1.0 / UNIT)
     exp2_negative, _, _ = lane_functions(dtype)
+
+    @wp.func
+    def from_middle(mean: vec2, remainder: vec2, middle: vec2):
+        """A mean as seen from near by, where its remainder is not lost to rounding."""
+        return (mean - middle) + remainder
 
     @wp.func
     def in_units(root: vec3):
@@ -56,4 +61,4 @@ def alpha_functions(dtype: type):
         end = int(wp.floor(wp.clamp(mean[1] + spare - y0, dtype(-1.0), dtype(rows - 1)))) + 1
         return first, end
 
-    return in_units, whiten, visibility, alpha, row_range
+    return from_middle, in_units, whiten, visibility, alpha, row_range

@@ -65,7 +65,7 @@ def blend_kernel(
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
-    in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype)
+    from_middle, in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype)
     _, attenuate, _ = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
@@ -93,6 +93,7 @@ def blend_kernel(
         width: int,
         height: int,
         means2d: wp.array(dtype=vec2),
+        remainders: wp.array(dtype=vec2),
         roots: wp.array(dtype=vec3),
         extents: wp.array(dtype=vec2),
         opacities: wp.array(dtype=dtype),
@@ -132,8 +133,14 @@ def blend_kernel(
         block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
         block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
 
-        x0 = dtype(block_x) + half
-        y0 = dtype(block_y) + half
+        # Pixels and means are seen from the middle of the block; of a tile, from that of its part in the image
+        before_x, before_y = wp.static(block_width // 2), wp.static(block_height // 2)
+        if wp.static(not cuda):
+            before_x = wp.min(block_width, width - block_x) // 2
+            before_y = wp.min(block_height, height - block_y) // 2
+        middle = vec2(dtype(block_x + before_x), dtype(block_y + before_y))
+        x0 = half - dtype(before_x)
+        y0 = half - dtype(before_y)
         PX = vecQ()
         PY = vecQ()
         for q in range(columns):
@@ -151,7 +158,7 @@ def blend_kernel(
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
-                inside = int(PX[q]) < width and int(PY[q]) + r < height
+                inside = int(middle[0] + PX[q]) < width and int(middle[1] + PY[q]) + r < height
                 T[p] = wp.where(inside, one, minus_one)
                 Tt[p] = wp.where(inside, one, minus_one)
                 last[p] = -1
@@ -205,7 +212,10 @@ def blend_kernel(
 
             walked = count
             if wp.static(cuda):
-                store(address, lane, count, place, g, means2d, roots, opacities, thermal_opacities, features, rest)
+                store(
+                    address, lane, count, place, g, middle,
+                    means2d, remainders, roots, opacities, thermal_opacities, features, rest,
+                )  # fmt: skip
                 taken += count
                 put, i, mask = refill(queue, lane, parts, taken, put, i, mask, end, masks)
                 count, place, g = take(queue, lane, taken, put, gaussian_ids)
@@ -234,7 +244,7 @@ def blend_kernel(
                         f = features_of(integer(entry[8]), features, rest)
                 else:
                     gaussian = gaussian_ids[pair]
-                    m = means2d[gaussian]
+                    m = from_middle(means2d[gaussian], remainders[gaussian], middle)
                     U = in_units(roots[gaussian])
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
@@ -279,8 +289,8 @@ def blend_kernel(
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
-                x = int(PX[q])
-                y = int(PY[q]) + r
+                x = int(middle[0] + PX[q])
+                y = int(middle[1] + PY[q]) + r
                 place = p * threads + thread
                 if wp.static(only_transmittance):
                     states[end // segment, 0, place] = wp.max(T[p], zero)

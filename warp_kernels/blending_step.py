@@ -296,6 +296,7 @@ def _read(
 ) -> tuple[list[int], list[Any]]:
     """The image's size, and what both the kernel and its adjoint begin with."""
     size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
-    gaussians = [projected.means2d, projected.roots, projected.extents, opacities, thermal_opacities]
+    p = projected
+    gaussians = [p.means2d, p.remainders, p.roots, p.extents, opacities, thermal_opacities]
     others = _or_nothing(rest, opacities.dtype, opacities.device)
     return size, [*size, *gaussians, features, others, bins.gaussian_ids, bins.masks]

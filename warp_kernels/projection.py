@@ -34,12 +34,12 @@ def projection_functions(dtype: type, camera_model: CameraModel):
         camera_model: "pinhole" or "ortho".
 
     Returns:
-        ``(camera_position, jacobian, project_mean, fov_limits)``, Warp functions.
+        ``(camera_position, camera_axes, jacobian, project_mean, fov_limits)``, Warp functions.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
-    mat23, mat33 = wp.types.matrix((2, 3), dtype), wp.types.matrix((3, 3), dtype)
-    mat44 = wp.types.matrix((4, 4), dtype)
-    zero, half, margin = dtype(0.0), dtype(0.5), dtype(FOV_MARGIN)
+    mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
+    mat23d = wp.types.matrix((2, 3), wp.float64)
+    half, margin, zero64 = dtype(0.5), dtype(FOV_MARGIN), wp.float64(0.0)
     pinhole = camera_model == "pinhole"
 
     @wp.func
@@ -53,40 +53,45 @@ def projection_functions(dtype: type, camera_model: CameraModel):
         return p
 
     @wp.func
+    def camera_axes(view: mat44):
+        """R in float64."""
+        R = wp.mat33d()
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = wp.float64(view[i, j])
+        return R
+
+    @wp.func
     def fov_limits(focal: dtype, center: dtype, size: dtype):
         """Smallest and largest x / z (or y / z) at which the Jacobian is evaluated."""
         spare = margin * half * size / focal
         return -(center / focal + spare), (size - center) / focal + spare
 
     @wp.func
-    def clamped_position(p: vec3, K: mat33, width: int, height: int):
-        """Position at which the Jacobian is taken, and whether x and y are inside the limits."""
-        low_x, high_x = fov_limits(K[0, 0], K[0, 2], dtype(width))
-        low_y, high_y = fov_limits(K[1, 1], K[1, 2], dtype(height))
-        tx = p[2] * wp.clamp(p[0] / p[2], low_x, high_x)
-        ty = p[2] * wp.clamp(p[1] / p[2], low_y, high_y)
-        return tx, ty
-
-    @wp.func
-    def jacobian(p: vec3, K: mat33, width: int, height: int):
-        """J [2, 3]: derivative of the projection, linearised at the clamped position."""
+    def jacobian(p: wp.vec3d, K: mat33, width: int, height: int):
+        """J [2, 3] in float64: derivative of the projection, linearised at the clamped position."""
+        fx, fy = wp.float64(K[0, 0]), wp.float64(K[1, 1])
         if wp.static(pinhole):
-            tx, ty = clamped_position(p, K, width, height)
-            rz = dtype(1.0) / p[2]
-            return mat23(K[0, 0] * rz, zero, -K[0, 0] * tx * rz * rz, zero, K[1, 1] * rz, -K[1, 1] * ty * rz * rz)
-        return mat23(K[0, 0], zero, zero, zero, K[1, 1], zero)
+            low_x, high_x = fov_limits(K[0, 0], K[0, 2], dtype(width))
+            low_y, high_y = fov_limits(K[1, 1], K[1, 2], dtype(height))
+            rz = wp.float64(1.0) / p[2]
+            x = wp.clamp(p[0] * rz, wp.float64(low_x), wp.float64(high_x))
+            y = wp.clamp(p[1] * rz, wp.float64(low_y), wp.float64(high_y))
+            return mat23d(fx * rz, zero64, -fx * rz * x, zero64, fy * rz, -fy * rz * y)
+        return mat23d(fx, zero64, zero64, zero64, fy, zero64)
 
     @wp.func
     def project_mean(p: wp.vec3d, K: mat33):
-        """Image position [px] of a camera-space point, rounded once: errors here move the whole Gaussian."""
+        """Image position [px] of a camera-space point, and what rounding took from it, an error of all pixels."""
         rz = wp.float64(1.0)
         if wp.static(pinhole):
             rz = rz / p[2]
         u = wp.float64(K[0, 0]) * p[0] * rz + wp.float64(K[0, 2])
         v = wp.float64(K[1, 1]) * p[1] * rz + wp.float64(K[1, 2])
-        return vec2(dtype(u), dtype(v))
+        mean2d = vec2(dtype(u), dtype(v))
+        return mean2d, vec2(dtype(u - wp.float64(mean2d[0])), dtype(v - wp.float64(mean2d[1])))
 
-    return camera_position, jacobian, project_mean, fov_limits
+    return camera_position, camera_axes, jacobian, project_mean, fov_limits
 
 
 @functools.cache
@@ -138,14 +143,18 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
     vec6 = wp.types.vector(6, dtype)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
-    normalize, _, to_matrix, _ = rotation_functions(dtype)
-    camera_position, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
+    to_matrix, _ = rotation_functions(dtype)
+    camera_position, camera_axes, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
     store2, _, _ = store_functions(dtype)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
     alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
     largest_radius = dtype(1.0e9)  # fits an int32
     sharpest = dtype(1.0e30 if dtype is wp.float32 else 1.0e300)  # times pixels squared stays finite
+
+    @wp.func
+    def rounded(x: wp.vec3d):
+        return vec3(dtype(x[0]), dtype(x[1]), dtype(x[2]))
 
     @wp.func
     def outside(center: dtype, row: vec3, largest: dtype, eps2d: dtype, size: int):
@@ -190,6 +199,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         compensations: wp.array(dtype=dtype),
         radii: wp.array(dtype=wp.vec2i),
         extents: wp.array(dtype=vec2),
+        remainders: wp.array(dtype=vec2),
     ):
         index = wp.tid() + first
         image = index // num_gaussians
@@ -204,13 +214,8 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
 
         view = viewmats[image]
         K = Ks[image]
-        R = mat33(
-            view[0, 0], view[0, 1], view[0, 2],
-            view[1, 0], view[1, 1], view[1, 2],
-            view[2, 0], view[2, 1], view[2, 2],
-        )  # fmt: skip
         exact = camera_position(view, means[gaussian])
-        p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
+        p = rounded(exact)
         # Written so that NaN is culled too. Positions are tested before anything divides by the depth.
         if not (p[2] >= near_plane and p[2] <= far_plane):
             return
@@ -218,11 +223,9 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
             if p[2] == zero:
                 return
 
-        J = jacobian(p, K, width, height)
-        M = J * R
-        m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
-        m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
-        mean2d = project_mean(exact, K)
+        M = jacobian(exact, K, width, height) * camera_axes(view)
+        m0, m1 = rounded(M[0]), rounded(M[1])
+        mean2d, remainder = project_mean(exact, K)
         xx, xy, yy, det = zero, zero, zero, zero
         if wp.static(from_covars):
             xx, xy, yy, det = from_covariance(m0, m1, symmetric(covars[gaussian]))
@@ -233,9 +236,8 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
             largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
             if outside(mean2d[0], m0, largest, eps2d, width) or outside(mean2d[1], m1, largest, eps2d, height):
                 return
-            rotation = to_matrix(normalize(raw))
-            back = wp.transpose(rotation)
-            xx, xy, yy, det = from_rows(wp.cw_mul(back * m0, s), wp.cw_mul(back * m1, s))
+            back = wp.transpose(to_matrix(raw))
+            xx, xy, yy, det = from_rows(wp.cw_mul(rounded(back * M[0]), s), wp.cw_mul(rounded(back * M[1]), s))
         det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
         xx = xx + eps2d
         yy = yy + eps2d
@@ -272,6 +274,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
             compensations[index] = compensation
         store_pair(radii, index, wp.vec2i(int(rx), int(ry)))
         store2(extents, index, vec2(ex, ey))
+        store2(remainders, index, remainder)
 
     return project_kernel
 
@@ -315,6 +318,7 @@ class ProjectedArrays:
         radii: vec2i [images · N], px; 0 where culled.
         extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN; not written where
             culled.
+        remainders: vec2 [images · N], px: what rounding took from means2d; not written where culled.
     """
 
     means2d: wp.array
@@ -323,6 +327,7 @@ class ProjectedArrays:
     compensations: wp.array
     radii: wp.array
     extents: wp.array
+    remainders: wp.array
 
 
 @dataclass(frozen=True)

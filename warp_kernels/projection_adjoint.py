@@ -7,6 +7,9 @@ With U the conic's root and V the symmetric gradient of the loss to a matrix: th
 the sum of p z zᵀ over pixels (see gradient_records), and V_cov = ½ Uᵀ W U, V_A = Uᵀ W (U A). All of it is computed on
 whitened rows U B and U M, whose entries are of order 1; of a needle, those of B and M are not, and cancel. For
 the antialiasing compensation ρ = sqrt(det / det_blurred) the determinant's gradient is |a0 x a1|² -> 2 a1 x (a0 x a1).
+
+V_A = W A with W symmetric, so that the gradient to a turn of the Gaussian about its axis x, a sum of V_b x b with
+V_b = V_A diag(s), is (sy - sz) times a sum of V_Ay bz + V_Az by: of a sphere exactly zero.
 """
 
 import functools
@@ -42,8 +45,8 @@ def projection_adjoint_kernel(
     _, store3, store4 = store_functions(dtype)
     vec6, record = wp.types.vector(6, dtype), wp.types.vector(CAMERA_RECORD, dtype)
     mat23, mat33, mat44 = (wp.types.matrix(shape, dtype) for shape in ((2, 3), (3, 3), (4, 4)))
-    normalize, inverse_norm, to_matrix, matrix_adjoint = rotation_functions(dtype)
-    camera_position, jacobian, _, fov_limits = projection_functions(dtype, camera_model)
+    to_matrix, turn_adjoint = rotation_functions(dtype)
+    camera_position, camera_axes, jacobian, _, fov_limits = projection_functions(dtype, camera_model)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
     pinhole = camera_model == "pinhole"
@@ -66,6 +69,11 @@ def projection_adjoint_kernel(
             v_focal = -v * depth * limit / focal
             v_center = -v * depth / focal
         return v_position, v_depth, v_focal, v_center
+
+    @wp.func
+    def mixed(v: vec3, b: vec3):
+        """The cross product with plus in place of minus; times differences of scales, the gradient to a small turn."""
+        return vec3(v[1] * b[2] + v[2] * b[1], v[2] * b[0] + v[0] * b[2], v[0] * b[1] + v[1] * b[0])
 
     @wp.kernel(
         name=f"project_adjoint_{suffix}_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds
@@ -121,7 +129,7 @@ def projection_adjoint_kernel(
 
             # Nothing else is read of a Gaussian that no camera sees.
             mean, v_mean_before, s = vec3(), vec3(), vec3()
-            raw, q = vec4(), vec4()
+            raw = vec4()
             rotation, covariance = mat33(), mat33()
             if seen:
                 mean = means[gaussian]
@@ -132,14 +140,13 @@ def projection_adjoint_kernel(
                 else:
                     raw = quats[gaussian]
                     s = scales[gaussian]
-                    q = normalize(raw)
-                    rotation = to_matrix(q)
+                    rotation = mat33(to_matrix(raw))
             back = wp.transpose(rotation)
 
             given = bool(True)
             g_mean = vec3()
             g_scale = vec3()
-            g_rotation = mat33()
+            g_mixed = vec3()
             g_covar = vec6()
             for camera in range(num_cameras):
                 image = scene * num_cameras + camera
@@ -164,17 +171,11 @@ def projection_adjoint_kernel(
                         v_compensation = v_compensations[index]
                     view = viewmats[image]
                     K = Ks[image]
-                    R = mat33(
-                        view[0, 0], view[0, 1], view[0, 2],
-                        view[1, 0], view[1, 1], view[1, 2],
-                        view[2, 0], view[2, 1], view[2, 2],
-                    )  # fmt: skip
                     exact = camera_position(view, mean)
                     p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
-                    J = jacobian(p, K, width, height)
-                    M = J * R
-                    m0 = vec3(M[0, 0], M[0, 1], M[0, 2])
-                    m1 = vec3(M[1, 0], M[1, 1], M[1, 2])
+                    exact_R, exact_J = camera_axes(view), jacobian(exact, K, width, height)
+                    R, J, M = mat33(exact_R), mat23(exact_J), mat23(exact_J * exact_R)
+                    m0, m1 = M[0], M[1]
 
                     # root -> W, the moments in whitened coordinates (see gradient_records)
                     finite = wp.isfinite(v_root) and wp.isfinite(v_xy2) and wp.isfinite(v_depth)
@@ -210,7 +211,7 @@ def projection_adjoint_kernel(
                         g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
                         v_b0 = wp.cw_mul(v_a0, s)
                         v_b1 = wp.cw_mul(v_a1, s)
-                        g_rotation = g_rotation + wp.outer(n0, v_b0) + wp.outer(n1, v_b1)
+                        g_mixed = g_mixed + mixed(v_a0, b0) + mixed(v_a1, b1)
                         v_n0 = rotation * v_b0
                         v_n1 = rotation * v_b1
                     v_m0 = u * v_n0
@@ -256,7 +257,7 @@ def projection_adjoint_kernel(
                                 g_scale = g_scale + wp.cw_mul(b0, v_a0) + wp.cw_mul(b1, v_a1)
                                 v_b0 = wp.cw_mul(v_a0, s)
                                 v_b1 = wp.cw_mul(v_a1, s)
-                                g_rotation = g_rotation + wp.outer(m0, v_b0) + wp.outer(m1, v_b1)
+                                g_mixed = g_mixed + mixed(v_a0, b0) + mixed(v_a1, b1)
                                 v_m0 = v_m0 + rotation * v_b0
                                 v_m1 = v_m1 + rotation * v_b1
 
@@ -324,7 +325,7 @@ def projection_adjoint_kernel(
             g_quat = vec4()
             if wp.static(not from_covars):
                 if seen:
-                    g_quat = matrix_adjoint(q, g_rotation) * inverse_norm(raw)
+                    g_quat = turn_adjoint(raw, wp.cw_mul(vec3(s[1] - s[2], s[2] - s[0], s[0] - s[1]), g_mixed))
             held = wp.isfinite(g_mean) and wp.isfinite(g_scale) and wp.isfinite(g_quat) and wp.isfinite(g_covar)
             # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
             seen = seen and (held or not given)

@@ -52,6 +52,7 @@ def project(
             projected.compensations,
             projected.radii,
             projected.extents,
+            projected.remainders,
         ],
         device,
     )

@@ -49,8 +49,8 @@ def allocate_projected(entries: int, dtype: type, device: wp.Device, requires_gr
         return wp.empty(entries, dtype=kind, device=device, requires_grad=requires_grad)
 
     radii = wp.empty(entries, dtype=wp.vec2i, device=device)
-    extents = wp.empty(entries, dtype=vec2, device=device)
-    return ProjectedArrays(empty(vec2), empty(dtype), empty(vec3), empty(dtype), radii, extents)
+    extents, remainders = (wp.empty(entries, dtype=vec2, device=device) for _ in range(2))
+    return ProjectedArrays(empty(vec2), empty(dtype), empty(vec3), empty(dtype), radii, extents, remainders)
 
 
 def rasterize(

@@ -1,4 +1,4 @@
-"""Unit quaternions (w, x, y, z) and the rotation matrices they stand for."""
+"""Quaternions (w, x, y, z) of any length and the rotations they stand for."""
 
 import functools
 
@@ -13,76 +13,61 @@ def rotation_functions(dtype: type):
         dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
-        ``(normalize, inverse_norm, to_matrix, matrix_adjoint)``, Warp functions.
+        ``(to_matrix, turn_adjoint)``, Warp functions.
     """
-    vec4 = wp.types.vector(4, dtype)
-    mat33 = wp.types.matrix((3, 3), dtype)
+    vec3, vec4 = wp.types.vector(3, dtype), wp.types.vector(4, dtype)
     zero, one, two, tiny = dtype(0.0), dtype(1.0), dtype(2.0), dtype(1.0e-30)
+    one64, two64 = wp.float64(1.0), wp.float64(2.0)
 
     @wp.func
-    def inverse_norm(q: vec4):
-        """1 / |q|, and 0 for a quaternion too small to have a direction."""
-        # Scaling by the largest component first keeps tiny quaternions from underflowing when squared.
+    def inverse_size(q: vec4):
+        """1 / the largest component, so that squares are in range; 0 for a quaternion too small to have a direction."""
         largest = wp.max(wp.max(wp.abs(q[0]), wp.abs(q[1])), wp.max(wp.abs(q[2]), wp.abs(q[3])))
         result = zero
         if largest > tiny:
-            result = one / (largest * wp.length(q / largest))
-        return result
-
-    @wp.func
-    def normalize(q: vec4):
-        """Unit quaternion; the zero quaternion stays zero, whose matrix is the identity."""
-        largest = wp.max(wp.max(wp.abs(q[0]), wp.abs(q[1])), wp.max(wp.abs(q[2]), wp.abs(q[3])))
-        result = vec4()
-        if largest > tiny:
-            scaled = q / largest
-            result = scaled / wp.length(scaled)
+            result = one / largest
         return result
 
     @wp.func
     def to_matrix(q: vec4):
-        """Rotation matrix of a unit quaternion."""
-        w, x, y, z = q[0], q[1], q[2], q[3]
-        return mat33(
-            one - two * (y * y + z * z),
-            two * (x * y - w * z),
-            two * (x * z + w * y),
-            two * (x * y + w * z),
-            one - two * (x * x + z * z),
-            two * (y * z - w * x),
-            two * (x * z - w * y),
-            two * (y * z + w * x),
-            one - two * (x * x + y * y),
+        """Rotation matrix in float64; that of a quaternion without a direction is the identity."""
+        size = wp.float64(inverse_size(q))
+        w, x, y, z = size * wp.float64(q[0]), size * wp.float64(q[1]), size * wp.float64(q[2]), size * wp.float64(q[3])
+        # Not by way of the unit quaternion: rounded to float32 it has not quite that length, and its matrix stretches.
+        share = wp.float64(0.0)
+        if size > share:
+            share = two64 / (w * w + x * x + y * y + z * z)
+        return wp.mat33d(
+            one64 - share * (y * y + z * z),
+            share * (x * y - w * z),
+            share * (x * z + w * y),
+            share * (x * y + w * z),
+            one64 - share * (x * x + z * z),
+            share * (y * z - w * x),
+            share * (x * z - w * y),
+            share * (y * z + w * x),
+            one64 - share * (x * x + y * y),
         )
 
     @wp.func
-    def matrix_adjoint(q: vec4, v: mat33):
-        """Gradient to the quaternion before its normalisation to q, times its length, for the matrix gradient v."""
-        w, x, y, z = q[0], q[1], q[2], q[3]
-        g = vec4(
-            two * (x * (v[2, 1] - v[1, 2]) + y * (v[0, 2] - v[2, 0]) + z * (v[1, 0] - v[0, 1])),
-            two
-            * (
-                -two * x * (v[1, 1] + v[2, 2])
-                + y * (v[0, 1] + v[1, 0])
-                + z * (v[0, 2] + v[2, 0])
-                + w * (v[2, 1] - v[1, 2])
-            ),
-            two
-            * (
-                x * (v[0, 1] + v[1, 0])
-                - two * y * (v[0, 0] + v[2, 2])
-                + z * (v[1, 2] + v[2, 1])
-                + w * (v[0, 2] - v[2, 0])
-            ),
-            two
-            * (
-                x * (v[0, 2] + v[2, 0])
-                + y * (v[1, 2] + v[2, 1])
-                - two * z * (v[0, 0] + v[1, 1])
-                + w * (v[1, 0] - v[0, 1])
-            ),
-        )
-        return g - wp.dot(g, q) * q
+    def turn_adjoint(q: vec4, v: vec3):
+        """Gradient to a quaternion for the gradient v to a small turn about the axes of its own rotation.
 
-    return normalize, inverse_norm, to_matrix, matrix_adjoint
+        A turn δ takes R to R (I + [δ]x), and the unit quaternion q to q + ½ q (0, δ). This has no part along q, which
+        would have to be taken away.
+        """
+        size = inverse_size(q)
+        result = vec4()
+        if size > zero:
+            inverse_norm = one / wp.length(size * q)
+            unit = inverse_norm * (size * q)
+            w, x, y, z = unit[0], unit[1], unit[2], unit[3]
+            result = (two * size * inverse_norm) * vec4(
+                -(x * v[0] + y * v[1] + z * v[2]),
+                w * v[0] + y * v[2] - z * v[1],
+                w * v[1] + z * v[0] - x * v[2],
+                w * v[2] + x * v[1] - y * v[0],
+            )
+        return result
+
+    return to_matrix, turn_adjoint

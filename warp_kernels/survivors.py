@@ -20,8 +20,8 @@ from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS
 from warp_kernels.warp_lists import list_functions
 
 HEADER = 9
-"""Numbers before the features: mean2d (2), root in ``alpha.UNIT`` (3), opacity, thermal opacity, the pair's place in
-the list, its Gaussian."""
+"""Numbers before the features: mean2d from the middle of the warp's block (2), root in ``alpha.UNIT`` (3), opacity,
+thermal opacity, the pair's place in the list, its Gaussian."""
 
 SHARED_BYTES = 40 * 1024
 """Shared memory for records; a block of threads has 48 KiB without asking for more, some of which Warp takes."""
@@ -180,7 +180,7 @@ def record_functions(
     remaining = channels - first_channels
     vec2, vec3, vecC = (wp.types.vector(count, dtype) for count in (2, 3, channels))
     vecA, vecB = wp.types.vector(first_channels, dtype), wp.types.vector(max(remaining, 1), dtype)
-    in_units, _, _, _, _ = alpha_functions(dtype)
+    from_middle, in_units, _, _, _, _ = alpha_functions(dtype)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
     address_snippet = on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
     put_snippet = on_cuda(f"{locate}\n{writes}")
@@ -218,7 +218,9 @@ def record_functions(
         count: int,
         place: int,
         g: int,
+        middle: vec2,
         means2d: wp.array(dtype=vec2),
+        remainders: wp.array(dtype=vec2),
         roots: wp.array(dtype=vec3),
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
@@ -228,7 +230,7 @@ def record_functions(
         warp_sync()  # all lanes have walked the records before
         if lane < count:
             r = record()
-            mean = means2d[g]
+            mean = from_middle(means2d[g], remainders[g], middle)
             root = in_units(roots[g])
             r[0] = mean[0]
             r[1] = mean[1]

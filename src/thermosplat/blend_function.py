@@ -36,6 +36,7 @@ class BlendInputs:
 
     projected: ProjectedArrays
     extents: Tensor
+    remainders: Tensor
     lists: TileLists
     settings: ProjectionSettings
     thermal_channels: int
@@ -95,6 +96,7 @@ class Blend(torch.autograd.Function):
             (ctx.features, features),
             (ctx.rest, rest),
             (projected.extents, None if means2d.is_cuda else inputs.extents),  # which only a row of pixels asks for
+            (projected.remainders, inputs.remainders),
             # Of the images only those that the adjoint reads, so that users may change the renders in place.
             *images[1:3],
             *images[5:7],

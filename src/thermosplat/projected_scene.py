@@ -89,8 +89,8 @@ class ProjectedScene:
             ProjectInputs(settings, tuple(one.settings for one in self._harmonics), self.images_shape),
             *(coefficients for one in self._harmonics for coefficients in one[:2]),
         )
-        self.projected = ProjectedTensors(*projected[:6])
-        evaluated = iter(projected[6:])
+        self.projected = ProjectedTensors(*projected[:7])
+        evaluated = iter(projected[7:])
         self.features = [
             self._per_image(one) if sh is None else next(evaluated) for one, sh in zip(drawn, harmonics, strict=True)
         ]
@@ -137,6 +137,7 @@ class ProjectedScene:
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
+            self.projected.remainders,
             self._bin(features, rest),
             self.settings,
             thermal_channels,

@@ -47,6 +47,7 @@ class ProjectedTensors(NamedTuple):
     compensations: Tensor | None  # None in the classic mode
     radii: Tensor  # int32, not differentiable
     extents: Tensor  # not differentiable
+    remainders: Tensor  # not differentiable
 
     def arrays(self) -> ProjectedArrays:
         """The same memory as flat Warp arrays, which do not keep it alive."""
@@ -61,6 +62,7 @@ class ProjectedTensors(NamedTuple):
             else view(factors, scalar),
             radii=view(self.radii, wp.vec2i),
             extents=view(self.extents, vec2),
+            remainders=view(self.remainders, vec2),
         )
 
 
@@ -113,6 +115,7 @@ class Project(torch.autograd.Function):
             compensations=means.new_empty(shape) if settings.antialiased else None,
             radii=means.new_empty((*shape, 2), dtype=torch.int32),
             extents=means.new_empty((*shape, 2)),
+            remainders=means.new_empty((*shape, 2)),
         )
         p = projected.arrays()
         g = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
@@ -125,7 +128,7 @@ class Project(torch.autograd.Function):
             ):
                 c.append(ColorArrays(g.means, g.viewmats, *_by_degree(sh0, shN), p.radii, view(shown, g.means.dtype)))
                 sh_colors(c[-1], how)
-        ctx.mark_non_differentiable(projected.radii, projected.extents)
+        ctx.mark_non_differentiable(projected.radii, projected.extents, projected.remainders)
         ctx.set_materialize_grads(False)
         ctx.inputs, ctx.gaussians, ctx.projected, ctx.colors = inputs, g, p, c
         keep(
@@ -149,8 +152,8 @@ class Project(torch.autograd.Function):
     @differentiable_once
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, viewmats, Ks, *held = kept(ctx)
-        *v_projected, _radii, _extents = gradients[:6]
-        v_colors, coefficients = gradients[6:-1], held[3 + len(ctx.colors) :]
+        *v_projected, _radii, _extents, _remainders = gradients[:7]
+        v_colors, coefficients = gradients[7:-1], held[3 + len(ctx.colors) :]
         to_gaussians, to_cameras = any(ctx.needs_input_grad[:4]), any(ctx.needs_input_grad[6:8])
         g, p, settings = ctx.gaussians, ctx.projected, ctx.inputs.settings
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)

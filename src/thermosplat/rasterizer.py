@@ -205,7 +205,7 @@ def rasterization(
     blended = scene.blend_in_chunks(features, min(channel_chunk, CHANNELS_MAX), absgrad)
     render_colors = blended.render
     if backgrounds is not None:
-        render_colors = render_colors + blended.transmittance * backgrounds[..., None, None, :]
+        render_colors = torch.addcmul(render_colors, blended.transmittance, backgrounds[..., None, None, :])
     if "ED" in render_mode:
         expected = render_colors[..., -2:-1] / render_colors[..., -1:].clamp(min=1e-10)
         render_colors = torch.cat([render_colors[..., :-2], expected], -1)
@@ -322,7 +322,7 @@ def rasterization_rgbt(
             blended = blended._replace(thermal_render=thermal.render, thermal_alphas=thermal.alphas)
     render_colors = blended.render
     if backgrounds is not None:
-        render_colors = render_colors + blended.transmittance * backgrounds[..., None, None, :]
+        render_colors = torch.addcmul(render_colors, blended.transmittance, backgrounds[..., None, None, :])
     render_features = cast("Tensor", blended.rest)  # there are two images
     return RGBTRender(
         render_colors, render_features, blended.thermal_render, blended.alphas, blended.thermal_alphas, scene.info()
