@@ -7,6 +7,7 @@ import warp as wp
 
 from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN
 from warp_kernels.lanes import lane_functions
+from warp_kernels.packed_roots import packed_root_functions
 
 UNIT = math.sqrt(2.0 * math.log(2.0))
 """Standard deviations in which offsets are measured while blending: exp(-σ) is then 2^-|z|², one instruction."""
@@ -22,18 +23,19 @@ def alpha_functions(dtype: type):
     Returns:
         ``(from_middle, in_units, whiten, visibility, alpha, row_range)``, Warp functions.
     """
-    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
+    _, unpack, _ = packed_root_functions(dtype)
     zero = dtype(0.0)
     alpha_min, alpha_max, per_unit = dtype(ALPHA_MIN), dtype(ALPHA_MAX), dtype(1.0 / UNIT)
     exp2_negative, _, _ = lane_functions(dtype)
 
     @wp.func
-    def from_middle(mean: vec2, remainder: vec2, middle: vec2):
+    def from_middle(mean: vec2, packed_root: vec4, middle: vec2):
         """A mean as seen from near by, where its remainder is not lost to rounding."""
-        return (mean - middle) + remainder
+        return (mean - middle) + unpack(packed_root[3])
 
     @wp.func
-    def in_units(root: vec3):
+    def in_units(root: vec4):
         """The conic's root for offsets z = U d in units of ``UNIT`` standard deviations."""
         return vec3(per_unit * root[0], root[1], per_unit * root[2])
 

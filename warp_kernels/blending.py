@@ -57,7 +57,7 @@ def blend_kernel(
     cuda = lanes > 1
     threads, pixels = layout.threads, rows * columns
     row_mask = rows - 1  # rows is a power of two: keeps the index provably non-negative, which vectorising needs
-    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
     vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
     vecQ = wp.types.vector(columns, dtype)
@@ -70,6 +70,7 @@ def blend_kernel(
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
+    half_width, half_height = block_width // 2, block_height // 2
     blocks_x = layout.blocks_x
     batch = BATCH
     first_thermal = C - D
@@ -93,8 +94,7 @@ def blend_kernel(
         width: int,
         height: int,
         means2d: wp.array(dtype=vec2),
-        remainders: wp.array(dtype=vec2),
-        roots: wp.array(dtype=vec3),
+        packed_roots: wp.array(dtype=vec4),
         extents: wp.array(dtype=vec2),
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
@@ -134,7 +134,8 @@ def blend_kernel(
         block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
 
         # Pixels and means are seen from the middle of the block; of a tile, from that of its part in the image
-        before_x, before_y = wp.static(block_width // 2), wp.static(block_height // 2)
+        before_x = int(half_width)
+        before_y = int(half_height)
         if wp.static(not cuda):
             before_x = wp.min(block_width, width - block_x) // 2
             before_y = wp.min(block_height, height - block_y) // 2
@@ -214,7 +215,7 @@ def blend_kernel(
             if wp.static(cuda):
                 store(
                     address, lane, count, place, g, middle,
-                    means2d, remainders, roots, opacities, thermal_opacities, features, rest,
+                    means2d, packed_roots, opacities, thermal_opacities, features, rest,
                 )  # fmt: skip
                 taken += count
                 put, i, mask = refill(queue, lane, parts, taken, put, i, mask, end, masks)
@@ -244,8 +245,9 @@ def blend_kernel(
                         f = features_of(integer(entry[8]), features, rest)
                 else:
                     gaussian = gaussian_ids[pair]
-                    m = from_middle(means2d[gaussian], remainders[gaussian], middle)
-                    U = in_units(roots[gaussian])
+                    root = packed_roots[gaussian]
+                    m = from_middle(means2d[gaussian], root, middle)
+                    U = in_units(root)
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
                     if wp.static(not only_transmittance):

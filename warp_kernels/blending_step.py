@@ -297,6 +297,6 @@ def _read(
     """The image's size, and what both the kernel and its adjoint begin with."""
     size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
     p = projected
-    gaussians = [p.means2d, p.remainders, p.roots, p.extents, opacities, thermal_opacities]
+    gaussians = [p.means2d, p.packed_roots, p.extents, opacities, thermal_opacities]
     others = _or_nothing(rest, opacities.dtype, opacities.device)
     return size, [*size, *gaussians, features, others, bins.gaussian_ids, bins.masks]

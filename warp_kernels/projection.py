@@ -20,6 +20,7 @@ import warp as wp
 
 from warp_kernels.coalesced_stores import store_functions, store_pair
 from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN, FOV_MARGIN
+from warp_kernels.packed_roots import packed_root_functions
 from warp_kernels.rotation import rotation_functions
 
 CameraModel = Literal["pinhole", "ortho"]
@@ -145,7 +146,8 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     to_matrix, _ = rotation_functions(dtype)
     camera_position, camera_axes, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
-    store2, _, _ = store_functions(dtype)
+    store2, _, store4 = store_functions(dtype)
+    pack, _, _ = packed_root_functions(dtype)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
     alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
@@ -165,7 +167,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         return center + reach < zero or center - reach > dtype(size)
 
     # Five blocks a multiprocessor wait for memory at once; for six too few registers would be left.
-    bounds = (256, 5) if dtype is wp.float32 else None
+    bounds = (256, 4) if dtype is wp.float32 else None
 
     @wp.kernel(
         name=f"project_{camera_model}_{'covars' if from_covars else 'quats'}_{dtype.__name__}",
@@ -195,11 +197,10 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         # outputs
         means2d: wp.array(dtype=vec2),
         depths: wp.array(dtype=dtype),
-        roots: wp.array(dtype=vec3),
+        packed_roots: wp.array(dtype=vec4),
         compensations: wp.array(dtype=dtype),
         radii: wp.array(dtype=wp.vec2i),
         extents: wp.array(dtype=vec2),
-        remainders: wp.array(dtype=vec2),
     ):
         index = wp.tid() + first
         image = index // num_gaussians
@@ -269,12 +270,11 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
 
         store2(means2d, index, mean2d)
         depths[index] = p[2]
-        roots[index] = root
+        store4(packed_roots, index, vec4(root[0], root[1], root[2], pack(remainder)))
         if compensations.shape[0] > 0:
             compensations[index] = compensation
         store_pair(radii, index, wp.vec2i(int(rx), int(ry)))
         store2(extents, index, vec2(ex, ey))
-        store2(remainders, index, remainder)
 
     return project_kernel
 
@@ -312,13 +312,13 @@ class ProjectedArrays:
         means2d: vec2 [images · N], px; 0 where culled.
         depths: [images · N], camera z in world units; 0 where culled.
         roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module); not
-            written where culled.
+            written where culled. The first three numbers of ``packed_roots``, in the same memory.
         compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one); 0 where culled. May
             be empty in the classic mode.
         radii: vec2i [images · N], px; 0 where culled.
         extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN; not written where
             culled.
-        remainders: vec2 [images · N], px: what rounding took from means2d; not written where culled.
+        packed_roots: vec4 [images · N], the roots, and what rounding took from means2d (see packed_roots).
     """
 
     means2d: wp.array
@@ -327,7 +327,7 @@ class ProjectedArrays:
     compensations: wp.array
     radii: wp.array
     extents: wp.array
-    remainders: wp.array
+    packed_roots: wp.array
 
 
 @dataclass(frozen=True)

@@ -48,11 +48,10 @@ def project(
             settings.antialiased,
             projected.means2d,
             projected.depths,
-            projected.roots,
+            projected.packed_roots,
             projected.compensations,
             projected.radii,
             projected.extents,
-            projected.remainders,
         ],
         device,
     )

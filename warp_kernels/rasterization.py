@@ -43,14 +43,20 @@ def allocate_projected(entries: int, dtype: type, device: wp.Device, requires_gr
     Returns:
         The arrays, not initialised.
     """
-    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
 
     def empty(kind: type) -> wp.array:
         return wp.empty(entries, dtype=kind, device=device, requires_grad=requires_grad)
 
     radii = wp.empty(entries, dtype=wp.vec2i, device=device)
-    extents, remainders = (wp.empty(entries, dtype=vec2, device=device) for _ in range(2))
-    return ProjectedArrays(empty(vec2), empty(dtype), empty(vec3), empty(dtype), radii, extents, remainders)
+    extents = wp.empty(entries, dtype=vec2, device=device)
+    packed_roots = wp.empty(entries, dtype=vec4, device=device)
+    strides = packed_roots.strides
+    roots = wp.array(ptr=packed_roots.ptr, dtype=vec3, shape=(entries,), strides=strides, device=device, copy=False)
+    roots._owner = packed_roots  # whose memory it is
+    # Warp's own way would spread the gradient like the array; kernels have it side by side.
+    roots._grad = wp.zeros(entries, dtype=vec3, device=device) if requires_grad else None
+    return ProjectedArrays(empty(vec2), empty(dtype), roots, empty(dtype), radii, extents, packed_roots)
 
 
 def rasterize(

@@ -16,6 +16,7 @@ import warp as wp
 from warp_kernels.alpha import alpha_functions
 from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.lanes import LANES_CUDA, on_cuda, warp_sync
+from warp_kernels.packed_roots import packed_root_functions
 from warp_kernels.tile_binning import MASK_COLUMNS, MASK_ROWS
 from warp_kernels.warp_lists import list_functions
 
@@ -178,9 +179,10 @@ def record_functions(
     floats = LANES_CUDA * stride
     word = wp.int32 if dtype is wp.float32 else wp.int64
     remaining = channels - first_channels
-    vec2, vec3, vecC = (wp.types.vector(count, dtype) for count in (2, 3, channels))
+    vec2, vec4, vecC = (wp.types.vector(count, dtype) for count in (2, 4, channels))
     vecA, vecB = wp.types.vector(first_channels, dtype), wp.types.vector(max(remaining, 1), dtype)
     from_middle, in_units, _, _, _, _ = alpha_functions(dtype)
+    _, _, row = packed_root_functions(dtype)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
     address_snippet = on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
     put_snippet = on_cuda(f"{locate}\n{writes}")
@@ -220,8 +222,7 @@ def record_functions(
         g: int,
         middle: vec2,
         means2d: wp.array(dtype=vec2),
-        remainders: wp.array(dtype=vec2),
-        roots: wp.array(dtype=vec3),
+        packed_roots: wp.array(dtype=vec4),
         opacities: wp.array(dtype=dtype),
         thermal_opacities: wp.array(dtype=dtype),
         features: wp.array(dtype=vecA),
@@ -230,8 +231,9 @@ def record_functions(
         warp_sync()  # all lanes have walked the records before
         if lane < count:
             r = record()
-            mean = from_middle(means2d[g], remainders[g], middle)
-            root = in_units(roots[g])
+            packed = row(packed_roots, g)
+            mean = from_middle(means2d[g], packed, middle)
+            root = in_units(packed)
             r[0] = mean[0]
             r[1] = mean[1]
             r[2] = root[0]

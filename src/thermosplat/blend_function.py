@@ -36,7 +36,7 @@ class BlendInputs:
 
     projected: ProjectedArrays
     extents: Tensor
-    remainders: Tensor
+    packed_roots: Tensor
     lists: TileLists
     settings: ProjectionSettings
     thermal_channels: int
@@ -90,13 +90,12 @@ class Blend(torch.autograd.Function):
         keep(
             ctx,
             (projected.means2d, means2d),
-            (projected.roots, roots),
+            (projected.packed_roots, inputs.packed_roots),
             (ctx.opacities, opacities),
             (ctx.thermal_opacities, thermal_opacities),
             (ctx.features, features),
             (ctx.rest, rest),
             (projected.extents, None if means2d.is_cuda else inputs.extents),  # which only a row of pixels asks for
-            (projected.remainders, inputs.remainders),
             # Of the images only those that the adjoint reads, so that users may change the renders in place.
             *images[1:3],
             *images[5:7],
@@ -115,14 +114,17 @@ class Blend(torch.autograd.Function):
     @differentiable_once
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         held = kept(ctx)
-        means2d, (features, rest) = held[0], held[4:6]
+        means2d, packed_roots, *opacities = held[:4]
+        features, rest = held[4:6]
+        ctx.projected.roots.place(ctx.projected.packed_roots.ptr)
         settings, shown_means2d = ctx.inputs
         projected = (ctx.projected.means2d, ctx.projected.roots)
         arrays = (*projected, ctx.opacities, ctx.thermal_opacities, ctx.features, ctx.rest)
         # Stored where a thread has a Gaussian and not a rank; many features' gradients are always added to.
         by_slot = ctx.bins.slots is not None
         make = torch.zeros_like if by_slot else torch.empty_like
-        found = [None if one is None else make(one) for one in held[:4]]
+        shapes = (means2d, packed_roots[..., :3], *opacities)
+        found = [None if one is None else make(one, memory_format=torch.contiguous_format) for one in shapes]
         for one in (features, rest):
             added = one is not None and features_apart(one.shape[-1], by_slot)
             found.append(None if one is None else torch.zeros_like(one) if added else make(one))

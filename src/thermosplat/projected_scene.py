@@ -137,7 +137,7 @@ class ProjectedScene:
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
-            self.projected.remainders,
+            self.projected.packed_roots,
             self._bin(features, rest),
             self.settings,
             thermal_channels,

@@ -47,22 +47,24 @@ class ProjectedTensors(NamedTuple):
     compensations: Tensor | None  # None in the classic mode
     radii: Tensor  # int32, not differentiable
     extents: Tensor  # not differentiable
-    remainders: Tensor  # not differentiable
+    packed_roots: Tensor  # not differentiable; its first three columns are the roots
 
     def arrays(self) -> ProjectedArrays:
         """The same memory as flat Warp arrays, which do not keep it alive."""
-        scalar, vec2, vec3 = kinds_of(self.means2d.dtype)[:3]
-        factors = self.compensations
+        scalar, vec2, vec3, vec4 = kinds_of(self.means2d.dtype)[:4]
+        factors, packed_roots = self.compensations, view(self.packed_roots, vec4)
         return ProjectedArrays(
             means2d=view(self.means2d, vec2),
             depths=view(self.depths, scalar),
-            roots=view(self.roots, vec3),
+            roots=ArrayView(
+                packed_roots.ptr, packed_roots.shape, vec3, packed_roots.device, strides=packed_roots.strides
+            ),
             compensations=nothing(scalar, 1, warp_device_of(self.means2d.device))
             if factors is None
             else view(factors, scalar),
             radii=view(self.radii, wp.vec2i),
             extents=view(self.extents, vec2),
-            remainders=view(self.remainders, vec2),
+            packed_roots=packed_roots,
         )
 
 
@@ -108,14 +110,15 @@ class Project(torch.autograd.Function):
     ) -> tuple[Any, ...]:
         settings = inputs.settings
         shape = (*inputs.images_shape, settings.num_gaussians)
+        packed_roots = means.new_empty((*shape, 4))
         projected = ProjectedTensors(
             means2d=means.new_empty((*shape, 2)),
             depths=means.new_empty(shape),
-            roots=means.new_empty((*shape, 3)),
+            roots=packed_roots[..., :3],
             compensations=means.new_empty(shape) if settings.antialiased else None,
             radii=means.new_empty((*shape, 2), dtype=torch.int32),
             extents=means.new_empty((*shape, 2)),
-            remainders=means.new_empty((*shape, 2)),
+            packed_roots=packed_roots,
         )
         p = projected.arrays()
         g = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
@@ -128,7 +131,7 @@ class Project(torch.autograd.Function):
             ):
                 c.append(ColorArrays(g.means, g.viewmats, *_by_degree(sh0, shN), p.radii, view(shown, g.means.dtype)))
                 sh_colors(c[-1], how)
-        ctx.mark_non_differentiable(projected.radii, projected.extents, projected.remainders)
+        ctx.mark_non_differentiable(projected.radii, projected.extents, packed_roots)
         ctx.set_materialize_grads(False)
         ctx.inputs, ctx.gaussians, ctx.projected, ctx.colors = inputs, g, p, c
         keep(
@@ -140,7 +143,7 @@ class Project(torch.autograd.Function):
             (g.viewmats, viewmats),
             (g.Ks, Ks),
             # Of means2d and depths the adjoint reads only the gradients.
-            (p.roots, projected.roots),
+            (p.packed_roots, packed_roots),
             (p.compensations, projected.compensations),
             (p.radii, projected.radii),
             *zip([arrays.colors for arrays in c], colors, strict=True),
@@ -152,10 +155,11 @@ class Project(torch.autograd.Function):
     @differentiable_once
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, viewmats, Ks, *held = kept(ctx)
-        *v_projected, _radii, _extents, _remainders = gradients[:7]
+        *v_projected, _radii, _extents, _packed_roots = gradients[:7]
         v_colors, coefficients = gradients[7:-1], held[3 + len(ctx.colors) :]
         to_gaussians, to_cameras = any(ctx.needs_input_grad[:4]), any(ctx.needs_input_grad[6:8])
         g, p, settings = ctx.gaussians, ctx.projected, ctx.inputs.settings
+        p.roots.place(p.packed_roots.ptr)
         v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
         v_quats, v_scales, v_covars = None, None, None
         with launches_on_torch_stream(means.device):

@@ -25,7 +25,7 @@ def test_more_pairs_than_indices_can_number() -> None:
         compensations=array(1.0, wp.float32),
         radii=array((3e6, 3e6), wp.vec2i),
         extents=array((3e6, 3e6), wp.vec2),
-        remainders=array((0.0, 0.0), wp.vec2),
+        packed_roots=array((1e-6, 0.0, 1e-6, 0.0), wp.vec4),
     )
     features = wp.zeros((n, 3), dtype=wp.float32, device="cpu")
     settings = ProjectionSettings(width=size, height=size, num_gaussians=n, num_cameras=1, num_images=1)

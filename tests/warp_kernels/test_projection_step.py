@@ -14,14 +14,16 @@ def projected_scene(given: tuple[str, ...]) -> tuple[WarpScene, ProjectedArrays]
     """A scene seen by two cameras, with gradients of the outputs that are named."""
     scene = warp_scene(wp.float64, n=50, cameras=2, requires_grad=True)
     scene.gaussians.means.assign(scene.scene["means"].numpy() * 2)  # some out of view
-    projected = allocate_projected(100, wp.float64, scene.gaussians.means.device, False)
+    projected = allocate_projected(100, wp.float64, scene.gaussians.means.device, True)
     project(scene.gaussians, scene.settings, projected)
     rng = np.random.default_rng(3)
     for name in ("means2d", "depths", "roots", "compensations"):
         array = getattr(projected, name)
         values = rng.normal(size=array.numpy().shape) * (name in given)
         if name in given or "zeros" in given:
-            array.grad = wp.array(values, dtype=array.dtype, device="cpu")
+            array.grad.assign(values)
+        else:
+            array.grad = None
     return scene, projected
 
 
