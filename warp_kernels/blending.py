@@ -65,12 +65,11 @@ def blend_kernel(
     matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
-    from_middle, in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype)
+    middle_of, from_middle, in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype, layout)
     _, attenuate, _ = lane_functions(dtype)
     zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
     transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
-    half_width, half_height = block_width // 2, block_height // 2
     blocks_x = layout.blocks_x
     batch = BATCH
     first_thermal = C - D
@@ -133,15 +132,11 @@ def blend_kernel(
         block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
         block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
 
-        # Pixels and means are seen from the middle of the block; of a tile, from that of its part in the image
-        before_x = int(half_width)
-        before_y = int(half_height)
-        if wp.static(not cuda):
-            before_x = wp.min(block_width, width - block_x) // 2
-            before_y = wp.min(block_height, height - block_y) // 2
-        middle = vec2(dtype(block_x + before_x), dtype(block_y + before_y))
-        x0 = half - dtype(before_x)
-        y0 = half - dtype(before_y)
+        # Pixels and means are seen from the middle of the block.
+        middle_x, middle_y = middle_of(block_x, block_y, width, height)
+        middle = vec2(dtype(middle_x), dtype(middle_y))
+        x0 = half - dtype(middle_x - block_x)
+        y0 = half - dtype(middle_y - block_y)
         PX = vecQ()
         PY = vecQ()
         for q in range(columns):

@@ -22,6 +22,9 @@ from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, lane_fun
 from warp_kernels.list_segments import list_of_block
 from warp_kernels.survivors import HEADER, queue_functions, record_functions, stages_features
 
+FEW_CHANNELS = 16
+"""Channels up to which a thread of one pixel does with 64 registers."""
+
 
 @functools.cache
 def blend_adjoint_kernel(
@@ -70,11 +73,10 @@ def blend_adjoint_kernel(
     first_feature_t = first_feature + C - D
     first_behind = 2 if dual else 1
     first_behind_t = first_behind + C
-    from_middle, in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype)
+    middle_of, from_middle, in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype, layout)
     _, _, reciprocal = lane_functions(dtype)
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
-    half_width, half_height = block_width // 2, block_height // 2
     blocks_x, warps = layout.blocks_x, layout.warps
     batch, first_thermal = BATCH, C - D
     staged, header = stages_features(channels, dtype, layout), HEADER
@@ -92,6 +94,10 @@ def blend_adjoint_kernel(
     @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")
     def store_column_sums(out: records_type, index: int, m: matLS): ...
 
+    # Four blocks of eight warps a multiprocessor: left alone, the compiler takes fewer registers than that for three
+    # channels and spills, and more for eleven.
+    four_blocks = layout.warps == 8 and C <= FEW_CHANNELS and dtype is wp.float32 and cuda
+    bounds = (layout.threads, 4) if four_blocks else max(layout.threads, 32)
     name = f"blend_adjoint_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + (f"_{A}" if A < C else "")
 
     @wp.kernel(
@@ -100,7 +106,7 @@ def blend_adjoint_kernel(
         module="unique",
         module_options=layout.module_options(widest_vectors=False),
         grid_stride=False,
-        launch_bounds=max(layout.threads, 32),
+        launch_bounds=bounds,
     )
     def blend_tiles_adjoint_kernel(
         first_block: int,
@@ -149,15 +155,11 @@ def blend_adjoint_kernel(
         block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
         block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
 
-        # Pixels and means are seen from the middle of the block; of a tile, from that of its part in the image
-        before_x = int(half_width)
-        before_y = int(half_height)
-        if wp.static(not cuda):
-            before_x = wp.min(block_width, width - block_x) // 2
-            before_y = wp.min(block_height, height - block_y) // 2
-        middle = vec2(dtype(block_x + before_x), dtype(block_y + before_y))
-        x0 = half - dtype(before_x)
-        y0 = half - dtype(before_y)
+        # Pixels and means are seen from the middle of the block.
+        middle_x, middle_y = middle_of(block_x, block_y, width, height)
+        middle = vec2(dtype(middle_x), dtype(middle_y))
+        x0 = half - dtype(middle_x - block_x)
+        y0 = half - dtype(middle_y - block_y)
         PX = vecQ()
         PY = vecQ()
         for q in range(columns):

@@ -181,7 +181,7 @@ def record_functions(
     remaining = channels - first_channels
     vec2, vec4, vecC = (wp.types.vector(count, dtype) for count in (2, 4, channels))
     vecA, vecB = wp.types.vector(first_channels, dtype), wp.types.vector(max(remaining, 1), dtype)
-    from_middle, in_units, _, _, _, _ = alpha_functions(dtype)
+    _, from_middle, in_units, *_ = alpha_functions(dtype, layout)
     _, _, row = packed_root_functions(dtype)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
     address_snippet = on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
