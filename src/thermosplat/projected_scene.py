@@ -89,8 +89,9 @@ class ProjectedScene:
             ProjectInputs(settings, tuple(one.settings for one in self._harmonics), self.images_shape),
             *(coefficients for one in self._harmonics for coefficients in one[:2]),
         )
-        self.projected = ProjectedTensors(*projected[:7])
-        evaluated = iter(projected[7:])
+        count = len(ProjectedTensors._fields)
+        self.projected = ProjectedTensors(*projected[:count])
+        evaluated = iter(projected[count:])
         self.features = [
             self._per_image(one) if sh is None else next(evaluated) for one, sh in zip(drawn, harmonics, strict=True)
         ]
