@@ -16,10 +16,10 @@ STEP = 2.0**-25
 """[px]: 1/60 of the rounding at 40 px."""
 
 MOST = 2**14
-"""Steps of the largest remainder, that of a position of 8,192 px. One at most so far off is not told from infinity."""
+"""Steps of the largest remainder of a position below 16,384 px; of farther ones as much is kept."""
 
-LARGEST_BITS = 0x7F7F
-"""Of the upper half of a finite float."""
+LARGEST_UPPER = 0x7F7F
+"""Upper half of the largest finite float."""
 
 LOAD_ROW = """
 #if defined(__CUDA_ARCH__)
@@ -55,7 +55,7 @@ def packed_root_functions(dtype: type):
         result = dtype(0.0)
         if wp.static(single):
             # The upper half is kept positive and below infinity's bits, so that it is a number whoever copies it.
-            upper = wp.min(steps(remainder[0]) + MOST, LARGEST_BITS)
+            upper = wp.min(steps(remainder[0]) + MOST, LARGEST_UPPER)
             result = wp.cast((upper << 16) | (steps(remainder[1]) & 65535), wp.float32)
         return result
 
