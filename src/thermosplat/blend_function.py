@@ -37,6 +37,7 @@ class BlendInputs:
     projected: ProjectedArrays
     extents: Tensor
     packed_roots: Tensor
+    """Whose memory the roots are in: where their numbers are read, while their gradient goes to the tensor of roots."""
     lists: TileLists
     settings: ProjectionSettings
     thermal_channels: int
