@@ -20,7 +20,6 @@ EACH = 4
 MANY = EACH * LANES_CUDA
 """... those of so many candidates by a warp."""
 
-
 LISTED = 2**20
 """Gaussians above which a warp looks at ``MANY``: of so many few are visible."""
 

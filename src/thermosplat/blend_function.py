@@ -10,19 +10,10 @@ from typing import Any, NamedTuple
 import torch
 import warp as wp
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from thermosplat.tile_lists import TileLists
-from thermosplat.warp_bridge import (
-    differentiable_once,
-    given_view,
-    keep,
-    kept,
-    kinds_of,
-    lend,
-    take_back,
-    vector_of,
-    view,
-)
+from thermosplat.warp_bridge import given_view, keep, kept, kinds_of, lend, take_back, vector_of, view
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels import blending_step
 from warp_kernels.array_views import ArrayView, nothing
@@ -112,7 +103,7 @@ class Blend(torch.autograd.Function):
         return BlendedTensors(render, render_rest, alphas, transmittance, thermal_render, thermal_alphas)
 
     @staticmethod
-    @differentiable_once
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         held = kept(ctx)
         means2d, packed_roots, *opacities = held[:4]

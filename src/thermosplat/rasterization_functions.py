@@ -12,17 +12,9 @@ from typing import Any, NamedTuple
 import torch
 import warp as wp
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-from thermosplat.warp_bridge import (
-    differentiable_once,
-    keep,
-    kept,
-    kinds_of,
-    lend,
-    take_back,
-    view,
-    warp_device_of,
-)
+from thermosplat.warp_bridge import keep, kept, kinds_of, lend, take_back, view, warp_device_of
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
@@ -152,7 +144,7 @@ class Project(torch.autograd.Function):
         return *projected, *colors, p
 
     @staticmethod
-    @differentiable_once
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, viewmats, Ks, *held = kept(ctx)
         *v_projected, _radii, _extents, _packed_roots = gradients[:7]

@@ -5,13 +5,11 @@ see are made in the shape they see.
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 import warp as wp
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from warp_kernels.array_views import ArrayView
 
@@ -160,21 +158,3 @@ def to_torch(array: Any) -> Tensor:
     if isinstance(array, ArrayView):
         return array.owner
     return wp.to_torch(array, requires_grad=False)
-
-
-def differentiable_once(backward: Callable[..., Any]) -> Callable[..., Any]:
-    """``once_differentiable``, which takes its time to switch gradients off, for where they are off: nearly always.
-
-    Args:
-        backward: of an autograd function, without gradients of its own.
-
-    Returns:
-        The function; asked for a graph of what it did (``create_graph``), torch refuses to differentiate that.
-    """
-    refusing = once_differentiable(backward)
-
-    @functools.wraps(backward)
-    def called(ctx: Any, *gradients: Tensor | None) -> Any:
-        return (refusing if torch.is_grad_enabled() else backward)(ctx, *gradients)
-
-    return called

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 import warp as wp
 
 from warp_kernels.packed_roots import MOST, STEP, packed_root_functions
@@ -37,7 +38,7 @@ def there_and_back(remainders: np.ndarray, device: str) -> tuple[np.ndarray, np.
 
 
 @pytest.mark.parametrize("pixels", [1.0, 40.0, 1080.0, 8191.0])
-def test_what_rounding_takes_comes_back(pixels: float, device: object) -> None:
+def test_what_rounding_takes_comes_back(pixels: float, device: torch.device) -> None:
     """To half a step in either direction, which is what is left of the position's error."""
     exact = np.random.default_rng(0).uniform(-pixels, pixels, (4000, 2))
     remainders = exact - exact.astype(np.float32)
@@ -47,7 +48,7 @@ def test_what_rounding_takes_comes_back(pixels: float, device: object) -> None:
     assert np.isfinite(rows).all()
 
 
-def test_every_whole_number_of_steps_is_a_finite_float(device: object) -> None:
+def test_every_whole_number_of_steps_is_a_finite_float(device: torch.device) -> None:
     """No bits are those of infinity or of a NaN, which could be changed on the way; the last 128 steps become one."""
     steps = np.arange(-MOST - 5, MOST + 6)
     remainders = STEP * np.stack([steps, steps[::-1]], -1)
