@@ -9,6 +9,7 @@ that an interrupted run keeps what it measured. README.md says what is compared 
 """
 
 import argparse
+import gc
 import json
 import os
 import platform
@@ -72,8 +73,8 @@ def arguments() -> argparse.Namespace:
         nargs="*",
         choices=(*PEERS, "deterministic"),
         default=list(PEERS),
-        help="beside whom; on CUDA 'graph' is thermosplat in a CUDA graph and 'deterministic' with deterministic=True; "
-        "none: thermosplat alone",
+        help="beside whom; on CUDA 'callable' is thermosplat under torch.cuda.make_graphed_callables, 'graph' in a "
+        "CUDA graph and 'deterministic' with deterministic=True; none: thermosplat alone",
     )
     options = parser.parse_args()
     if options.resume and options.json is None:
@@ -202,6 +203,7 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
                     row = {"scene": scene.name, "size": size, "case": case, "error": one_line(error)}
                 note(row)
                 if not on_cpu:
+                    gc.collect()  # torch's graphed callables hold themselves, and with them their graphs' memory
                     torch.cuda.empty_cache()
 
 

@@ -1,5 +1,8 @@
 """thermosplat's passes in CUDA graphs: captured once a case, replayed where the others are called.
 
+``CapturedPasses`` is a loop that replays whole calls, as the trainer does; ``GraphedPasses`` is code that calls a
+function and differentiates what it returns, as any code does; ``torch.cuda.make_graphed_callables`` made the function.
+
 The peers cannot be captured: gsplat and gswarp read counts back to the host within a call, to allocate what they need.
 """
 
@@ -8,8 +11,9 @@ from typing import Any
 
 import torch
 from gpu_memory import peak_memory
-from peers import Rendered
+from peers import Rendered, Tensors
 from rasterization_passes import Passes, Result
+from torch import Tensor
 
 from thermosplat import PairCapacity
 
@@ -29,14 +33,7 @@ class CapturedPasses:
 
     def __init__(self, eager: Passes, device: torch.device) -> None:
         self.intersections = eager.intersections
-        capacity, stream = PairCapacity(device, SPARE), torch.cuda.Stream(device)
-        stream.wait_stream(torch.cuda.current_stream(device))
-        with torch.cuda.stream(stream):
-            for call in (eager.forward, eager.forward_backward) * WARM_UP:
-                with capacity.step(fixed=False):
-                    call()
-        torch.cuda.current_stream(device).wait_stream(stream)
-        capacity.measure()
+        capacity = _measured(eager, device)
         self._forward, rendered = _captured(eager.forward, capacity)
         self._rendered = Rendered(rendered.images, [])  # the list of pairs in info has the length of the room
         captured: list[tuple[torch.cuda.CUDAGraph, Result]] = []
@@ -61,6 +58,45 @@ class CapturedPasses:
         The sorts' own buffers, a few MiB which belong to the graph, are not in it.
         """
         return self._peak_mib
+
+
+class GraphedPasses(Passes):
+    """``Passes`` of a function that torch made of two graphs; what it returns is overwritten by the next call.
+
+    Args:
+        eager: thermosplat's passes of a case.
+        inputs: the case's tensors, which the graphs read where they lie; they may change in place.
+    """
+
+    def __init__(self, eager: Passes, inputs: Tensors) -> None:
+        capacity = _measured(eager, inputs["means"].device)
+        arguments = tuple(inputs.values())
+
+        def images(*_: Tensor) -> tuple[Tensor, ...]:
+            with capacity.step(fixed=True):
+                return tuple(eager.render().images)
+
+        function = torch.cuda.make_graphed_callables(images, arguments)
+        super().__init__(lambda: Rendered(list(function(*arguments)), []), inputs)
+        self.intersections = eager.intersections
+        capacity.check()
+
+    def peak_memory(self, device: torch.device) -> float | None:
+        """None: the graphs keep what the passes need, and while they are made torch also runs the passes eagerly."""
+        return None
+
+
+def _measured(eager: Passes, device: torch.device) -> PairCapacity:
+    """Room for the pairs of a case, whose kernels are loaded by then."""
+    capacity, stream = PairCapacity(device, SPARE), torch.cuda.Stream(device)
+    stream.wait_stream(torch.cuda.current_stream(device))
+    with torch.cuda.stream(stream):
+        for call in (eager.forward, eager.forward_backward) * WARM_UP:
+            with capacity.step(fixed=False):
+                call()
+    torch.cuda.current_stream(device).wait_stream(stream)
+    capacity.measure()
+    return capacity
 
 
 def _captured(call: Callable[[], Any], capacity: PairCapacity) -> tuple[torch.cuda.CUDAGraph, Any]:

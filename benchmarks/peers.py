@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from agreement import SAME_CONVENTIONS, Tolerance
@@ -20,12 +20,15 @@ NEAR_PLANE = 0.01
 CASES = ("rgb", "features8", "features11", "features32", "rgbt")
 """rgb: SH colour of degree 3. featuresN: N channels. rgbt: SH colour and 8 features at α, the 8 features at α_t."""
 
-PEERS = ("gsplat", "gswarp", "torch", "graph")
-"""Whom thermosplat is compared with unless others are asked for; "graph" is itself in a CUDA graph, "deterministic"
-itself with that option."""
+PEERS = ("gsplat", "gswarp", "torch", "callable", "graph")
+"""Whom thermosplat is compared with unless others are asked for; "callable" is itself made a function by
+``torch.cuda.make_graphed_callables``, "graph" itself in one CUDA graph, "deterministic" itself with that option."""
 
 OURS = "thermosplat"
+CALLABLE = "thermosplat, graphed callable"
 GRAPH = "thermosplat in a graph"
+ALL_OURS = (OURS, CALLABLE, GRAPH)
+"""Ways to call thermosplat that give the same and are each compared with the peers."""
 
 Tensors = dict[str, Tensor]
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict]]
@@ -63,7 +66,8 @@ class Peer:
         near_plane: Gaussians nearer than this are not drawn [world units].
         tolerance: how far its images and gradients may be from thermosplat's.
         release: gives back memory that it keeps between calls.
-        captured: its calls are captured in CUDA graphs, which are replayed.
+        captured: what is captured in CUDA graphs that are replayed: nothing, each of the two calls of a case
+            ("call"), or, by ``torch.cuda.make_graphed_callables``, a function's forward and backward pass ("function").
     """
 
     name: str
@@ -73,7 +77,7 @@ class Peer:
     near_plane: float = NEAR_PLANE
     tolerance: Tolerance = SAME_CONVENTIONS
     release: Callable[[], object] = lambda: None
-    captured: bool = False
+    captured: Literal["call", "function"] | None = None
 
 
 def _camera(t: Tensors, width: int, height: int) -> dict[str, Any]:
@@ -109,7 +113,14 @@ def thermosplat_peer(near_plane: float = NEAR_PLANE, deterministic: bool = False
 def graph_peer() -> Peer:
     """thermosplat again, captured in a CUDA graph."""
     eager = thermosplat_peer()
-    return replace(eager, name=GRAPH, description=f"{eager.description} replayed from a CUDA graph", captured=True)
+    return replace(eager, name=GRAPH, description=f"{eager.description} replayed from a CUDA graph", captured="call")
+
+
+def callable_peer() -> Peer:
+    """thermosplat again, called as any function of torch's, whose two passes are CUDA graphs."""
+    eager = thermosplat_peer()
+    description = f"{eager.description} under torch.cuda.make_graphed_callables"
+    return replace(eager, name=CALLABLE, description=description, captured="function")
 
 
 def float64_renderer(near_plane: float = NEAR_PLANE) -> Renderer:
@@ -168,8 +179,10 @@ def gsplat_renderer(rasterization: Rasterization, spherical_harmonics: Callable,
 
 
 def cuda_peers(names: Collection[str]) -> list[Peer]:
-    """thermosplat and, of those named and importable, itself in a graph, gsplat's CUDA kernels and gswarp."""
+    """thermosplat and, of those named and importable, itself captured, gsplat's CUDA kernels and gswarp."""
     peers = [thermosplat_peer()]
+    if "callable" in names:
+        peers.append(callable_peer())
     if "graph" in names:
         peers.append(graph_peer())
     try:

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from agreement import differences, disagreement
 from benchmark_scenes import BenchmarkScene
-from captured_passes import CapturedPasses
+from captured_passes import CapturedPasses, GraphedPasses
 from device_peaks import DevicePeaks
 from floors import stage_floors
 from fragments import count_fragments
@@ -148,8 +148,10 @@ def _checked(
 
 
 def _passes(peer: Peer, case: str, inputs: Tensors, size: tuple[int, int]) -> Passes | CapturedPasses:
-    made = Passes(peer.renderer(case, inputs, *size), inputs)
-    return CapturedPasses(made, inputs["means"].device) if peer.captured else made
+    eager = Passes(peer.renderer(case, inputs, *size), inputs)
+    if peer.captured == "function":
+        return GraphedPasses(eager, inputs)
+    return CapturedPasses(eager, inputs["means"].device) if peer.captured == "call" else eager
 
 
 def _scaling(ours: Passes, cores: list[int], device: torch.device, repeats: int) -> dict[str, dict[str, float]]:

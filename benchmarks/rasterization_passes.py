@@ -16,10 +16,14 @@ class Passes:
     Args:
         render: renders the case.
         inputs: what it renders; gradients go to those that require them.
+
+    Attributes:
+        render: as given.
+        intersections: (Gaussian, tile) pairs of all its rasterizations together.
     """
 
     def __init__(self, render: Callable[[], Rendered], inputs: Tensors) -> None:
-        self._render = render
+        self.render = render
         self._leaves = [tensor for tensor in inputs.values() if tensor.requires_grad]
         first = self.forward()
         self.intersections = first.intersections
@@ -34,11 +38,11 @@ class Passes:
     def forward(self) -> Rendered:
         """Renders without gradients."""
         with torch.no_grad():
-            return self._render()
+            return self.render()
 
     def forward_backward(self) -> Result:
         """The images and the gradient of every leaf."""
-        images = self._render().images
+        images = self.render().images
         gradients = torch.autograd.grad(images, self._leaves, self._upstream)
         # Whoever keeps the images must not keep the autograd graph, whose nodes belong to the stream it was made on.
         return [image.detach() for image in images], gradients

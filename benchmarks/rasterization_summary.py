@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from peers import GRAPH, OURS
+from peers import ALL_OURS, OURS
 
 Row = dict[str, Any]
 
@@ -74,7 +74,7 @@ def ratio(row: Row, measure: str, peer: str, ours: str = OURS) -> float | None:
         row: of any case.
         measure: as in ``Target``.
         peer: whom the ratio is to.
-        ours: which of our own renderers: ``OURS`` or ``GRAPH``.
+        ours: which of our own renderers, of ``ALL_OURS``.
     """
     if not row.get("apart", {}).keys().isdisjoint((peer, ours)):
         return None
@@ -143,13 +143,7 @@ def summary(rows: list[Row], peer: str, ours: str = OURS) -> dict[str, Any]:
 def summaries(rows: list[Row]) -> list[dict[str, Any]]:
     """The summary of each of our own renderers that was timed against every peer that was."""
     names = dict.fromkeys(name for row in rows for name in row.get("forward", {}))
-    return [
-        summary(rows, peer, ours)
-        for peer in names
-        if peer not in (OURS, GRAPH)
-        for ours in (OURS, GRAPH)
-        if ours in names
-    ]
+    return [summary(rows, peer, ours) for peer in names if peer not in ALL_OURS for ours in ALL_OURS if ours in names]
 
 
 def comparison(found: dict[str, Any]) -> str:

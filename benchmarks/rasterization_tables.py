@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from peers import GRAPH, OURS
+from peers import ALL_OURS, OURS
 from rasterization_summary import Row, comparison, summary_lines
 
 
@@ -61,7 +61,7 @@ def _place(row: Row) -> list[str]:
 
 def _times(rows: list[Row]) -> Iterator[str]:
     names = _names(rows)
-    pairs = [(name, ours) for name in names if name not in (OURS, GRAPH) for ours in (OURS, GRAPH) if ours in names]
+    pairs = [(name, ours) for name in names if name not in ALL_OURS for ours in ALL_OURS if ours in names]
     body = []
     for row in rows:
         cells = _place(row)

@@ -31,6 +31,7 @@ def changed(key: str, value: Any) -> TrainConfig:
         ("test_every", 1, "--test-every must be at least 2"),
         ("sh_degree", 4, "--sh-degree must be at most 3"),
         ("loss.ssim_lambda", 1.5, "--loss.ssim-lambda must lie between 0 and 1"),
+        ("loss.depth_spread_from", 2.0, "--loss.depth-spread-from must lie between 0 and 1"),
         ("loss.thermal", -1.0, "--loss.thermal must be zero or positive"),
         ("optimizer.means_lr", float("nan"), "--optimizer.means-lr must be finite, found nan"),
         ("optimizer.means_lr", -1e-4, "--optimizer.means-lr must be zero or positive"),

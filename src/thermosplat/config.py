@@ -130,6 +130,13 @@ class LossConfig:
     """Weight of the mean opacity, of α and of α_t each. 3DGS-MCMC: 0.01."""
     scale_reg: float = 0.0
     """Weight of the mean scale, in units of the scene's extent. 3DGS-MCMC: 0.01."""
+    depth_spread: float = 0.0
+    """Weight of the spread of log-depth along rays, of either spectrum. 2DGS's depth distortion, with squares."""
+    depth_spread_limit: float = 0.02
+    """v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet
+    in a pixel, hardly count: half of one and half of another 1.33 times as far is 0.02. 0: v itself. Open choice."""
+    depth_spread_from: float = 0.5
+    """Share of the steps before the spread counts. Open choice."""
     balance: bool = False
     """Multiply the losses of a separate set by the other set's share of all Gaussians. ThermalGaussian MSMG."""
 

@@ -48,6 +48,7 @@ _AT_MOST: dict[str, float] = {
 }
 _SHARES = (
     "loss.ssim_lambda",
+    "loss.depth_spread_from",
     "densification.prune_opacity",
     "densification.reset_opacity",
     "densification.keep_opacity",
@@ -141,6 +142,12 @@ def _check_model(config: TrainConfig, name: Any) -> None:
         raise UserError(
             f"Separate Gaussians have no shared features, but {name('model.feature_dim')} is {model.feature_dim}.",
             "Set it to 0, as --config 3dgs does.",
+        )
+    if config.loss.depth_spread > 0 and not model.feature_dim:
+        raise UserError(
+            f"{name('loss.depth_spread')} is {config.loss.depth_spread}, but depths are blended with features, and "
+            f"{name('model.feature_dim')} is 0.",
+            "Leave it at 0.",
         )
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from thermosplat.depth_spread import log_depth_moments
 from thermosplat.gaussians import Gaussians
 from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.warp_activations import activated
@@ -29,6 +30,8 @@ class Rendering(NamedTuple):
     """Colour behind the visible SH colours, [1, 3]."""
     deterministic: bool = False
     """As the rasterizer's."""
+    depth_moments: bool = False
+    """Blend log-depth and its square beside the features."""
 
 
 def see(
@@ -142,6 +145,30 @@ def see_both(
         rasterize_mode=rendering.rasterize_mode,
         deterministic=rendering.deterministic,
     )
+
+
+def with_depth_moments(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:
+    """Features, and where asked the moments of log-depth from a view, to be blended.
+
+    Args:
+        gaussians: The set.
+        view: Camera and pose.
+        rendering: Whether moments are asked for.
+
+    Returns:
+        Shape [N, d] or [N, d + 2].
+    """
+    if not rendering.depth_moments:
+        return gaussians.features
+    return torch.cat([gaussians.features, log_depth_moments(gaussians.means, view.viewmat)], dim=-1)
+
+
+def taken_apart(image: Tensor, rendering: Rendering) -> tuple[Tensor, Tensor | None]:
+    """Blended features [H, W, d] and, where asked, moments [H, W, 2]: what ``with_depth_moments`` put together."""
+    if not rendering.depth_moments:
+        return image, None
+    features, moments = image.split([image.shape[-1] - 2, 2], dim=-1)
+    return features, moments
 
 
 def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tuple[Tensor, Tensor]:

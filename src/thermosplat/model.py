@@ -18,7 +18,7 @@ from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.config_checks import check_config
 from thermosplat.config_files import from_dict
 from thermosplat.decoders import Decoders
-from thermosplat.gaussian_views import Rendering, see, see_both, see_depth
+from thermosplat.gaussian_views import Rendering, see, see_both, see_depth, taken_apart, with_depth_moments
 from thermosplat.gaussians import Gaussians
 from thermosplat.initial_gaussians import initial_gaussians
 from thermosplat.packed_parameters import num_bytes, pack, unpack
@@ -113,6 +113,7 @@ class SceneModel(nn.Module):
         absgrad: bool = False,
         aligned: bool | None = None,
         deterministic: bool = False,
+        depth_moments: bool = False,
     ) -> RenderedFrame:
         """Render one frame: both spectra, or the one whose view is given.
 
@@ -126,6 +127,7 @@ class SceneModel(nn.Module):
             aligned: Whether both views have one camera, pose and size. None: compare them. False is always right, and
                 keeps the spectra's gradients of means2d apart.
             deterministic: As the rasterizer's.
+            depth_moments: Also blend log-depth and its square; a model without features does not.
 
         Returns:
             The images; a spectrum that the configuration switches off is not rendered even if its view is given.
@@ -133,7 +135,7 @@ class SceneModel(nn.Module):
         rgb = rgb if self.config.rgb else None
         thermal = thermal if self.config.thermal else None
         backgrounds = self.background[None] if self._has_background else None
-        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds, deterministic)
+        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds, deterministic, depth_moments)
         common = self._common_view(rgb, thermal, aligned)
         if self.decoders is None:
             return self._render_sh(rgb, thermal, how) if common is None else self._render_sh_traversal(common, how)
@@ -143,12 +145,14 @@ class SceneModel(nn.Module):
         if rgb is not None:
             visible = self._render_traversal(self.decoders, rgb, False, how)
             rendered.rgb, rendered.rgb_alpha = visible.rgb, visible.rgb_alpha
-            rendered.visible_features = visible.visible_features
+            rendered.visible_features, rendered.visible_depths = visible.visible_features, visible.visible_depths
             rendered.infos["shared"] += visible.infos["shared"]
             rendered.infos["shared"][0]["modality"] = "rgb"
         if thermal is not None:
             gaussians = self.gaussians("shared")
-            features, alpha, info = see(gaussians, gaussians.features, gaussians.thermal_logits, thermal, how)
+            blended = with_depth_moments(gaussians, thermal, how)
+            image, alpha, info = see(gaussians, blended, gaussians.thermal_logits, thermal, how)
+            features, rendered.thermal_depths = taken_apart(image, how)
             decoded = self.decoders.thermal(*self._decoder_inputs(thermal, features))
             rendered.thermal, rendered.thermal_alpha = self._covered(decoded, alpha), alpha
             rendered.thermal_features = features
@@ -181,12 +185,15 @@ class SceneModel(nn.Module):
     ) -> RenderedFrame:
         """SH colours and features at α, and with them the features at α_t where asked, in one traversal."""
         gaussians = self.gaussians("shared")
-        output = see_both(gaussians, with_thermal, gaussians.features, view, how)
+        output = see_both(gaussians, with_thermal, with_depth_moments(gaussians, view, how), view, how)
         # squeeze, not [0], whose gradient would be copied into zeros
-        visible_features, alpha = output.render_features.squeeze(0), output.render_alphas.squeeze(0)
-        rendered = RenderedFrame(visible_features=visible_features, rgb_alpha=alpha, infos={"shared": [output.info]})
+        visible_features, depths = taken_apart(output.render_features.squeeze(0), how)
+        alpha = output.render_alphas.squeeze(0)
+        rendered = RenderedFrame(visible_features=visible_features, visible_depths=depths, rgb_alpha=alpha)
+        rendered.infos["shared"] = [output.info]
         if output.render_thermal_features is not None and output.render_thermal_alphas is not None:
-            rendered.thermal_features = output.render_thermal_features.squeeze(0)
+            thermal_features = output.render_thermal_features.squeeze(0)
+            rendered.thermal_features, rendered.thermal_depths = taken_apart(thermal_features, how)
             rendered.thermal_alpha = output.render_thermal_alphas.squeeze(0)
             inputs = self._decoder_inputs(view, visible_features, rendered.thermal_features)
             decoded, thermal = decoders.both(*inputs)

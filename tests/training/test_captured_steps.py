@@ -64,12 +64,17 @@ def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str)
 
 
 def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
-    """MCMC's noise is drawn anew in every replay, the same as without graphs; every frame's exposure learns."""
+    """MCMC's noise is drawn anew in every replay, the same as without graphs; every frame's exposure learns.
+
+    In the second half depths are blended too, which is another graph.
+    """
     mcmc = DensificationConfig(strategy="mcmc", max_gaussians=300, start_step=4, stop_step=60, every=10)
 
     def run(name: str, graph: bool) -> Trainer:
         config = toy_run_config(max_steps=40, model={"exposures": True})
-        loss = dataclasses.replace(config.loss, opacity_reg=0.01, scale_reg=0.01, thermal_charbonnier=0.02)
+        loss = dataclasses.replace(
+            config.loss, opacity_reg=0.01, scale_reg=0.01, thermal_charbonnier=0.02, depth_spread=0.1
+        )
         config = dataclasses.replace(config, device="cuda", graph=graph, densification=mcmc, loss=loss)
         trainer = toy_trainer(tmp_path / name, config, many_frames(toy_capture()))
         while trainer.step < 40:
@@ -78,7 +83,7 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
 
     plain, captured = run("plain", False), run("captured", True)
     assert captured.captured is not None
-    assert captured.captured._graphs
+    assert {kind.depth_spread for _, kind in captured.captured._graphs} == {True}
     assert captured.guard.first_bad() is None
     assert captured.model.num_gaussians == plain.model.num_gaussians > 60
     ours, theirs = captured.state.exposures, plain.state.exposures

@@ -125,12 +125,6 @@ def test_training_learns(tmp_path: Path, capture: Capture) -> None:
     assert after["thermal"]["psnr"] > before["thermal"]["psnr"] + 0.5
 
 
-def test_sh_degree_rises_with_the_steps(tmp_path: Path, capture: Capture) -> None:
-    """One more degree every interval, up to the configured one: as gsplat, from the step after the interval on."""
-    trainer = toy_trainer(tmp_path, toy_run_config(), capture)  # interval 4, degree 1
-    assert [trainer._sh_degree(step) for step in (0, 1, 4, 5, 8, 9, 12)] == [0, 0, 0, 1, 1, 1, 1]
-
-
 @pytest.mark.parametrize("place", ["render", "compare_frame", "evaluate"])
 def test_interrupt_between_updates(
     tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str

@@ -43,7 +43,7 @@ from thermosplat.training.run_logger import RunLogger, StepRecord
 from thermosplat.training.thermal_noise import with_measured_smoothness
 from thermosplat.training.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
-from thermosplat.training.training_step import StepKind, TrainingStep
+from thermosplat.training.training_step import StepKind, TrainingStep, sh_degree_at
 
 
 class Trainer:
@@ -129,7 +129,7 @@ class Trainer:
     @property
     def sh_degree(self) -> int:
         """Degree of the spherical harmonics in use after the steps done."""
-        return self._sh_degree(self.state.step)
+        return sh_degree_at(self.config, self.state.step)
 
     # ---- the run -----------------------------------------------------------------------------------------------------
 
@@ -186,7 +186,7 @@ class Trainer:
         step, started = state.step + 1, time.perf_counter()
         frame = self.schedule.tensors(state.step)
         densifying = any(strategy.is_active(step) for strategy in state.strategies.values())
-        kind = StepKind(self._sh_degree(step), densifying)
+        kind = StepKind.at(config, step, densifying=densifying)
         state.begin_step(step, config.optimizer, self.capture.scene_extent)
 
         if self.captured is None:
@@ -227,10 +227,6 @@ class Trainer:
         become_copy(state.gaussian_sets["thermal"], state.optimizers["thermal"], state.gaussian_sets["rgb"])
         state.strategies["thermal"].forget(len(state.gaussian_sets["thermal"]))
 
-    def _sh_degree(self, step: int) -> int:
-        """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
-        return min(max(step - 1, 0) // self.config.sh_degree_interval, self.config.sh_degree)
-
     @contextmanager
     def _first_step(self) -> Iterator[None]:
         """Around what compiles kernels in the first step of a process; times it."""
@@ -266,7 +262,7 @@ class Trainer:
         metrics = evaluate(
             self.model,
             self.capture,
-            sh_degree=self._sh_degree(step),
+            sh_degree=sh_degree_at(self.config, step),
             device=self.device,
             lpips=self.lpips,
             strips_dir=strips,

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.depth_spread import depth_spread
 from thermosplat.errors import UserError
 from thermosplat.feature_norm import feature_norm_loss
 from thermosplat.gaussian_penalties import gaussian_penalties
@@ -44,6 +45,19 @@ class StepKind:
     """Degree of the spherical harmonics in use."""
     densifying: bool
     """Note gradients for the next refinement."""
+    depth_spread: bool
+    """Penalise the spread of depths along rays."""
+
+    @classmethod
+    def at(cls, config: TrainConfig, step: int, *, densifying: bool) -> "StepKind":
+        """What is done in a step, from 1."""
+        late = step > config.loss.depth_spread_from * config.max_steps
+        return cls(sh_degree_at(config, step), densifying, config.loss.depth_spread > 0 and late)
+
+
+def sh_degree_at(config: TrainConfig, step: int) -> int:
+    """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
+    return min(max(step - 1, 0) // config.sh_degree_interval, config.sh_degree)
 
 
 class TrainingStep:
@@ -93,6 +107,7 @@ class TrainingStep:
                     absgrad=config.densification.absgrad,
                     aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
                     deterministic=config.deterministic,
+                    depth_moments=kind.depth_spread,
                 )
             if state.exposures is not None and frame.index is not None:
                 rendered = state.exposures(rendered, frame.index)
@@ -101,6 +116,10 @@ class TrainingStep:
             if config.loss.feature_norm > 0 and state.model.decoders is not None:
                 features = state.gaussian_sets["shared"].features
                 losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
+            if kind.depth_spread:
+                losses["depth_spread"] = config.loss.depth_spread * depth_spread(
+                    rendered, config.loss.depth_spread_limit
+                )
             if config.loss.balance:
                 losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
             losses |= gaussian_penalties(state.gaussian_sets, config.loss, state.scene_extent)
