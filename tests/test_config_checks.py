@@ -86,6 +86,14 @@ def test_nothing_to_train() -> None:
         check_config(replace(config, model=replace(config.model, thermal=False)))
 
 
+def test_depths_are_blended_with_features() -> None:
+    """A penalty on their spread where there are no features is refused, and says why."""
+    config = changed("loss.depth_spread", 0.1)
+    check_config(config)
+    with pytest.raises(UserError, match="--loss.depth-spread is 0.1, but depths are blended with features"):
+        check_config(replace(config, model=replace(config.model, feature_dim=0)))
+
+
 def test_schedule_must_leave_something_to_train() -> None:
     """A gap between the spectra, or a schedule of two spectra where one is modelled, is refused."""
     gap = changed("schedule.rgb_until", 0.3)

@@ -35,7 +35,7 @@ def log_depth_moments(means: Tensor, viewmat: Tensor) -> Tensor:
 
 
 def depth_spread(rendered: RenderedFrame, limit: float) -> Tensor:
-    """Mean over pixels of v / (1 + v / limit), v being (16), of the spectra that were rendered together.
+    """Mean over pixels of v / (1 + v / limit), v being (16), summed over the spectra that were rendered.
 
     Args:
         rendered: A frame with moments.

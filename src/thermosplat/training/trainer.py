@@ -19,7 +19,7 @@ import torch
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
-from thermosplat.devices import choose_device, device_name
+from thermosplat.devices import choose_device
 from thermosplat.errors import UserError
 from thermosplat.evaluation import evaluate
 from thermosplat.export.scene import scene_splats, write_scene
@@ -40,6 +40,7 @@ from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_e
 from thermosplat.training.random_streams import random_stream
 from thermosplat.training.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.run_logger import RunLogger, StepRecord
+from thermosplat.training.run_metrics import run_metrics
 from thermosplat.training.thermal_noise import with_measured_smoothness
 from thermosplat.training.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
@@ -274,21 +275,7 @@ class Trainer:
 
     def _finish(self, evaluated: dict[str, Any]) -> dict[str, Any]:
         """Write metrics.json, last of all: where it is, everything is."""
-        seconds = self.state.seconds
-        metrics = {
-            "rgb": evaluated["rgb"],
-            "thermal": evaluated["thermal"],
-            "num_gaussians": self.model.num_gaussians,
-            "steps": self.state.step,
-            "train_seconds": seconds.train,
-            "device": device_name(self.device),
-            "wall_seconds": seconds.wall,
-            "first_step_seconds": seconds.first_step,
-            "gaussians": {name: len(gaussians) for name, gaussians in self.state.gaussian_sets.items()},
-            "lpips_net": self.lpips.name if self.lpips is not None else None,
-            "model_bytes": self.model.num_bytes,
-            "thermal_offsets_kept": self.model.offsets_kept,
-        }
+        metrics = run_metrics(evaluated, self.state, self.device, self.lpips)
         self.run.write_json(self.run.metrics_json, metrics)
         return metrics
 
