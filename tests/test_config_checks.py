@@ -90,7 +90,7 @@ def test_depths_are_blended_with_features() -> None:
     """A penalty on their spread where there are no features is refused, and says why."""
     config = changed("loss.depth_spread", 0.1)
     check_config(config)
-    with pytest.raises(UserError, match="--loss.depth-spread is 0.1, but depths are blended with features"):
+    with pytest.raises(UserError, match=r"--loss\.depth-spread is 0\.1, but depths are blended with features"):
         check_config(replace(config, model=replace(config.model, feature_dim=0)))
 
 

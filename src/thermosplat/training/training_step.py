@@ -45,7 +45,7 @@ class StepKind:
     """Degree of the spherical harmonics in use."""
     densifying: bool
     """Note gradients for the next refinement."""
-    depth_spread: bool
+    depth_spread: bool = False
     """Penalise the spread of depths along rays."""
 
     @classmethod
