@@ -7,8 +7,9 @@ from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.lanes import LANES_CUDA
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
-from warp_kernels.tile_binning import MASK_SHIFT, Totals, binning_kernels, tile_ranges_kernel
+from warp_kernels.tile_binning import MASK_SHIFT, Totals, binning_kernels
 from warp_kernels.tile_bins import Room, TileBins
+from warp_kernels.tile_ranges import tile_ranges_kernel
 from warp_kernels.warp_lists import threads_of_many
 
 COMPACTED = 2**18

@@ -6,9 +6,10 @@ from typing import Any
 import warp as wp
 
 from warp_kernels.array_views import ArrayView, empty, nothing
+from warp_kernels.camera_positions import camera_position_kernels
 from warp_kernels.coefficient_rows import whole_warps
 from warp_kernels.launching import launch, launch_again
-from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
+from warp_kernels.spherical_harmonics import color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sums
 from warp_kernels.tape_recording import gradient_of, record_adjoint
 from warp_kernels.warp_lists import LISTED, threads_of_many

@@ -11,6 +11,7 @@ from warp_kernels.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.camera_gradients import CAMERA_RECORD, camera_finish_kernel
+from warp_kernels.camera_positions import camera_position_kernels
 from warp_kernels.decoder_adjoint import decode_adjoint_kernel
 from warp_kernels.decoder_memory import TEAMS
 from warp_kernels.decoder_networks import HIDDEN, decode_kernel
@@ -18,9 +19,10 @@ from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.list_segments import join_segments_kernel
 from warp_kernels.projection import projection_kernel
 from warp_kernels.projection_adjoint import projection_adjoint_kernel
-from warp_kernels.spherical_harmonics import camera_position_kernels, color_adjoint_kernel, color_kernel
+from warp_kernels.spherical_harmonics import color_adjoint_kernel, color_kernel
 from warp_kernels.strand_sums import strand_sum_kernel
-from warp_kernels.tile_binning import binning_kernels, tile_ranges_kernel
+from warp_kernels.tile_binning import binning_kernels
+from warp_kernels.tile_ranges import tile_ranges_kernel
 
 
 def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
