@@ -166,7 +166,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         reach = wp.static(dtype(1.001)) * extent_max * deviation + two
         return center + reach < zero or center - reach > dtype(size)
 
-    # Five blocks a multiprocessor wait for memory at once; for six too few registers would be left.
+    # Four blocks a multiprocessor wait for memory at once; for five, axes in float64 leave too few registers.
     bounds = (256, 4) if dtype is wp.float32 else None
 
     @wp.kernel(

@@ -143,10 +143,7 @@ class SceneModel(nn.Module):
             return self._render_traversal(self.decoders, common, True, how)
         rendered = RenderedFrame(infos={"shared": []})
         if rgb is not None:
-            visible = self._render_traversal(self.decoders, rgb, False, how)
-            rendered.rgb, rendered.rgb_alpha = visible.rgb, visible.rgb_alpha
-            rendered.visible_features, rendered.visible_depths = visible.visible_features, visible.visible_depths
-            rendered.infos["shared"] += visible.infos["shared"]
+            rendered = self._render_traversal(self.decoders, rgb, False, how)
             rendered.infos["shared"][0]["modality"] = "rgb"
         if thermal is not None:
             gaussians = self.gaussians("shared")

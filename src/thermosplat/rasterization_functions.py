@@ -147,8 +147,9 @@ class Project(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, viewmats, Ks, *held = kept(ctx)
-        *v_projected, _radii, _extents, _packed_roots = gradients[:7]
-        v_colors, coefficients = gradients[7:-1], held[3 + len(ctx.colors) :]
+        count = len(ProjectedTensors._fields)
+        *v_projected, _radii, _extents, _packed_roots = gradients[:count]
+        v_colors, coefficients = gradients[count:-1], held[3 + len(ctx.colors) :]
         to_gaussians, to_cameras = any(ctx.needs_input_grad[:4]), any(ctx.needs_input_grad[6:8])
         g, p, settings = ctx.gaussians, ctx.projected, ctx.inputs.settings
         p.roots.place(p.packed_roots.ptr)

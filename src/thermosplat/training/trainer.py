@@ -263,7 +263,7 @@ class Trainer:
         metrics = evaluate(
             self.model,
             self.capture,
-            sh_degree=sh_degree_at(self.config, step),
+            sh_degree=self.sh_degree,
             device=self.device,
             lpips=self.lpips,
             strips_dir=strips,
