@@ -15,6 +15,36 @@ from warp_kernels.launching import launch
 
 
 @functools.cache
+def opacity_functions(dtype: type):
+    """Opacities from what is stored.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(sigmoid, sigmoid_adjoint, thermal_opacity)``, Warp functions.
+    """
+    one = dtype(1.0)
+
+    @wp.func
+    def sigmoid(x: dtype):
+        # exp may overflow: 1 / (1 + inf) is the 0 that it should be
+        return one / (one + wp.exp(-x))
+
+    @wp.func
+    def sigmoid_adjoint(y: dtype, v: dtype):
+        """Gradient v to y = sigmoid(x), passed on to x."""
+        return v * (one - y) * y
+
+    @wp.func
+    def thermal_opacity(logit: dtype, second: dtype, is_offset: bool):
+        """α_t, from α's logit and the second number."""
+        return sigmoid(wp.where(is_offset, logit + second, second))
+
+    return sigmoid, sigmoid_adjoint, thermal_opacity
+
+
+@functools.cache
 def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread a Gaussian.
 
@@ -26,17 +56,8 @@ def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """
     vec3 = wp.types.vector(3, dtype)
     _, store3, _ = store_functions(dtype)
-    zero, one = dtype(0.0), dtype(1.0)
-
-    @wp.func
-    def sigmoid(x: dtype):
-        # exp may overflow: 1 / (1 + inf) is the 0 that it should be
-        return one / (one + wp.exp(-x))
-
-    @wp.func
-    def sigmoid_adjoint(y: dtype, v: dtype):
-        """Gradient v to y = sigmoid(x), passed on to x."""
-        return v * (one - y) * y
+    sigmoid, sigmoid_adjoint, thermal_opacity = opacity_functions(dtype)
+    zero = dtype(0.0)
 
     @wp.kernel(name=f"activate_{dtype.__name__}", enable_backward=False, module="unique")
     def activate_kernel(
@@ -60,10 +81,7 @@ def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
             logit = logits[gaussian]
             opacities[gaussian] = sigmoid(logit)
             if seconds.shape[0] > 0:
-                thermal_logit = seconds[gaussian]
-                if is_offset:
-                    thermal_logit = logit + thermal_logit
-                thermal_opacities[gaussian] = sigmoid(thermal_logit)
+                thermal_opacities[gaussian] = thermal_opacity(logit, seconds[gaussian], is_offset)
 
     @wp.kernel(name=f"activate_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def activate_adjoint_kernel(

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from thermosplat.config import LossConfig
 from thermosplat.gaussians import Gaussians
+from thermosplat.warp_gaussian_penalties import mean_opacity_and_scale
 
 
 def gaussian_penalties(
@@ -26,20 +27,20 @@ def gaussian_penalties(
     Returns:
         Scalars by term, "opacity_reg" and "scale_reg".
     """
-    sets = list(gaussian_sets.values())
+    if not (config.opacity_reg > 0 or config.scale_reg > 0):
+        return {}
+    opacities, scales = [], []
+    for gaussians in gaussian_sets.values():
+        stored = gaussians.log_scales, gaussians.logit_opacities, *gaussians.stored_thermal_opacities
+        opacity, scale = mean_opacity_and_scale(*stored)
+        opacities.append(opacity)
+        scales.append(scale)
     penalties: dict[str, Tensor] = {}
     if config.opacity_reg > 0:
-        penalties["opacity_reg"] = config.opacity_reg * _total([opacity_penalty(gaussians) for gaussians in sets])
+        penalties["opacity_reg"] = config.opacity_reg * _total(opacities)
     if config.scale_reg > 0:
-        scales = _total([gaussians.scales.mean() for gaussians in sets])
-        penalties["scale_reg"] = (config.scale_reg / scene_extent) * scales
+        penalties["scale_reg"] = (config.scale_reg / scene_extent) * _total(scales)
     return penalties
-
-
-def opacity_penalty(gaussians: Gaussians) -> Tensor:
-    """Mean of α, and in a set with two opacities plus the mean of α_t; a scalar from 0 to 2."""
-    visible = gaussians.opacities.mean()
-    return visible + gaussians.thermal_opacities.mean() if gaussians.has_two_opacities else visible
 
 
 def _total(penalties: list[Tensor]) -> Tensor:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from thermosplat.depth_spread import log_depth_moments
 from thermosplat.gaussians import Gaussians
 from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.warp_activations import activated
+from thermosplat.warp_depth_spread import features_and_spread, with_depth_moments
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
@@ -30,8 +30,8 @@ class Rendering(NamedTuple):
     """Colour behind the visible SH colours, [1, 3]."""
     deterministic: bool = False
     """As the rasterizer's."""
-    depth_moments: bool = False
-    """Blend log-depth and its square beside the features."""
+    depth_spread_limit: float | None = None
+    """Also tell how far depths spread along rays, with this limit (``warp_depth_spread``); None: do not."""
 
 
 def see(
@@ -147,28 +147,34 @@ def see_both(
     )
 
 
-def with_depth_moments(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:
-    """Features, and where asked the moments of log-depth from a view, to be blended.
+def blended_features(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:
+    """What is blended: features [N, d], and beside them log-depth where its spread is asked for.
 
     Args:
         gaussians: The set.
         view: Camera and pose.
-        rendering: Whether moments are asked for.
+        rendering: Whether the spread is asked for.
+    """
+    if rendering.depth_spread_limit is None:
+        return gaussians.features
+    return with_depth_moments(gaussians.features, gaussians.means, view.viewmat)
+
+
+def taken_apart(image: Tensor, alpha: Tensor, rendering: Rendering) -> tuple[Tensor, list[Tensor]]:
+    """What was blended of ``blended_features``.
+
+    Args:
+        image: The image.
+        alpha: Its accumulated opacity, [H, W, 1].
+        rendering: Whether the spread is asked for.
 
     Returns:
-        Shape [N, d] or [N, d + 2].
+        Features [H, W, d], and the spread of depths, a scalar, where it was asked for.
     """
-    if not rendering.depth_moments:
-        return gaussians.features
-    return torch.cat([gaussians.features, log_depth_moments(gaussians.means, view.viewmat)], dim=-1)
-
-
-def taken_apart(image: Tensor, rendering: Rendering) -> tuple[Tensor, Tensor | None]:
-    """Blended features [H, W, d] and, where asked, moments [H, W, 2]: what ``with_depth_moments`` put together."""
-    if not rendering.depth_moments:
-        return image, None
-    features, moments = image.split([image.shape[-1] - 2, 2], dim=-1)
-    return features, moments
+    if rendering.depth_spread_limit is None:
+        return image, []
+    features, spread = features_and_spread(image, alpha, rendering.depth_spread_limit)
+    return features, [spread]
 
 
 def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tuple[Tensor, Tensor]:
@@ -183,12 +189,8 @@ def _scales_and_both_opacities(gaussians: Gaussians) -> tuple[Tensor, Tensor, Te
     """Scales [N, 3], α [N] and α_t [N]."""
     if not _activated_by_one_kernel(gaussians):
         return gaussians.scales, gaussians.opacities, gaussians.thermal_opacities
-    scales, opacities, thermal_opacities = activated(
-        gaussians.log_scales,
-        gaussians.logit_opacities,
-        offsets=getattr(gaussians, "thermal_opacity_offsets", None),
-        logit_thermal_opacities=getattr(gaussians, "logit_thermal_opacities", None),
-    )
+    stored = gaussians.log_scales, gaussians.logit_opacities, *gaussians.stored_thermal_opacities
+    scales, opacities, thermal_opacities = activated(*stored)
     return scales, opacities, opacities if thermal_opacities is None else thermal_opacities
 
 

@@ -84,11 +84,19 @@ class Gaussians(nn.Module):
     @property
     def thermal_logits(self) -> Tensor:
         """Logits of α_t, shape [N]; those of α in a set with one opacity."""
+        stored, is_offset = self.stored_thermal_opacities
+        if stored is None:
+            return self.logit_opacities
+        return self.logit_opacities + stored if is_offset else stored
+
+    @property
+    def stored_thermal_opacities(self) -> tuple[Tensor | None, bool]:
+        """Offsets to the logits of α, or logits of α_t, [N], and whether they are offsets; None with one opacity."""
         if "logit_thermal_opacities" in self._parameters:
-            return self.logit_thermal_opacities
+            return self.logit_thermal_opacities, False
         if "thermal_opacity_offsets" in self._parameters:
-            return self.logit_opacities + self.thermal_opacity_offsets
-        return self.logit_opacities
+            return self.thermal_opacity_offsets, True
+        return None, False
 
     @torch.no_grad()
     def set_opacity_logits(self, indices: Tensor, visible: Tensor, thermal: Tensor) -> None:

@@ -18,7 +18,7 @@ from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.config_checks import check_config
 from thermosplat.config_files import from_dict
 from thermosplat.decoders import Decoders
-from thermosplat.gaussian_views import Rendering, see, see_both, see_depth, taken_apart, with_depth_moments
+from thermosplat.gaussian_views import Rendering, blended_features, see, see_both, see_depth, taken_apart
 from thermosplat.gaussians import Gaussians
 from thermosplat.initial_gaussians import initial_gaussians
 from thermosplat.packed_parameters import num_bytes, pack, unpack
@@ -113,7 +113,7 @@ class SceneModel(nn.Module):
         absgrad: bool = False,
         aligned: bool | None = None,
         deterministic: bool = False,
-        depth_moments: bool = False,
+        depth_spread_limit: float | None = None,
     ) -> RenderedFrame:
         """Render one frame: both spectra, or the one whose view is given.
 
@@ -127,7 +127,8 @@ class SceneModel(nn.Module):
             aligned: Whether both views have one camera, pose and size. None: compare them. False is always right, and
                 keeps the spectra's gradients of means2d apart.
             deterministic: As the rasterizer's.
-            depth_moments: Also blend log-depth and its square; a model without features does not.
+            depth_spread_limit: Also measure how far depths spread along rays, counting hardly more than this
+                (``LossConfig.depth_spread_limit``); None: do not. A model without features never does.
 
         Returns:
             The images; a spectrum that the configuration switches off is not rendered even if its view is given.
@@ -135,7 +136,7 @@ class SceneModel(nn.Module):
         rgb = rgb if self.config.rgb else None
         thermal = thermal if self.config.thermal else None
         backgrounds = self.background[None] if self._has_background else None
-        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds, deterministic, depth_moments)
+        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds, deterministic, depth_spread_limit)
         common = self._common_view(rgb, thermal, aligned)
         if self.decoders is None:
             return self._render_sh(rgb, thermal, how) if common is None else self._render_sh_traversal(common, how)
@@ -147,12 +148,13 @@ class SceneModel(nn.Module):
             rendered.infos["shared"][0]["modality"] = "rgb"
         if thermal is not None:
             gaussians = self.gaussians("shared")
-            blended = with_depth_moments(gaussians, thermal, how)
+            blended = blended_features(gaussians, thermal, how)
             image, alpha, info = see(gaussians, blended, gaussians.thermal_logits, thermal, how)
-            features, rendered.thermal_depths = taken_apart(image, how)
+            features, spreads = taken_apart(image, alpha, how)
             decoded = self.decoders.thermal(*self._decoder_inputs(thermal, features))
             rendered.thermal, rendered.thermal_alpha = self._covered(decoded, alpha), alpha
             rendered.thermal_features = features
+            rendered.depth_spreads += spreads
             info["modality"] = "thermal"
             rendered.infos["shared"].append(info)
         return rendered
@@ -182,16 +184,17 @@ class SceneModel(nn.Module):
     ) -> RenderedFrame:
         """SH colours and features at α, and with them the features at α_t where asked, in one traversal."""
         gaussians = self.gaussians("shared")
-        output = see_both(gaussians, with_thermal, with_depth_moments(gaussians, view, how), view, how)
+        output = see_both(gaussians, with_thermal, blended_features(gaussians, view, how), view, how)
         # squeeze, not [0], whose gradient would be copied into zeros
-        visible_features, depths = taken_apart(output.render_features.squeeze(0), how)
         alpha = output.render_alphas.squeeze(0)
-        rendered = RenderedFrame(visible_features=visible_features, visible_depths=depths, rgb_alpha=alpha)
+        visible_features, spreads = taken_apart(output.render_features.squeeze(0), alpha, how)
+        rendered = RenderedFrame(visible_features=visible_features, rgb_alpha=alpha, depth_spreads=spreads)
         rendered.infos["shared"] = [output.info]
         if output.render_thermal_features is not None and output.render_thermal_alphas is not None:
-            thermal_features = output.render_thermal_features.squeeze(0)
-            rendered.thermal_features, rendered.thermal_depths = taken_apart(thermal_features, how)
             rendered.thermal_alpha = output.render_thermal_alphas.squeeze(0)
+            thermal_features = output.render_thermal_features.squeeze(0)
+            rendered.thermal_features, spreads = taken_apart(thermal_features, rendered.thermal_alpha, how)
+            rendered.depth_spreads += spreads
             inputs = self._decoder_inputs(view, visible_features, rendered.thermal_features)
             decoded, thermal = decoders.both(*inputs)
             rendered.thermal = self._covered(thermal, rendered.thermal_alpha)

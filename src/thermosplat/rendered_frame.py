@@ -23,10 +23,8 @@ class RenderedFrame:
     """Accumulated visible opacity in [0, 1], shape [H, W, 1]."""
     thermal_alpha: Tensor | None = None
     """Accumulated thermal opacity in [0, 1], shape [H, W, 1]."""
-    visible_depths: Tensor | None = None
-    """Σ w log z and Σ w (log z)² with the visible opacities' weights, where they were asked for, shape [H, W, 2]."""
-    thermal_depths: Tensor | None = None
-    """The same with the thermal opacities'."""
+    depth_spreads: list[Tensor] = field(default_factory=list)
+    """How far depths spread along the rays of each spectrum that was rendered, scalars; empty where not asked for."""
     infos: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     """What the rasterization says about every call (means2d, radii, ...), by the name of the Gaussian set; a set that
     was rendered by two calls has two, and under "modality" the spectrum that each is of. Densification reads it."""

@@ -13,11 +13,7 @@ from warp_kernels.array_views import ArrayView
 
 
 def activated(
-    log_scales: Tensor,
-    logit_opacities: Tensor,
-    *,
-    offsets: Tensor | None = None,
-    logit_thermal_opacities: Tensor | None = None,
+    log_scales: Tensor, logit_opacities: Tensor, stored_thermal: Tensor | None = None, is_offset: bool = False
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """Scales and opacities of Gaussians from what they store.
 
@@ -25,16 +21,14 @@ def activated(
         log_scales: Logarithms of the standard deviations along the axes [log world units], shape [N, 3]. Receives a
             gradient, as the others do.
         logit_opacities: Logits of the visible opacity α, shape [N].
-        offsets: The thermal opacity is α_t = sigmoid(logit α + offset), shape [N].
-        logit_thermal_opacities: Logits of α_t in place of offsets, shape [N].
+        stored_thermal: What the thermal opacity α_t is computed from, shape [N]; None: there is one opacity.
+        is_offset: α_t is sigmoid(logit α + stored), otherwise sigmoid(stored).
 
     Returns:
-        Scales exp(log_scales) [world units], [N, 3]; α in [0, 1], [N]; α_t in [0, 1], [N], or None where nothing was
-        given to compute it from. A gradient that one of them does not get counts as zero.
+        Scales exp(log_scales) [world units], [N, 3]; α in [0, 1], [N]; α_t in [0, 1], [N], or None with
+        one opacity. A gradient that one of them does not get counts as zero.
     """
-    is_offset = logit_thermal_opacities is None and offsets is not None
-    second = offsets if is_offset else logit_thermal_opacities
-    return _Activated.apply(log_scales.contiguous(), logit_opacities, second, is_offset)
+    return _Activated.apply(log_scales.contiguous(), logit_opacities, stored_thermal, is_offset)
 
 
 class _Activated(torch.autograd.Function):

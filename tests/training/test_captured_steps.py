@@ -93,6 +93,27 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
     torch.testing.assert_close(ours.rgb, theirs.rgb, rtol=0.2, atol=2e-3)
 
 
+def test_graphs_outlive_relocation(tmp_path: Path) -> None:
+    """Once no Gaussians are added, refinements move them in place, and the same graph goes on with them."""
+    full = DensificationConfig(strategy="mcmc", max_gaussians=60, start_step=4, stop_step=60, every=10)
+    trainer = _run(tmp_path, "shared", 24, densification=full)
+    assert trainer.captured is not None
+    gaussians = trainer.model.gaussians("shared")
+    assert len(gaussians) == 60
+    before = dict(trainer.captured._graphs)
+    assert before
+    with torch.no_grad():
+        gaussians.logit_opacities[:5] = -9.0
+        gaussians.thermal_opacity_offsets[:5] = 0.0
+    means = gaussians.means[:5].detach().clone()
+    while trainer.step < 34:  # one refinement
+        trainer._train_step()
+    assert trainer.captured._graphs == before
+    assert (gaussians.opacities[:5] > 0.005).all()
+    assert ((gaussians.means[:5] - means).norm(dim=-1) > 0.01).all()
+    assert trainer.guard.first_bad() is None
+
+
 def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     """With too little room the parameters stay; after a look there is room, and training goes on."""
     still = DensificationConfig(enabled=False)

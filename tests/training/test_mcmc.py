@@ -61,6 +61,31 @@ def test_budget_is_kept() -> None:
         assert len(gaussians) == expected
 
 
+def test_full_sets_keep_their_tensors() -> None:
+    """At the budget, or when growth has stopped, a refinement works in place, and says so beforehand."""
+    for count, growing in ((100, True), (50, False)):
+        gaussians = random_gaussians(count)
+        with torch.no_grad():
+            gaussians.logit_opacities.fill_(0.0)
+            gaussians.logit_opacities[:7] = -20.0
+            gaussians.thermal_opacity_offsets.zero_()
+        optimizers = stepped_optimizers(gaussians)
+        strategy = strategy_of(gaussians, max_gaussians=100)
+        strategy.growing = growing
+
+        def places(gaussians: Gaussians = gaussians, optimizers: Any = optimizers) -> list[int]:
+            moments = [m for o in optimizers.values() for state in o.state.values() for m in state.values()]
+            return [tensor.data_ptr() for tensor in (*gaussians.parameters(), *moments)]
+
+        before = places()
+        assert not strategy.replaces_tensors(gaussians)
+        refinement = strategy.refine(gaussians, optimizers, 601, torch.Generator().manual_seed(0))
+        assert refinement == Refinement(relocated=7)
+        assert places() == before
+    assert strategy_of(gaussians, max_gaussians=100).replaces_tensors(gaussians)
+    assert strategy_of(gaussians, max_gaussians=50, sample_by="gradient").replaces_tensors(gaussians)
+
+
 def test_all_dead_is_an_error() -> None:
     """Nobody to move to: the run stops with the step."""
     gaussians = random_gaussians(3)

@@ -9,10 +9,13 @@ from test_cuda_compilation import compile_all
 from warp_kernels.adam import adam_coefficients_kernel, adam_update_kernel
 from warp_kernels.covered_images import covering_kernels
 from warp_kernels.density_notes import density_kernel
+from warp_kernels.depth_spread import moment_kernels, spread_kernels
 from warp_kernels.finite_check import note_bad_kernel
+from warp_kernels.gaussian_penalties import penalty_kernels
 from warp_kernels.image_loss import image_loss_kernels
 from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernel
 from warp_kernels.pair_notes import note_pairs_kernel
+from warp_kernels.position_noise import noise_kernel
 
 
 @pytest.mark.parametrize("arch", [80, 90])
@@ -28,3 +31,12 @@ def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) 
     """Losses, covered images, and what density control notes."""
     kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), image_loss_adjoint_kernel(dtype, 1.5)]
     compile_all([*kernels, *covering_kernels(dtype), density_kernel(dtype)], arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
+    """Penalties on Gaussians and on the spread of their depths, and the noise on their means."""
+    kernels = [*penalty_kernels(dtype), *moment_kernels(dtype), *spread_kernels(dtype), noise_kernel(dtype)]
+    compile_all(kernels, arch, tmp_path)

@@ -187,7 +187,8 @@ class AutoBudget:
     def _sensitivities(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
         """Of the images to opacities; a spectrum counts the more the smaller its error is, as ``change`` has it."""
         weights = {modality: 1.0 / error for modality, error in change.errors.items()}
-        return opacity_sensitivities(self.state.model, self.frames, sh_degree, weights)
+        deterministic = self.config.deterministic
+        return opacity_sensitivities(self.state.model, self.frames, sh_degree, weights, deterministic=deterministic)
 
 
 def _validation_views(num_frames: int, count: int) -> tuple[int, ...]:

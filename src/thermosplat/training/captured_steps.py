@@ -95,6 +95,8 @@ class CapturedSteps:
         if shape not in self._frames:
             self._frames[shape] = packed_elsewhere(frame)
         static, graph = self._frames[shape], torch.cuda.CUDAGraph()
+        if any(other != kind for _, other in self._graphs):
+            self.forget()  # what was done until now is hardly ever done again
         if not self._graphs:
             self.step.capacity.spare = SPARE if kind.densifying else SETTLED_SPARE
             self.step.capacity.measure()

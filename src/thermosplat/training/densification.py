@@ -101,6 +101,10 @@ class DefaultStrategy:
         """Whether nothing will be added any more: here never, since what is pruned makes room."""
         return False
 
+    def replaces_tensors(self, gaussians: Gaussians) -> bool:
+        """Whether a refinement or reset now may put other tensors in place of the set's, or of what is observed."""
+        return True
+
     def _schedule_step(self, step: int) -> int:
         """Steps of the set's training before this one."""
         return step - 1 - (0 if self.span is None else self.span.start)

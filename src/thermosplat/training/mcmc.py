@@ -19,8 +19,9 @@ from torch import Tensor
 from thermosplat.errors import UserError
 from thermosplat.gaussians import Gaussians
 from thermosplat.training.densification import DefaultStrategy, Refinement
-from thermosplat.training.gaussian_ops import Optimizers, rotate
+from thermosplat.training.gaussian_ops import Optimizers
 from thermosplat.training.relocation import add, relocate
+from thermosplat.warp_position_noise import add_noise_to_means
 
 NOISE_STEEPNESS = 100.0
 """k of the noise's gate. 3DGS-MCMC."""
@@ -44,6 +45,10 @@ class McmcStrategy(DefaultStrategy):
     def is_full(self, gaussians: Gaussians) -> bool:
         """Whether the budget is reached: from then on Gaussians only move."""
         return len(gaussians) >= (self.config.max_gaussians or 0)
+
+    def replaces_tensors(self, gaussians: Gaussians) -> bool:
+        """Unless Gaussians only move, and no sums of gradients start again."""
+        return self._by_gradient or (self.growing and not self.is_full(gaussians))
 
     def step_pre_backward(self, infos: list[dict[str, Any]]) -> None:
         """Keep gradients, where they say what is doubled."""
@@ -107,16 +112,11 @@ class McmcStrategy(DefaultStrategy):
             blocked: Scalar, 1 where this step must change nothing.
             generator: Draws the noise, on the Gaussians' device.
         """
-        means = gaussians.means
-        rate = optimizers["means"].param_groups[0]["lr"]
-        gate = torch.sigmoid(NOISE_STEEPNESS * (NOISE_OPACITY - self._larger_opacities(gaussians)))
-        noise = torch.randn(means.shape, generator=generator, device=means.device, dtype=means.dtype)
-        # Σ η = R S² Rᵀ η; the inverse rotation is that of the conjugate quaternion
-        conjugates = torch.cat([gaussians.quats[:, :1], -gaussians.quats[:, 1:]], dim=-1)
-        within = rotate(gaussians.quats, gaussians.scales.square() * rotate(conjugates, noise))
+        means, rate = gaussians.means, optimizers["means"].param_groups[0]["lr"]
+        normals = torch.randn(means.shape, generator=generator, device=means.device, dtype=means.dtype)
         strength = self.config.position_noise / self.scene_extent**2
-        offset = (strength * rate) * gate[:, None] * within
-        means.add_(torch.where(blocked == 0, offset, 0.0))
+        rate = torch.as_tensor(rate, dtype=torch.float32, device=means.device)
+        add_noise_to_means(gaussians, normals, strength, rate, (NOISE_STEEPNESS, NOISE_OPACITY), blocked)
 
     def _weights(self, gaussians: Gaussians) -> Tensor:
         """What the probability to be doubled is proportional to, shape [N]."""

@@ -23,7 +23,12 @@ _OPAQUE = 0.99
 
 
 def opacity_sensitivities(
-    model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int, weights: Mapping[str, float]
+    model: SceneModel,
+    frames: Iterable[FrameTensors],
+    sh_degree: int,
+    weights: Mapping[str, float],
+    *,
+    deterministic: bool = False,
 ) -> dict[str, Tensor]:
     """Sums over pixels of squared derivatives of the images with respect to opacities.
 
@@ -32,17 +37,18 @@ def opacity_sensitivities(
         frames: The training frames.
         sh_degree: Degree of the spherical harmonics in use.
         weights: What a squared change of an image counts, by "rgb" and "thermal".
+        deterministic: As the rasterizer's: the same bits at every call.
 
     Returns:
         By name of the set, shape [2, N]: with respect to α and to α_t, weighted; in a set with one opacity all in the
         first row. Estimated with the same signs at every call.
     """
-    signs = torch.Generator().manual_seed(0)
     device = model.background.device
+    signs = torch.Generator(device).manual_seed(0)  # drawn where they are used: a frame has a million
     found = {name: torch.zeros(2, len(model.gaussians(name)), device=device) for name in model.gaussian_sets}
     with _translucent(model):
         for frame in frames:
-            for name, gradients in _gradients(model, frame, sh_degree, weights, signs).items():
+            for name, gradients in _gradients(model, frame, sh_degree, weights, signs, deterministic).items():
                 found[name] += gradients.square()
     return found
 
@@ -75,14 +81,17 @@ def _gradients(
     sh_degree: int,
     weights: Mapping[str, float],
     signs: torch.Generator,
+    deterministic: bool,
 ) -> dict[str, Tensor]:
     """Derivatives of one frame's images, added with random signs, with respect to opacities [2, N], by set."""
-    rendered = model.render(frame.rgb, frame.thermal, sh_degree=sh_degree, aligned=frame.aligned, deterministic=True)
+    rendered = model.render(
+        frame.rgb, frame.thermal, sh_degree=sh_degree, aligned=frame.aligned, deterministic=deterministic
+    )
     images = ((rendered.rgb, weights.get("rgb")), (rendered.thermal, weights.get("thermal")))
     total = model.background.new_zeros(())
     for image, weight in images:
         if image is not None and weight is not None:
-            drawn = 2 * torch.randint(2, image.shape, generator=signs, dtype=torch.int8) - 1
+            drawn = 2 * torch.randint(2, image.shape, generator=signs, dtype=torch.int8, device=image.device) - 1
             total = total + weight**0.5 * (image * drawn.to(image)).sum()
     logits = {name: _logits(model.gaussians(name)) for name in model.gaussian_sets}
     every = [tensor for tensors in logits.values() for tensor in tensors]

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
-from thermosplat.depth_spread import depth_spread
 from thermosplat.errors import UserError
 from thermosplat.feature_norm import feature_norm_loss
 from thermosplat.gaussian_penalties import gaussian_penalties
@@ -107,7 +106,7 @@ class TrainingStep:
                     absgrad=config.densification.absgrad,
                     aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
                     deterministic=config.deterministic,
-                    depth_moments=kind.depth_spread,
+                    depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread else None,
                 )
             if state.exposures is not None and frame.index is not None:
                 rendered = state.exposures(rendered, frame.index)
@@ -116,10 +115,8 @@ class TrainingStep:
             if config.loss.feature_norm > 0 and state.model.decoders is not None:
                 features = state.gaussian_sets["shared"].features
                 losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
-            if kind.depth_spread:
-                losses["depth_spread"] = config.loss.depth_spread * depth_spread(
-                    rendered, config.loss.depth_spread_limit
-                )
+            if rendered.depth_spreads:
+                losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
             if config.loss.balance:
                 losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
             losses |= gaussian_penalties(state.gaussian_sets, config.loss, state.scene_extent)
