@@ -4,7 +4,7 @@ import warp as wp
 
 from warp_kernels.array_views import empty, memory, nothing
 from warp_kernels.coefficient_rows import whole_warps
-from warp_kernels.lanes import LANES_CUDA
+from warp_kernels.lanes import lanes_of
 from warp_kernels.launching import launch, launch_again
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.tile_binning import MASK_SHIFT, Totals, binning_kernels
@@ -61,7 +61,7 @@ def bin_tiles(
         TooManyPairsError: if the pairs exceed what 32-bit indices can number.
     """
     device, dtype = opacities.device, opacities.dtype
-    lanes = LANES_CUDA if device.is_cuda else 1
+    lanes = lanes_of(device)
     count_kernel, compact_kernel, gather_kernel, emit_kernel = binning_kernels(dtype, lanes)
     entries = len(projected.means2d)
     tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)

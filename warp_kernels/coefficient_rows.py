@@ -14,7 +14,7 @@ import functools
 
 import warp as wp
 
-from warp_kernels.lanes import scalar_name
+from warp_kernels.lanes import lanes_of, scalar_name
 
 BLOCK = 256
 """Threads a block on CUDA; Warp's default."""
@@ -188,7 +188,17 @@ def whole_warps(count: int, device: wp.Device) -> int:
         count: Rows.
         device: Where.
     """
-    return -(-count // 32) * 32 if device.is_cuda else count
+    return num_warps(count, device) * lanes_of(device)
+
+
+def num_warps(count: int, device: wp.Device) -> int:
+    """Warps that have so many rows.
+
+    Args:
+        count: Rows.
+        device: Where.
+    """
+    return -(-count // lanes_of(device))
 
 
 @functools.cache

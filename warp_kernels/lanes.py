@@ -114,6 +114,33 @@ def shuffle_function(dtype: type):
 warp_shuffle = shuffle_function(wp.int32)
 
 
+@functools.cache
+def total_function(dtype: type):
+    """A sum over all lanes of a warp, which all call it together; always in the same order.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        A Warp function of one number.
+    """
+    halvings = "for (int distance = 16; distance > 0; distance /= 2) x += __shfl_xor_sync(0xffffffffu, x, distance);"
+
+    @wp.func_native(on_cuda(halvings) + "return x;")
+    def warp_total(x: dtype) -> dtype: ...
+
+    return warp_total
+
+
+def lanes_of(device: wp.Device) -> int:
+    """Lanes of a warp.
+
+    Args:
+        device: where.
+    """
+    return LANES_CUDA if device.is_cuda else 1
+
+
 # The first lane whose ``end`` is above ``item``, by halving; the last one where there is none. Ends rise from lane to
 # lane.
 @wp.func_native("""

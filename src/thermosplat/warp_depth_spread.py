@@ -19,6 +19,7 @@ from torch.autograd.function import once_differentiable
 from thermosplat.warp_bridge import given_view, kinds_of, strided_view
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.array_views import ArrayView
+from warp_kernels.coefficient_rows import num_warps
 from warp_kernels.depth_spread import join_moments, join_moments_adjoint, take_spreads, take_spreads_adjoint
 
 
@@ -74,12 +75,13 @@ class _Joined(torch.autograd.Function):
 class _TakenApart(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, image: Tensor, alpha: Tensor, limit: float) -> tuple[Tensor, Tensor]:
-        features, spreads = image.new_empty(*image.shape[:2], image.shape[2] - 2), torch.empty_like(alpha)
-        with launches_on_torch_stream(image.device):
-            take_spreads(_pixels(image), _numbers(alpha), limit, _pixels(features), _numbers(spreads))
+        features = image.new_empty(*image.shape[:2], image.shape[2] - 2)
+        with launches_on_torch_stream(image.device) as device:
+            parts = image.new_empty(num_warps(alpha.numel(), device))
+            take_spreads(_pixels(image), _numbers(alpha), limit, _pixels(features), _numbers(parts))
         ctx.limit = limit
         ctx.save_for_backward(image, alpha)
-        return features, spreads.mean()
+        return features, parts.sum()
 
     @staticmethod
     @once_differentiable
@@ -88,7 +90,7 @@ class _TakenApart(torch.autograd.Function):
         v_image, v_alpha = torch.empty_like(image), torch.empty_like(alpha)
         given = _pixels(image), _numbers(alpha), ctx.limit, _pixels(v_features.contiguous()), _numbers(v_spread)
         with launches_on_torch_stream(image.device):
-            take_spreads_adjoint(*given, 1.0 / alpha.numel(), _pixels(v_image), _numbers(v_alpha))
+            take_spreads_adjoint(*given, _pixels(v_image), _numbers(v_alpha))
         return v_image, v_alpha, None
 
 

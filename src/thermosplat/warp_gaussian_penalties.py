@@ -9,7 +9,8 @@ from torch.autograd.function import once_differentiable
 from thermosplat.warp_bridge import given_view, kinds_of, strided_view
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.array_views import ArrayView
-from warp_kernels.gaussian_penalties import penalties, penalties_adjoint
+from warp_kernels.coefficient_rows import num_warps
+from warp_kernels.gaussian_penalties import gaussian_means, gaussian_means_adjoint
 
 
 def mean_opacity_and_scale(
@@ -35,12 +36,12 @@ class _Means(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, log_scales: Tensor, logits: Tensor, second: Tensor | None, is_offset: bool) -> Tensor:
         stored = log_scales, logits, logits[:0] if second is None else second
-        terms = logits.new_empty(2, len(logits))
-        with launches_on_torch_stream(logits.device):
-            penalties(*_arrays(*stored), is_offset, strided_view(terms))
+        with launches_on_torch_stream(logits.device) as device:
+            parts = logits.new_empty(2, num_warps(len(logits), device))
+            gaussian_means(*_arrays(*stored), is_offset, strided_view(parts))
         ctx.is_offset = is_offset
         ctx.save_for_backward(*stored)
-        return terms.mean(dim=1)
+        return parts.sum(dim=1)
 
     @staticmethod
     @once_differentiable
@@ -49,9 +50,7 @@ class _Means(torch.autograd.Function):
         v_stored = [torch.empty_like(tensor) for tensor in stored]
         v = v_means.contiguous()
         with launches_on_torch_stream(v.device):
-            penalties_adjoint(
-                *_arrays(*stored), ctx.is_offset, strided_view(v), 1.0 / len(stored[1]), *_arrays(*v_stored)
-            )
+            gaussian_means_adjoint(*_arrays(*stored), ctx.is_offset, strided_view(v), *_arrays(*v_stored))
         v_log_scales, v_logits, v_second = v_stored
         return v_log_scales, v_logits, v_second if ctx.needs_input_grad[2] else None, None
 

@@ -22,9 +22,10 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }
 
 
-def _run(path: Path, kind: str, steps: int, **changes: Any) -> Trainer:
+def _run(path: Path, kind: str, steps: int, *, of: int | None = None, **changes: Any) -> Trainer:
+    """A toy run after so many steps, ``of`` as many."""
     model, capture = KINDS[kind]
-    config = dataclasses.replace(toy_run_config(max_steps=steps, model=model), device="cuda", **changes)
+    config = dataclasses.replace(toy_run_config(max_steps=of or steps, model=model), device="cuda", **changes)
     trainer = toy_trainer(path, config, many_frames(toy_capture(**capture)))
     while trainer.step < steps:
         trainer._train_step()
@@ -96,7 +97,7 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
 def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     """Once no Gaussians are added, refinements move them in place, and the same graph goes on with them."""
     full = DensificationConfig(strategy="mcmc", max_gaussians=60, start_step=4, stop_step=60, every=10)
-    trainer = _run(tmp_path, "shared", 24, densification=full)
+    trainer = _run(tmp_path, "shared", 24, of=40, densification=full)
     assert trainer.captured is not None
     gaussians = trainer.model.gaussians("shared")
     assert len(gaussians) == 60

@@ -38,5 +38,5 @@ def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) 
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Penalties on Gaussians and on the spread of their depths, and the noise on their means."""
-    kernels = [*penalty_kernels(dtype), *moment_kernels(dtype), *spread_kernels(dtype), noise_kernel(dtype)]
+    kernels = [*penalty_kernels(dtype), *moment_kernels(dtype, 8), *spread_kernels(dtype, 8), noise_kernel(dtype)]
     compile_all(kernels, arch, tmp_path)
