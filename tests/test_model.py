@@ -163,11 +163,16 @@ def test_thermal_image_does_not_train_visible_colours() -> None:
 
 
 def test_without_geometric_decoupling_both_opacities_are_one() -> None:
-    """Ablation: features rendered for either spectrum are the same."""
+    """Ablation: features are blended once, for both spectra, and images are those of two calls."""
     capture = toy_capture()
-    rendered = render(toy_model(toy_config(geometric_decoupling=False), capture), toy_frame(capture))
-    torch.testing.assert_close(rendered.thermal_features, rendered.visible_features)
-    torch.testing.assert_close(rendered.thermal_alpha, rendered.rgb_alpha)
+    model, frame = toy_model(toy_config(geometric_decoupling=False), capture), toy_frame(capture)
+    rendered = render(model, frame, depth_spread_limit=0.0)
+    assert rendered.thermal_features is rendered.visible_features
+    assert rendered.thermal_alpha is rendered.rgb_alpha
+    apart = render(model, frame, aligned=False, depth_spread_limit=0.0)
+    for name in ("rgb", "thermal", "thermal_features", "thermal_alpha"):
+        torch.testing.assert_close(getattr(rendered, name), getattr(apart, name))
+    torch.testing.assert_close(rendered.depth_spreads, apart.depth_spreads)
 
 
 def test_scalar_thermal_has_one_decoded_channel() -> None:

@@ -184,20 +184,22 @@ class SceneModel(nn.Module):
     ) -> RenderedFrame:
         """SH colours and features at α, and with them the features at α_t where asked, in one traversal."""
         gaussians = self.gaussians("shared")
-        output = see_both(gaussians, with_thermal, blended_features(gaussians, view, how), view, how)
+        blended = blended_features(gaussians, view, how)
+        output = see_both(gaussians, with_thermal and gaussians.has_two_opacities, blended, view, how)
         # squeeze, not [0], whose gradient would be copied into zeros
         alpha = output.render_alphas.squeeze(0)
         visible_features, spreads = taken_apart(output.render_features.squeeze(0), alpha, how)
         rendered = RenderedFrame(visible_features=visible_features, rgb_alpha=alpha, depth_spreads=spreads)
         rendered.infos["shared"] = [output.info]
-        if output.render_thermal_features is not None and output.render_thermal_alphas is not None:
-            rendered.thermal_alpha = output.render_thermal_alphas.squeeze(0)
-            thermal_features = output.render_thermal_features.squeeze(0)
-            rendered.thermal_features, spreads = taken_apart(thermal_features, rendered.thermal_alpha, how)
-            rendered.depth_spreads += spreads
-            inputs = self._decoder_inputs(view, visible_features, rendered.thermal_features)
-            decoded, thermal = decoders.both(*inputs)
-            rendered.thermal = self._covered(thermal, rendered.thermal_alpha)
+        if with_thermal:
+            thermal_alpha, thermal_features = alpha, visible_features  # of one opacity both spectra see the same
+            if output.render_thermal_features is not None and output.render_thermal_alphas is not None:
+                thermal_alpha = output.render_thermal_alphas.squeeze(0)
+                thermal_features, spreads = taken_apart(output.render_thermal_features.squeeze(0), thermal_alpha, how)
+            rendered.thermal_alpha, rendered.thermal_features = thermal_alpha, thermal_features
+            rendered.depth_spreads = rendered.depth_spreads + spreads
+            decoded, thermal = decoders.both(*self._decoder_inputs(view, visible_features, thermal_features))
+            rendered.thermal = self._covered(thermal, thermal_alpha)
         else:
             decoded = decoders.rgb(*self._decoder_inputs(view, visible_features))
         if self.decoder_config.hybrid_rgb:

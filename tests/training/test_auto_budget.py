@@ -10,8 +10,10 @@ import torch
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 
 from thermosplat.checkpoint import load_checkpoint
-from thermosplat.config import AutoBudgetConfig, TrainConfig
+from thermosplat.config import AutoBudgetConfig, ScheduleConfig, TrainConfig
 from thermosplat.model import SceneModel
+from thermosplat.training.image_change import ImageChange
+from thermosplat.training.interruption import TrainingInterrupted
 from thermosplat.training.offset_shrinkage import drop_offsets
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
@@ -164,6 +166,51 @@ def test_a_finished_run_is_trimmed_once_and_may_go_on(tmp_path: Path) -> None:
     assert longer.state.checkpoint(longer.config, 1, None)["training"]["optimizers"] is not None
     longer.train()
     assert longer.state.trimmed
+
+
+@pytest.mark.parametrize("looks", [2, 12])
+def test_interrupted_trimming_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
+    """Ctrl-C while it is tried what may go, spherical harmonics or half of the bits: what was trained is saved."""
+    trainer = toy_trainer(tmp_path, budget_config(20), many_frames(toy_capture(), FRAMES))
+    advance(trainer, 20)
+    before = state_tensors(trainer)
+    now, done = ImageChange.now, []
+
+    def interrupted(change: ImageChange) -> float:
+        done.append(now(change))
+        if len(done) == looks:
+            raise KeyboardInterrupt
+        return done[-1]
+
+    monkeypatch.setattr(ImageChange, "now", interrupted)
+    with pytest.raises(TrainingInterrupted):
+        trainer.train()
+    assert len(done) == looks
+    assert_same_state(state_tensors(trainer), before)
+    assert not load_checkpoint(trainer.run.checkpoint(20))["training"]["trimmed"]
+
+
+def test_growth_of_a_set_that_is_trained_later(tmp_path: Path) -> None:
+    """Growth ends when that of the last set has, and nobody is judged before the last one has started to grow."""
+    model = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False, "thermal_start": "rgb"}
+    config = budget_config(60, prune_at=(0.95,))
+    config = dataclasses.replace(
+        config,
+        model=dataclasses.replace(config.model, **model),
+        schedule=ScheduleConfig(rgb_until=0.5, thermal_from=0.5),
+        densification=dataclasses.replace(config.densification, stop_step=20),
+    )
+    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
+    advance(trainer, 32)
+    assert trainer.state.growing
+    assert trainer.state.best_validation[1] == 0
+    copied = len(trainer.model.gaussians("thermal"))
+    advance(trainer, 48)
+    assert trainer.state.growing
+    assert trainer.state.best_validation[1] >= 34
+    assert len(trainer.model.gaussians("thermal")) != copied
+    advance(trainer, 50)
+    assert not trainer.state.growing
 
 
 @pytest.mark.parametrize("stop", [7, 30])

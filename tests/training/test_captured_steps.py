@@ -94,6 +94,25 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
     torch.testing.assert_close(ours.rgb, theirs.rgb, rtol=0.2, atol=2e-3)
 
 
+@pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
+def test_another_device_than_the_first(tmp_path: Path) -> None:
+    """Steps on cuda:1 are captured there."""
+    try:
+        config = dataclasses.replace(toy_run_config(max_steps=20), device="cuda:1")
+        trainer = toy_trainer(tmp_path, config, many_frames(toy_capture()))
+        before = trainer.model.gaussians("shared").means.detach().clone()
+        while trainer.step < 20:
+            trainer._train_step()
+        assert trainer.captured is not None
+        assert trainer.captured._graphs
+        assert trainer.guard.first_bad() is None
+        means = trainer.model.gaussians("shared").means
+        assert means.device == torch.device("cuda:1")
+        assert not torch.equal(means[: len(before)], before)
+    finally:
+        torch.cuda.set_device(0)
+
+
 def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     """Once no Gaussians are added, refinements move them in place, and the same graph goes on with them."""
     full = DensificationConfig(strategy="mcmc", max_gaussians=60, start_step=4, stop_step=60, every=10)

@@ -10,6 +10,7 @@ import torch
 from random_gaussians import random_gaussians, stepped_optimizers
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 
+from thermosplat.checkpoint import load_checkpoint
 from thermosplat.config import DensificationConfig
 from thermosplat.errors import UserError
 from thermosplat.gaussians import Gaussians
@@ -163,6 +164,25 @@ def test_a_run_grows_to_its_budget(tmp_path: Path) -> None:
     assert trainer.model.num_gaussians == 70
     assert trainer.guard.first_bad() is None
     assert not any(strategy.resets_at(step) for strategy in trainer.state.strategies.values() for step in range(1, 25))
+
+
+def test_out_of_memory_behind_the_update(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parameters have moved: the checkpoint counts that step as done, and it is not done again."""
+    config, capture = mcmc_config(10), many_frames(toy_capture())
+    trainer = toy_trainer(tmp_path, config, capture)
+    while trainer.step < 5:
+        trainer._train_step()
+
+    def full(*_: Any) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory.")
+
+    monkeypatch.setattr(McmcStrategy, "move", full)
+    with pytest.raises(UserError, match="memory"):
+        trainer.train()
+    checkpoint = load_checkpoint(trainer.run.checkpoint(6))
+    assert checkpoint["step"] == 6
+    of_means = checkpoint["training"]["optimizers"]["shared"]["means"]["state"][0]
+    assert of_means["step"] == 6
 
 
 def test_resumed_run_draws_the_same_noise(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.metrics import psnr
 from thermosplat.training.contributions import contributions
+from thermosplat.training.gaussian_ops import kept_on_failure
 from thermosplat.training.image_change import ImageChange
 from thermosplat.training.modality_schedule import ModalitySchedule
 from thermosplat.training.offset_shrinkage import drop_offsets, idle_offsets
@@ -83,7 +84,7 @@ class AutoBudget:
             self.drop_offsets(sh_degree)
 
     def finish(self, sh_degree: int) -> None:
-        """Drop what is not needed once training is over; again only after further steps.
+        """Drop what is not needed once training is over, all of it or nothing; again only after further steps.
 
         Args:
             sh_degree: Degree of the spherical harmonics in use.
@@ -91,21 +92,25 @@ class AutoBudget:
         if self.state.trimmed:
             return
         model, settings = self.state.model, self.settings
-        drop_bands(model, self.frames, sh_degree, self.images(sh_degree), settings.sh_change)
-        round_to_half(model, self.images(sh_degree), settings.rounding_change)
+        with kept_on_failure(model.gaussian_sets.parameters()):
+            drop_bands(model, self.frames, sh_degree, self.images(sh_degree), settings.sh_change)
+            round_to_half(model, self.images(sh_degree), settings.rounding_change)
         self.state.trimmed = True
 
     def _validates_at(self, step: int) -> bool:
-        settings, started = self.settings, self.config.densification.start_step
-        return bool(self.validation) and self.state.growing and step > started and step % settings.validate_every == 0
+        if not (self.validation and self.state.growing and step % self.settings.validate_every == 0):
+            return False
+        return all(strategy.has_started(step) for strategy in self.state.strategies.values())
 
     def _growth_is_over(self, step: int) -> bool:
         """Whether density control adds nothing any more although nobody has stopped it."""
         state = self.state
         if not state.growing:
             return False
-        full = (strategy.is_full(state.gaussian_sets[name]) for name, strategy in state.strategies.items())
-        return step >= self.config.densification.stop_step or all(full)
+        return all(
+            strategy.has_ended(step) or strategy.is_full(state.gaussian_sets[name])
+            for name, strategy in state.strategies.items()
+        )
 
     @torch.no_grad()
     def _validate(self, step: int, sh_degree: int) -> None:

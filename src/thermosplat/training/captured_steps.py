@@ -74,12 +74,13 @@ class CapturedSteps:
             # also loads kernels, picks algorithms and makes the optimizers' state, none of which can be captured
             self._to_measure -= 1
             self._seen.add((shape, kind))
-            return self.step.update(frame, kind, self.step.gradients(frame, kind, fixed_capacity=False))
+            return self.step.update(kind, self.step.gradients(frame, kind, fixed_capacity=False))
         if (shape, kind) not in self._graphs:
             self._graphs[shape, kind] = self._capture(frame, shape, kind)
         captured = self._graphs[shape, kind]
         packed_memory(captured.frame).copy_(packed_memory(frame))
         captured.graph.replay()
+        self.step.state.step += 1
         return captured.values
 
     def forget(self) -> None:
@@ -103,8 +104,12 @@ class CapturedSteps:
         if self.step.state.noise.device.type == "cuda":
             # each replay then draws from where the step starts it
             graph.register_generator_state(self.step.state.noise)
-        with captured_in(graph, self._pool.id):
-            values = self.step.update(static, kind, self.step.gradients(static, kind, fixed_capacity=True))
+        done = self.step.state.step
+        try:
+            with captured_in(graph, self._pool.id):
+                values = self.step.update(kind, self.step.gradients(static, kind, fixed_capacity=True))
+        finally:
+            self.step.state.step = done  # what is captured is not done
         return _Captured(graph, static, values)
 
 

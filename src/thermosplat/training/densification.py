@@ -87,6 +87,15 @@ class DefaultStrategy:
             return False
         return self.config.enabled and self._schedule_step(step) < self.config.stop_step
 
+    def has_started(self, step: int) -> bool:
+        """Whether the set is old enough for refinements after this step."""
+        return self._schedule_step(step) >= self.config.start_step
+
+    def has_ended(self, step: int) -> bool:
+        """Whether no gradients count any more after this step."""
+        over = self.span is not None and step >= self.span.end
+        return over or not self.config.enabled or self._schedule_step(step) + 1 >= self.config.stop_step
+
     def refines_at(self, step: int) -> bool:
         """Whether Gaussians are added and removed at this step."""
         done = self._schedule_step(step)

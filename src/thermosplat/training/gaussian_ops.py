@@ -6,7 +6,7 @@ the new tensors and then puts them in place, so that running out of memory half-
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 import torch
@@ -33,6 +33,23 @@ def opacities_restored(gaussians: nn.Module) -> Iterator[None]:
         with torch.no_grad():
             for value, before in saved:
                 value.copy_(before)
+
+
+@contextmanager
+def kept_on_failure(parameters: Iterable[Tensor]) -> Iterator[None]:
+    """A block that may change parameters in place; where it does not come to its end they are as they were.
+
+    Args:
+        parameters: What to keep.
+    """
+    saved = [(value, value.detach().clone()) for value in parameters]
+    try:
+        yield
+    except BaseException:  # Ctrl-C too
+        with torch.no_grad():
+            for value, before in saved:
+                value.copy_(before)
+        raise
 
 
 @torch.no_grad()

@@ -92,6 +92,8 @@ class Trainer:
         self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device))
         self.captured: CapturedSteps | None = None
         on_cuda = self.device.type == "cuda"
+        if on_cuda:
+            torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
         if self.model.decoders is not None and (on_cuda or config.decoder_precision == "bfloat16"):
             fast = FastDecoders(
                 self.model.decoders, compiled=on_cuda and config.compile, precision=config.decoder_precision
@@ -166,9 +168,8 @@ class Trainer:
             with meanwhile(partial(self.checkpoints.write, *self._checkpoint())), meanwhile(self._exporting()):
                 metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
             state.seconds.wall = time.perf_counter() - started
-            finished = self._finish(metrics)
             write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
-            return finished
+            return self._finish(metrics)
         except KeyboardInterrupt:
             with deferred_interrupts(redeliver=False):
                 self._stop_if_not_finite()
@@ -195,11 +196,10 @@ class Trainer:
                 differentiated = self.device_step.gradients(frame, kind, fixed_capacity=False)
         with deferred_interrupts():  # from here on the step is done as a whole
             if self.captured is None:
-                values = self.device_step.update(frame, kind, differentiated)
+                values = self.device_step.update(kind, differentiated)
             else:
                 with self._first_step():
                     values = self.captured.run(frame, kind)
-            state.step = step
             if self._looks_at_guard(step):
                 self._stop_if_not_finite()
                 if self.captured is not None:

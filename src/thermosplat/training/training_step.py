@@ -28,7 +28,7 @@ from thermosplat.training.training_state import TrainingState
 
 @dataclass(frozen=True)
 class StepValues:
-    """What a step says of itself, on the device."""
+    """What a step says of itself, on the device; of a captured step, until the next one overwrites it."""
 
     losses: dict[str, Tensor]
     """Weighted loss terms by name."""
@@ -133,12 +133,13 @@ class TrainingStep:
         self.guard.observe(state.step_on_device, losses, state.gradients_to_watch())
         return _Differentiated(rendered, losses, compared.squared_errors)
 
-    def update(self, frame: FrameTensors, kind: StepKind, done: "_Differentiated") -> StepValues:
+    def update(self, kind: StepKind, done: "_Differentiated") -> StepValues:
         """Improve Gaussians and decoders by the gradients, except where something was not finite or did not fit.
 
+        The step counts as done as soon as they are, whatever becomes of the rest.
+
         Args:
-            frame: The frame.
-            kind: What is done with it.
+            kind: What is done with the frame.
             done: What :meth:`gradients` returned.
         """
         config, state = self.config, self.state
@@ -147,6 +148,7 @@ class TrainingStep:
             for gaussians in state.gaussian_sets.values():
                 hold_zeros(gaussians)
         step_unless(blocked, state.optimizers)
+        state.step += 1
         for name, strategy in state.strategies.items():
             if strategy.moves_gaussians and state.gaussian_sets[name].means.grad is not None:
                 strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
