@@ -30,9 +30,10 @@ def ssim_map(render: Tensor, target: Tensor) -> Tensor:
 
     Channels are independent: stacking the channels of several images changes no value.
 
-    Convention: borders are reflected, as in kornia and torchmetrics (and so in gsplat's trainer). The SSIM of the 3DGS
-    code, ThermalGaussian and MMOne pads with zeros instead, which differs within 5 px of the border only: 0.9453 where
-    this gives 0.9488 on one 64 px image, less on larger ones.
+    Convention: borders are reflected, as in kornia and torchmetrics 1.9, with which gsplat's trainer evaluates. Its
+    training loss (fused-ssim, padding="valid") and torchmetrics up to 1.0 use only windows that lie inside the image.
+    The 3DGS code, ThermalGaussian and MMOne pad with zeros. All differ within 5 px of the border only: padded with
+    zeros, one 64 px image has 0.9453 where this gives 0.9488; larger images differ less.
 
     Args:
         render: Image, channels first, shape [C, H, W], H and W > 5; not clamped.
