@@ -32,6 +32,15 @@ def test_one_version_everywhere() -> None:
     assert f'date-released: "{releases[0][1]}"' in citation
 
 
+def test_one_range_of_python_versions_everywhere() -> None:
+    """pyproject.toml installs on the versions that its classifiers, the README and continuous integration name."""
+    classified = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if "Python :: 3." in line]
+    first, last = classified[0], classified[-1]
+    assert PROJECT["requires-python"] == f">={first},<3.{int(last.removeprefix('3.')) + 1}"
+    for name in ("README.md", ".ci/run"):
+        assert f"Python {' or '.join(classified)}" in (REPOSITORY / name).read_text(encoding="utf-8")
+
+
 def test_the_commands_are_installed() -> None:
     """Every script of pyproject.toml is an entry point of the installed package and can be loaded."""
     try:

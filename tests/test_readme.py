@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from thermosplat.cli import train
 from thermosplat.cli.benchmark import BenchmarkArguments
 from thermosplat.cli.evaluate import EvalArguments
 from thermosplat.cli.export import ExportArguments
@@ -30,7 +31,16 @@ def python_examples() -> list[tuple[str, str]]:
     ]
 
 
-@pytest.mark.parametrize(("document", "code"), python_examples(), ids=[name for name, _ in python_examples()])
+def _standalone(examples: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Those that need no trained scene."""
+    return [(name, code) for name, code in examples if "load_run(" not in code]
+
+
+@pytest.mark.parametrize(
+    ("document", "code"),
+    _standalone(python_examples()),
+    ids=[name for name, _ in _standalone(python_examples())],
+)
 def test_the_examples_run(document: str, code: str) -> None:
     """An example runs as it stands, in a process of its own."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -39,11 +49,25 @@ def test_the_examples_run(document: str, code: str) -> None:
 
 def test_the_readme_has_the_example_of_the_renderer() -> None:
     """Ten lines that give an image and a gradient."""
-    (example,) = [code for name, code in python_examples() if name == "README.md"]
+    (example,) = [code for name, code in _standalone(python_examples()) if name == "README.md"]
     names: dict[str, object] = {}
     exec(example, names)
     assert names["image"].shape == (1, 240, 320, 3)  # type: ignore[attr-defined]
     assert names["means"].grad.abs().sum() > 0  # type: ignore[attr-defined]
+
+
+def test_the_readme_has_the_example_of_a_trained_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the result folder of `thermosplat-train sample` to images of both spectra; here after one small step."""
+    (example,) = [code for name, code in python_examples() if name == "README.md" and "load_run(" in code]
+    monkeypatch.chdir(tmp_path)
+    quick = ["--data-factor", "4", "--max-steps", "1", "--device", "cpu", "--no-tensorboard"]
+    assert train.main(["sample", *quick]) == 0  # its default folder is the one the example names
+    names: dict[str, object] = {}
+    exec(example, names)
+    for image in (names["rgb"], names["thermal"]):
+        assert image.shape == (38, 50, 3)  # type: ignore[attr-defined]
+        assert image.isfinite().all()  # type: ignore[attr-defined]
+        assert not image.requires_grad  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=[path.name for path in DOCUMENTS])
