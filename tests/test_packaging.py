@@ -41,6 +41,17 @@ def test_one_range_of_python_versions_everywhere() -> None:
         assert f"Python {' or '.join(classified)}" in (REPOSITORY / name).read_text(encoding="utf-8")
 
 
+def test_public_names_are_listed_before_they_are_loaded() -> None:
+    """`dir(thermosplat)` has the lazy names too, without loading torch; each of them can be imported."""
+    code = "import sys, thermosplat; print(*dir(thermosplat)); assert 'torch' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert {"PairCapacity", "RGBTRender", "rasterization", "rasterization_rgbt"} <= set(thermosplat.__all__)
+    assert set(thermosplat.__all__) <= set(done.stdout.split())
+    assert all(getattr(thermosplat, name) is not None for name in thermosplat.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'splat'"):
+        thermosplat.splat  # noqa: B018
+
+
 def test_the_commands_are_installed() -> None:
     """Every script of pyproject.toml is an entry point of the installed package and can be loaded."""
     try:

@@ -23,8 +23,7 @@ class ThermalConfig:
     """Temperatures [°C] that the palette's ends, or normalised values 0 and 1, stand for. None: from the capture."""
     palette: str | None = None
     """File with the palette of pseudo-coloured images (JSON {"lut": [[r, g, b], ...]} or CSV of r,g,b rows, 0-255).
-    None: the capture's ironbow_lut.json, else the palette stored in the first thermal image (a FLIR JPEG), else FLIR
-    Iron."""
+    None: the capture's ironbow_lut.json, else the palette stored in the first thermal image by FLIR, else FLIR Iron."""
     aligned: bool = False
     """Thermal images are registered to the RGB views although their size or folder does not say so."""
 

@@ -9,6 +9,10 @@ class UserError(ValueError):
     Args:
         message: One sentence or two: what was expected, what was found, where.
         hint: What to do about it, preferably the very command or flag.
+
+    Attributes:
+        message: As given; ``str(error)`` is message and hint together.
+        hint: As given, "" where there is none.
     """
 
     def __init__(self, message: str, hint: str = "") -> None:

@@ -36,11 +36,12 @@ class PairCapacity:
     can be captured with ``torch.cuda.graph`` or ``torch.cuda.make_graphed_callables``. Measure on the views that will
     be rendered, forward and backward, with the options of later: that also compiles and loads the kernels, which cannot
     be captured. Pairs that find no room, most of them of the farthest Gaussians, are not drawn and get no gradient;
-    ``overflow`` and :meth:`check` tell.
+    ``overflow`` and :meth:`check` tell. A step may have up to ``CALLS`` = 8 rasterizations; one more raises a
+    ``UserError`` (several cameras in one call count as one).
 
     Args:
         device: Where the renderer runs.
-        spare: Room over the most pairs seen, as a factor; what is not used costs memory and sorting.
+        spare: Room over the most pairs seen, as a factor, 1.5 by default; what is not used costs memory and sorting.
 
     Attributes:
         most: int64 [CALLS], most pairs of each call of a step so far.

@@ -85,9 +85,10 @@ def rasterization(
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Renders Gaussians with any number of channels; gsplat 1.5.3's ``rasterization`` in signature and meaning.
 
-    Differentiable in means, quats, scales, opacities, colors, covars, viewmats, backgrounds and (unlike gsplat) Ks.
-    Runs on the CPU and on CUDA, in float32 or float64. A Gaussian with anything non-finite is invisible and counted in
-    ``info["num_nonfinite"]``.
+    Differentiable, once, in means, quats, scales, opacities, colors, covars, viewmats, backgrounds and (unlike gsplat)
+    Ks: for second derivatives torch raises, or, of a loss linear in the image, takes gradients for constants. Runs on
+    the CPU and on CUDA, in float32 or float64: all tensors have the dtype and device of ``means``. A Gaussian with
+    anything non-finite is invisible and counted in ``info["num_nonfinite"]``.
 
     Args:
         means: Centres, [..., N, 3], world units.
@@ -132,8 +133,14 @@ def rasterization(
 
     Returns:
         ``(render_colors, render_alphas, info)``: images [..., C, H, W, X] with X = D, 1 or D + 1; accumulated
-        opacities [..., C, H, W, 1]; gsplat's dictionary of intermediate results, and in it ``num_nonfinite``, the
-        number of Gaussians with a NaN or an infinity in an input, which is counted when it is read.
+        opacities [..., C, H, W, 1]; gsplat's dictionary, parts of which are computed when they are read. Its keys:
+
+        - means2d [..., C, N, 2] px, radii int32 [..., C, N, 2] px (0: not drawn), depths [..., C, N] world units,
+          conics [..., C, N, 3] 1/px², opacities [..., C, N] as drawn, tiles_per_gauss int32 [..., C, N];
+        - of the (Gaussian, tile) pairs, sorted: flatten_ids int32 [pairs], isect_ids int64 [pairs], and isect_offsets
+          int32 [..., C, tile_height, tile_width], the first pair of each tile;
+        - numbers: width, height, tile_size, tile_width, tile_height, n_batches, n_cameras, and num_nonfinite, the
+          Gaussians with a NaN or an infinity in an input; None: batch_ids, camera_ids, gaussian_ids.
 
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
@@ -219,7 +226,7 @@ def rasterization_rgbt(
     scales: Tensor,  # [..., N, 3]
     opacities: Tensor,  # [..., N]
     thermal_opacities: Tensor | None,  # [..., N]
-    colors: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, 3] or [..., (C,) N, K, 3]
+    colors: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, D] or [..., (C,) N, K, 3]
     features: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, d] or [..., (C,) N, K, 3]
     viewmats: Tensor,  # [..., C, 4, 4]
     Ks: Tensor,  # [..., C, 3, 3]
@@ -233,7 +240,7 @@ def rasterization_rgbt(
     sh_degree: int | None = None,
     features_sh_degree: int | None = None,
     tile_size: int = 16,
-    backgrounds: Tensor | None = None,  # [..., C, 3]
+    backgrounds: Tensor | None = None,  # [..., C, D]
     absgrad: bool = False,
     rasterize_mode: RasterizeMode = "classic",
     camera_model: CameraModel = "pinhole",
@@ -241,13 +248,13 @@ def rasterization_rgbt(
 ) -> RGBTRender:
     """Renders colours and features at one opacity and the same features at another, in one traversal.
 
-    ThermoSplat's two rasterization passes (method equations 1 and 2): equal to ``rasterization`` of colours and
-    features at ``opacities`` and of features at ``thermal_opacities``, with one projection and one sorted list.
+    ThermoSplat's two rasterization passes (docs/method.md, equations 1 and 2): equal to ``rasterization`` of colours
+    and features at ``opacities`` and of features at ``thermal_opacities``, with one projection and one sorted list.
 
     Args:
         means: Centres, [..., N, 3], world units.
-        quats: Rotations (w, x, y, z) of any length, [..., N, 4].
-        scales: Standard deviations, [..., N, 3], world units.
+        quats: Rotations (w, x, y, z) of any length, [..., N, 4]; required, as there are no ``covars`` here.
+        scales: Standard deviations, [..., N, 3], world units; required likewise.
         opacities: Visible opacities α in [0, 1], [..., N].
         thermal_opacities: Thermal opacities α_t in [0, 1], [..., N]. None: only the visible pass is rendered.
         colors: As in ``rasterization``; with ``sh_degree``, SH coefficients.
@@ -264,7 +271,7 @@ def rasterization_rgbt(
         sh_degree: As in ``rasterization``.
         features_sh_degree: As ``sh_degree``, for ``features``.
         tile_size: As in ``rasterization``.
-        backgrounds: Colours behind ``colors`` only, [..., C, D].
+        backgrounds: Colours behind ``colors`` only, [..., C, D] (D = 3 with ``sh_degree``).
         absgrad: As in ``rasterization``; both passes' per-pixel gradients are summed before the absolute value.
         rasterize_mode: As in ``rasterization``.
         camera_model: As in ``rasterization``.
@@ -275,6 +282,18 @@ def rasterization_rgbt(
 
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
+
+    Example:
+        >>> import torch
+        >>> from thermosplat import rasterization_rgbt
+        >>> n = 100
+        >>> frame = rasterization_rgbt(
+        ...     torch.randn(n, 3), torch.randn(n, 4), 0.1 * torch.rand(n, 3), opacities=torch.rand(n),
+        ...     thermal_opacities=torch.rand(n), colors=torch.rand(n, 3), features=torch.rand(n, 8),
+        ...     viewmats=torch.eye(4)[None], Ks=torch.tensor([[[300.0, 0, 150], [0, 300, 100], [0, 0, 1]]]),
+        ...     width=300, height=200)
+        >>> frame.render_colors.shape, frame.render_thermal_features.shape
+        (torch.Size([1, 200, 300, 3]), torch.Size([1, 200, 300, 8]))
     """
     settings = checked_settings(
         means,
