@@ -111,16 +111,36 @@ def test_faint_in_one_spectrum_goes_unless_clear_in_the_other() -> None:
     torch.testing.assert_close(opacities(gaussians), torch.tensor([[OFF, 0.9], [0.3, 0.3], [0.9, OFF]]))
 
 
-def test_divided_gaussians_are_spared_once() -> None:
-    """Just divided they may be faint in either spectrum; at the next refinement they must have become clear in one."""
-    gaussians = two_opacity_gaussians([0.3, 0.3], [0.3, 0.3])
+@pytest.mark.parametrize("log_scale", [-6.0, -2.0])
+def test_divided_gaussians_are_spared_once(log_scale: float) -> None:
+    """Just divided they may be faint in either spectrum; at the next refinement they must have become clear in one.
+
+    Meanwhile the first Gaussian is cloned or, large, replaced by its halves, which moves nobody's sparing to another.
+    """
+    gaussians = two_opacity_gaussians([0.3, 0.3, 0.004], [0.3, 0.3, 0.3])
+    with torch.no_grad():
+        gaussians.log_scales[0] = log_scale
     strategy, optimizers = strategy_of(gaussians)
-    growing = [9e-4, 0.0]  # the second grows meanwhile, which moves nobody's sparing to another
-    strategy.observe([info("rgb", [[5e-4, 0.0], growing]), info("thermal", [[0.0, 5e-4], growing])], FINE)
+    growing, calm = [9e-4, 0.0], [0.0, 0.0]
+    strategy.observe([info("rgb", [growing, [5e-4, 0.0], calm]), info("thermal", [growing, [0.0, 5e-4], calm])], FINE)
     refine(strategy, gaussians, optimizers)
     assert sorted(opacities(gaussians).amin(dim=-1).tolist()) == pytest.approx([OFF, OFF, 0.3, 0.3])
     refine(strategy, gaussians, optimizers)
     torch.testing.assert_close(opacities(gaussians), torch.full((2, 2), 0.3))
+
+
+def test_refinement_after_growth_has_stopped() -> None:
+    """``--budget auto`` ends growth: nothing is divided any more, and what was divided is spared no longer."""
+    gaussians = two_opacity_gaussians([0.3, 0.3, 0.004], [0.3, 0.3, 0.3])
+    strategy, optimizers = strategy_of(gaussians)
+    calm = [0.0, 0.0]
+    strategy.observe([info("rgb", [[5e-4, 0.0], calm, calm]), info("thermal", [[0.0, 5e-4], calm, calm])], FINE)
+    refine(strategy, gaussians, optimizers)
+    assert len(gaussians) == 3  # the first twice, and the second
+    strategy.growing = False
+    strategy.observe([info("rgb", [calm, [5e-4, 0.0], calm]), info("thermal", [calm, [0.0, 5e-4], calm])], FINE)
+    refine(strategy, gaussians, optimizers)
+    torch.testing.assert_close(opacities(gaussians), torch.full((1, 2), 0.3))
 
 
 def test_state_survives_a_checkpoint() -> None:

@@ -40,8 +40,9 @@ def test_growth_appends_copies_and_replaces_others_by_two_smaller_ones() -> None
     optimizers = stepped_optimizers(gaussians)
     before = _snapshot(gaussians, optimizers)
     cloned, halved = torch.tensor([False, True, False, False, False]), torch.tensor([True, False, False, True, False])
-    grow(gaussians, optimizers, cloned, halved, torch.Generator().manual_seed(0))
+    rows = grow(gaussians, optimizers, cloned, halved, torch.Generator().manual_seed(0))
     assert len(gaussians) == 3 + 1 + 2 * 2
+    assert rows.tolist() == [1, 2, 4, 1, 0, 3, 0, 3]
     for name, now in _snapshot(gaussians, optimizers).items():
         assert torch.equal(now["value"][:3], before[name]["value"][~halved]), name
         assert torch.equal(now["exp_avg"][:3], before[name]["exp_avg"][~halved]), name

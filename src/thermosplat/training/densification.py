@@ -208,7 +208,7 @@ class DefaultStrategy:
         cloned, halved = self._growing(gaussians)
         num_cloned, num_halved = torch.stack([cloned.sum(), halved.sum()]).tolist()
         if num_cloned or num_halved:
-            grow(gaussians, optimizers, cloned, halved, generator)
+            self._follow(grow(gaussians, optimizers, cloned, halved, generator))
         return num_cloned, num_halved
 
     def _growing(self, gaussians: Gaussians) -> tuple[Tensor, Tensor]:
@@ -219,6 +219,9 @@ class DefaultStrategy:
             grows &= _largest(gradient, self.config.max_gaussians - len(gaussians))
         is_small = gaussians.scales.amax(dim=-1) <= self.config.grow_scale3d * self.scene_extent
         return grows & is_small, grows & ~is_small
+
+    def _follow(self, rows: Tensor) -> None:
+        """Growth made Gaussian k a copy of the one that was ``rows[k]``: nothing is kept here that has to follow."""
 
     @torch.no_grad()
     def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:

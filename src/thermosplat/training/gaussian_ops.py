@@ -95,7 +95,7 @@ def clear_moments(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
 @torch.no_grad()
 def grow(
     gaussians: nn.Module, optimizers: Optimizers, cloned: Tensor, halved: Tensor, generator: torch.Generator
-) -> None:
+) -> Tensor:
     """Append copies of some Gaussians, and replace others by two smaller ones drawn from their distribution. 3DGS.
 
     Args:
@@ -104,6 +104,9 @@ def grow(
         cloned: Boolean, shape [N].
         halved: Boolean, shape [N].
         generator: Draws the new means; a CPU generator, so that every device draws the same.
+
+    Returns:
+        For each Gaussian there is now, which of the former ones it comes from, int64.
     """
     parameters = dict(gaussians.named_parameters())
     copies, indices = torch.where(cloned)[0], torch.where(halved)[0]  # every selection by a mask waits for the device
@@ -117,6 +120,7 @@ def grow(
     parameters, first_half = dict(gaussians.named_parameters()), len(rows) - 2 * len(indices)
     parameters["means"][first_half:] += samples.reshape(-1, 3)
     parameters["log_scales"][first_half:] -= math.log(SPLIT_SCALE)
+    return rows
 
 
 @torch.no_grad()
