@@ -10,7 +10,7 @@ from thermosplat.config import DensificationConfig, OptimizerConfig
 from thermosplat.gaussians import Gaussians
 from thermosplat.training.decomposition import DecomposingStrategy
 from thermosplat.training.gaussian_ops import Optimizers
-from thermosplat.training.optimizers import gaussian_optimizers
+from thermosplat.training.optimizers import gaussian_optimizers, set_learning_rates
 
 OFF = 0.003
 FINE = torch.zeros(())
@@ -141,6 +141,34 @@ def test_refinement_after_growth_has_stopped() -> None:
     strategy.observe([info("rgb", [calm, [5e-4, 0.0], calm]), info("thermal", [calm, [0.0, 5e-4], calm])], FINE)
     refine(strategy, gaussians, optimizers)
     torch.testing.assert_close(opacities(gaussians), torch.full((1, 2), 0.3))
+
+
+def test_switched_off_stays_off() -> None:
+    """Adam's momentum from before brings no Gaussian back into a spectrum: not a divided one, not one that faded."""
+    gaussians = two_opacity_gaussians([0.6, 0.004], [0.8, 0.9])
+    strategy, optimizers = strategy_of(gaussians)
+    set_learning_rates(optimizers, OptimizerConfig(), 0.0, 1.0)
+    names = ("logit_opacities", "logit_thermal_opacities")
+    before = {name: gaussians.get_parameter(name).detach().clone() for name in names}
+
+    def advance(gradient: float) -> None:
+        for name in names:
+            parameter = gaussians.get_parameter(name)
+            parameter.grad = torch.full_like(parameter, gradient)
+            optimizers[name].step()
+
+    for _ in range(30):
+        advance(-1.0)  # both opacities rise
+    for name in names:
+        gaussians.get_parameter(name).data.copy_(before[name])
+    strategy.observe([info("rgb", [[5e-4, 0.0], [0.0, 0.0]]), info("thermal", [[0.0, 5e-4], [0.0, 0.0]])], FINE)
+    refine(strategy, gaussians, optimizers)
+    switched_off = torch.tensor([[False, True], [True, False], [True, False]])
+    assert torch.equal(opacities(gaussians) < 1 / 255, switched_off)
+    for _ in range(100):
+        advance(0.0)  # nobody sees what is off
+    torch.testing.assert_close(opacities(gaussians)[switched_off], torch.full((3,), OFF))
+    assert opacities(gaussians)[0, 0] > 0.65  # others go on
 
 
 def test_state_survives_a_checkpoint() -> None:

@@ -6,7 +6,7 @@ from random_gaussians import random_gaussians, stepped_optimizers
 
 from thermosplat.gaussians import Gaussians
 from thermosplat.training import gaussian_ops
-from thermosplat.training.gaussian_ops import Optimizers, clone, grow, prune, reset_opacities
+from thermosplat.training.gaussian_ops import Optimizers, clear_moments, clone, grow, prune, reset_opacities
 
 
 def _snapshot(gaussians: Gaussians, optimizers: Optimizers) -> dict[str, dict[str, torch.Tensor]]:
@@ -93,6 +93,23 @@ def test_prune_removes_parameters_and_moments() -> None:
     for name, now in _snapshot(gaussians, optimizers).items():
         for key in ("value", "exp_avg", "exp_avg_sq"):
             assert torch.equal(now[key], before[name][key][~removed]), name
+
+
+@pytest.mark.parametrize("which", [torch.tensor([1, 3]), torch.tensor([False, True, False, True, False])])
+@pytest.mark.parametrize("names", [None, ("logit_opacities",)])
+def test_moments_of_some_are_cleared(which: torch.Tensor, names: tuple[str, ...] | None) -> None:
+    """Adam forgets the named Gaussians, in all parameters or in the named ones alone; the parameters stay."""
+    gaussians = random_gaussians(5)
+    optimizers = stepped_optimizers(gaussians)
+    before = _snapshot(gaussians, optimizers)
+    clear_moments(gaussians, optimizers, which, names)
+    for name, now in _snapshot(gaussians, optimizers).items():
+        assert torch.equal(now["value"], before[name]["value"]), name
+        for key in ("exp_avg", "exp_avg_sq"):
+            expected = before[name][key]
+            if names is None or name in names:
+                expected[[1, 3]] = 0.0
+            assert torch.equal(now[key], expected), name
 
 
 def test_reset_lowers_both_opacities() -> None:

@@ -2,7 +2,8 @@
 
 A Gaussian that both spectra see has two gradients of means2d. Where their means over the views since the last
 refinement differ by more than a threshold, the Gaussian becomes two at the same place: one that only RGB sees and one
-that only thermal sees. Not seen means an opacity below 1/255, which the renderer skips, so it stays that way.
+that only thermal sees. Not seen means an opacity below 1/255, which the renderer skips, so that it gets no gradient and
+stays that way.
 """
 
 import math
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from thermosplat.gaussians import Gaussians
 from thermosplat.training.densification import DefaultStrategy
-from thermosplat.training.gaussian_ops import Optimizers, clone
+from thermosplat.training.gaussian_ops import Optimizers, clear_moments, clone
 
 VISIBLE_OPACITY = 1.0 / 255.0
 """Opacity from which on the renderer draws a Gaussian. MMOne takes 1/256."""
@@ -76,8 +77,8 @@ class DecomposingStrategy(DefaultStrategy):
         clone(gaussians, optimizers, divided)
         copies = divided.new_ones(len(gaussians) - len(divided))
         first, second = torch.cat([divided, ~copies]), torch.cat([torch.zeros_like(divided), copies])
-        self._switch_off(gaussians, "logit_thermal_opacities", first)
-        self._switch_off(gaussians, "logit_opacities", second)
+        self._switch_off(gaussians, optimizers, "logit_thermal_opacities", first)
+        self._switch_off(gaussians, optimizers, "logit_opacities", second)
         none = self.grad_norm_sum.new_zeros(len(copies))
         self.grad_norm_sum = torch.cat([self.grad_norm_sum.masked_fill(divided, 0.0), none])
         self.observations = torch.cat([self.observations, none])
@@ -99,8 +100,8 @@ class DecomposingStrategy(DefaultStrategy):
         """As ``DefaultStrategy``'s; what stays although it is faint in one spectrum is switched off there."""
         pruned = super()._prune(gaussians, optimizers, step)
         (faint_rgb, faint_thermal), clear = self._faint(gaussians), self._clear(gaussians)
-        self._switch_off(gaussians, "logit_opacities", faint_rgb & clear)
-        self._switch_off(gaussians, "logit_thermal_opacities", faint_thermal & clear)
+        self._switch_off(gaussians, optimizers, "logit_opacities", faint_rgb & clear)
+        self._switch_off(gaussians, optimizers, "logit_thermal_opacities", faint_thermal & clear)
         return pruned
 
     def _removed(self, gaussians: Gaussians, step: int) -> Tensor:
@@ -118,10 +119,13 @@ class DecomposingStrategy(DefaultStrategy):
         """Mask of the Gaussians that a spectrum sees clearly, [N]."""
         return torch.maximum(gaussians.opacities, gaussians.thermal_opacities) > self.config.keep_opacity
 
-    def _switch_off(self, gaussians: Gaussians, name: str, selected: Tensor) -> None:
+    def _switch_off(self, gaussians: Gaussians, optimizers: Optimizers, name: str, selected: Tensor) -> None:
         """Let a spectrum see Gaussians, mask [N], no more. ``name`` is that of its opacity."""
         off = self.config.off_opacity
         gaussians.get_parameter(name)[selected] = math.log(off / (1.0 - off))
+        # Momentum goes on without gradients and would bring some back: after steady ones it makes nine more steps of
+        # the rate, which at MMOne's 0.05 is 0.45 in the logit, and from 0.003 to 1/255 it is 0.27.
+        clear_moments(gaussians, optimizers, selected, (name,))
 
     def forget(self, num_gaussians: int) -> None:
         """Start the sums again, for this many Gaussians."""

@@ -6,7 +6,7 @@ the new tensors and then puts them in place, so that running out of memory half-
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 
 import torch
@@ -78,15 +78,20 @@ def append_copies(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
 
 
 @torch.no_grad()
-def clear_moments(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor) -> None:
+def clear_moments(
+    gaussians: nn.Module, optimizers: Optimizers, indices: Tensor, names: Collection[str] | None = None
+) -> None:
     """Let Adam forget what it knows of some Gaussians.
 
     Args:
         gaussians: The Gaussians.
         optimizers: Their optimizers.
-        indices: int64, shape [n].
+        indices: Which, int64, shape [n], or boolean, shape [N].
+        names: Of these parameters alone. None: of all.
     """
     for name, parameter in gaussians.named_parameters():
+        if names is not None and name not in names:
+            continue
         for key, moment in optimizers[name].state.get(parameter, {}).items():
             if key != "step":
                 moment[indices] = 0.0
