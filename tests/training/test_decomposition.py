@@ -171,6 +171,20 @@ def test_switched_off_stays_off() -> None:
     assert opacities(gaussians)[0, 0] > 0.65  # others go on
 
 
+@pytest.mark.parametrize(("cap", "divided"), [(3, []), (4, []), (6, [1, 3]), (7, [1, 2, 3]), (None, [0, 1, 2, 3])])
+def test_cap_lets_the_farthest_apart_be_divided(cap: int | None, divided: list[int]) -> None:
+    """Close to the cap those are divided that are pulled apart most, up to the cap exactly; the others stay as is."""
+    gaussians = two_opacity_gaussians([0.3] * 4, [0.4] * 4)
+    strategy, optimizers = strategy_of(gaussians, max_gaussians=cap)
+    strengths = (5e-4, 8e-4, 6e-4, 7e-4)
+    infos = [info("rgb", [[s, 0.0] for s in strengths]), info("thermal", [[0.0, s] for s in strengths])]
+    strategy.observe(infos, FINE)
+    refine(strategy, gaussians, optimizers)
+    assert len(gaussians) == 4 + len(divided)
+    assert torch.where(gaussians.thermal_opacities < 1 / 255)[0].tolist() == divided
+    assert torch.where(gaussians.opacities < 1 / 255)[0].tolist() == list(range(4, len(gaussians)))
+
+
 def test_state_survives_a_checkpoint() -> None:
     """The sums go into a checkpoint and come back."""
     gaussians = two_opacity_gaussians([0.6], [0.8])

@@ -3,7 +3,7 @@
 A Gaussian that both spectra see has two gradients of means2d. Where their means over the views since the last
 refinement differ by more than a threshold, the Gaussian becomes two at the same place: one that only RGB sees and one
 that only thermal sees. Not seen means an opacity below 1/255, which the renderer skips, so that it gets no gradient and
-stays that way.
+stays that way. ``max_gaussians`` caps division as it does growth, which gets what room is left.
 """
 
 import math
@@ -88,12 +88,13 @@ class DecomposingStrategy(DefaultStrategy):
         self._spared = self._spared[rows]
 
     def _conflicting(self, gaussians: Gaussians) -> Tensor:
-        """Mask of the Gaussians that both spectra see and pull apart, shape [N]."""
+        """Mask of the Gaussians that both spectra see and pull apart; where room is scarce, the farthest. Shape [N]."""
         views = self.observations.clamp(min=1.0)
         apart = (self.gradient_sums[0] - self.gradient_sums[1]).norm(dim=-1) / views
         fainter = torch.minimum(gaussians.opacities, gaussians.thermal_opacities)
         threshold = self.config.decompose_threshold or 0.0
-        return (apart >= threshold) & (self.grad_norm_sum / views >= threshold) & (fainter > VISIBLE_OPACITY)
+        pulled = (apart >= threshold) & (self.grad_norm_sum / views >= threshold)
+        return self._within_cap(pulled & (fainter > VISIBLE_OPACITY), apart)
 
     @torch.no_grad()
     def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:
