@@ -1,16 +1,23 @@
 """Gaussians that the spectra pull apart are divided between them."""
 
+import dataclasses
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
+from toy_run import toy_run_config, toy_trainer
 
 from thermosplat.config import DensificationConfig, OptimizerConfig
 from thermosplat.gaussians import Gaussians
+from thermosplat.run_directory import RunDirectory
 from thermosplat.training.decomposition import DecomposingStrategy
+from thermosplat.training.densification import DefaultStrategy
 from thermosplat.training.gaussian_ops import Optimizers
 from thermosplat.training.optimizers import gaussian_optimizers, set_learning_rates
+from thermosplat.training.trainer import Trainer
+from toy_scene import toy_capture
 
 OFF = 0.003
 FINE = torch.zeros(())
@@ -194,3 +201,33 @@ def test_state_survives_a_checkpoint() -> None:
     other.load_state_dict(strategy.state_dict())
     assert torch.equal(other.gradient_sums, strategy.gradient_sums)
     assert other._conflicting(gaussians).tolist() == [True]
+
+
+def test_state_of_a_strategy_that_did_not_divide() -> None:
+    """Its sums come back; gradients by spectrum, which it did not note, start at zero, for as many Gaussians."""
+    gaussians = two_opacity_gaussians([0.6], [0.8])
+    plain = DefaultStrategy(DensificationConfig(), 3.0, len(gaussians), "cpu")
+    plain.grad_norm_sum += 5e-4
+    plain.observations += 1.0
+    strategy, _ = strategy_of(gaussians)
+    strategy.gradient_sums += 1.0
+    strategy.load_state_dict(plain.state_dict())
+    assert strategy.grad_norm_sum.tolist() == plain.grad_norm_sum.tolist()
+    assert strategy.gradient_sums.tolist() == [[[0.0, 0.0]], [[0.0, 0.0]]]
+    assert strategy._conflicting(gaussians).tolist() == [False]
+
+
+def test_resumed_run_may_begin_to_divide(tmp_path: Path) -> None:
+    """A run without decomposition goes on with it, as every setting of densification may change on --resume."""
+    config = toy_run_config(12, model={"thermal_opacity": "own"})
+    first = toy_trainer(tmp_path, config, toy_capture())
+    while first.step < 5:
+        first._train_step()
+    first._save()
+    densification = dataclasses.replace(config.densification, decompose_threshold=1e-6)
+    changed = dataclasses.replace(config, densification=densification)
+    resumed = Trainer.resume(changed, toy_capture(), RunDirectory.open(tmp_path))
+    while resumed.step < 7:  # to the next refinement
+        resumed._train_step()
+    (gaussians,) = resumed.state.gaussian_sets.values()
+    assert (gaussians.thermal_opacities < 1 / 255).any()

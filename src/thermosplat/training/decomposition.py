@@ -142,6 +142,6 @@ class DecomposingStrategy(DefaultStrategy):
         return super().state_dict() | {"gradient_sums": self.gradient_sums}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Go on from a checkpoint's state."""
+        """Go on from a checkpoint's state; gradients by spectrum start at zero where its strategy did not note them."""
         super().load_state_dict(state)
-        self.gradient_sums = state["gradient_sums"].to(self.gradient_sums)
+        self.gradient_sums = state.get("gradient_sums", self._no_gradients()).to(self.gradient_sums)
