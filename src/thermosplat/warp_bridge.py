@@ -151,10 +151,3 @@ def kept(ctx: Any) -> tuple[Any, ...]:
         if tensor is not None and tensor.data_ptr() != array.ptr:
             array.place(tensor.data_ptr())
     return tensors
-
-
-def to_torch(array: Any) -> Tensor:
-    """A torch tensor on a Warp array's memory, which it keeps alive."""
-    if isinstance(array, ArrayView):
-        return array.owner
-    return wp.to_torch(array, requires_grad=False)
