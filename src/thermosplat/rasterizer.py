@@ -16,7 +16,9 @@ from thermosplat.rasterization_arguments import (
     CameraModel,
     RasterizeMode,
     RenderMode,
+    as_whole,
     check_backgrounds,
+    check_choice,
     check_colors,
     check_shape,
     checked_settings,
@@ -163,6 +165,7 @@ def rasterization(
         rolling_shutter=rolling_shutter,
         viewmats_rs=viewmats_rs,
     )
+    tile_size, sh_degree, channel_chunk = as_whole(tile_size), as_whole(sh_degree), as_whole(channel_chunk)
     settings = checked_settings(
         means,
         quats,
@@ -183,8 +186,8 @@ def rasterization(
         rasterize_mode=rasterize_mode,
         camera_model=camera_model,
     )
-    if channel_chunk < 1:
-        raise UserError(f"channel_chunk must be at least 1, got {channel_chunk}.")
+    if type(channel_chunk) is not int or channel_chunk < 1:
+        raise UserError(f"channel_chunk must be at least 1, and whole, got {channel_chunk!r}.")
     per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
     drawn = [Drawn(colors, sh_degree, per_camera)] if "RGB" in render_mode else []
@@ -276,6 +279,8 @@ def rasterization_rgbt(
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
     """
+    tile_size, sh_degree, features_sh_degree = as_whole(tile_size), as_whole(sh_degree), as_whole(features_sh_degree)
+    check_choice("features_sh_degree", features_sh_degree)
     settings = checked_settings(
         means,
         quats,
