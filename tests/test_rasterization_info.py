@@ -195,3 +195,14 @@ def test_conics_are_differentiable() -> None:
     for one, other in zip(*found, strict=True):
         assert other.norm() > 0
         assert relative_error(one, other) < 1e-11
+
+
+@pytest.mark.parametrize("name", ["viewmats", "Ks"])
+def test_cameras_that_are_not_finite(name: str) -> None:
+    """Nothing is drawn before such a camera, and the count tells: all Gaussians of the scene."""
+    scene = leaves(random_scene(n=20), "cpu", torch.float32)
+    broken = scene[name].detach().clone()
+    broken[..., 0, 0] = torch.nan
+    _, alphas, info = rasterization(**scene | {name: broken})
+    assert not alphas.any()
+    assert info["num_nonfinite"] == 20

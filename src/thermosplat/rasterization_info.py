@@ -90,12 +90,17 @@ class RasterizationInfo(dict[str, Any]):
             self[key]
 
 
-def num_nonfinite(inputs: Iterable[tuple[Tensor, int]], scenes: int, num_gaussians: int) -> int:
-    """Number of Gaussians, over all scenes, with a NaN or an infinity in any input. Waits for the device.
+def num_nonfinite(
+    inputs: Iterable[tuple[Tensor, int]], cameras: Iterable[Tensor], scenes: int, num_gaussians: int
+) -> int:
+    """Number of Gaussians, over all scenes, with a NaN or an infinity in any input, or before a camera that has one.
+
+    Waits for the device.
 
     Args:
         inputs: each with its number of values a Gaussian; scene by scene, in each Gaussian by Gaussian, or camera by
             camera and then Gaussian by Gaussian.
+        cameras: view matrices and intrinsics, scene by scene.
         scenes: number of scenes.
         num_gaussians: N, Gaussians of a scene.
 
@@ -109,6 +114,8 @@ def num_nonfinite(inputs: Iterable[tuple[Tensor, int]], scenes: int, num_gaussia
         for tensor, width in inputs
         if width > 0
     ]
+    for tensor in cameras:
+        finite.append(tensor.detach().isfinite().reshape(scenes, -1).all(1, keepdim=True).expand(finite[0].shape))
     return int((~torch.stack(finite).all(0)).sum())
 
 

@@ -89,7 +89,7 @@ def rasterization(
 
     Differentiable in means, quats, scales, opacities, colors, covars, viewmats, backgrounds and (unlike gsplat) Ks.
     Runs on the CPU and on CUDA, in float32 or float64. A Gaussian with anything non-finite is invisible and counted in
-    ``info["num_nonfinite"]``.
+    ``info["num_nonfinite"]``; before a camera with a NaN or an infinity all of them are.
 
     Args:
         means: Centres, [..., N, 3], world units.
