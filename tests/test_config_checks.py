@@ -118,6 +118,22 @@ def test_file_is_named_in_place_of_flags() -> None:
     assert caught.value.message.startswith("my.yaml: max_steps must")
 
 
+def test_thermal_gaussians_start_from_trained_ones() -> None:
+    """A copy of the RGB set before its first step would never be made; from the first step on it is."""
+    config = load_config("thermalgaussian_mftg")
+    for share, steps in ((0.0, 60_000), (0.004, 100)):
+        early = replace(config, max_steps=steps, schedule=replace(config.schedule, thermal_from=share))
+        expected = rf"--model\.thermal-start rgb copies .* --schedule\.thermal-from {share} of {steps} steps"
+        with pytest.raises(UserError, match=expected):
+            check_config(early)
+    check_config(replace(config, max_steps=100, schedule=replace(config.schedule, thermal_from=0.01)))
+
+
+def test_features_may_be_many() -> None:
+    """The renderer blends any number of channels, in several traversals."""
+    check_config(changed("model.feature_dim", 500))
+
+
 def test_default_is_valid() -> None:
     """The schema's defaults pass."""
     check_config(TrainConfig())

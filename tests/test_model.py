@@ -45,6 +45,18 @@ def test_single_views_equal_the_joint_traversal() -> None:
         torch.testing.assert_close(getattr(apart, name), getattr(both, name), atol=2e-6, rtol=1e-5)
 
 
+@pytest.mark.parametrize("feature_dim", [16, 80])
+def test_more_features_than_one_traversal_blends(feature_dim: int) -> None:
+    """They are blended in several, and every one of them is rendered and trained."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(feature_dim=feature_dim), capture)
+    rendered = render(model, frame)
+    assert rendered.visible_features.shape == rendered.thermal_features.shape == (18, 24, feature_dim)
+    model.zero_grad()
+    (rendered.rgb.sum() + rendered.thermal.sum()).backward()
+    assert (model.gaussians("shared").features.grad.abs().amax(0) > 0).all()
+
+
 def test_unaligned_frame_is_one_call_a_spectrum() -> None:
     """A thermal camera of its own keeps its size; densification sees one info for each call."""
     capture = toy_capture(aligned=False)

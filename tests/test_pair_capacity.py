@@ -37,7 +37,7 @@ def test_fixed_room_changes_nothing(device: torch.device) -> None:
     scene = random_scene(n=300, width=70, height=50)
     inputs = leaves(scene, device, torch.float32)
     capacity, pairs = _measured(inputs, device)
-    images, alphas, _ = rasterization(**inputs)
+    images, alphas, needed = rasterization(**inputs)
     images.square().sum().backward()
     expected = _gradients(inputs)
     inputs = leaves(scene, device, torch.float32)
@@ -50,6 +50,7 @@ def test_fixed_room_changes_nothing(device: torch.device) -> None:
     for name, gradient in _gradients(inputs).items():
         torch.testing.assert_close(gradient, expected[name], rtol=1e-5, atol=1e-7 * float(expected[name].abs().max()))
     assert info["isect_offsets"].max() <= pairs < len(info["flatten_ids"])
+    assert torch.equal(info["isect_ids"], needed["isect_ids"])
     assert capacity.overflow == 0
     assert not capacity.is_short()
 

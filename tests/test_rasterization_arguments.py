@@ -71,14 +71,46 @@ def test_numpys_integers_are_sizes() -> None:
     image, _, info = rasterization(**scene | sizes)
     assert torch.equal(image, rasterization(**scene)[0])
     assert type(info["width"]) is type(info["height"]) is int
-    for size in (8.5, 8.0, "8", torch.tensor(8.0)):
+    for size in (8.5, 8.0, "8", torch.tensor(8.0), True, np.True_, torch.tensor(True)):
         with pytest.raises(UserError, match="width must be a positive whole number of pixels"):
             rasterization(**scene_with(width=size))
 
 
-@pytest.mark.parametrize("channel_chunk", [0, -1])
-def test_chunks_have_channels(channel_chunk: int) -> None:
-    """No channel at a time would never end."""
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("sh_degree", np.int64(2)),
+        ("sh_degree", torch.tensor(2)),
+        ("tile_size", np.int64(8)),
+        ("channel_chunk", np.int32(2)),
+        ("near_plane", np.float32(0.5)),
+        ("near_plane", torch.tensor(0.5)),
+        ("far_plane", np.float32(7.0)),
+        ("radius_clip", np.int64(3)),
+        ("eps2d", np.float32(0.5)),
+    ],
+)
+def test_numbers_of_other_libraries_are_numbers(name: str, value: Any) -> None:
+    """Those of NumPy and torch mean what Python's do."""
+    scene = leaves(random_scene(n=20, sh_degree=2), "cpu", torch.float32)
+    given, expected = (rasterization(**scene | {name: number})[0] for number in (value, value.item()))
+    assert torch.equal(given, expected)
+    given.sum().backward()
+
+
+def test_numpys_degree_of_features() -> None:
+    """The features' degree is a number like the colours'; there are as many degrees, and 1.0 or True is none."""
+    scene = rgbt_with(features=torch.randn(4, 25, 3))
+    given, expected = (rasterization_rgbt(**scene, features_sh_degree=degree) for degree in (np.int64(1), 1))
+    assert torch.equal(given.render_features, expected.render_features)
+    for degree in (4, 1.0, True):
+        with pytest.raises(UserError, match="features_sh_degree must be one of None, 0, 1, 2, 3"):
+            rasterization_rgbt(**scene, features_sh_degree=degree)
+
+
+@pytest.mark.parametrize("channel_chunk", [0, -1, 2.5])
+def test_chunks_have_channels(channel_chunk: float) -> None:
+    """No channel at a time would never end, and channels cannot be divided."""
     with pytest.raises(UserError, match="channel_chunk must be at least 1"):
         rasterization(**scene_with(channel_chunk=channel_chunk))
 
@@ -187,7 +219,13 @@ def test_mixed_devices(name: str) -> None:
         ("render_mode", "depth", "RGB+ED"),
         ("rasterize_mode", "smooth", "antialiased"),
         ("camera_model", "pin hole", "pinhole"),
+        ("tile_size", 16.0, "8, 16"),
+        ("tile_size", True, "8, 16"),
         ("sh_degree", 1.5, "sh_degree"),
+        ("sh_degree", 1.0, "0, 1, 2, 3"),
+        ("sh_degree", True, "0, 1, 2, 3"),
+        ("near_plane", "near", "must be a number"),
+        ("far_plane", None, "must be a number"),
         ("eps2d", -1.0, "eps2d"),
         ("radius_clip", float("nan"), "radius_clip"),
     ],

@@ -59,6 +59,63 @@ def test_what_is_taken_out_is_computed() -> None:
     assert "isect_ids" not in info
 
 
+def test_a_computation_that_failed_is_tried_again() -> None:
+    """A failure passes through and leaves the key to be computed, not without a value."""
+    attempts = []
+
+    def compute() -> int:
+        attempts.append(1)
+        if len(attempts) < 3:
+            raise RuntimeError("out of memory")
+        return 5
+
+    info = RasterizationInfo({}, {"isect_ids": compute})
+    for read in (lambda: info["isect_ids"], lambda: dict(info)):
+        with pytest.raises(RuntimeError, match="out of memory"):
+            read()
+    assert dict(info) == {"isect_ids": 5}
+
+
+@pytest.mark.parametrize(
+    "put",
+    [
+        lambda info: info.__setitem__("conics", 7),
+        lambda info: info.update({"conics": 7}),
+        lambda info: info.update(conics=7),
+        lambda info: info.__ior__({"conics": 7}),
+    ],
+    ids=["item", "update", "keyword", "ior"],
+)
+def test_what_is_put_in_place_of_a_computation_stays(put: Callable[[RasterizationInfo], Any]) -> None:
+    """What a user stores is what is read, and nothing is computed for it."""
+    info = RasterizationInfo({"width": 23}, {"conics": lambda: pytest.fail("computed")})
+    put(info)
+    assert info["conics"] == info.get("conics") == dict(info)["conics"] == 7
+
+
+def test_what_is_removed_is_not_computed_again() -> None:
+    """A key that was deleted is missing, however it was to get its value."""
+    info = RasterizationInfo({"width": 23}, {"conics": lambda: 7, "isect_ids": lambda: 5})
+    del info["conics"]
+    with pytest.raises(KeyError, match="conics"):
+        info["conics"]
+    info.clear()
+    with pytest.raises(KeyError, match="isect_ids"):
+        info["isect_ids"]
+    with pytest.raises(KeyError, match="empty"):
+        info.popitem()
+
+
+@pytest.mark.parametrize(
+    "copied",
+    [lambda info: info.copy(), lambda info: info | {}, lambda info: {} | info, lambda info: dict([info.popitem()])],
+    ids=["copy", "or", "ror", "popitem"],
+)
+def test_copies_hold_what_is_computed(copied: Callable[[RasterizationInfo], dict[str, Any]]) -> None:
+    """And not the place that was kept for it."""
+    assert copied(RasterizationInfo({}, {"conics": lambda: 7})) == {"conics": 7}
+
+
 def test_isect_ids_pack_image_tile_and_depth() -> None:
     """Two images of three tiles: image above two tile bits above the 32 bits of the float32 depth."""
     depths = torch.tensor([1.0, 2.0, 3.0, 4.0])
@@ -67,6 +124,8 @@ def test_isect_ids_pack_image_tile_and_depth() -> None:
     bits = depths.view(torch.int32).tolist()
     expected = [bits[0], 2 << 32 | bits[0], 2 << 32 | bits[1], (1 << 2 | 1) << 32 | bits[3]]
     assert isect_ids(flatten_ids, tile_offsets, depths, 3).tolist() == expected
+    room = torch.cat([flatten_ids, torch.tensor([2**31 - 1, -5], dtype=torch.int32)])  # never written: anything
+    assert isect_ids(room, tile_offsets, depths, 3).tolist() == expected
 
 
 @pytest.mark.cuda
@@ -136,3 +195,14 @@ def test_conics_are_differentiable() -> None:
     for one, other in zip(*found, strict=True):
         assert other.norm() > 0
         assert relative_error(one, other) < 1e-11
+
+
+@pytest.mark.parametrize("name", ["viewmats", "Ks"])
+def test_cameras_that_are_not_finite(name: str) -> None:
+    """Nothing is drawn before such a camera, and the count tells: all Gaussians of the scene."""
+    scene = leaves(random_scene(n=20), "cpu", torch.float32)
+    broken = scene[name].detach().clone()
+    broken[..., 0, 0] = torch.nan
+    _, alphas, info = rasterization(**scene | {name: broken})
+    assert not alphas.any()
+    assert info["num_nonfinite"] == 20

@@ -1,7 +1,10 @@
 """A network for each spectrum: shapes, independence, and which decoders a configuration makes."""
 
+from dataclasses import replace
+
 import pytest
 import torch
+from torch import nn
 
 from thermosplat.config import DecoderConfig
 from thermosplat.decoders import Decoders
@@ -31,6 +34,30 @@ def test_widths() -> None:
     """Hidden layers as configured: input, one hidden layer, output."""
     shapes = [tuple(p.shape) for p in SpectrumDecoders(CONFIG, 6, 3).rgb_network.parameters() if p.dim() == 2]
     assert shapes == [(8, 6), (8, 8), (3, 8)]
+
+
+def test_hybrid_sum_starts_at_the_sh_colour() -> None:
+    """The decoded part that is added to it starts near black, as with joined branches, the thermal image mid-grey."""
+    torch.manual_seed(0)
+    decoders = SpectrumDecoders(replace(CONFIG, hybrid_rgb=True), 6, thermal_channels=3)
+    rgb, thermal = (image.detach() for image in decoders.both(*torch.rand(2, 10, 10, 6)))
+    assert rgb.max() < 0.03
+    assert abs(rgb.mean() - 0.018) < 0.003
+    assert abs(thermal.mean() - 0.5) < 0.15
+
+
+def test_without_hybrid_sum_networks_start_alike() -> None:
+    """A decoded image alone starts where PyTorch's layers do, whatever the bias of the sum's part."""
+    networks = []
+    for bias in (-4.0, 0.0):
+        torch.manual_seed(0)
+        networks.append(SpectrumDecoders(replace(CONFIG, hybrid_rgb=False, rgb_head_bias=bias), 6, thermal_channels=3))
+    torch.manual_seed(0)
+    plain = [nn.Linear(6, 8), nn.Linear(8, 8), nn.Linear(8, 3)]
+    for network in networks:
+        layers = [layer for layer in network.rgb_network if isinstance(layer, nn.Linear)]
+        assert all(torch.equal(ours.weight, theirs.weight) for ours, theirs in zip(layers, plain, strict=True))
+        assert all(torch.equal(ours.bias, theirs.bias) for ours, theirs in zip(layers, plain, strict=True))
 
 
 def test_without_thermal_channels() -> None:

@@ -3,11 +3,14 @@
 import pytest
 import torch
 
+from thermosplat import warp_bridge
 from thermosplat.warp_adam import WarpAdam, step_together
 
 
-def test_same_as_torch(device: torch.device) -> None:
-    """Fifty steps with changing rates and gradients of every size, from the same start."""
+@pytest.mark.parametrize("longest", [2**30, 64])
+def test_same_as_torch(device: torch.device, monkeypatch: pytest.MonkeyPatch, longest: int) -> None:
+    """Fifty steps with changing rates and gradients of every size, from the same start; also of a tensor in parts."""
+    monkeypatch.setattr(warp_bridge, "LONGEST", longest)
     start = torch.randn(33, 5, generator=torch.Generator().manual_seed(0))
     ours, theirs = (torch.nn.Parameter(start.clone().to(where)) for where in (device, "cpu"))
     rate = torch.zeros((), device=device)
@@ -50,6 +53,21 @@ def test_parameters_without_gradient_or_numbers_are_left_out(device: torch.devic
     optimizer.step()
     assert torch.equal(idle, torch.ones_like(idle))
     assert not optimizer.state
+
+
+def test_a_blocked_step_of_a_tensor_in_parts(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No part is updated, and each step is counted once, whatever the number of parts."""
+    monkeypatch.setattr(warp_bridge, "LONGEST", 3)
+    parameter = torch.nn.Parameter(torch.ones(7, device=device))
+    optimizer = WarpAdam([parameter], lr=torch.full((), 0.1, device=device))
+    for blocked, updated in ((0.0, True), (1.0, False), (0.0, True)):
+        before = parameter.detach().clone()
+        parameter.grad = torch.ones(7, device=device)
+        optimizer.found_inf = torch.full((), blocked, device=device)
+        optimizer.step()
+        assert (parameter != before).all() if updated else torch.equal(parameter, before)
+    assert optimizer.state[parameter]["step"] == 2
+    assert parameter.unique().numel() == 1
 
 
 def test_many_optimizers_share_the_launches(device: torch.device) -> None:

@@ -6,7 +6,6 @@ import pytest
 import torch
 import warp as wp
 
-from thermosplat.warp_bridge import to_torch
 from thermosplat.warp_streams import joined_capture, launches_on_torch_stream, on_torch_stream
 from warp_kernels.array_views import ArrayView, empty, memory, zeros
 
@@ -15,7 +14,7 @@ def test_steps_allocate_from_torch(device: torch.device) -> None:
     """Inside, new arrays lie in torch tensors of the shape and type that stands for Warp's; outside they are Warp's."""
     with on_torch_stream(device) as warp_device:
         array = zeros((4, 5), wp.types.vector(3, wp.float64), warp_device)
-        tensor = to_torch(array)
+        tensor = array.owner
         assert (tensor.shape, tensor.dtype, tensor.device.type) == ((4, 5, 3), torch.float64, device.type)
         assert tensor.data_ptr() == array.ptr
         assert tensor.abs().sum() == 0

@@ -14,16 +14,15 @@ from warp_kernels.array_views import empty
 from warp_kernels.launching import launch_again
 from warp_kernels.tensor_tables import (
     BLOCK,
-    PLACES,
     QUAD,
     Addresses,
     Counts,
     addresses,
     counts,
+    launches,
     load_quad,
     share_of,
     store_quad,
-    thread_ends,
 )
 
 
@@ -120,15 +119,14 @@ def adam_update(
         betas: decay of the moments.
         epsilon: added to the denominator.
     """
-    for first in range(0, len(parameters), PLACES):
-        some = parameters[first : first + PLACES]
+    for of_launch, ends in launches([len(p.parameter) for p in parameters]):
+        some = parameters[of_launch]
         device = some[0].parameter.device
         coefficients = empty(len(some), wp.vec2, device)
         steps, rates = addresses([p.step for p in some]), addresses([p.rate for p in some])
         launch_again(adam_coefficients_kernel, len(some), [*betas, rates, blocked, steps, coefficients], device)
-        sizes = [len(p.parameter) for p in some]
-        ends = thread_ends(sizes)
-        inputs = [counts(ends), counts(sizes), 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon, blocked, coefficients]
+        sizes = counts([len(p.parameter) for p in some])
+        inputs = [counts(ends), sizes, 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon, blocked, coefficients]
         inputs += [addresses([p.gradient for p in some]), addresses([p.parameter for p in some])]
         inputs += [addresses([p.exp_avg for p in some]), addresses([p.exp_avg_sq for p in some])]
         launch_again(adam_update_kernel, ends[-1], inputs, device, BLOCK)

@@ -33,6 +33,11 @@ class _Layout(NamedTuple):
 def _layout(shape: tuple[int, ...], dtype: Any, strides: tuple[int, ...] | None) -> _Layout:
     contiguous = contiguous_strides(shape, dtype)
     strides = contiguous if strides is None else strides
+    if max((*shape, *map(abs, strides)), default=0) >= 2**31:
+        raise ValueError(
+            f"An array of shape {list(shape)} and strides {list(strides)} bytes is too large for a kernel: extents and "
+            f"strides have 32 bits, so each must be at most {2**31 - 1:,}."
+        )
     padding = (0,) * (4 - len(shape))
     packed = _pack_layout(*shape, *padding, *strides, *padding, len(shape), 0)
     return _Layout(strides, math.prod(shape), strides == contiguous, packed)
@@ -49,6 +54,9 @@ class ArrayView:
         owner: what the memory belongs to, kept alive as long as the view; None: somebody else sees to that.
         grad: the gradient, an array of the same kind, or None.
         packed: the bytes a kernel reads.
+
+    Raises:
+        ValueError: if an extent or a stride needs more than 32 bits.
     """
 
     __slots__ = ("_layout", "device", "dtype", "grad", "owner", "packed", "ptr", "shape")

@@ -1,5 +1,8 @@
 """The step that lists the Gaussians of each tile in depth order: its launches, sorts and scan. No gradient."""
 
+import functools
+from collections.abc import Callable
+
 import warp as wp
 
 from warp_kernels.array_views import empty, memory, nothing
@@ -16,8 +19,15 @@ COMPACTED = 2**18
 """Gaussians above which those without tiles are left out before the sort by depth; fewer are sorted in no time."""
 
 
+PAIRS_MAX = 2**30 - 1
+"""Pairs of a call, at most: sorting takes two copies of them in one array, of fewer than 2**31 numbers."""
+
+TILES_MAX = 2**31 - 2
+"""Tiles of a call, at most: their offsets, of which there is one more, are in such an array too."""
+
+
 class TooManyPairsError(ValueError):
-    """More (Gaussian, tile) pairs than 32-bit indices can number."""
+    """More (Gaussian, tile) pairs, or tiles, than a call can number."""
 
 
 def wants_masks(device: wp.Device) -> bool:
@@ -58,7 +68,7 @@ def bin_tiles(
         The bins.
 
     Raises:
-        TooManyPairsError: if the pairs exceed what 32-bit indices can number.
+        TooManyPairsError: for more pairs, or room for more, than ``PAIRS_MAX``, or more tiles than ``TILES_MAX``.
     """
     device, dtype = opacities.device, opacities.dtype
     lanes = lanes_of(device)
@@ -85,6 +95,10 @@ def bin_tiles(
     ]
     compacted, ranks, totals = entries > COMPACTED, entries, None
     num_pairs = None if room is None else room.pairs
+    if num_tiles > TILES_MAX:
+        raise TooManyPairsError(f"{num_tiles:,} tiles of {tile_size} px exceed the {TILES_MAX:,} of one call.")
+    overlaps = functools.partial(_overlaps, settings, num_tiles, tile_size)
+    _check_pairs(num_pairs or 0, overlaps)
     if compacted:
         totals = empty(-(-entries // lanes), Totals, device)
         unsorted = [nothing(dtype, 1, device), nothing(wp.int32, 1, device)]
@@ -92,6 +106,7 @@ def bin_tiles(
         wp.utils.array_scan(totals, totals, inclusive=True)
         if room is None:
             num_pairs, ranks = memory.source.last(totals)
+            _check_pairs(num_pairs, overlaps)  # before room for ranks, of which each has one at least
         else:
             ranks = min(entries, room.pairs, room.gaussians)
     # radix_sort_pairs sorts in place and needs room for a second copy
@@ -109,12 +124,8 @@ def bin_tiles(
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
     if num_pairs is None:
         num_pairs = memory.source.last(pair_ends) if ranks > 0 else 0
+        _check_pairs(num_pairs, overlaps)
     del depth_keys, unsorted
-    if num_pairs >= 2**31 or num_tiles >= 2**31:
-        raise TooManyPairsError(
-            f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with {num_tiles:,} tiles of {tile_size} "
-            f"px exceed the {2**31 - 1:,} that one call can number."
-        )
 
     try:
         keys = empty(2 * num_pairs, wp.int32, device)
@@ -126,8 +137,8 @@ def bin_tiles(
     except Exception as error:
         # Of what kind depends on the allocator; what was asked for is known here only.
         error.add_note(
-            f"While making room for {num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with {num_tiles:,} "
-            f"tiles of {tile_size} px, about {(6 if by_slot else 5) * 4 * num_pairs / 2**20:,.0f} MiB on {device}."
+            f"While making room for {overlaps(num_pairs)}, about "
+            f"{(6 if by_slot else 5) * 4 * num_pairs / 2**20:,.0f} MiB on {device}."
         )
         raise
     masked = len(masks) > 0 and num_tiles < 2**MASK_SHIFT
@@ -184,3 +195,15 @@ def bin_tiles(
         tiles_x=tiles_x,
         tiles_y=tiles_y,
     )
+
+
+def _overlaps(settings: ProjectionSettings, num_tiles: int, tile_size: int, num_pairs: int) -> str:
+    """The pairs in words."""
+    tiles = f"{num_tiles:,} tiles of {tile_size} px"
+    return f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with {tiles}"
+
+
+def _check_pairs(num_pairs: int, overlaps: Callable[[int], str]) -> None:
+    """Refuses more pairs, or room for more, than can be numbered."""
+    if num_pairs > PAIRS_MAX:
+        raise TooManyPairsError(f"{overlaps(num_pairs)} exceed the {PAIRS_MAX:,} that one call can number.")

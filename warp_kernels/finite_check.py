@@ -7,14 +7,13 @@ import warp as wp
 from warp_kernels.launching import launch_again
 from warp_kernels.tensor_tables import (
     BLOCK,
-    PLACES,
     Addresses,
     Counts,
     addresses,
     counts,
+    launches,
     load_quad,
     share_of,
-    thread_ends,
 )
 
 LARGEST = 1.8e19
@@ -60,9 +59,7 @@ def note_bad(
         first_bad_step: int64 [names], 0 as long as all was finite; gets the step's number.
         blocked: float32 [1]; gets 1 where something is not finite or beyond LARGEST, and else stays as it is.
     """
-    for first in range(0, len(tensors), PLACES):
-        some = tensors[first : first + PLACES]
-        sizes = [len(tensor) for tensor in some]
-        ends = thread_ends(sizes)
-        tables = [counts(ends), counts(sizes), counts(names[first : first + PLACES]), addresses(some)]
+    sizes = [len(tensor) for tensor in tensors]
+    for some, ends in launches(sizes):
+        tables = [counts(ends), counts(sizes[some]), counts(names[some]), addresses(tensors[some])]
         launch_again(note_bad_kernel, ends[-1], [*tables, step, first_bad_step, blocked], step.device, BLOCK)

@@ -10,6 +10,7 @@ from warp_kernels.blend_layout import default_layout
 from warp_kernels.blending import blend_kernel
 from warp_kernels.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.camera_positions import camera_position_kernels
+from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.gradient_records import distribute_kernel
 from warp_kernels.launching import num_threads
 from warp_kernels.pair_notes import note_pairs_kernel
@@ -37,21 +38,29 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         antialiased: of the rasterizer's two modes the one that compensates opacities.
 
     Returns:
-        The kernels, float32, the slowest to compile first.
+        The kernels, float32, the slowest to compile first. Without those that blend, if there are more channels than
+        one traversal blends.
     """
     dtype, camera_model, lanes = wp.float32, "pinhole", 1
-    layout = default_layout(wp.get_device("cpu"), TILE_SIZE, channels, thermal_channels, dtype, 0, 1)
+    blending = []
+    if channels + thermal_channels <= CHANNELS_MAX:
+        layout = default_layout(wp.get_device("cpu"), TILE_SIZE, channels, thermal_channels, dtype, 0, 1)
+        blending = [
+            blend_adjoint_kernel(channels, thermal_channels, dtype, layout, False, True, COLORS),
+            blend_kernel(channels, thermal_channels, dtype, layout, False, COLORS),
+            distribute_kernel(channels, thermal_channels, dtype, False, layout.warps, COLORS),
+        ]
     count, _, gather, emit = binning_kernels(dtype, lanes)  # what is compacted on CUDA is few here
     return [
         projection_kernel(dtype, camera_model, False),
-        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, False, True, COLORS),
+        *blending[:1],
         projection_adjoint_kernel(dtype, camera_model, False, False, antialiased),
-        blend_kernel(channels, thermal_channels, dtype, layout, False, COLORS),
+        *blending[1:2],
         color_adjoint_kernel(dtype),
         count,
         emit,
         color_kernel(dtype, False),
-        distribute_kernel(channels, thermal_channels, dtype, False, layout.warps, COLORS),
+        *blending[2:],
         tile_ranges_kernel,
         camera_position_kernels(dtype)[0],
         gather,

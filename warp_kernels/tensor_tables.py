@@ -5,8 +5,7 @@ arguments, addresses can be captured in a graph, and nothing is copied to the de
 """
 
 import struct
-from collections.abc import Sequence
-from itertools import accumulate
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import warp as wp
@@ -19,6 +18,9 @@ QUAD = 4
 
 BLOCK = 256
 """Each tensor begins with a new block of threads, so that the threads of a warp do the same."""
+
+THREADS = 2**31 - 1
+"""Threads of a launch, at most: they are numbered with 32 bits."""
 
 _pack = struct.Struct(f"{PLACES}Q").pack
 
@@ -42,14 +44,14 @@ def share_of(ends: Counts, thread: int):
     const float* p = (const float*)address + first;
     wp::vec_t<4, float> values = {};
 #if defined(__CUDA_ARCH__)
-    if (first + 4 <= size && ((unsigned long long)p & 15) == 0) {
+    if (size - first >= 4 && ((unsigned long long)p & 15) == 0) {
         const float4 all = *(const float4*)p;
         values[0] = all.x; values[1] = all.y; values[2] = all.z; values[3] = all.w;
         return values;
     }
 #endif
     for (int k = 0; k < 4; ++k)
-        if (first + k < size) values[k] = p[k];
+        if (k < size - first) values[k] = p[k];
     return values;
 """)
 def load_quad(address: wp.uint64, first: int, size: int) -> wp.vec4:
@@ -60,13 +62,13 @@ def load_quad(address: wp.uint64, first: int, size: int) -> wp.vec4:
 @wp.func_native("""
     float* p = (float*)address + first;
 #if defined(__CUDA_ARCH__)
-    if (first + 4 <= size && ((unsigned long long)p & 15) == 0) {
+    if (size - first >= 4 && ((unsigned long long)p & 15) == 0) {
         *(float4*)p = make_float4(values[0], values[1], values[2], values[3]);
         return;
     }
 #endif
     for (int k = 0; k < 4; ++k)
-        if (first + k < size) p[k] = values[k];
+        if (k < size - first) p[k] = values[k];
 """)
 def store_quad(address: wp.uint64, first: int, size: int, values: wp.vec4):
     """Overwrites numbers first to first + 3 of a tensor, as far as it goes."""
@@ -96,10 +98,21 @@ def _filled(kind: type, values: Sequence[int]) -> Any:
     return kind.from_buffer_copy(_pack(*values, *[0] * (PLACES - len(values))))
 
 
-def thread_ends(sizes: Sequence[int]) -> list[int]:
-    """Where each tensor's threads end; the last is the number of threads to launch.
+def launches(sizes: Sequence[int]) -> Iterator[tuple[slice, list[int]]]:
+    """The launches that go over all tensors.
 
     Args:
-        sizes: numbers in each tensor.
+        sizes: numbers in each tensor, below 2**31.
+
+    Yields:
+        The tensors of a launch, and where each one's threads end; the last is the number of threads to launch.
     """
-    return list(accumulate(-(-size // (QUAD * BLOCK)) * BLOCK for size in sizes))
+    first, ends = 0, [0]
+    for place, size in enumerate(sizes):
+        threads = -(-size // (QUAD * BLOCK)) * BLOCK
+        if place - first == PLACES or ends[-1] + threads > THREADS:
+            yield slice(first, place), ends[1:]
+            first, ends = place, [0]
+        ends.append(ends[-1] + threads)
+    if len(ends) > 1:
+        yield slice(first, len(sizes)), ends[1:]

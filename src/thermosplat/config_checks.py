@@ -44,7 +44,6 @@ _AT_LEAST: dict[str, float] = {
 _AT_MOST: dict[str, float] = {
     "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": 3,  # what the renderer's kernels evaluate
-    "model.feature_dim": 61,  # the renderer blends at most 64 channels, three of them colour
 }
 _SHARES = (
     "loss.ssim_lambda",
@@ -169,6 +168,14 @@ def _check_schedule(config: TrainConfig, name: Any) -> None:
     for key, on in (("loss.balance", config.loss.balance), ("model.thermal_start", model.thermal_start == "rgb")):
         if on and not separate:
             raise UserError(f"{name(key)} is about two separate sets of Gaussians, of RGB and of thermal images.")
+    begins = round(schedule.thermal_from * config.max_steps)  # steps before it, as ModalitySchedule counts them
+    if model.thermal_start == "rgb" and begins == 0:
+        raise UserError(
+            f"{name('model.thermal_start')} rgb copies the RGB set when thermal training begins, and with "
+            f"{name('schedule.thermal_from')} {schedule.thermal_from} of {config.max_steps} steps it begins before "
+            "anything is trained.",
+            f"Give {name('schedule.thermal_from')}, such as 0.5 (--config thermalgaussian_mftg), or start from points.",
+        )
 
 
 def _check_decomposition(config: TrainConfig, name: Any) -> None:

@@ -74,6 +74,7 @@ class ProjectedScene:
         shape = [(quats, 4), (scales, 3), (upper, 6)]
         # and what is drawn as it is; detached when they are counted
         self._inputs = [(means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
+        self._cameras = viewmats, Ks
         harmonics = [_harmonics(one, settings) for one in drawn]
         self._harmonics = [one for one in harmonics if one is not None]
         bound = opacities.detach().contiguous()
@@ -214,7 +215,7 @@ class ProjectedScene:
         depths, tiles_of_gaussians = self.depths, tensors["tiles_per_gaussian"]
         tiles_y, tiles_x = bins.tiles_y, bins.tiles_x
         roots, radii = self.projected.roots, self.projected.radii
-        inputs, harmonics = self._inputs, self._harmonics
+        inputs, harmonics, cameras = self._inputs, self._harmonics, self._cameras
         scenes, num_gaussians = math.prod(shape[:-1]), settings.num_gaussians
         return RasterizationInfo(
             values,
@@ -223,7 +224,7 @@ class ProjectedScene:
                 "tiles_per_gauss": lambda: tiles_of_gaussians.reshape(*shape, -1),
                 "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
                 "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
-                "num_nonfinite": lambda: num_nonfinite([*inputs, *_used(harmonics)], scenes, num_gaussians),
+                "num_nonfinite": lambda: num_nonfinite([*inputs, *_used(harmonics)], cameras, scenes, num_gaussians),
             },
         )
 

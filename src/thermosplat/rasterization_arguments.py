@@ -19,13 +19,13 @@ SH_DEGREE_MAX = 3
 INDEX_MAX = 2**31
 """Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
 
-CHOICES: tuple[tuple[str, tuple[Any, ...]], ...] = (
-    ("render_mode", get_args(RenderMode)),
-    ("rasterize_mode", get_args(RasterizeMode)),
-    ("camera_model", get_args(CameraModel)),
-    ("tile_size", TILE_SIZES),
-    ("sh_degree", (None, *range(SH_DEGREE_MAX + 1))),
-)
+CHOICES: dict[str, tuple[Any, ...]] = {
+    "render_mode": get_args(RenderMode),
+    "rasterize_mode": get_args(RasterizeMode),
+    "camera_model": get_args(CameraModel),
+    "tile_size": TILE_SIZES,
+    "sh_degree": (None, *range(SH_DEGREE_MAX + 1)),
+}
 """Arguments of which there are few, and what they may be."""
 
 SUPPORTED = "pinhole and ortho cameras without distortion, dense gradients, one process"
@@ -47,56 +47,78 @@ def refuse_unsupported(**arguments: Any) -> None:
         raise UserError(f"rasterization() does not support {name}; supported: {SUPPORTED}.", f"Leave {name} out.")
 
 
-def check_modes(
-    render_mode: str,
-    rasterize_mode: str,
-    camera_model: str,
-    tile_size: int,
-    width: int,
-    height: int,
-    sh_degree: int | None,
-) -> None:
-    """Checks the scalar arguments.
+def as_whole(number: Any) -> Any:
+    """A whole number of any kind (NumPy's, torch's) as Python's own, which the kernels' arguments are packed from.
 
     Args:
-        render_mode: one of ``RenderMode``.
-        rasterize_mode: one of ``RasterizeMode``.
-        camera_model: one of ``CameraModel``.
-        tile_size: one of ``TILE_SIZES`` [px].
-        width: image width [px]; NumPy's integers will do.
-        height: image height [px].
-        sh_degree: None or 0 to 3.
+        number: anything; what is no whole number, as a bool or a float, stays as it is, to be refused.
+    """
+    if isinstance(number, bool) or getattr(number, "dtype", None) is torch.bool:
+        return number
+    try:
+        return operator.index(number)
+    except TypeError:
+        return number
+
+
+def check_choice(name: str, value: Any) -> None:
+    """Checks an argument of ``CHOICES``.
+
+    Args:
+        name: of the argument; the features' has that of the colours behind ``features_``.
+        value: what was given, a whole number ``as_whole``.
 
     Raises:
         UserError: naming the argument, what is supported, and what was given.
     """
-    given = (render_mode, rasterize_mode, camera_model, tile_size, sh_degree)
-    for value, (name, allowed) in zip(given, CHOICES, strict=True):
-        if value not in allowed:
-            raise UserError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}.")
-    for name, size in (("width", width), ("height", height)):
-        try:
-            pixels = operator.index(size)
-        except TypeError:
-            pixels = 0
-        if pixels < 1:
-            raise UserError(f"{name} must be a positive whole number of pixels, got {size!r}.")
+    allowed = CHOICES[name.removeprefix("features_")]
+    # 16.0 and True equal whole numbers and are none
+    if not (value is None or isinstance(value, str) or type(value) is int) or value not in allowed:
+        raise UserError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}.")
 
 
-def check_limits(**limits: float) -> None:
-    """Checks near_plane, far_plane, radius_clip and eps2d.
+def checked_sizes(**sizes: Any) -> list[int]:
+    """The image's width and height.
 
     Args:
-        **limits: by name.
+        **sizes: by name [px]; NumPy's integers will do.
+
+    Returns:
+        The same as Python's integers.
 
     Raises:
         UserError: naming the argument, what is allowed, and what was given.
     """
+    pixels = [as_whole(size) for size in sizes.values()]
+    for name, whole in zip(sizes, pixels, strict=True):
+        if type(whole) is not int or whole < 1:
+            raise UserError(f"{name} must be a positive whole number of pixels, got {whole!r}.")
+    return pixels
+
+
+def checked_limits(**limits: Any) -> dict[str, float]:
+    """near_plane, far_plane, radius_clip and eps2d.
+
+    Args:
+        **limits: by name; NumPy's numbers will do.
+
+    Returns:
+        The same as Python's numbers.
+
+    Raises:
+        UserError: naming the argument, what is allowed, and what was given.
+    """
+    numbers = {}
     for name, value in limits.items():
-        if math.isnan(value):
+        try:
+            numbers[name] = math.nan if isinstance(value, str) else float(value)
+        except (TypeError, ValueError, RuntimeError):  # what torch raises of several numbers
+            numbers[name] = math.nan
+        if math.isnan(numbers[name]):
             raise UserError(f"{name} must be a number, got {value}.")
-    if limits["eps2d"] < 0:
-        raise UserError(f"eps2d must be at least 0 px², got {limits['eps2d']}.")
+    if numbers["eps2d"] < 0:
+        raise UserError(f"eps2d must be at least 0 px², got {numbers['eps2d']}.")
+    return numbers
 
 
 def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, meaning: str = "") -> None:
@@ -281,14 +303,21 @@ def checked_settings(
 ) -> ProjectionSettings:
     """Checks the arguments that both rasterizations take, in their meaning there, and gives the projection's settings.
 
+    ``tile_size`` and ``sh_degree``, which are not among them, are to be given ``as_whole``.
+
     Returns:
-        The settings, with the numbers of Gaussians, cameras and images.
+        The settings in Python's own numbers, with the numbers of Gaussians, cameras and images.
 
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    check_modes(render_mode, rasterize_mode, camera_model, tile_size, width, height, sh_degree)
-    check_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
+    check_choice("render_mode", render_mode)
+    check_choice("rasterize_mode", rasterize_mode)
+    check_choice("camera_model", camera_model)
+    check_choice("tile_size", tile_size)
+    check_choice("sh_degree", sh_degree)
+    width, height = checked_sizes(width=width, height=height)
+    limits = checked_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
     cameras, count = check_scene(means, quats, scales, covars, opacities, viewmats, Ks)
     images = math.prod(means.shape[:-2]) * cameras
     if images * count >= INDEX_MAX or images * height >= INDEX_MAX:
@@ -298,15 +327,12 @@ def checked_settings(
             "Render fewer cameras per call.",
         )
     return ProjectionSettings(
-        width=operator.index(width),
-        height=operator.index(height),
+        width=width,
+        height=height,
         num_gaussians=count,
         num_cameras=cameras,
         num_images=images,
-        eps2d=eps2d,
-        near_plane=near_plane,
-        far_plane=far_plane,
-        radius_clip=radius_clip,
+        **limits,
         antialiased=rasterize_mode == "antialiased",
         camera_model=camera_model,
     )

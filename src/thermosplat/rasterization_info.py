@@ -21,11 +21,19 @@ class RasterizationInfo(dict[str, Any]):
 
     def __getitem__(self, key: str) -> Any:
         if key in self._computed:
-            self[key] = self._computed.pop(key)()
+            self[key] = self._computed[key]()  # which forgets the computation; one that fails can be tried again
         return super().__getitem__(key)
 
+    def __setitem__(self, key: str, value: Any) -> None:
+        self._computed.pop(key, None)
+        super().__setitem__(key, value)
+
+    def __delitem__(self, key: str) -> None:
+        super().__delitem__(key)
+        self._computed.pop(key, None)
+
     def __iter__(self) -> Iterator[str]:
-        # Defined so that dict(info) and {**info} read through __getitem__.
+        # Defined so that dict(info), {**info} and info.copy() read through __getitem__.
         return super().__iter__()
 
     def get(self, key: str, default: Any = None) -> Any:
@@ -46,6 +54,27 @@ class RasterizationInfo(dict[str, Any]):
             return self[key]
         return super().setdefault(key, default)
 
+    # dict's own of these go past __getitem__, __setitem__ and __delitem__.
+
+    def popitem(self) -> tuple[str, Any]:
+        """As ``dict.popitem``."""
+        key = next(reversed(self), None)
+        return super().popitem() if key is None else (key, self.pop(key))
+
+    def update(self, *values: Any, **named: Any) -> None:
+        """As ``dict.update``."""
+        for key, value in dict(*values, **named).items():
+            self[key] = value
+
+    def __ior__(self, other: Any) -> "RasterizationInfo":  # type: ignore[override,misc]
+        self.update(other)
+        return self
+
+    def clear(self) -> None:
+        """As ``dict.clear``."""
+        self._computed.clear()
+        super().clear()
+
     def items(self) -> Any:
         """As ``dict.items``, with every value computed."""
         self._compute_all()
@@ -61,12 +90,17 @@ class RasterizationInfo(dict[str, Any]):
             self[key]
 
 
-def num_nonfinite(inputs: Iterable[tuple[Tensor, int]], scenes: int, num_gaussians: int) -> int:
-    """Number of Gaussians, over all scenes, with a NaN or an infinity in any input. Waits for the device.
+def num_nonfinite(
+    inputs: Iterable[tuple[Tensor, int]], cameras: Iterable[Tensor], scenes: int, num_gaussians: int
+) -> int:
+    """Number of Gaussians, over all scenes, with a NaN or an infinity in any input, or before a camera that has one.
+
+    Waits for the device.
 
     Args:
         inputs: each with its number of values a Gaussian; scene by scene, in each Gaussian by Gaussian, or camera by
             camera and then Gaussian by Gaussian.
+        cameras: view matrices and intrinsics, scene by scene.
         scenes: number of scenes.
         num_gaussians: N, Gaussians of a scene.
 
@@ -80,6 +114,8 @@ def num_nonfinite(inputs: Iterable[tuple[Tensor, int]], scenes: int, num_gaussia
         for tensor, width in inputs
         if width > 0
     ]
+    for tensor in cameras:
+        finite.append(tensor.detach().isfinite().reshape(scenes, -1).all(1, keepdim=True).expand(finite[0].shape))
     return int((~torch.stack(finite).all(0)).sum())
 
 
@@ -99,7 +135,8 @@ def isect_ids(flatten_ids: Tensor, tile_offsets: Tensor, depths: Tensor, tiles: 
     """gsplat's sort keys: image, tile and depth bits packed into an int64, one a (Gaussian, tile) pair.
 
     Args:
-        flatten_ids: int32 [pairs], flat (image, Gaussian) index of each sorted pair.
+        flatten_ids: int32 [pairs], flat (image, Gaussian) index of each sorted pair; what lies behind the last pair,
+            where there was room for more, is left out.
         tile_offsets: int32 [images · tiles + 1], first sorted pair of each tile; the last entry is the number of pairs.
         depths: [images · N], world units.
         tiles: tiles in an image.
@@ -111,5 +148,6 @@ def isect_ids(flatten_ids: Tensor, tile_offsets: Tensor, depths: Tensor, tiles: 
     image_tile = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
     tile_bits = tiles.bit_length()
     key = ((image_tile // tiles) << tile_bits) | (image_tile % tiles)
-    bits = depths.float()[flatten_ids.long()].contiguous().view(torch.int32).long() & 0xFFFFFFFF
+    pairs = flatten_ids[: len(image_tile)].long()
+    bits = depths.float()[pairs].contiguous().view(torch.int32).long() & 0xFFFFFFFF
     return (key << 32) | bits

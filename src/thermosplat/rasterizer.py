@@ -16,7 +16,9 @@ from thermosplat.rasterization_arguments import (
     CameraModel,
     RasterizeMode,
     RenderMode,
+    as_whole,
     check_backgrounds,
+    check_choice,
     check_colors,
     check_shape,
     checked_settings,
@@ -86,9 +88,9 @@ def rasterization(
     """Renders Gaussians with any number of channels; gsplat 1.5.3's ``rasterization`` in signature and meaning.
 
     Differentiable, once, in means, quats, scales, opacities, colors, covars, viewmats, backgrounds and (unlike gsplat)
-    Ks: for second derivatives torch raises, or, of a loss linear in the image, takes gradients for constants. Runs on
-    the CPU and on CUDA, in float32 or float64: all tensors have the dtype and device of ``means``. A Gaussian with
-    anything non-finite is invisible and counted in ``info["num_nonfinite"]``.
+    Ks: for second derivatives torch raises, or, of a loss linear in the image, takes gradients for constants. On the
+    CPU and on CUDA, in float32 or float64; all tensors have the dtype and device of ``means``. A Gaussian with anything
+    non-finite is invisible and counted in ``info["num_nonfinite"]``; before a non-finite camera all of them are.
 
     Args:
         means: Centres, [..., N, 3], world units.
@@ -134,13 +136,11 @@ def rasterization(
     Returns:
         ``(render_colors, render_alphas, info)``: images [..., C, H, W, X] with X = D, 1 or D + 1; accumulated
         opacities [..., C, H, W, 1]; gsplat's dictionary, parts of which are computed when they are read. Its keys:
-
-        - means2d [..., C, N, 2] px, radii int32 [..., C, N, 2] px (0: not drawn), depths [..., C, N] world units,
-          conics [..., C, N, 3] 1/px², opacities [..., C, N] as drawn, tiles_per_gauss int32 [..., C, N];
-        - of the (Gaussian, tile) pairs, sorted: flatten_ids int32 [pairs], isect_ids int64 [pairs], and isect_offsets
-          int32 [..., C, tile_height, tile_width], the first pair of each tile;
-        - numbers: width, height, tile_size, tile_width, tile_height, n_batches, n_cameras, and num_nonfinite, the
-          Gaussians with a NaN or an infinity in an input; None: batch_ids, camera_ids, gaussian_ids.
+        means2d [..., C, N, 2] px, radii int32 [..., C, N, 2] px (0: not drawn), depths [..., C, N], conics
+        [..., C, N, 3] 1/px², opacities [..., C, N] as drawn, tiles_per_gauss int32 [..., C, N]; of the sorted
+        (Gaussian, tile) pairs flatten_ids int32 [pairs], isect_ids int64 [pairs], and isect_offsets int32
+        [..., C, tile_height, tile_width], the first pair of each tile; the numbers width, height, tile_size,
+        tile_width, tile_height, n_batches, n_cameras and num_nonfinite; None: batch_ids, camera_ids, gaussian_ids.
 
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
@@ -170,6 +170,7 @@ def rasterization(
         rolling_shutter=rolling_shutter,
         viewmats_rs=viewmats_rs,
     )
+    tile_size, sh_degree, channel_chunk = as_whole(tile_size), as_whole(sh_degree), as_whole(channel_chunk)
     settings = checked_settings(
         means,
         quats,
@@ -190,8 +191,8 @@ def rasterization(
         rasterize_mode=rasterize_mode,
         camera_model=camera_model,
     )
-    if channel_chunk < 1:
-        raise UserError(f"channel_chunk must be at least 1, got {channel_chunk}.")
+    if type(channel_chunk) is not int or channel_chunk < 1:
+        raise UserError(f"channel_chunk must be at least 1, and whole, got {channel_chunk!r}.")
     per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
     check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
     drawn = [Drawn(colors, sh_degree, per_camera)] if "RGB" in render_mode else []
@@ -288,13 +289,14 @@ def rasterization_rgbt(
         >>> from thermosplat import rasterization_rgbt
         >>> n = 100
         >>> frame = rasterization_rgbt(
-        ...     torch.randn(n, 3), torch.randn(n, 4), 0.1 * torch.rand(n, 3), opacities=torch.rand(n),
-        ...     thermal_opacities=torch.rand(n), colors=torch.rand(n, 3), features=torch.rand(n, 8),
-        ...     viewmats=torch.eye(4)[None], Ks=torch.tensor([[[300.0, 0, 150], [0, 300, 100], [0, 0, 1]]]),
-        ...     width=300, height=200)
+        ...     torch.randn(n, 3), torch.randn(n, 4), 0.1 * torch.rand(n, 3), torch.rand(n), torch.rand(n),
+        ...     colors=torch.rand(n, 3), features=torch.rand(n, 8), viewmats=torch.eye(4)[None],
+        ...     Ks=torch.tensor([[[300.0, 0, 150], [0, 300, 100], [0, 0, 1]]]), width=300, height=200)
         >>> frame.render_colors.shape, frame.render_thermal_features.shape
         (torch.Size([1, 200, 300, 3]), torch.Size([1, 200, 300, 8]))
     """
+    tile_size, sh_degree, features_sh_degree = as_whole(tile_size), as_whole(sh_degree), as_whole(features_sh_degree)
+    check_choice("features_sh_degree", features_sh_degree)
     settings = checked_settings(
         means,
         quats,

@@ -4,6 +4,7 @@ Stands where ``decoders.Decoders`` does: the same three methods, none of the con
 """
 
 import itertools
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -28,6 +29,9 @@ class SpectrumDecoders(nn.Module):
     def __init__(self, config: DecoderConfig, input_dim: int, thermal_channels: int) -> None:
         super().__init__()
         self.rgb_network = _network(config, input_dim, 3)
+        if config.hybrid_rgb:
+            # As of Decoders: near black, so that the sum starts at the SH colour.
+            nn.init.constant_(cast("nn.Linear", self.rgb_network[-1]).bias, config.rgb_head_bias)
         self.thermal_network = _network(config, input_dim, thermal_channels) if thermal_channels else None
 
     def rgb(self, visible_features: Tensor) -> Tensor:

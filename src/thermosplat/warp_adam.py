@@ -8,7 +8,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from thermosplat.warp_bridge import view
+from thermosplat.warp_bridge import numbered_parts, view
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.adam import AdamArrays, adam_update
 from warp_kernels.array_views import ArrayView
@@ -55,8 +55,11 @@ def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
                     state["step"] = torch.zeros((), device=parameter.device)
                     state["exp_avg"] = torch.zeros_like(parameter)
                     state["exp_avg_sq"] = torch.zeros_like(parameter)
-                moments = state["exp_avg"], state["exp_avg_sq"]
-                members.append((parameter, parameter.grad.contiguous(), *moments, state["step"], group["lr"]))
+                whole = parameter, parameter.grad.contiguous(), state["exp_avg"], state["exp_avg_sq"]
+                for number, part in enumerate(zip(*map(numbered_parts, whole), strict=True)):
+                    # An update counts its step: parts after the first count copies.
+                    steps = state["step"] if number == 0 else state["step"].clone()
+                    members.append((*part, steps, group["lr"]))
     with launches_on_torch_stream(blocked.device):
         for (betas, eps), members in tensors.items():
             adam_update([AdamArrays(*map(_flat, member)) for member in members], _flat(blocked), betas, eps)

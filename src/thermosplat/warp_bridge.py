@@ -5,6 +5,7 @@ see are made in the shape they see.
 """
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -12,6 +13,9 @@ import warp as wp
 from torch import Tensor
 
 from warp_kernels.array_views import ArrayView
+
+LONGEST = 2**30
+"""Most numbers of a tensor that kernels number one by one, with 32 bits; see ``numbered_parts``."""
 
 SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
 """Torch dtypes the kernels run in, and Warp's names for them."""
@@ -63,6 +67,18 @@ def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
     """
     shape = shape or (tensor.numel() // getattr(kind, "_length_", 1),)
     return ArrayView(tensor.data_ptr(), shape, kind, warp_device_of(tensor.device))
+
+
+def numbered_parts(tensor: Tensor) -> Sequence[Tensor]:
+    """A tensor's numbers for kernels that number them one by one: the tensor, or flat parts where they are too many.
+
+    Args:
+        tensor: contiguous.
+
+    Returns:
+        Tensors on its memory, in order, of at most ``LONGEST`` numbers each.
+    """
+    return (tensor,) if tensor.numel() <= LONGEST else tensor.view(-1).split(LONGEST)
 
 
 def strided_view(tensor: Tensor) -> ArrayView:
@@ -151,10 +167,3 @@ def kept(ctx: Any) -> tuple[Any, ...]:
         if tensor is not None and tensor.data_ptr() != array.ptr:
             array.place(tensor.data_ptr())
     return tensors
-
-
-def to_torch(array: Any) -> Tensor:
-    """A torch tensor on a Warp array's memory, which it keeps alive."""
-    if isinstance(array, ArrayView):
-        return array.owner
-    return wp.to_torch(array, requires_grad=False)

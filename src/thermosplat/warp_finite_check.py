@@ -3,7 +3,7 @@
 import warp as wp
 from torch import Tensor
 
-from thermosplat.warp_bridge import view
+from thermosplat.warp_bridge import numbered_parts, view
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.finite_check import note_bad
 
@@ -17,9 +17,13 @@ def note_by_warp(named: list[list[Tensor]], step: Tensor, first_bad_step: Tensor
         first_bad_step: int64, one for each name, 0 as long as all was finite; changed in place.
         blocked: float32 scalar; 1 afterwards where something was not finite, else as before.
     """
-    flat = [tensor.contiguous() for tensors in named for tensor in tensors]
-    places = [place for place, tensors in enumerate(named) for _ in tensors]
+    flat = [
+        (place, part)
+        for place, tensors in enumerate(named)
+        for tensor in tensors
+        for part in numbered_parts(tensor.contiguous())
+    ]
     with launches_on_torch_stream(step.device):
-        arrays = [view(tensor, wp.float32) for tensor in flat]
+        arrays = [view(part, wp.float32) for _, part in flat]
         scalars = view(step, wp.int64), view(first_bad_step, wp.int64), view(blocked, wp.float32)
-        note_bad(arrays, places, *scalars)
+        note_bad(arrays, [place for place, _ in flat], *scalars)

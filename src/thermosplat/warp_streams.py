@@ -180,6 +180,12 @@ def joined_capture(device: torch.device) -> Iterator[bool]:
         yield True
 
 
+@functools.cache
+def _capture_stream(device: torch.device) -> torch.cuda.Stream:
+    """Where a device's work is captured; torch would take one stream for all devices, of the first that captures."""
+    return torch.cuda.Stream(device)
+
+
 @contextmanager
 def captured_in(graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
     """Captures torch's and Warp's work in one CUDA graph instead of doing it.
@@ -188,8 +194,8 @@ def captured_in(graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
         graph: Empty; holds the work afterwards.
         pool: Memory pool of the graph (the id of a ``torch.cuda.MemPool``).
     """
+    device = torch.device("cuda", torch.cuda.current_device())
     # thread_local: other threads (a progress line, a loader) may use the device meanwhile
-    with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
-        device = torch.device("cuda", torch.cuda.current_device())
-        with on_torch_stream(device) as warp_device, wp.ScopedCapture(warp_device, external=True):
-            yield
+    captured = torch.cuda.graph(graph, pool=pool, stream=_capture_stream(device), capture_error_mode="thread_local")
+    with captured, on_torch_stream(device) as warp_device, wp.ScopedCapture(warp_device, external=True):
+        yield

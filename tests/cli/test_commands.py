@@ -243,6 +243,20 @@ def test_capture_that_moved(run: Run, finished: Path, tmp_path: Path) -> None:
     assert code == 0
 
 
+def test_a_capture_named_on_resume_is_found_from_anywhere(
+    run: Run, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relative path to the capture is kept as an absolute one, as that of a new run."""
+    shutil.copytree(str(files("thermosplat") / "sample"), tmp_path / "captures" / "desk")
+    shutil.copytree(finished, tmp_path / "run")
+    monkeypatch.chdir(tmp_path / "captures")
+    code, _ = run(train.main, "desk", "--resume", tmp_path / "run", "--max-steps", STEPS + 1)
+    assert code == 0
+    assert load_config(tmp_path / "run" / "config.yaml").data == str(tmp_path / "captures" / "desk")
+    monkeypatch.chdir(tmp_path)
+    assert run(evaluate.main, tmp_path / "run", "--device", "cpu")[0] == 0
+
+
 def test_another_capture_is_noticed(run: Run, finished: Path, tmp_path: Path) -> None:
     """A run does not go on with a capture that lacks one of its training frames, and evaluating there says so."""
     other = tmp_path / "other"

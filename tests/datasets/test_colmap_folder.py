@@ -87,6 +87,41 @@ def test_rgb_of_16_bits_is_reduced(tmp_path):
     np.testing.assert_array_equal(capture.train[1].rgb.image[..., 2], rgb_image(2)[..., 0])
 
 
+def test_a_second_file_of_one_stem_is_the_one_that_is_registered(tmp_path):
+    """A copy with another ending neither replaces the image that COLMAP has seen nor takes its pose."""
+    root = write_colmap_folder(tmp_path)
+    write_image(root / "images" / "0001.tiff", rgb_image(99))  # sorts last
+    capture = load_capture(root)
+    assert len(capture.train) + len(capture.test) == 8
+    np.testing.assert_array_equal(capture.train[0].rgb.image, rgb_image(1))
+    assert any("1 images are not in the COLMAP model" in note and "0001.tiff" in note for note in capture.notes)
+    add_thermal(root, lambda number: pseudo_color(temperatures(number)))
+    with pytest.raises(
+        UserError, match=r"0001\.png and 0001\.tiff of images/ have one stem, and 0001\.png of thermal/"
+    ):
+        load_capture(root)
+
+
+def test_a_thermal_image_and_its_measurement_in_one_folder(tmp_path):
+    """Both have the stem; which to train on is not guessed."""
+    root = write_colmap_folder(tmp_path)
+    add_thermal(root, lambda number: pseudo_color(temperatures(number)))
+    add_thermal(root, lambda number: centikelvin(temperatures(number)), "tiff")
+    with pytest.raises(
+        UserError, match=r"0000\.png and 0000\.tiff of thermal/ have one stem, and 0000\.png of images/"
+    ):
+        load_capture(root)
+
+
+def test_an_unregistered_image_has_no_pose_of_another_folder(tmp_path):
+    """images/b/0001 is not registered; images/a/0001, which is, keeps its pose to itself."""
+    root = write_colmap_folder(tmp_path)
+    write_image(root / "images" / "b" / "0001.png", rgb_image(99))
+    capture = load_capture(root)
+    assert len(capture.train) + len(capture.test) == 8
+    assert any("1 images are not in the COLMAP model" in note for note in capture.notes)
+
+
 def test_nested_folders_keep_apart_equal_stems(tmp_path):
     """images/left/0000 and images/right/0000 are two frames with names that can be file names."""
     root = write_colmap_folder(tmp_path, 2)

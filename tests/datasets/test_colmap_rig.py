@@ -72,6 +72,40 @@ def test_without_a_rig_stems_pair(tmp_path):
     assert all(frame.rgb is not None and frame.thermal is not None for frame in capture.train)
 
 
+@pytest.mark.parametrize("rig", [True, False])
+def test_splits_that_are_numbered_apart(tmp_path, rig):
+    """train/0000 and test/0000 are exposures of their own, paired by the rig's frames or by name."""
+    model = synthetic_model(4, cameras=2) if rig else synthetic_model(4, rigs=2)
+    for image in model.images.values():
+        number = (image.frame_id - 1) % 4
+        modality = "rgb" if image.camera_id == 1 else "thermal"
+        split = "test" if number == 3 else "train"
+        pixels = rgb_image(number) if modality == "rgb" else pseudo_color(temperatures(number))
+        image.name = f"{modality}/{split}/{number % 3:04d}.png"
+        write_image(tmp_path / image.name, pixels)
+    write_model(model, tmp_path / "sparse" / "0")
+    capture = load_capture(tmp_path)
+    assert [frame.name for frame in capture.train] == ["train_0000", "train_0001", "train_0002"]
+    assert [frame.name for frame in capture.test] == ["test_0000"]
+    assert capture.notes == ()
+    for number, frame in enumerate((*capture.train, *capture.test)):
+        np.testing.assert_array_equal(frame.rgb.image, rgb_image(number))
+        np.testing.assert_array_equal(frame.thermal.image, pseudo_color(temperatures(number)))
+
+
+def test_a_registered_name_of_two_files(tmp_path):
+    """rgb/0001.png of the model cannot be both rgb/train/0001.png and rgb/test/0001.png."""
+    write_rig(tmp_path, base=".")
+    for split in ("train", "test"):
+        write_image(tmp_path / "rgb" / split / "0001.png", rgb_image(1))
+    assert len(load_capture(tmp_path).train) == 5  # the file of that very name is the one
+    (tmp_path / "rgb" / "0001.png").unlink()
+    with pytest.raises(
+        UserError, match=r"rgb/train/0001\.png and rgb/test/0001\.png of .* rgb/0001\.png of the COLMAP"
+    ):
+        load_capture(tmp_path)
+
+
 def test_missing_and_unregistered_files_are_counted(tmp_path):
     """A thermal image without its file leaves the RGB view; an unregistered file is said."""
     write_rig(tmp_path)

@@ -79,6 +79,65 @@ def test_radiometric_files_beside(tmp_path, folders):
     assert raw.test[1].thermal.image.shape == (HEIGHT, WIDTH, 1)
 
 
+def renumber(root, *, model_folders):
+    """Number test/ from 0000 like train/, as when each split was numbered on its own; so does the model, or not."""
+    model = synthetic_model(8)
+    by_name = {image.name: image for image in model.images.values()}
+    for split in ("train", "test"):
+        for modality in ("rgb", "thermal", "thermal_raw"):
+            for number, path in enumerate(sorted((root / modality / split).glob("*.png"))):
+                if modality == "rgb":
+                    by_name[path.name].name = f"{split}/{number:04d}.png" if model_folders else f"{number:04d}.png"
+                path.rename(path.with_name(f"{number:04d}.png"))
+    if not model_folders:  # COLMAP knew one folder, in which a name is there once
+        used = set()
+        for image in model.images.values():
+            if image.name in used:
+                image.name = f"other_{image.name}"
+            used.add(image.name)
+    write_model(model, root / "sparse" / "0")
+
+
+def test_splits_that_are_numbered_apart(tmp_path):
+    """train/0000 and test/0000 are two frames, each with its own images, pose and degrees, and names that differ."""
+    root = write_rgbt_scenes(tmp_path, raw=True)
+    for split in ("train", "test"):
+        (root / "thermal_raw" / split).mkdir()
+        for path in (root / "rgb" / split).iterdir():
+            shutil.move(root / "thermal_raw" / path.name, root / "thermal_raw" / split / path.name)
+    before = load_capture(root)
+    renumber(root, model_folders=True)
+    capture = load_capture(root)
+    assert names(capture.train) == [f"train_{number:04d}" for number in range(6)]
+    assert names(capture.test) == ["test_0000", "test_0001"]
+    assert capture.notes == before.notes == ()
+    for frame, same in zip((*capture.train, *capture.test), (*before.train, *before.test), strict=True):
+        np.testing.assert_array_equal(frame.rgb.image, same.rgb.image)
+        np.testing.assert_array_equal(frame.thermal.image, same.thermal.image)
+        np.testing.assert_array_equal(frame.thermal.celsius, same.thermal.celsius)
+        np.testing.assert_array_equal(frame.rgb.viewmat, same.rgb.viewmat)
+
+
+def test_splits_that_are_numbered_apart_and_a_model_that_is_not(tmp_path):
+    """Which of two images of one stem a pose belongs to is not guessed."""
+    root = write_rgbt_scenes(tmp_path)
+    renumber(root, model_folders=False)
+    with pytest.raises(
+        UserError, match=r"test/0000\.png and train/0000\.png of rgb/ have one stem, and 0000\.png of the C"
+    ):
+        load_capture(root)
+
+
+def test_flat_radiometric_files_of_splits_that_are_numbered_apart(tmp_path):
+    """Nor is it which of two thermal images degrees belong to."""
+    root = write_rgbt_scenes(tmp_path, raw=True)
+    renumber(root, model_folders=True)
+    with pytest.raises(
+        UserError, match=r"of thermal/ have one stem, and 0000\.png of thermal_raw/ may belong to either"
+    ):
+        load_capture(root)
+
+
 def test_data_factor(tmp_path):
     """Images, degrees and intrinsics shrink together; one pixel is the mean of its block."""
     capture = load_capture(write_rgbt_scenes(tmp_path, raw=True), data_factor=4)

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from capture_folders import HEIGHT, WIDTH, write_colmap_folder, write_transforms
+from capture_folders import HEIGHT, WIDTH, rgb_image, write_colmap_folder, write_transforms
 
 from thermosplat.datasets import load_capture
 from thermosplat.errors import UserError
@@ -81,6 +81,47 @@ def test_plain_nerfstudio(tmp_path):
     assert capture.train[0].thermal is not None
     camera = capture.train[0].rgb.camera
     np.testing.assert_allclose([camera.fx, camera.fy, camera.cx], [50, 50, WIDTH / 2])
+
+
+def divided(root, **changes):
+    """A capture whose images and thermal images lie in train/ and test/, each numbered from 0."""
+    content = write_transforms(root)
+    for number, frame in enumerate(content["frames"]):
+        split, stem = ("test", number - 5) if number >= 5 else ("train", number)
+        for folder in ("images", "thermal"):
+            (root / folder / split).mkdir(exist_ok=True)
+            path = root / frame["file_path"].replace("images", folder)
+            path.rename(root / folder / split / f"{stem}.png")
+        frame["file_path"] = f"images/{split}/{stem}.png"
+        del frame["thermal_file_path"]
+    (root / "transforms_thermal.json").write_text(json.dumps(content | changes))
+    return content
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_splits_that_are_numbered_apart(tmp_path, stated):
+    """Equal stems in train/ and test/: each its own thermal image, name and split, stated or by the folders."""
+    names = [f"./images/train/{n}.png" for n in range(5)], [f"./images/test/{n}.png" for n in range(3)]
+    divided(tmp_path, **({"train_filenames": names[0], "test_filenames": names[1]} if stated else {}))
+    capture = load_capture(tmp_path)
+    assert [frame.name for frame in capture.train] == [f"train_{number}" for number in range(5)]
+    assert [frame.name for frame in capture.test] == [f"test_{number}" for number in range(3)]
+    for number, frame in enumerate((*capture.train, *capture.test)):
+        np.testing.assert_array_equal(frame.rgb.image, rgb_image(number))
+        np.testing.assert_allclose(frame.thermal.image, 10 * number / 255, atol=1e-6)
+        assert frame.rgb.viewmat[0, 3] == -number
+
+
+def test_a_thermal_image_that_may_be_of_two_frames(tmp_path):
+    """A flat thermal/ beside images of equal stems in train/ and test/ is not guessed at."""
+    divided(tmp_path)
+    for number in range(5):
+        (tmp_path / "thermal" / "train" / f"{number}.png").rename(tmp_path / "thermal" / f"{number}.png")
+    for number in range(3):
+        (tmp_path / "thermal" / "test" / f"{number}.png").unlink()
+    expected = r"images/train/0\.png and images/test/0\.png of transforms_thermal\.json have one stem, and 0\.png of th"
+    with pytest.raises(UserError, match=expected):
+        load_capture(tmp_path)
 
 
 def test_names_without_a_split_fall_back_to_every_nth(tmp_path):

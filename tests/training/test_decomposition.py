@@ -1,16 +1,23 @@
 """Gaussians that the spectra pull apart are divided between them."""
 
+import dataclasses
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
+from toy_run import toy_run_config, toy_trainer
 
 from thermosplat.config import DensificationConfig, OptimizerConfig
 from thermosplat.gaussians import Gaussians
+from thermosplat.run_directory import RunDirectory
 from thermosplat.training.decomposition import DecomposingStrategy
+from thermosplat.training.densification import DefaultStrategy
 from thermosplat.training.gaussian_ops import Optimizers
-from thermosplat.training.optimizers import gaussian_optimizers
+from thermosplat.training.optimizers import gaussian_optimizers, set_learning_rates
+from thermosplat.training.trainer import Trainer
+from toy_scene import toy_capture
 
 OFF = 0.003
 FINE = torch.zeros(())
@@ -111,16 +118,78 @@ def test_faint_in_one_spectrum_goes_unless_clear_in_the_other() -> None:
     torch.testing.assert_close(opacities(gaussians), torch.tensor([[OFF, 0.9], [0.3, 0.3], [0.9, OFF]]))
 
 
-def test_divided_gaussians_are_spared_once() -> None:
-    """Just divided they may be faint in either spectrum; at the next refinement they must have become clear in one."""
-    gaussians = two_opacity_gaussians([0.3, 0.3], [0.3, 0.3])
+@pytest.mark.parametrize("log_scale", [-6.0, -2.0])
+def test_divided_gaussians_are_spared_once(log_scale: float) -> None:
+    """Just divided they may be faint in either spectrum; at the next refinement they must have become clear in one.
+
+    Meanwhile the first Gaussian is cloned or, large, replaced by its halves, which moves nobody's sparing to another.
+    """
+    gaussians = two_opacity_gaussians([0.3, 0.3, 0.004], [0.3, 0.3, 0.3])
+    with torch.no_grad():
+        gaussians.log_scales[0] = log_scale
     strategy, optimizers = strategy_of(gaussians)
-    growing = [9e-4, 0.0]  # the second grows meanwhile, which moves nobody's sparing to another
-    strategy.observe([info("rgb", [[5e-4, 0.0], growing]), info("thermal", [[0.0, 5e-4], growing])], FINE)
+    growing, calm = [9e-4, 0.0], [0.0, 0.0]
+    strategy.observe([info("rgb", [growing, [5e-4, 0.0], calm]), info("thermal", [growing, [0.0, 5e-4], calm])], FINE)
     refine(strategy, gaussians, optimizers)
     assert sorted(opacities(gaussians).amin(dim=-1).tolist()) == pytest.approx([OFF, OFF, 0.3, 0.3])
     refine(strategy, gaussians, optimizers)
     torch.testing.assert_close(opacities(gaussians), torch.full((2, 2), 0.3))
+
+
+def test_refinement_after_growth_has_stopped() -> None:
+    """``--budget auto`` ends growth: nothing is divided any more, and what was divided is spared no longer."""
+    gaussians = two_opacity_gaussians([0.3, 0.3, 0.004], [0.3, 0.3, 0.3])
+    strategy, optimizers = strategy_of(gaussians)
+    calm = [0.0, 0.0]
+    strategy.observe([info("rgb", [[5e-4, 0.0], calm, calm]), info("thermal", [[0.0, 5e-4], calm, calm])], FINE)
+    refine(strategy, gaussians, optimizers)
+    assert len(gaussians) == 3  # the first twice, and the second
+    strategy.growing = False
+    strategy.observe([info("rgb", [calm, [5e-4, 0.0], calm]), info("thermal", [calm, [0.0, 5e-4], calm])], FINE)
+    refine(strategy, gaussians, optimizers)
+    torch.testing.assert_close(opacities(gaussians), torch.full((1, 2), 0.3))
+
+
+def test_switched_off_stays_off() -> None:
+    """Adam's momentum from before brings no Gaussian back into a spectrum: not a divided one, not one that faded."""
+    gaussians = two_opacity_gaussians([0.6, 0.004], [0.8, 0.9])
+    strategy, optimizers = strategy_of(gaussians)
+    set_learning_rates(optimizers, OptimizerConfig(), 0.0, 1.0)
+    names = ("logit_opacities", "logit_thermal_opacities")
+    before = {name: gaussians.get_parameter(name).detach().clone() for name in names}
+
+    def advance(gradient: float) -> None:
+        for name in names:
+            parameter = gaussians.get_parameter(name)
+            parameter.grad = torch.full_like(parameter, gradient)
+            optimizers[name].step()
+
+    for _ in range(30):
+        advance(-1.0)  # both opacities rise
+    for name in names:
+        gaussians.get_parameter(name).data.copy_(before[name])
+    strategy.observe([info("rgb", [[5e-4, 0.0], [0.0, 0.0]]), info("thermal", [[0.0, 5e-4], [0.0, 0.0]])], FINE)
+    refine(strategy, gaussians, optimizers)
+    switched_off = torch.tensor([[False, True], [True, False], [True, False]])
+    assert torch.equal(opacities(gaussians) < 1 / 255, switched_off)
+    for _ in range(100):
+        advance(0.0)  # nobody sees what is off
+    torch.testing.assert_close(opacities(gaussians)[switched_off], torch.full((3,), OFF))
+    assert opacities(gaussians)[0, 0] > 0.65  # others go on
+
+
+@pytest.mark.parametrize(("cap", "divided"), [(3, []), (4, []), (6, [1, 3]), (7, [1, 2, 3]), (None, [0, 1, 2, 3])])
+def test_cap_lets_the_farthest_apart_be_divided(cap: int | None, divided: list[int]) -> None:
+    """Close to the cap those are divided that are pulled apart most, up to the cap exactly; the others stay as is."""
+    gaussians = two_opacity_gaussians([0.3] * 4, [0.4] * 4)
+    strategy, optimizers = strategy_of(gaussians, max_gaussians=cap)
+    strengths = (5e-4, 8e-4, 6e-4, 7e-4)
+    infos = [info("rgb", [[s, 0.0] for s in strengths]), info("thermal", [[0.0, s] for s in strengths])]
+    strategy.observe(infos, FINE)
+    refine(strategy, gaussians, optimizers)
+    assert len(gaussians) == 4 + len(divided)
+    assert torch.where(gaussians.thermal_opacities < 1 / 255)[0].tolist() == divided
+    assert torch.where(gaussians.opacities < 1 / 255)[0].tolist() == list(range(4, len(gaussians)))
 
 
 def test_state_survives_a_checkpoint() -> None:
@@ -132,3 +201,33 @@ def test_state_survives_a_checkpoint() -> None:
     other.load_state_dict(strategy.state_dict())
     assert torch.equal(other.gradient_sums, strategy.gradient_sums)
     assert other._conflicting(gaussians).tolist() == [True]
+
+
+def test_state_of_a_strategy_that_did_not_divide() -> None:
+    """Its sums come back; gradients by spectrum, which it did not note, start at zero, for as many Gaussians."""
+    gaussians = two_opacity_gaussians([0.6], [0.8])
+    plain = DefaultStrategy(DensificationConfig(), 3.0, len(gaussians), "cpu")
+    plain.grad_norm_sum += 5e-4
+    plain.observations += 1.0
+    strategy, _ = strategy_of(gaussians)
+    strategy.gradient_sums += 1.0
+    strategy.load_state_dict(plain.state_dict())
+    assert strategy.grad_norm_sum.tolist() == plain.grad_norm_sum.tolist()
+    assert strategy.gradient_sums.tolist() == [[[0.0, 0.0]], [[0.0, 0.0]]]
+    assert strategy._conflicting(gaussians).tolist() == [False]
+
+
+def test_resumed_run_may_begin_to_divide(tmp_path: Path) -> None:
+    """A run without decomposition goes on with it, as every setting of densification may change on --resume."""
+    config = toy_run_config(12, model={"thermal_opacity": "own"})
+    first = toy_trainer(tmp_path, config, toy_capture())
+    while first.step < 5:
+        first._train_step()
+    first._save()
+    densification = dataclasses.replace(config.densification, decompose_threshold=1e-6)
+    changed = dataclasses.replace(config, densification=densification)
+    resumed = Trainer.resume(changed, toy_capture(), RunDirectory.open(tmp_path))
+    while resumed.step < 7:  # to the next refinement
+        resumed._train_step()
+    (gaussians,) = resumed.state.gaussian_sets.values()
+    assert (gaussians.thermal_opacities < 1 / 255).any()

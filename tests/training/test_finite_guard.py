@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from thermosplat import warp_bridge
 from thermosplat.training.finite_guard import FiniteGuard, note_by_torch
 from thermosplat.warp_finite_check import note_by_warp
 
@@ -90,6 +91,20 @@ def test_every_number_of_every_tensor_is_seen(
         expected = {5: 2} if bad is None else {5: 2, name: 6}
         assert {at: int(first[at]) for at in torch.where(first > 0)[0].tolist()} == expected
         assert blocked == (0 if bad is None else 1)
+
+
+@pytest.mark.parametrize("place", [0, 2, 3, 5, 6])
+def test_tensors_too_long_to_number_are_seen_in_parts(
+    device: torch.device, monkeypatch: pytest.MonkeyPatch, place: int
+) -> None:
+    """A bad number in any part of a tensor is noted under the tensor's name."""
+    monkeypatch.setattr(warp_bridge, "LONGEST", 3)
+    values = torch.ones(7, device=device)
+    values[place] = math.nan
+    first, blocked = torch.zeros(3, dtype=torch.int64, device=device), torch.zeros((), device=device)
+    others = torch.ones(5, device=device), torch.ones(2, 2, device=device)
+    note_by_warp([[others[0]], [values], [others[1]]], torch.tensor(3, device=device), first, blocked)
+    assert first.tolist() == [0, 3, 0]
 
 
 def test_a_number_too_large_for_its_square_is_bad(device: torch.device) -> None:

@@ -6,7 +6,7 @@ from random_gaussians import random_gaussians, stepped_optimizers
 
 from thermosplat.gaussians import Gaussians
 from thermosplat.training import gaussian_ops
-from thermosplat.training.gaussian_ops import Optimizers, clone, grow, prune, reset_opacities
+from thermosplat.training.gaussian_ops import Optimizers, clear_moments, clone, grow, prune, reset_opacities
 
 
 def _snapshot(gaussians: Gaussians, optimizers: Optimizers) -> dict[str, dict[str, torch.Tensor]]:
@@ -40,8 +40,9 @@ def test_growth_appends_copies_and_replaces_others_by_two_smaller_ones() -> None
     optimizers = stepped_optimizers(gaussians)
     before = _snapshot(gaussians, optimizers)
     cloned, halved = torch.tensor([False, True, False, False, False]), torch.tensor([True, False, False, True, False])
-    grow(gaussians, optimizers, cloned, halved, torch.Generator().manual_seed(0))
+    rows = grow(gaussians, optimizers, cloned, halved, torch.Generator().manual_seed(0))
     assert len(gaussians) == 3 + 1 + 2 * 2
+    assert rows.tolist() == [1, 2, 4, 1, 0, 3, 0, 3]
     for name, now in _snapshot(gaussians, optimizers).items():
         assert torch.equal(now["value"][:3], before[name]["value"][~halved]), name
         assert torch.equal(now["exp_avg"][:3], before[name]["exp_avg"][~halved]), name
@@ -92,6 +93,23 @@ def test_prune_removes_parameters_and_moments() -> None:
     for name, now in _snapshot(gaussians, optimizers).items():
         for key in ("value", "exp_avg", "exp_avg_sq"):
             assert torch.equal(now[key], before[name][key][~removed]), name
+
+
+@pytest.mark.parametrize("which", [torch.tensor([1, 3]), torch.tensor([False, True, False, True, False])])
+@pytest.mark.parametrize("names", [None, ("logit_opacities",)])
+def test_moments_of_some_are_cleared(which: torch.Tensor, names: tuple[str, ...] | None) -> None:
+    """Adam forgets the named Gaussians, in all parameters or in the named ones alone; the parameters stay."""
+    gaussians = random_gaussians(5)
+    optimizers = stepped_optimizers(gaussians)
+    before = _snapshot(gaussians, optimizers)
+    clear_moments(gaussians, optimizers, which, names)
+    for name, now in _snapshot(gaussians, optimizers).items():
+        assert torch.equal(now["value"], before[name]["value"]), name
+        for key in ("exp_avg", "exp_avg_sq"):
+            expected = before[name][key]
+            if names is None or name in names:
+                expected[[1, 3]] = 0.0
+            assert torch.equal(now[key], expected), name
 
 
 def test_reset_lowers_both_opacities() -> None:

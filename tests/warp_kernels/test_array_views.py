@@ -68,6 +68,19 @@ def test_strides_of_a_part() -> None:
     assert rows.owner is None
 
 
+@pytest.mark.parametrize(
+    ("shape", "strides"), [((2**31,), None), ((2, 2**29), None), ((3,), (2**31,)), ((3,), (-(2**31),))]
+)
+def test_what_32_bits_cannot_say_is_refused(shape: tuple[int, ...], strides: tuple[int, ...] | None) -> None:
+    """An extent or a stride too large for a kernel is named, not left to the packing of bytes."""
+    with pytest.raises(
+        ValueError, match=r"shape \[.* bytes is too large for a kernel: .* at most 2,147,483,647"
+    ) as raised:
+        ArrayView(0, shape, wp.float32, wp.get_device(CPU), strides=strides)
+    assert str(list(shape)) in str(raised.value)
+    assert ArrayView(0, (2**31 - 1,), wp.float32, wp.get_device(CPU)).size == 2**31 - 1
+
+
 @pytest.mark.parametrize("as_views", [False, True])
 def test_each_launch_has_its_own_arguments(as_views: bool) -> None:
     """What was recorded first leaves no trace: other numbers, other arrays, another number of threads."""

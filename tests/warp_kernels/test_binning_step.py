@@ -1,18 +1,22 @@
 """The step that bins: what it refuses. Its lists are tested in test_tile_binning."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
 from warp_scene import image_opacities, projected, warp_scene
 
-from warp_kernels.binning_step import TooManyPairsError, bin_tiles
+from warp_kernels import binning_step
+from warp_kernels.array_views import ArrayView
+from warp_kernels.binning_step import PAIRS_MAX, TooManyPairsError, bin_tiles
 from warp_kernels.projection import ProjectedArrays, ProjectionSettings
 from warp_kernels.rasterization import scalar_view
+from warp_kernels.tile_bins import Room
 
 
-def test_more_pairs_than_indices_can_number() -> None:
-    """600 Gaussians that each cover 2048 x 2048 tiles: refused before memory for the pairs is asked for."""
-    n, size = 600, 16384
+def covering(n: int, size: int) -> dict[str, Any]:
+    """Arguments of ``bin_tiles``: Gaussians that each cover an image of so many pixels."""
 
     def array(values: float | tuple[float, ...], kind: type) -> wp.array:
         return wp.array(np.tile(values, (n, 1)).squeeze(), dtype=kind, device="cpu")
@@ -29,9 +33,63 @@ def test_more_pairs_than_indices_can_number() -> None:
     )
     features = wp.zeros((n, 3), dtype=wp.float32, device="cpu")
     settings = ProjectionSettings(width=size, height=size, num_gaussians=n, num_cameras=1, num_images=1)
-    found = r"2,516,582,400 overlaps of 600 Gaussians with 4,194,304 tiles of 8 px exceed the 2,147,483,647"
+    return {
+        "projected": arrays,
+        "opacities": opacities,
+        "thermal_opacities": opacities,
+        "features": features,
+        "settings": settings,
+        "tile_size": 8,
+        "by_slot": True,
+    }
+
+
+@pytest.fixture
+def nothing_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Arrays of a GiB are not to be asked for."""
+    empty = wp.empty
+
+    def small(shape: int, dtype: type, **options: object) -> wp.array:
+        assert shape * wp.types.type_size_in_bytes(dtype) < 2**30, "the limit came too late"
+        return empty(shape, dtype, **options)
+
+    monkeypatch.setattr(wp, "empty", small)
+
+
+@pytest.mark.usefixtures("nothing_large")
+@pytest.mark.parametrize(("n", "pairs"), [(600, "2,516,582,400"), (256, "1,073,741,824")])
+@pytest.mark.parametrize("compacted", [True, False])
+def test_more_pairs_than_a_call_can_number(
+    monkeypatch: pytest.MonkeyPatch, n: int, pairs: str, compacted: bool
+) -> None:
+    """Gaussians that each cover 2048 x 2048 tiles: refused before memory for the pairs is asked for."""
+    monkeypatch.setattr(binning_step, "COMPACTED", 0 if compacted else 2**18)
+    found = f"{pairs} overlaps of {n} Gaussians with 4,194,304 tiles of 8 px exceed the 1,073,741,823 that one call"
     with pytest.raises(TooManyPairsError, match=found):
-        bin_tiles(arrays, opacities, opacities, features, settings, 8, by_slot=True)
+        bin_tiles(**covering(n, 16384))
+
+
+@pytest.mark.usefixtures("nothing_large")
+def test_the_most_pairs_are_allowed() -> None:
+    """Up to the limit it is a matter of memory, of which the arrays as they are to be made can be asked for."""
+    with pytest.raises(AssertionError, match="too late") as raised:
+        bin_tiles(**covering(255, 16384))
+    assert "1,069,547,520 overlaps of 255 Gaussians" in raised.value.__notes__[0]
+    assert ArrayView(0, (2 * PAIRS_MAX,), wp.int32, wp.get_device("cpu")).size == 2 * PAIRS_MAX
+
+
+@pytest.mark.usefixtures("nothing_large")
+def test_more_room_than_a_call_can_number() -> None:
+    """What is asked for beforehand has the same limit."""
+    with pytest.raises(TooManyPairsError, match="1,073,741,824 overlaps of 4 Gaussians with 9 tiles of 8 px exceed"):
+        bin_tiles(**covering(4, 20), room=Room(PAIRS_MAX + 1, PAIRS_MAX + 1, 9))
+
+
+@pytest.mark.usefixtures("nothing_large")
+def test_more_tiles_than_a_call_can_number() -> None:
+    """An image that no device could hold says so itself."""
+    with pytest.raises(TooManyPairsError, match="2,147,488,281 tiles of 8 px exceed the 2,147,483,646 of one call"):
+        bin_tiles(**covering(1, 8 * 46341))
 
 
 def test_what_there_was_no_memory_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from warp_kernels.step_kernels import cpu_step_kernels
+
 STEP = """
 import sys
 import torch
@@ -41,6 +43,13 @@ assert values["means"].grad.abs().sum() > 0
 launched = {module.name for module in wp._src.context.user_modules.values() if module.execs}
 assert launched == ahead, launched ^ ahead
 """
+
+
+def test_what_one_traversal_cannot_blend_is_not_compiled() -> None:
+    """More channels are blended in several, by kernels of fewer; the others are the same."""
+    few, many = ({kernel.key for kernel in cpu_step_kernels(*channels)} for channels in ((19, 13), (19, 16)))
+    assert few > many
+    assert len(few - many) == 3
 
 
 @pytest.mark.parametrize("dual", [True, False])

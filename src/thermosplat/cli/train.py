@@ -92,19 +92,23 @@ def _new_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type[
     from thermosplat.run_directory import RunDirectory
 
     folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
-    data = config.data if config.data == "sample" else str(Path(config.data).resolve())  # holds from any directory
-    trainer = trainer_class(
-        replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder)
-    )
+    config, overwrite = _from_anywhere(config), config.overwrite
+    trainer = trainer_class(replace(config, result_dir=folder, overwrite=False), capture, RunDirectory(folder))
     # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
-    RunDirectory.create(folder, overwrite=config.overwrite)
+    RunDirectory.create(folder, overwrite=overwrite)
     return trainer
 
 
 def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type["Trainer"]) -> "Trainer":
     from thermosplat.run_directory import RunDirectory
 
-    return trainer_class.resume(replace(config, resume=None), capture, RunDirectory.open(str(config.resume)))
+    run = RunDirectory.open(str(config.resume))
+    return trainer_class.resume(replace(_from_anywhere(config), resume=None), capture, run)
+
+
+def _from_anywhere(config: "TrainConfig") -> "TrainConfig":
+    """The configuration as a run keeps it: with a path to the capture that holds from any directory."""
+    return config if config.data == "sample" else replace(config, data=str(Path(config.data).resolve()))
 
 
 def _say_where(trainer: "Trainer") -> None:

@@ -6,7 +6,7 @@ model share the RGB image's camera; that has to show in equal sizes, or be said 
 
 from pathlib import Path
 
-from thermosplat.datasets.colmap_images import StemIndex, frames_with_borrowed_cameras
+from thermosplat.datasets.colmap_images import frames_with_borrowed_cameras
 from thermosplat.datasets.colmap_model import ColmapModel
 from thermosplat.datasets.frame_files import Listing
 
@@ -18,7 +18,5 @@ def list_colmap_folder(root: Path, model: ColmapModel) -> Listing:
         root: The capture's folder.
         model: Its COLMAP model.
     """
-    frames, notes = frames_with_borrowed_cameras(
-        root / "images", root / "thermal", root / "thermal_raw", StemIndex(model.images)
-    )
+    frames, notes = frames_with_borrowed_cameras(root / "images", root / "thermal", root / "thermal_raw", model.images)
     return Listing("colmap", tuple(frames), model.points, model.point_colors, registered=False, notes=tuple(notes))

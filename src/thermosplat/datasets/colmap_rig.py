@@ -5,13 +5,18 @@ The model's image names say which is which: rgb/0001.png and thermal/0001.png, b
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-from thermosplat.datasets.colmap_images import SPLIT_FOLDERS, files_by_key, frame_name, registration_notes, stem_key
+from thermosplat.datasets.colmap_images import registration_notes
 from thermosplat.datasets.colmap_model import ColmapModel, RegisteredImage
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot, Split
 from thermosplat.datasets.image_files import list_images
+from thermosplat.datasets.image_names import SPLIT_FOLDERS, NamedImages, exposures, files_in, frame_names
+from thermosplat.errors import UserError
+
+_MODEL = "the COLMAP model"
 
 
 def has_thermal_cameras(model: ColmapModel) -> bool:
@@ -25,35 +30,37 @@ def list_colmap_rig(root: Path, model: ColmapModel) -> Listing:
     Args:
         root: The capture's folder.
         model: Its COLMAP model.
+
+    Raises:
+        UserError: Several images have one stem, and nothing tells which of them belong together.
     """
-    raw = files_by_key(root / "thermal_raw")
+    raw, thermal = files_in(root / "thermal_raw"), _named(model.images)[1]
     frames: list[FrameFiles] = []
+    names: list[PurePosixPath] = []
     used: set[Path] = set()
     without_file = 0
     for exposure in _exposures(model.images):
         shots: dict[bool, Shot] = {}
-        names: dict[bool, str] = {}
         split: Split | None = None
         for image in exposure:
             path = _find_file(root, image.name)
             if path is None:
                 without_file += 1
                 continue
-            values = raw.get(stem_key(image.name)) if image.thermal else None
-            shots[image.thermal] = Shot(path, image.lens, image.viewmat, None if values is None else values[0])
-            names[image.thermal] = stem_key(image.name)
+            values = raw.find(image.name, thermal) if image.thermal else None
+            if not shots:
+                names.append(image.name)
+            shots[image.thermal] = Shot(path, image.lens, image.viewmat, None if values is None else raw[values])
             split = split or next((s for s in SPLIT_FOLDERS if s in path.parent.parts[len(root.parts) :]), None)
         used.update(shot.path for shot in shots.values())
         if shots:
-            name = names.get(False) or names[True]
-            frames.append(
-                FrameFiles(frame_name(name), shots.get(False), shots.get(True), split, thermal_has_camera=True)
-            )
+            frames.append(FrameFiles("", shots.get(False), shots.get(True), split, thermal_has_camera=True))
     folders = (root / "images", root / "rgb", root / "thermal")
+    called = frame_names(names, _MODEL)
     unregistered = [path for folder in folders for path in list_images(folder, recursive=True) if path not in used]
     return Listing(
         "colmap-rig",
-        tuple(frames),
+        tuple(replace(frame, name=name) for frame, name in zip(frames, called, strict=True)),
         model.points,
         model.point_colors,
         notes=tuple(registration_notes(unregistered, without_file)),
@@ -61,31 +68,48 @@ def list_colmap_rig(root: Path, model: ColmapModel) -> Listing:
 
 
 def _exposures(images: Sequence[RegisteredImage]) -> list[list[RegisteredImage]]:
-    """Images taken together, at most one of each modality: by rig frame if rigs couple the modalities, else by stem."""
-    by_frame = _group(images, [image.frame_id for image in images])
+    """Images taken together, RGB first, one of a modality: by rig frame if rigs couple modalities, else by name."""
+    by_frame = _by_frame(images)
     coupled = any(len({image.thermal for image in group}) == 2 for group in by_frame)
-    groups = by_frame if coupled else _group(images, [stem_key(image.name) for image in images])
-    exposures = []
-    for group in groups:
-        if len({image.thermal for image in group}) == len(group):
-            exposures.append(group)
-        else:  # several cameras of one modality: pair within the rig frame by stem, the rest stand alone
-            exposures += _group(group, [stem_key(image.name) for image in group])
-    return exposures
+    together = []
+    for group in by_frame if coupled else [images]:
+        if coupled and len({image.thermal for image in group}) == len(group):
+            together.append(sorted(group, key=lambda image: image.thermal))
+            continue
+        # several of one modality: pair within the rig frame by name, the rest stand alone
+        rgb, thermal = _named(group)
+        for exposure in exposures(rgb, thermal):
+            seen = [] if exposure.rgb is None else [rgb[exposure.rgb]]
+            together.append(seen + ([] if exposure.thermal is None else [thermal[exposure.thermal]]))
+    return together
 
 
-def _group(images: Sequence[RegisteredImage], keys: Iterable[object]) -> list[list[RegisteredImage]]:
-    groups: dict[object, list[RegisteredImage]] = defaultdict(list)
-    for image, key in zip(images, keys, strict=True):
-        groups[key].append(image)
+def _named(images: Sequence[RegisteredImage]) -> tuple[NamedImages[RegisteredImage], NamedImages[RegisteredImage]]:
+    """RGB and thermal images by name."""
+    rgb, thermal = ([(i.name, i) for i in images if i.thermal is wanted] for wanted in (False, True))
+    return NamedImages(_MODEL, rgb), NamedImages(_MODEL, thermal)
+
+
+def _by_frame(images: Sequence[RegisteredImage]) -> list[list[RegisteredImage]]:
+    groups: dict[int, list[RegisteredImage]] = defaultdict(list)
+    for image in images:
+        groups[image.frame_id].append(image)
     return list(groups.values())
 
 
 def _find_file(root: Path, name: PurePosixPath) -> Path | None:
     """The file of a registered image: below images/ or the capture's folder, perhaps inside train/ or test/."""
     for base in (root / "images", root):
-        for folder in ("", *SPLIT_FOLDERS):
-            path = base / name.parent / folder / name.name
-            if path.is_file():
-                return path
+        path, *divided = (base / name.parent / folder / name.name for folder in ("", *SPLIT_FOLDERS))
+        if path.is_file():
+            return path
+        found = [path for path in divided if path.is_file()]
+        if len(found) > 1:
+            first, second = (path.relative_to(root) for path in found)
+            raise UserError(
+                f"{first} and {second} of {root} have one stem, and {name} of {_MODEL} may be either.",
+                "Remove the one that is not in the model.",
+            )
+        if found:
+            return found[0]
     return None

@@ -7,18 +7,20 @@ test_filenames. temperature_bounds.json gives the temperatures of black and whit
 """
 
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.datasets.colmap_images import frame_name, stem_key
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot, Split
 from thermosplat.datasets.image_files import list_images, read_image
+from thermosplat.datasets.image_names import NamedImages, files_in, frame_names
 from thermosplat.datasets.lens import Lens
 from thermosplat.datasets.temperature_units import celsius_range, read_json
 from thermosplat.datasets.transforms_points import transforms_points
 from thermosplat.errors import UserError
+
+T = TypeVar("T")
 
 _NAMES = ("transforms_thermal.json", "transforms.json")
 _OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -53,17 +55,15 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
     entries = content.get("frames")
     if not isinstance(entries, list) or not entries:
         raise UserError(f"{path} lists no frames.", "Expected nerfstudio's transforms with a list under 'frames'.")
-    thermal_by_stem = {file.stem: file for file in list_images(root / "thermal", recursive=True)}
-    raw_by_stem = {file.stem: file for file in list_images(root / "thermal_raw", recursive=True)}
-    stated = _stated_splits(content)
+    thermal_files, raw_files = (files_in(root / folder, by_stem=True) for folder in ("thermal", "thermal_raw"))
+    stated = _stated_splits(content, path)
+    listed = NamedImages(path.name, [(_name(entry), None) for entry in entries])
+    called = dict(zip(listed, frame_names(list(listed), path.name), strict=True))
     frames, missing = [], 0
     for number, entry in enumerate(entries):
-        rgb = _file(root, entry.get("file_path"))
-        name = PurePosixPath(str(entry.get("file_path") or entry.get("thermal_file_path")))
-        stem = name.stem
-        thermal = _file(root, entry.get("thermal_file_path")) or thermal_by_stem.get(stem)
-        values = raw_by_stem.get(stem)
-        thermal = thermal or values
+        name, rgb = _name(entry), _file(root, entry.get("file_path"))
+        values = _found(raw_files, name, listed)
+        thermal = _file(root, entry.get("thermal_file_path")) or _found(thermal_files, name, listed) or values
         if rgb is None and thermal is None:
             missing += 1
             continue
@@ -73,10 +73,10 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
         lens = _lens(entry, content, path, number, rgb or thermal)
         frames.append(
             FrameFiles(
-                frame_name(stem_key(name)),
+                called[name],
                 None if rgb is None else Shot(rgb, lens, viewmat),
                 None if thermal is None else Shot(thermal, lens, viewmat, values),
-                stated.get(stem),
+                _found(stated, name, listed),
             )
         )
     if not frames:
@@ -92,6 +92,17 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
         celsius_range=_temperature_bounds(root),
         notes=tuple(notes),
     )
+
+
+def _name(entry: dict[str, Any]) -> PurePosixPath:
+    """The image by which a frame is called."""
+    return PurePosixPath(str(entry.get("file_path") or entry.get("thermal_file_path")))
+
+
+def _found(images: NamedImages[T], name: PurePosixPath, listed: NamedImages[None]) -> T | None:
+    """What is known of a frame's image elsewhere."""
+    found = images.find(name, listed)
+    return None if found is None else images[found]
 
 
 def _file(root: Path, stated: Any) -> Path | None:
@@ -155,13 +166,13 @@ def _lens(entry: dict[str, Any], content: dict[str, Any], path: Path, number: in
     return Lens(model, pinhole + distortion, *size)
 
 
-def _stated_splits(content: dict[str, Any]) -> dict[str, Split]:
-    """Splits by file stem from nerfstudio's lists of names; validation images count as test images."""
-    splits: dict[str, Split] = {}
+def _stated_splits(content: dict[str, Any], path: Path) -> NamedImages[Split]:
+    """Splits from nerfstudio's lists of names; validation images count as test images."""
+    splits: dict[PurePosixPath, Split] = {}
     for key, split in (("train_filenames", "train"), ("val_filenames", "test"), ("test_filenames", "test")):
         for name in content.get(key) or []:
-            splits[Path(str(name)).stem] = split  # type: ignore[assignment]
-    return splits
+            splits[PurePosixPath(str(name))] = split  # type: ignore[assignment]
+    return NamedImages(f"the lists of {path.name}", splits.items(), same_files=True, by_stem=True)
 
 
 def _with_splits_from_names(frames: list[FrameFiles]) -> list[FrameFiles]:

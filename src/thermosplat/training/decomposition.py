@@ -2,7 +2,8 @@
 
 A Gaussian that both spectra see has two gradients of means2d. Where their means over the views since the last
 refinement differ by more than a threshold, the Gaussian becomes two at the same place: one that only RGB sees and one
-that only thermal sees. Seen by nobody means an opacity below 1/255, which the renderer skips, so it stays that way.
+that only thermal sees. Not seen means an opacity below 1/255, which the renderer skips, so that it gets no gradient and
+stays that way. ``max_gaussians`` caps division as it does growth, which gets what room is left.
 """
 
 import math
@@ -12,8 +13,8 @@ import torch
 from torch import Tensor
 
 from thermosplat.gaussians import Gaussians
-from thermosplat.training.densification import DefaultStrategy, Refinement
-from thermosplat.training.gaussian_ops import Optimizers, clone
+from thermosplat.training.densification import DefaultStrategy
+from thermosplat.training.gaussian_ops import Optimizers, clear_moments, clone
 
 VISIBLE_OPACITY = 1.0 / 255.0
 """Opacity from which on the renderer draws a Gaussian. MMOne takes 1/256."""
@@ -32,9 +33,10 @@ class DecomposingStrategy(DefaultStrategy):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.gradient_sums = self._no_gradients(len(self.grad_norm_sum))
+        self.gradient_sums = self._no_gradients()
         """Gradients of means2d since the last refinement, in units of half the image, by spectrum, shape [2, N, 2]."""
-        self._spared = torch.zeros(0, dtype=torch.bool)
+        self._spared = torch.zeros_like(self.grad_norm_sum, dtype=torch.bool)
+        """Gaussians that the refinement under way has divided, and must not remove, shape [N]."""
 
     @torch.no_grad()
     def observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:
@@ -61,68 +63,85 @@ class DecomposingStrategy(DefaultStrategy):
         self.grad_norm_sum += torch.where(finite, total.norm(dim=-1), 0.0)
         self.observations += torch.where(finite, visible, 0.0)
 
-    def refine(
-        self, gaussians: Gaussians, optimizers: Optimizers, step: int, generator: torch.Generator
-    ) -> Refinement | None:
-        """As ``DefaultStrategy.refine``; Gaussians that conflict are divided, and not grown or removed this time."""
-        if self.refines_at(step) and self.growing:
-            self._divide(gaussians, optimizers)
-        return super().refine(gaussians, optimizers, step, generator)
-
     @torch.no_grad()
+    def _grow(self, gaussians: Gaussians, optimizers: Optimizers, generator: torch.Generator) -> tuple[int, int]:
+        """As ``DefaultStrategy``'s; before, Gaussians that conflict are divided, and neither grow nor go this time."""
+        if self.growing:
+            self._divide(gaussians, optimizers)
+        return super()._grow(gaussians, optimizers, generator)
+
     def _divide(self, gaussians: Gaussians, optimizers: Optimizers) -> None:
-        conflicting = self._conflicting(gaussians)
-        number = int(conflicting.sum())
-        if number:
-            clone(gaussians, optimizers, conflicting)
-        off = _logit(self.config.off_opacity)
-        gaussians.logit_thermal_opacities[: len(conflicting)][conflicting] = off
-        gaussians.logit_opacities[len(conflicting) :] = off
-        none = self.grad_norm_sum.new_zeros(number)
-        self.grad_norm_sum = torch.cat([self.grad_norm_sum.masked_fill(conflicting, 0.0), none])
+        divided = self._conflicting(gaussians)
+        if not divided.any():
+            return
+        clone(gaussians, optimizers, divided)
+        copies = divided.new_ones(len(gaussians) - len(divided))
+        first, second = torch.cat([divided, ~copies]), torch.cat([torch.zeros_like(divided), copies])
+        self._switch_off(gaussians, optimizers, "logit_thermal_opacities", first)
+        self._switch_off(gaussians, optimizers, "logit_opacities", second)
+        none = self.grad_norm_sum.new_zeros(len(copies))
+        self.grad_norm_sum = torch.cat([self.grad_norm_sum.masked_fill(divided, 0.0), none])
         self.observations = torch.cat([self.observations, none])
-        # what is spared, as it will lie after growth: clones are appended, split ones leave and two halves are appended
-        spared = torch.cat([conflicting, torch.ones_like(none, dtype=torch.bool)])
-        cloned, halved = self._growing(gaussians)
-        grown = int(cloned.sum()) + 2 * int(halved.sum())
-        self._spared = torch.cat([spared[~halved], spared.new_zeros(grown)])
+        self._spared = first | second
+
+    def _follow(self, rows: Tensor) -> None:
+        self._spared = self._spared[rows]
 
     def _conflicting(self, gaussians: Gaussians) -> Tensor:
-        """Mask of the Gaussians that both spectra see and pull apart, shape [N]."""
+        """Mask of the Gaussians that both spectra see and pull apart; where room is scarce, the farthest. Shape [N]."""
         views = self.observations.clamp(min=1.0)
         apart = (self.gradient_sums[0] - self.gradient_sums[1]).norm(dim=-1) / views
         fainter = torch.minimum(gaussians.opacities, gaussians.thermal_opacities)
         threshold = self.config.decompose_threshold or 0.0
-        return (apart >= threshold) & (self.grad_norm_sum / views >= threshold) & (fainter > VISIBLE_OPACITY)
+        pulled = (apart >= threshold) & (self.grad_norm_sum / views >= threshold)
+        return self._within_cap(pulled & (fainter > VISIBLE_OPACITY), apart)
+
+    @torch.no_grad()
+    def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:
+        """As ``DefaultStrategy``'s; what stays although it is faint in one spectrum is switched off there."""
+        pruned = super()._prune(gaussians, optimizers, step)
+        (faint_rgb, faint_thermal), clear = self._faint(gaussians), self._clear(gaussians)
+        self._switch_off(gaussians, optimizers, "logit_opacities", faint_rgb & clear)
+        self._switch_off(gaussians, optimizers, "logit_thermal_opacities", faint_thermal & clear)
+        return pruned
 
     def _removed(self, gaussians: Gaussians, step: int) -> Tensor:
         """Faint in one spectrum is enough to go, unless the other one sees a Gaussian clearly."""
-        faint_rgb = gaussians.opacities < self.config.prune_opacity
-        faint_thermal = gaussians.thermal_opacities < self.config.prune_opacity
-        clear = torch.maximum(gaussians.opacities, gaussians.thermal_opacities) > self.config.keep_opacity
-        off = _logit(self.config.off_opacity)
-        gaussians.logit_opacities.masked_fill_(faint_rgb & clear, off)
-        gaussians.logit_thermal_opacities.masked_fill_(faint_thermal & clear, off)
-        removed = ((faint_rgb | faint_thermal) & ~clear) | self._too_large(gaussians, step)
+        faint_rgb, faint_thermal = self._faint(gaussians)
+        removed = ((faint_rgb | faint_thermal) & ~self._clear(gaussians)) | self._too_large(gaussians, step)
         return removed & ~self._spared
+
+    def _faint(self, gaussians: Gaussians) -> tuple[Tensor, Tensor]:
+        """Masks of the Gaussians that are faint for RGB and for thermal, each [N]."""
+        faintest = self.config.prune_opacity
+        return gaussians.opacities < faintest, gaussians.thermal_opacities < faintest
+
+    def _clear(self, gaussians: Gaussians) -> Tensor:
+        """Mask of the Gaussians that a spectrum sees clearly, [N]."""
+        return torch.maximum(gaussians.opacities, gaussians.thermal_opacities) > self.config.keep_opacity
+
+    def _switch_off(self, gaussians: Gaussians, optimizers: Optimizers, name: str, selected: Tensor) -> None:
+        """Let a spectrum see Gaussians, mask [N], no more. ``name`` is that of its opacity."""
+        off = self.config.off_opacity
+        gaussians.get_parameter(name)[selected] = math.log(off / (1.0 - off))
+        # Momentum goes on without gradients and would bring some back: after steady ones it makes nine more steps of
+        # the rate, which at MMOne's 0.05 is 0.45 in the logit, and from 0.003 to 1/255 it is 0.27.
+        clear_moments(gaussians, optimizers, selected, (name,))
 
     def forget(self, num_gaussians: int) -> None:
         """Start the sums again, for this many Gaussians."""
         super().forget(num_gaussians)
-        self.gradient_sums = self._no_gradients(num_gaussians)
+        self.gradient_sums = self._no_gradients()
+        self._spared = torch.zeros_like(self.grad_norm_sum, dtype=torch.bool)
 
-    def _no_gradients(self, num_gaussians: int) -> Tensor:
-        return self.grad_norm_sum.new_zeros(len(_MODALITIES), num_gaussians, 2)
+    def _no_gradients(self) -> Tensor:
+        return self.grad_norm_sum.new_zeros(len(_MODALITIES), len(self.grad_norm_sum), 2)
 
     def state_dict(self) -> dict[str, Tensor]:
         """What a checkpoint holds of this strategy."""
         return super().state_dict() | {"gradient_sums": self.gradient_sums}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Go on from a checkpoint's state."""
+        """Go on from a checkpoint's state; gradients by spectrum start at zero where its strategy did not note them."""
         super().load_state_dict(state)
-        self.gradient_sums = state["gradient_sums"].to(self.gradient_sums)
-
-
-def _logit(opacity: float) -> float:
-    return math.log(opacity / (1.0 - opacity))
+        self.gradient_sums = state.get("gradient_sums", self._no_gradients()).to(self.gradient_sums)

@@ -208,17 +208,24 @@ class DefaultStrategy:
         cloned, halved = self._growing(gaussians)
         num_cloned, num_halved = torch.stack([cloned.sum(), halved.sum()]).tolist()
         if num_cloned or num_halved:
-            grow(gaussians, optimizers, cloned, halved, generator)
+            self._follow(grow(gaussians, optimizers, cloned, halved, generator))
         return num_cloned, num_halved
 
     def _growing(self, gaussians: Gaussians) -> tuple[Tensor, Tensor]:
         """Masks of the Gaussians to clone and to split, each [N]."""
         gradient = self.grad_norm_sum / self.observations.clamp(min=1.0)
-        grows = gradient > self.config.grad_threshold
-        if self.config.max_gaussians is not None:
-            grows &= _largest(gradient, self.config.max_gaussians - len(gaussians))
+        grows = self._within_cap(gradient > self.config.grad_threshold, gradient)
         is_small = gaussians.scales.amax(dim=-1) <= self.config.grow_scale3d * self.scene_extent
         return grows & is_small, grows & ~is_small
+
+    def _within_cap(self, doubled: Tensor, values: Tensor) -> Tensor:
+        """Of the Gaussians that are to become two, mask [N], those of the largest values [N] that there is room for."""
+        if self.config.max_gaussians is None:
+            return doubled
+        return doubled & _largest(values.masked_fill(~doubled, -torch.inf), self.config.max_gaussians - len(values))
+
+    def _follow(self, rows: Tensor) -> None:
+        """Growth made Gaussian k a copy of the one that was ``rows[k]``: nothing is kept here that has to follow."""
 
     @torch.no_grad()
     def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:

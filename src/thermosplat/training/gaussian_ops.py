@@ -6,7 +6,7 @@ the new tensors and then puts them in place, so that running out of memory half-
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 
 import torch
@@ -78,15 +78,20 @@ def append_copies(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
 
 
 @torch.no_grad()
-def clear_moments(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor) -> None:
+def clear_moments(
+    gaussians: nn.Module, optimizers: Optimizers, indices: Tensor, names: Collection[str] | None = None
+) -> None:
     """Let Adam forget what it knows of some Gaussians.
 
     Args:
         gaussians: The Gaussians.
         optimizers: Their optimizers.
-        indices: int64, shape [n].
+        indices: Which, int64, shape [n], or boolean, shape [N].
+        names: Of these parameters alone. None: of all.
     """
     for name, parameter in gaussians.named_parameters():
+        if names is not None and name not in names:
+            continue
         for key, moment in optimizers[name].state.get(parameter, {}).items():
             if key != "step":
                 moment[indices] = 0.0
@@ -95,7 +100,7 @@ def clear_moments(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
 @torch.no_grad()
 def grow(
     gaussians: nn.Module, optimizers: Optimizers, cloned: Tensor, halved: Tensor, generator: torch.Generator
-) -> None:
+) -> Tensor:
     """Append copies of some Gaussians, and replace others by two smaller ones drawn from their distribution. 3DGS.
 
     Args:
@@ -104,6 +109,9 @@ def grow(
         cloned: Boolean, shape [N].
         halved: Boolean, shape [N].
         generator: Draws the new means; a CPU generator, so that every device draws the same.
+
+    Returns:
+        For each Gaussian there is now, which of the former ones it comes from, int64.
     """
     parameters = dict(gaussians.named_parameters())
     copies, indices = torch.where(cloned)[0], torch.where(halved)[0]  # every selection by a mask waits for the device
@@ -117,6 +125,7 @@ def grow(
     parameters, first_half = dict(gaussians.named_parameters()), len(rows) - 2 * len(indices)
     parameters["means"][first_half:] += samples.reshape(-1, 3)
     parameters["log_scales"][first_half:] -= math.log(SPLIT_SCALE)
+    return rows
 
 
 @torch.no_grad()
