@@ -18,7 +18,8 @@ from warp_kernels.blend_layout import BlendLayout
 from warp_kernels.blending import BATCH
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.gradient_records import feature_offset, kept_channels, ranges_apart, record_length
-from warp_kernels.lanes import accumulate_snippet, column_sums_snippet, lane_functions, warp_any, warp_max
+from warp_kernels.lane_sums import accumulate_snippet, column_sums_snippet
+from warp_kernels.lanes import lane_functions, warp_any, warp_max
 from warp_kernels.list_segments import list_of_block
 from warp_kernels.survivors import HEADER, queue_functions, record_functions, stages_features
 

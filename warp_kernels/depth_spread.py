@@ -9,7 +9,8 @@ import functools
 import warp as wp
 
 from warp_kernels.coefficient_rows import whole_warps
-from warp_kernels.lanes import lanes_of, total_function
+from warp_kernels.lane_sums import total_function
+from warp_kernels.lanes import lanes_of
 from warp_kernels.launching import launch
 
 NEAREST = 0.01
