@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from capture_folders import HEIGHT, WIDTH, rgb_image, write_colmap_folder, write_transforms
+from capture_folders import HEIGHT, WIDTH, rgb_image, write_colmap_folder, write_image, write_transforms
 
 from thermosplat.datasets import load_capture
 from thermosplat.errors import UserError
@@ -193,3 +193,25 @@ def test_transforms_win_over_a_model_beside_images(tmp_path):
     write_colmap_folder(tmp_path, 3)
     write_transforms(tmp_path)
     assert load_capture(tmp_path).layout == "transforms"
+
+
+@pytest.mark.parametrize("absolute", [True, False])
+def test_one_stem_in_several_folders(tmp_path, absolute):
+    """images/a/0000 has the thermal image and the values of a/0000, not those of b/0000."""
+    content = write_transforms(tmp_path)
+    for number, frame in enumerate(content["frames"]):
+        source = frame.pop("thermal_file_path")
+        name = f"{'ab'[number % 2]}/{number // 2:04d}.png"
+        for stated, folder in ((frame["file_path"], "images"), (source, "thermal")):
+            (tmp_path / folder / name).parent.mkdir(exist_ok=True)
+            (tmp_path / stated).rename(tmp_path / folder / name)
+        write_image(tmp_path / "thermal_raw" / name, np.full((HEIGHT, WIDTH), 29000 + number, np.uint16))
+        frame["file_path"] = str(tmp_path / "images" / name) if absolute else f"images/{name}"
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    capture = load_capture(tmp_path)
+    frames = capture.train + capture.test
+    assert len(frames) == 8
+    for frame in frames:
+        assert frame.thermal.path.parts[-2:] == frame.rgb.path.parts[-2:]
+        number = 2 * int(frame.rgb.name) + (frame.rgb.path.parent.name == "b")
+        np.testing.assert_allclose(frame.thermal.celsius, (29000 + number) / 100 - 273.15, atol=1e-3)

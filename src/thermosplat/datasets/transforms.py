@@ -57,11 +57,11 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
         raise UserError(f"{path} lists no frames.", "Expected nerfstudio's transforms with a list under 'frames'.")
     thermal_files, raw_files = (files_in(root / folder, by_stem=True) for folder in ("thermal", "thermal_raw"))
     stated = _stated_splits(content, path)
-    listed = NamedImages(path.name, [(_name(entry), None) for entry in entries])
+    listed = NamedImages(path.name, [(_name(root, entry), None) for entry in entries])
     called = dict(zip(listed, frame_names(list(listed), path.name), strict=True))
     frames, missing = [], 0
     for number, entry in enumerate(entries):
-        name, rgb = _name(entry), _file(root, entry.get("file_path"))
+        name, rgb = _name(root, entry), _file(root, entry.get("file_path"))
         values = _found(raw_files, name, listed)
         thermal = _file(root, entry.get("thermal_file_path")) or _found(thermal_files, name, listed) or values
         if rgb is None and thermal is None:
@@ -94,9 +94,11 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
     )
 
 
-def _name(entry: dict[str, Any]) -> PurePosixPath:
-    """The image by which a frame is called."""
-    return PurePosixPath(str(entry.get("file_path") or entry.get("thermal_file_path")))
+def _name(root: Path, entry: dict[str, Any]) -> PurePosixPath:
+    """The image by which a frame is called; below the capture's folder if it lies there, so that folders can pair."""
+    stated = PurePosixPath(str(entry.get("file_path") or entry.get("thermal_file_path")))
+    folder = root.resolve()
+    return stated.relative_to(folder) if stated.is_relative_to(folder) else stated
 
 
 def _found(images: NamedImages[T], name: PurePosixPath, listed: NamedImages[None]) -> T | None:
