@@ -7,20 +7,19 @@ test_filenames. temperature_bounds.json gives the temperatures of black and whit
 """
 
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot, Split
+from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.image_files import list_images, read_image
 from thermosplat.datasets.image_names import NamedImages, files_in, frame_names
 from thermosplat.datasets.lens import Lens
 from thermosplat.datasets.temperature_units import celsius_range, read_json
 from thermosplat.datasets.transforms_points import transforms_points
+from thermosplat.datasets.transforms_splits import check_stated, stated_splits, with_splits_from_names
 from thermosplat.errors import UserError
-
-T = TypeVar("T")
 
 _NAMES = ("transforms_thermal.json", "transforms.json")
 _OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -32,7 +31,6 @@ _DISTORTION = {
 }
 """Distortion parameters of nerfstudio's camera models, in COLMAP's order."""
 _COEFFICIENTS = sorted({key for keys in _DISTORTION.values() for key in keys})
-_EVAL_WORDS = frozenset({"eval", "test", "val"})
 
 
 def find_transforms(root: Path) -> Path | None:
@@ -56,12 +54,15 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
     if not isinstance(entries, list) or not entries:
         raise UserError(f"{path} lists no frames.", "Expected nerfstudio's transforms with a list under 'frames'.")
     thermal_files, raw_files = (files_in(root / folder, by_stem=True) for folder in ("thermal", "thermal_raw"))
-    stated = _stated_splits(content, path)
-    listed = NamedImages(path.name, [(_name(root, entry), None) for entry in entries])
+    names = [_name(root, entry) for entry in entries]
+    listed = NamedImages(path.name, [(name, None) for name in names])
+    splits, notes = stated_splits(content, path, names)
     called = dict(zip(listed, frame_names(list(listed), path.name), strict=True))
     frames, missing = [], 0
-    for number, entry in enumerate(entries):
-        name, rgb = _name(root, entry), _file(root, entry.get("file_path"))
+    for number, (name, entry) in enumerate(zip(names, entries, strict=True)):
+        if splits is not None and name not in splits:
+            continue
+        rgb = _file(root, entry.get("file_path"))
         values = _found(raw_files, name, listed)
         thermal = _file(root, entry.get("thermal_file_path")) or _found(thermal_files, name, listed) or values
         if rgb is None and thermal is None:
@@ -76,17 +77,22 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
                 called[name],
                 None if rgb is None else Shot(rgb, lens, viewmat),
                 None if thermal is None else Shot(thermal, lens, viewmat, values),
-                _found(stated, name, listed),
+                None if splits is None else splits[name],
             )
         )
     if not frames:
         raise UserError(f"None of the {len(entries)} images that {path} lists exists.", "Is it the right folder?")
-    points, colors, notes = transforms_points(root, content, frames, model_folder)
+    if splits is None:
+        frames = with_splits_from_names(frames)
+    else:
+        check_stated(frames, splits, path)
+    points, colors, point_notes = transforms_points(root, content, frames, model_folder)
+    notes += point_notes
     if missing:
         notes.append(f"{missing} frames of {path.name} have no file and were left out.")
     return Listing(
         "transforms",
-        tuple(_with_splits_from_names(frames)),
+        tuple(frames),
         points,
         colors,
         celsius_range=_temperature_bounds(root),
@@ -101,10 +107,10 @@ def _name(root: Path, entry: dict[str, Any]) -> PurePosixPath:
     return stated.relative_to(folder) if stated.is_relative_to(folder) else stated
 
 
-def _found(images: NamedImages[T], name: PurePosixPath, listed: NamedImages[None]) -> T | None:
-    """What is known of a frame's image elsewhere."""
-    found = images.find(name, listed)
-    return None if found is None else images[found]
+def _found(files: NamedImages[Path], name: PurePosixPath, listed: NamedImages[None]) -> Path | None:
+    """The file of a frame in another folder."""
+    found = files.find(name, listed)
+    return None if found is None else files[found]
 
 
 def _file(root: Path, stated: Any) -> Path | None:
@@ -166,28 +172,6 @@ def _lens(entry: dict[str, Any], content: dict[str, Any], path: Path, number: in
     if not any(distortion) and model != "OPENCV_FISHEYE":
         return Lens("PINHOLE", pinhole, *size)
     return Lens(model, pinhole + distortion, *size)
-
-
-def _stated_splits(content: dict[str, Any], path: Path) -> NamedImages[Split]:
-    """Splits from nerfstudio's lists of names; validation images count as test images."""
-    splits: dict[PurePosixPath, Split] = {}
-    for key, split in (("train_filenames", "train"), ("val_filenames", "test"), ("test_filenames", "test")):
-        for name in content.get(key) or []:
-            splits[PurePosixPath(str(name))] = split  # type: ignore[assignment]
-    return NamedImages(f"the lists of {path.name}", splits.items(), same_files=True, by_stem=True)
-
-
-def _with_splits_from_names(frames: list[FrameFiles]) -> list[FrameFiles]:
-    """Splits by words of the names, if none is stated and the names tell both kinds apart."""
-    words = [set(frame.name.lower().replace("-", "_").split("_")) for frame in frames]
-    held_out = [bool(word & _EVAL_WORDS) for word in words]
-    trained = ["train" in word for word in words]
-    if any(frame.split for frame in frames) or not (any(held_out) and any(trained)):
-        return frames
-    return [
-        FrameFiles(frame.name, frame.rgb, frame.thermal, "test" if test else "train")
-        for frame, test in zip(frames, held_out, strict=True)
-    ]
 
 
 def _temperature_bounds(root: Path) -> tuple[float, float] | None:
