@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from capture_folders import write_rgbt_scenes
 
+from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.ground_truth import read_ground_truth
 from thermosplat.errors import UserError
@@ -50,17 +52,52 @@ def test_frames_without_ground_truth(tmp_path: Path) -> None:
 
 
 def test_files_that_cannot_be_used(tmp_path: Path) -> None:
-    """Another aspect, an unknown label, a missing array and a damaged file are each named."""
+    """Another aspect and an unknown label are named."""
     wide = with_truth(tmp_path, HEIGHT, 2 * WIDTH)
     with pytest.raises(UserError, match=r"depth_rgb has shape .*another aspect"):
         read_ground_truth(wide, wide.train[0])
     strange = with_truth(tmp_path, label=np.full((HEIGHT, WIDTH), 9))
     with pytest.raises(UserError, match=r"label has \[9\]"):
         read_ground_truth(strange, strange.train[0])
+
+
+@pytest.mark.parametrize("content", [b"x", b"", b"no archive" * 100, "a .npy file", "pickled"])
+def test_damaged_files(tmp_path: Path, content: bytes | str) -> None:
+    """The file, its size and what is expected; nothing of numpy's pickles."""
+    capture = with_truth(tmp_path)
+    path = tmp_path / "ground_truth" / "a.npz"
+    if content == "a .npy file":
+        with path.open("wb") as file:
+            np.save(file, np.zeros((HEIGHT, WIDTH)))
+    elif content == "pickled":
+        np.savez(path, depth_rgb=np.array([{}], dtype=object))
+    else:
+        path.write_bytes(content)
+    with pytest.raises(UserError, match=r"a\.npz is damaged or of another kind \([\d,]+ bytes\)") as caught:
+        read_ground_truth(capture, capture.train[0])
+    assert "allow_pickle" not in str(caught.value)
+    assert "move ground_truth/ away" in caught.value.hint
+
+
+def test_missing_and_misshapen_arrays(tmp_path: Path) -> None:
+    """What is not there, and what is there in place of numbers or of an image."""
+    capture = with_truth(tmp_path)
     path = tmp_path / "ground_truth" / "a.npz"
     np.savez(path, label=np.zeros((HEIGHT, WIDTH)))
-    with pytest.raises(UserError, match="does not hold the arrays"):
-        read_ground_truth(strange, strange.train[0])
-    path.write_bytes(b"no archive")
-    with pytest.raises(UserError, match="does not hold the arrays"):
-        read_ground_truth(strange, strange.train[0])
+    with pytest.raises(UserError, match=r"does not hold depth_rgb, depth_thermal\. Expected"):
+        read_ground_truth(capture, capture.train[0])
+    for array, says in ((np.full((HEIGHT, WIDTH), "far"), "holds <U3"), (np.zeros((0, 0)), r"of shape \[0, 0\]")):
+        wrong = with_truth(tmp_path, depth_rgb=array)
+        with pytest.raises(UserError, match=says):
+            read_ground_truth(wrong, wrong.train[0])
+
+
+def test_damage_is_told_when_the_capture_is_loaded(tmp_path: Path) -> None:
+    """Not after the training; files of other frames than the held-out ones are not looked at."""
+    root = write_rgbt_scenes(tmp_path, 4)
+    (root / "ground_truth").mkdir()
+    (root / "ground_truth" / "0001.npz").write_text("x")
+    load_capture(root)
+    (root / "ground_truth" / "0000.npz").write_text("x")
+    with pytest.raises(UserError, match=r"ground_truth/0000\.npz is damaged"):
+        load_capture(root)

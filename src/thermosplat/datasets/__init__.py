@@ -6,6 +6,7 @@ from pathlib import Path
 from thermosplat.config import ThermalConfig
 from thermosplat.datasets.assemble import assemble
 from thermosplat.datasets.capture import Capture, Frame, Modality, View
+from thermosplat.datasets.ground_truth import check_ground_truth
 from thermosplat.datasets.layouts import list_capture
 from thermosplat.errors import UserError
 
@@ -46,4 +47,6 @@ def load_capture(
             "Give the folder that holds rgb/ or images/; for a first try: thermosplat-train sample",
         )
     listing = list_capture(root)
-    return assemble(root, name, listing, data_factor=data_factor, test_every=test_every, thermal=thermal)
+    capture = assemble(root, name, listing, data_factor=data_factor, test_every=test_every, thermal=thermal)
+    check_ground_truth(capture)
+    return capture

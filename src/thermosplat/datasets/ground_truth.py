@@ -8,7 +8,9 @@ share a camera there, without lens distortion):
 """
 
 import zipfile
+import zlib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,8 @@ from thermosplat.errors import UserError
 
 FOLDER = "ground_truth"
 LABELS = {0: "unlabelled", 1: "glass", 2: "poster", 3: "hidden heat", 4: "plastic", 5: "specular"}
+_NAMES = ("depth_rgb", "depth_thermal", "label")
+_REMEDY = f"Make it anew, or move {FOLDER}/ away to evaluate without it."
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,28 +57,51 @@ def read_ground_truth(capture: Capture, frame: Frame) -> GroundTruth | None:
     path = capture.root / FOLDER / f"{view.name}.npz"
     if not path.is_file():
         return None
-    names = ("depth_rgb", "depth_thermal", "label")
-    try:
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in names}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise UserError(
-            f"{path} does not hold the arrays {', '.join(names)}: {error}.",
-            f"Restore it, or move {FOLDER}/ away to evaluate without it.",
-        ) from error
+    arrays = _arrays(path)
     size = view.camera.height, view.camera.width
     for name, array in arrays.items():
         # a size divided by --data-factor is rounded to whole pixels
-        if array.ndim != 2 or abs(array.shape[0] / size[0] / (array.shape[1] / size[1]) - 1) > 1 / min(size):
+        if abs(array.shape[0] / size[0] / (array.shape[1] / size[1]) - 1) > 1 / min(size):
             raise UserError(
                 f"{path}: {name} has shape {list(array.shape)}, its images {list(size)}, another aspect.",
-                "Ground truth lies in the pixels of the images.",
+                f"Ground truth lies in the pixels of the images. {_REMEDY}",
             )
     if unknown := set(np.unique(arrays["label"]).tolist()) - LABELS.keys():
-        raise UserError(f"{path}: label has {sorted(unknown)}, known are {sorted(LABELS)}.")
-    depth_rgb, depth_thermal, label = (_nearest(arrays[name], *size) for name in names)
+        raise UserError(f"{path}: label has {sorted(unknown)}, known are {sorted(LABELS)}.", _REMEDY)
+    depth_rgb, depth_thermal, label = (_nearest(arrays[name], *size) for name in _NAMES)
     depths = {"rgb": depth_rgb.astype(np.float32), "thermal": depth_thermal.astype(np.float32)}
     return GroundTruth(depths, label)
+
+
+def check_ground_truth(capture: Capture) -> None:
+    """Read the ground truth of all held-out frames, so that what is wrong with it is told before training.
+
+    Raises:
+        UserError: As ``read_ground_truth``.
+    """
+    for frame in capture.test:
+        read_ground_truth(capture, frame)
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a file, whatever their sizes."""
+    wanted = f"Expected a NumPy archive (.npz) with the arrays {', '.join(_NAMES)}"
+    try:
+        with zipfile.ZipFile(path):  # numpy takes other files too, and says of the rest that they could be pickled
+            pass
+        with np.load(path) as file:
+            held = {name: file[name] for name in file.files if name in _NAMES}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        size = f"{path.stat().st_size:,} bytes"
+        raise UserError(f"{path} is damaged or of another kind ({size}). {wanted}.", _REMEDY) from error
+    missing = [name for name in _NAMES if name not in held]
+    if missing:
+        raise UserError(f"{path} does not hold {', '.join(missing)}. {wanted}.", _REMEDY)
+    for name, array in held.items():
+        if array.dtype.kind not in "biuf" or array.ndim != 2 or array.size == 0:
+            found = f"{array.dtype} of shape {list(array.shape)}"
+            raise UserError(f"{path}: {name} holds {found}, expected numbers [H, W].", _REMEDY)
+    return held
 
 
 def _nearest(array: NDArray[Any], height: int, width: int) -> NDArray[Any]:

@@ -52,7 +52,8 @@ def stated_splits(
             splits |= dict.fromkeys(found, split)
         if unknown:
             raise UserError(
-                f"{key} of {path} names {len(unknown)} images that fit none of its frames, or several (first: {unknown[0]}).",
+                f"{key} of {path} names {len(unknown)} images that fit none of its frames, or several "
+                f"(first: {unknown[0]}).",
                 f"Write them as the frames' file_path does, or {_WITHOUT_LISTS}.",
             )
     notes = []
