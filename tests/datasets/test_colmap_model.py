@@ -1,9 +1,11 @@
 """COLMAP models: where they are found, what is read, and how damage is told."""
 
+import shlex
+
 import numpy as np
 import pycolmap
 import pytest
-from capture_folders import synthetic_model, write_colmap_folder, write_model
+from capture_folders import rgb_image, synthetic_model, write_colmap_folder, write_image, write_model
 
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.colmap_model import MODEL_FOLDERS, find_model, read_model
@@ -64,7 +66,19 @@ def test_no_model(tmp_path):
         load_capture(tmp_path)
     assert "sparse/0, colmap/sparse/0" in caught.value.message
     assert "images/ (3 files)" in caught.value.message
-    assert caught.value.hint.startswith("Make one: colmap automatic_reconstructor")
+    images = tmp_path / "images"
+    command = f"colmap automatic_reconstructor --workspace_path {tmp_path} --image_path {images} --dense 0"
+    assert caught.value.hint == f"Make one: {command}"
+
+
+def test_the_command_that_makes_a_model_is_quoted(tmp_path):
+    """A folder with a blank is one argument of the shell."""
+    write_image(tmp_path / "my shed" / "rgb" / "a.png", rgb_image(0))
+    with pytest.raises(UserError) as caught:
+        load_capture(tmp_path / "my shed")
+    words = shlex.split(caught.value.hint)
+    assert words[words.index("--workspace_path") + 1] == str(tmp_path / "my shed")
+    assert words[words.index("--image_path") + 1] == str(tmp_path / "my shed" / "rgb")
 
 
 def test_empty_reconstruction_names_a_better_sibling(tmp_path):

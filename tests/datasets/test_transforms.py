@@ -139,11 +139,14 @@ def test_missing_files_are_counted(tmp_path):
     stem = "frame_train_00001"
     (tmp_path / "images" / f"{stem}.png").unlink()
     (tmp_path / "thermal" / f"{stem}.png").unlink()
-    assert any("1 frames" in note and "no file" in note for note in load_capture(tmp_path).notes)
+    left_out = f"1 of 8 frames of transforms_thermal.json have no file and were left out (first: images/{stem}.png)."
+    capture = load_capture(tmp_path)
+    assert left_out in capture.notes
+    assert not any("names no file" in note for note in capture.notes)
     for frame in content["frames"]:
         frame["file_path"] = frame["thermal_file_path"] = "elsewhere/" + frame["file_path"].replace("frame", "x")
     (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
-    with pytest.raises(UserError, match="None of the 8 images"):
+    with pytest.raises(UserError, match=r"None of the 8 images .* \(first: .*/elsewhere/images/x_eval_00000\.png\)"):
         load_capture(tmp_path)
 
 
@@ -215,3 +218,27 @@ def test_one_stem_in_several_folders(tmp_path, absolute):
         assert frame.thermal.path.parts[-2:] == frame.rgb.path.parts[-2:]
         number = 2 * int(frame.rgb.name) + (frame.rgb.path.parent.name == "b")
         np.testing.assert_allclose(frame.thermal.celsius, (29000 + number) / 100 - 273.15, atol=1e-3)
+
+
+@pytest.mark.parametrize(("key", "other"), [("file_path", "thermal"), ("thermal_file_path", "rgb")])
+def test_files_that_are_named_and_missing(tmp_path, key, other):
+    """The other image of the frame stands alone; a note names the path that was tried."""
+    content = write_transforms(tmp_path)
+    for number in (2, 3):
+        (tmp_path / content["frames"][number][key]).unlink()
+    capture = load_capture(tmp_path)
+    assert sum(getattr(frame, other) is not None for frame in capture.train) == 6
+    first = tmp_path / content["frames"][2][key]
+    assert f"{key} of 2 of 8 frames of transforms_thermal.json names no file (first: {first})." in capture.notes
+
+
+def test_a_thermal_image_in_place_of_the_named_one(tmp_path):
+    """The file of the frame's name in thermal/ is taken, and that is said."""
+    content = write_transforms(tmp_path)
+    content["frames"][1]["thermal_file_path"] = "infrared/gone.png"
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    capture = load_capture(tmp_path)
+    assert capture.train[0].thermal.name == capture.train[0].name
+    note = next(note for note in capture.notes if "names no file" in note)
+    assert "infrared/gone.png" in note
+    assert "1 of them have a thermal image of their own name, which was taken" in note

@@ -69,7 +69,7 @@ def assemble(
             f"{np.sum(~usable):,} of {len(listing.points):,} starting points are not finite and were left out."
         )
     points, colors = listing.points[usable], listing.point_colors[usable]
-    return Capture(name, root, listing.layout, train, test, points, colors, scale, tuple(notes))
+    return Capture(name, root, listing.layout, train, test, points, colors, scale, tuple(notes), listing.not_found)
 
 
 def _frame(

@@ -1,5 +1,6 @@
 """A capture in memory: frames of an RGB and a thermal view each, sparse points, and what thermal values mean."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.cameras import Camera, camera_center
+from thermosplat.datasets.image_folders import looked_for_rgb, looked_for_thermal
 from thermosplat.errors import UserError
 from thermosplat.radiometry import ThermalScale
 
@@ -68,6 +70,7 @@ class Capture:
         point_colors: [M, 3] uint8.
         thermal_scale: Meaning of the thermal pixel values; None without thermal images.
         notes: What the user should be told once, a line each.
+        not_found: By modality, the first of the image files that the capture names and that do not exist.
     """
 
     name: str
@@ -79,6 +82,7 @@ class Capture:
     point_colors: NDArray[np.uint8]
     thermal_scale: ThermalScale | None
     notes: tuple[str, ...] = field(default=())
+    not_found: Mapping[str, Path] = field(default_factory=dict)
 
     @cached_property  # asked for in every training step
     def scene_extent(self) -> float:
@@ -98,17 +102,30 @@ class Capture:
         Raises:
             UserError: There are no training views of a needed modality.
         """
-        if rgb and all(frame.rgb is None for frame in self.train):
-            raise UserError(
-                f"{self.root} has no RGB images with a camera, and the model asks for them.",
-                "Train on thermal alone with --model.no-rgb, or add the images beside the thermal ones.",
-            )
-        if thermal and all(frame.thermal is None for frame in self.train):
-            raise UserError(
-                f"{self.root} has no thermal images with a camera, and the model asks for them. "
-                "They are looked for in thermal/, with the file stems of the RGB images.",
-                "Train on RGB alone with --model.no-thermal, or add the images.",
-            )
+        wanted: tuple[tuple[Modality, bool], ...] = (("rgb", rgb), ("thermal", thermal))
+        for modality, needed in wanted:
+            if needed and all(getattr(frame, modality) is None for frame in self.train):
+                raise self._lacking(modality)
+
+    def _lacking(self, modality: Modality) -> UserError:
+        """The error for a capture without training views of a modality: what was found in their place."""
+        name, other = ("RGB", "thermal") if modality == "rgb" else ("thermal", "RGB")
+        held_out = sum(getattr(frame, modality) is not None for frame in self.test)
+        present = [view.path for frame in (*self.train, *self.test) for view in _views(frame)]
+        example = present[0] if present else None
+        if held_out:
+            found, remedy = f"{held_out} held-out frames have one.", "train on frames that have one"
+        elif modality in self.not_found:
+            found = f"The files that it names for them do not exist (first looked for: {self.not_found[modality]})."
+            remedy = "correct the paths; they are relative to the capture's folder, or absolute"
+        elif modality == "rgb":
+            found, remedy = looked_for_rgb(self.root, example)
+        else:
+            found, remedy = looked_for_thermal(self.root, example)
+        return UserError(
+            f"{self.root} has no {name} images with a camera to train on, and the model asks for them. {found}",
+            f"{remedy[0].upper()}{remedy[1:]}, or train on {other} alone: --model.no-{modality}.",
+        )
 
 
 def scene_extent(views: list[View], points: NDArray[np.float32]) -> float:

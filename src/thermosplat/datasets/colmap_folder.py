@@ -9,6 +9,7 @@ from pathlib import Path
 from thermosplat.datasets.colmap_images import frames_with_borrowed_cameras
 from thermosplat.datasets.colmap_model import ColmapModel
 from thermosplat.datasets.frame_files import Listing
+from thermosplat.datasets.image_folders import image_folder, thermal_folder
 
 
 def list_colmap_folder(root: Path, model: ColmapModel) -> Listing:
@@ -18,5 +19,7 @@ def list_colmap_folder(root: Path, model: ColmapModel) -> Listing:
         root: The capture's folder.
         model: Its COLMAP model.
     """
-    frames, notes = frames_with_borrowed_cameras(root / "images", root / "thermal", root / "thermal_raw", model.images)
+    frames, notes = frames_with_borrowed_cameras(
+        image_folder(root, "images"), thermal_folder(root), root / "thermal_raw", model.images
+    )
     return Listing("colmap", tuple(frames), model.points, model.point_colors, registered=False, notes=tuple(notes))

@@ -1,5 +1,6 @@
 """COLMAP sparse models: where they lie in a capture, and what is read from them."""
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -121,14 +122,19 @@ def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
     raise UserError(message, "Photographs need more overlap, or run colmap mapper again with all of them.")
 
 
-def missing_model(root: Path) -> UserError:
-    """The error for a capture with images and without a model."""
+def missing_model(root: Path, images: Path) -> UserError:
+    """The error for a capture with images and without a model.
+
+    Args:
+        root: The capture's folder.
+        images: Its folder of images.
+    """
     found = ", ".join(describe_folder(folder) for folder in sorted(root.iterdir()) if folder.is_dir()) or "no folders"
-    images = "images" if (root / "images").is_dir() else "rgb"
     return UserError(
         f"No COLMAP model in {root}. Looked for cameras.bin or cameras.txt in: {', '.join(MODEL_FOLDERS)}. "
         f"Found: {found}.",
-        f"Make one: colmap automatic_reconstructor --workspace_path {root} --image_path {root / images}",
+        f"Make one: colmap automatic_reconstructor --workspace_path {shlex.quote(str(root))} "
+        f"--image_path {shlex.quote(str(images))} --dense 0",
     )
 
 

@@ -13,6 +13,7 @@ from thermosplat.datasets.colmap_images import registration_notes
 from thermosplat.datasets.colmap_model import ColmapModel, RegisteredImage
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot, Split
 from thermosplat.datasets.image_files import list_images
+from thermosplat.datasets.image_folders import thermal_folder
 from thermosplat.datasets.image_names import SPLIT_FOLDERS, NamedImages, exposures, files_in, frame_names
 from thermosplat.errors import UserError
 
@@ -55,7 +56,7 @@ def list_colmap_rig(root: Path, model: ColmapModel) -> Listing:
         used.update(shot.path for shot in shots.values())
         if shots:
             frames.append(FrameFiles("", shots.get(False), shots.get(True), split, thermal_has_camera=True))
-    folders = (root / "images", root / "rgb", root / "thermal")
+    folders = (root / "images", root / "rgb", thermal_folder(root))
     called = frame_names(names, _MODEL)
     unregistered = [path for folder in folders for path in list_images(folder, recursive=True) if path not in used]
     return Listing(

@@ -1,5 +1,6 @@
 """What a layout reader finds in a folder: image files with cameras and poses, before any pixel is read."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -60,6 +61,7 @@ class Listing:
         registered: The layout promises that thermal images without a camera of their own are registered to the RGB
             ones at whatever resolution; else equal size is taken for the sign.
         celsius_range: Temperatures [°C] of black and white in 8-bit grey thermal images, where stated.
+        not_found: By modality, the first of the files that the layout names and that do not exist.
         notes: What the user should be told.
     """
 
@@ -69,4 +71,5 @@ class Listing:
     point_colors: NDArray[np.uint8]
     registered: bool = True
     celsius_range: tuple[float, float] | None = None
+    not_found: Mapping[str, Path] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())

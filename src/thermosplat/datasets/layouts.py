@@ -13,11 +13,10 @@ from thermosplat.datasets.colmap_model import (
 from thermosplat.datasets.colmap_rig import has_thermal_cameras, list_colmap_rig
 from thermosplat.datasets.frame_files import Listing
 from thermosplat.datasets.image_files import list_images
+from thermosplat.datasets.image_folders import image_folder, thermal_folder
 from thermosplat.datasets.rgbt_scenes import list_rgbt_scenes
 from thermosplat.datasets.transforms import find_transforms, list_transforms
 from thermosplat.errors import UserError
-
-IMAGE_FOLDERS = ("rgb", "images", "thermal", "thermal_raw")
 
 
 def list_capture(root: Path) -> Listing:
@@ -32,20 +31,21 @@ def list_capture(root: Path) -> Listing:
     """
     model_folder = find_model(root)
     transforms = find_transforms(root)
-    if transforms is not None and not (model_folder is not None and (root / "rgb").is_dir()):
+    rgb, images, thermal = image_folder(root, "rgb"), image_folder(root, "images"), thermal_folder(root)
+    if transforms is not None and not (model_folder is not None and rgb.is_dir()):
         return list_transforms(root, transforms, model_folder)
-    present = [folder for folder in IMAGE_FOLDERS if (root / folder).is_dir()]
+    present = [folder for folder in (rgb, images, thermal, root / "thermal_raw") if folder.is_dir()]
     if not present:
         raise _unknown_layout(root)
     if model_folder is None:
-        raise missing_model(root)
+        raise missing_model(root, present[0])
     model = read_model(model_folder)
     rig = has_thermal_cameras(model)
-    folders = [folder for folder in present if folder != "thermal_raw"] if rig else present[:1]
-    check_reconstruction(model, sum(len(list_images(root / folder, recursive=True)) for folder in folders), root)
+    folders = [folder for folder in present if folder.name != "thermal_raw"] if rig else present[:1]
+    check_reconstruction(model, sum(len(list_images(folder, recursive=True)) for folder in folders), root)
     if rig:
         return list_colmap_rig(root, model)
-    return list_rgbt_scenes(root, model) if (root / "rgb").is_dir() else list_colmap_folder(root, model)
+    return list_rgbt_scenes(root, model) if rgb.is_dir() else list_colmap_folder(root, model)
 
 
 def _unknown_layout(root: Path) -> UserError:

@@ -11,6 +11,7 @@ from thermosplat.config import ThermalConfig
 from thermosplat.datasets.capture_palette import choose_palette
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.image_files import read_images
+from thermosplat.datasets.image_folders import thermal_folder
 from thermosplat.datasets.temperature_units import RadiometricStatement, read_statement
 from thermosplat.datasets.thermal_images import ThermalFile, ThermalReading, interpret, is_radiometric
 from thermosplat.errors import UserError
@@ -63,9 +64,9 @@ def interpret_thermal(
     if not present:
         return None
     statement = RadiometricStatement()
-    for folder in ("thermal_raw", "thermal"):
-        if (root / folder / "units.json").is_file():
-            statement = read_statement(root / folder / "units.json")
+    for folder in (root / "thermal_raw", thermal_folder(root)):
+        if (folder / "units.json").is_file():
+            statement = read_statement(folder / "units.json")
             break
     palette = choose_palette(root, config, [file.path for file in present])
     reading = interpret(present, config, palette=palette, statement=statement, grey_range=listing.celsius_range)
