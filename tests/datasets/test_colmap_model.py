@@ -94,30 +94,48 @@ def test_empty_reconstruction_names_a_better_sibling(tmp_path):
     assert "sparse/1 has 9 images" in caught.value.hint
 
 
-def test_model_without_points(tmp_path):
-    """Images without sparse points cannot be started from."""
-    write_colmap_folder(tmp_path, 4)
-    model = synthetic_model(4)
-    for point in list(model.points3D):
-        model.delete_point3D(point)
-    write_model(model, tmp_path / "sparse" / "0")
-    with pytest.raises(UserError, match="0 points"):
-        load_capture(tmp_path)
-
-
-@pytest.mark.parametrize(("points", "enough"), [(4, True), (3, False)])
-def test_four_points_are_the_least(tmp_path, points, enough):
-    """Scales come from the three nearest neighbours of a point."""
+@pytest.mark.parametrize("points", [0, 3, 4])
+def test_poses_without_points(tmp_path, points):
+    """Scales come from the three nearest neighbours of a point: with fewer than four, random ones are started from."""
     write_colmap_folder(tmp_path, 4)
     model = synthetic_model(4)
     for point in sorted(model.points3D)[points:]:
         model.delete_point3D(point)
     write_model(model, tmp_path / "sparse" / "0")
-    if enough:
-        assert len(load_capture(tmp_path).points) == points
-    else:
-        with pytest.raises(UserError, match="and 3 points"):
-            load_capture(tmp_path)
+    capture = load_capture(tmp_path)
+    if points == 4:
+        assert len(capture.points) == 4
+        assert capture.notes == ()
+        return
+    assert len(capture.points) == len(capture.point_colors) == 50_000
+    assert any(f"has {points} points: starting from 50,000 random points" in note for note in capture.notes)
+    np.testing.assert_array_equal(capture.points, load_capture(tmp_path).points)
+
+
+def test_poses_without_points_beside_a_better_model(tmp_path):
+    """A sibling model of more images is pointed at, rather than started without."""
+    write_colmap_folder(tmp_path, 6)
+    model = synthetic_model(4)
+    for point in list(model.points3D):
+        model.delete_point3D(point)
+    write_model(model, tmp_path / "sparse" / "0")
+    write_model(synthetic_model(6), tmp_path / "sparse" / "1")
+    with pytest.raises(UserError, match="4 registered of 6 images and 0 points") as caught:
+        load_capture(tmp_path)
+    assert "sparse/1 has 6 images" in caught.value.hint
+
+
+def test_no_pose_and_no_points(tmp_path):
+    """There is nothing to put points around: the pose is the error."""
+    write_colmap_folder(tmp_path, 4)
+    model = synthetic_model(4)
+    for point in list(model.points3D):
+        model.delete_point3D(point)
+    for frame in model.frames.values():
+        _lose(frame)
+    write_model(model, tmp_path / "sparse" / "0")
+    with pytest.raises(UserError, match=r"pose of .* is not finite"):
+        load_capture(tmp_path)
 
 
 def test_points_that_are_nowhere_are_left_out(tmp_path):

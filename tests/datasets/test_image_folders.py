@@ -92,7 +92,14 @@ def test_thermal_images_of_other_names(tmp_path):
     error = lacking(root, thermal=True)
     assert "thermal/ holds 3 images (first: thermal/t_0.png)" in error.message
     assert "The RGB images are called like images/0001.png." in error.message
-    assert error.hint.startswith("Name the files in thermal/ as their RGB images are named")
+    assert error.hint.startswith("Give thermal/ images with the names of their RGB images")
+
+
+def test_an_empty_thermal_folder(tmp_path):
+    """Said as such."""
+    root = write_colmap_folder(tmp_path)
+    (root / "thermal").mkdir()
+    assert "thermal/ is empty." in lacking(root, thermal=True).message
 
 
 def test_images_that_cannot_be_read(tmp_path):

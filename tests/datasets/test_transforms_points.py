@@ -83,3 +83,40 @@ def test_random_points_are_said_and_repeatable(tmp_path):
     assert any("random points" in note for note in first.notes)
     mean = np.mean([camera_center(frame.rgb.viewmat) for frame in (*first.train, *first.test)], axis=0)
     np.testing.assert_allclose(first.points.mean(0), mean, atol=0.2)
+
+
+@pytest.mark.parametrize("name", ["cloud.ply", "sparse_pc.ply"])
+def test_a_cloud_that_is_named_and_missing(tmp_path, name):
+    """The note has its name, once."""
+    write_transforms(tmp_path, ply_file_path=name)
+    notes = load_capture(tmp_path).notes
+    missing = f"ply_file_path of transforms_thermal.json is {name}, which does not exist."
+    assert notes.count(missing) == 1
+    assert any("random points" in note for note in notes)
+
+
+def test_a_model_without_points_beside_it(tmp_path):
+    """That is the reason, not its poses."""
+    write_transforms(tmp_path)
+    model = synthetic_model(8)
+    for point in list(model.points3D):
+        model.delete_point3D(point)
+    write_model(model, tmp_path / "sparse" / "0")
+    assert any("has 0 points: it is not used" in note for note in load_capture(tmp_path).notes)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ({"ply_file_path": 5}, r"ply_file_path of .*transforms_thermal\.json must be a file name, found 5"),
+        ({"applied_transform": [1, 2]}, r"applied_transform of .* must be a 3x4 matrix of numbers, found \[1, 2\]"),
+        ({"applied_transform": "flip"}, "applied_transform of .* must be a 3x4 matrix of numbers, found flip"),
+    ],
+)
+def test_wrong_kinds_of_values(tmp_path, content, says):
+    """Told with the key and what was found."""
+    write_transforms(tmp_path, **content)
+    write_model(synthetic_model(8), tmp_path / "sparse" / "0")
+    with pytest.raises(UserError, match=says) as caught:
+        load_capture(tmp_path)
+    assert caught.value.hint

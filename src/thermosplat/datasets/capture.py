@@ -117,7 +117,7 @@ class Capture:
             found, remedy = f"{held_out} held-out frames have one.", "train on frames that have one"
         elif modality in self.not_found:
             found = f"The files that it names for them do not exist (first looked for: {self.not_found[modality]})."
-            remedy = "correct the paths; they are relative to the capture's folder, or absolute"
+            remedy = "correct the paths (relative to the capture's folder, or absolute)"
         elif modality == "rgb":
             found, remedy = looked_for_rgb(self.root, example)
         else:

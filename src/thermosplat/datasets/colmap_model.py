@@ -1,7 +1,7 @@
 """COLMAP sparse models: where they lie in a capture, and what is read from them."""
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import cv2  # noqa: F401  before pycolmap, see lens.py
@@ -9,7 +9,9 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from thermosplat.cameras import camera_center
 from thermosplat.datasets.lens import Lens
+from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points
 from thermosplat.errors import UserError
 
 MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse")
@@ -18,7 +20,6 @@ THERMAL_FOLDERS = frozenset({"thermal", "ir", "tir", "lwir", "infrared"})
 """A registered image below a folder of this name (any case) is a thermal one."""
 _RECORD_BYTES = {"cameras.bin": 48, "images.bin": 73, "frames.bin": 84, "points3D.bin": 51}
 """Least size of a record of COLMAP's binary files: a camera of 3 parameters, a point without observations."""
-_MIN_POINTS = 4
 _MIN_REGISTERED_SHARE = 0.1
 
 
@@ -94,7 +95,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 
 def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
-    """Refuse a model that covers next to nothing of the capture.
+    """Refuse a model that covers next to nothing of the capture, or whose points are better in another one beside it.
 
     Args:
         model: The model.
@@ -102,10 +103,12 @@ def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
         root: The capture's folder.
 
     Raises:
-        UserError: Too few registered images or points; the hint names the largest sibling model, if that is better.
+        UserError: Too few registered images, or no points where a sibling model has more images; the hint names the
+            largest sibling model, if that is better.
     """
     registered, points = len(model.images), len(model.points)
-    if registered >= max(2, _MIN_REGISTERED_SHARE * files) and points >= _MIN_POINTS:
+    enough = registered >= max(2, _MIN_REGISTERED_SHARE * files)
+    if enough and points >= MIN_POINTS:
         return
     where = model.folder.relative_to(root)
     message = f"The model in {where} of {root} has {registered} registered of {files} images and {points:,} points."
@@ -119,7 +122,19 @@ def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
         raise UserError(
             message, f"{best.relative_to(root)} has {siblings[best]} images: put its files into {where} instead."
         )
-    raise UserError(message, "Photographs need more overlap, or run colmap mapper again with all of them.")
+    if not enough:
+        raise UserError(message, "Photographs need more overlap, or run colmap mapper again with all of them.")
+
+
+def with_points(model: ColmapModel) -> tuple[ColmapModel, list[str]]:
+    """The model, with random points and a note if it has none to start from: poses may come from elsewhere."""
+    centers = np.array([camera_center(image.viewmat) for image in model.images])
+    centers = centers[np.isfinite(centers).all(axis=-1)]
+    if len(model.points) >= MIN_POINTS or not len(centers):
+        return model, []
+    points, colors = random_points(centers)
+    note = f"The COLMAP model in {model.folder} has {len(model.points)} points: {STARTING_RANDOM}"
+    return replace(model, points=points, point_colors=colors), [note]
 
 
 def missing_model(root: Path, images: Path) -> UserError:

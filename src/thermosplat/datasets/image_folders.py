@@ -45,7 +45,7 @@ def looked_for_thermal(root: Path, rgb: Path | None) -> tuple[str, str]:
         others = ", ".join(f"{name}/" for name in sorted(THERMAL_FOLDERS - {"thermal"}))
         return f"There is no thermal/ (nor {others}). {_folders(root)}", "put them into thermal/"
     like = "" if rgb is None else f" The RGB images are called like {_relative(rgb, root)}."
-    return f"{found}{like}", f"name the files in {folder.name}/ as their RGB images are named"
+    return f"{found}{like}", f"give {folder.name}/ images with the names of their RGB images"
 
 
 def looked_for_rgb(root: Path, thermal: Path | None) -> tuple[str, str]:
@@ -60,7 +60,7 @@ def looked_for_rgb(root: Path, thermal: Path | None) -> tuple[str, str]:
     if found is None or folder is None:
         return f"There is no rgb/ and no images/. {_folders(root)}", "put them into images/"
     like = "" if thermal is None else f" The thermal images are called like {_relative(thermal, root)}."
-    return f"{found}{like}", f"put images that are in the COLMAP model into {folder.name}/"
+    return f"{found}{like}", f"give {folder.name}/ the images that are in the COLMAP model"
 
 
 def _images_in(folder: Path) -> str | None:
@@ -71,9 +71,9 @@ def _images_in(folder: Path) -> str | None:
     if images:
         return f"{folder.name}/ holds {len(images)} images (first: {_relative(images[0], folder.parent)})."
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    first = (
-        f" (first: {_relative(files[0], folder.parent)}; read are {' '.join(sorted(IMAGE_SUFFIXES))})" if files else ""
-    )
+    if not files:
+        return f"{folder.name}/ is empty."
+    first = f" (first: {_relative(files[0], folder.parent)}; read are {' '.join(sorted(IMAGE_SUFFIXES))})"
     return f"{folder.name}/ holds {len(files)} files and no image{first}."
 
 

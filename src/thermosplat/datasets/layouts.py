@@ -1,5 +1,6 @@
 """Which layout a folder has, by looking at it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from thermosplat.datasets.colmap_folder import list_colmap_folder
@@ -9,6 +10,7 @@ from thermosplat.datasets.colmap_model import (
     find_model,
     missing_model,
     read_model,
+    with_points,
 )
 from thermosplat.datasets.colmap_rig import has_thermal_cameras, list_colmap_rig
 from thermosplat.datasets.frame_files import Listing
@@ -43,9 +45,10 @@ def list_capture(root: Path) -> Listing:
     rig = has_thermal_cameras(model)
     folders = [folder for folder in present if folder.name != "thermal_raw"] if rig else present[:1]
     check_reconstruction(model, sum(len(list_images(folder, recursive=True)) for folder in folders), root)
-    if rig:
-        return list_colmap_rig(root, model)
-    return list_rgbt_scenes(root, model) if rgb.is_dir() else list_colmap_folder(root, model)
+    model, notes = with_points(model)
+    list_layout = list_colmap_rig if rig else list_rgbt_scenes if rgb.is_dir() else list_colmap_folder
+    listing = list_layout(root, model)
+    return replace(listing, notes=(*listing.notes, *notes))
 
 
 def _unknown_layout(root: Path) -> UserError:

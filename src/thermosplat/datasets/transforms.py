@@ -70,7 +70,7 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
         frames = with_splits_from_names(frames)
     else:
         check_stated(frames, splits, path)
-    points, colors, point_notes = transforms_points(root, content, frames, model_folder)
+    points, colors, point_notes = transforms_points(root, path.name, content, frames, model_folder)
     return Listing(
         "transforms",
         tuple(frames),

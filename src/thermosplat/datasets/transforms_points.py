@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 from thermosplat.cameras import camera_center
 from thermosplat.datasets.colmap_model import ColmapModel, read_model
 from thermosplat.datasets.frame_files import FrameFiles
+from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points
 from thermosplat.errors import UserError
 
-_RANDOM_POINTS = 50_000
-"""As many as nerfstudio's splatfacto starts with."""
-_RANDOM_RADIUS = 3.0
-"""Half the side of the box of random points, in camera-to-centre distances (gsplat's trainer: init_extent 3)."""
 _AGREEMENT = 0.02
 """Share of the cameras' spread by which COLMAP's camera positions may differ for its points to be used."""
 
@@ -25,32 +22,41 @@ Points = tuple[NDArray[np.float32], NDArray[np.uint8]]
 
 
 def transforms_points(
-    root: Path, content: dict[str, Any], frames: Sequence[FrameFiles], model_folder: Path | None
+    root: Path, file: str, content: dict[str, Any], frames: Sequence[FrameFiles], model_folder: Path | None
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8], list[str]]:
     """Points [M, 3], colours [M, 3] uint8, and notes.
 
     Args:
         root: The capture's folder.
-        content: The transforms file.
+        file: Name of its transforms file.
+        content: What that file says.
         frames: Its frames.
         model_folder: A COLMAP model beside it, or None.
     """
-    for name in (content.get("ply_file_path"), "sparse_pc.ply"):
-        if name and (root / name).is_file():
-            return *_ply_points(root / name), []
-    notes = []
+    stated = content.get("ply_file_path")
+    if stated is not None and not isinstance(stated, str):
+        raise UserError(
+            f"ply_file_path of {root / file} must be a file name, found {str(stated)[:60]}.",
+            "Correct it, or remove it.",
+        )
+    notes: list[str] = []
+    for name in dict.fromkeys((stated or "sparse_pc.ply", "sparse_pc.ply")):
+        if (root / name).is_file():
+            return *_ply_points(root / name), notes
+        if name == stated:
+            notes.append(f"ply_file_path of {file} is {stated}, which does not exist.")
     if model_folder is not None:
+        applied = _applied(content, root / file)
         model = read_model(model_folder)
-        points = (model.points @ _applied(content)[:, :3].T + _applied(content)[:, 3]).astype(np.float32)
-        if len(points) >= 4 and _same_world(model, _applied(content), frames):
-            return points, model.point_colors, []
-        notes.append("The COLMAP model beside the transforms file has other poses; its points were not used.")
-    points, colors = _random_points(_centers(frames))
-    notes.append(
-        "No point cloud (ply_file_path, sparse_pc.ply or a COLMAP model): "
-        f"starting from {_RANDOM_POINTS:,} random points around the cameras."
-    )
-    return points, colors, notes
+        points = (model.points @ applied[:, :3].T + applied[:, 3]).astype(np.float32)
+        reason = "has other poses"
+        if len(points) < MIN_POINTS:
+            reason = f"has {len(points)} points"
+        elif _same_world(model, applied, frames):
+            return points, model.point_colors, notes
+        notes.append(f"The COLMAP model beside {file} {reason}: it is not used.")
+    notes.append(f"No point cloud (ply_file_path, sparse_pc.ply or a COLMAP model): {STARTING_RANDOM}")
+    return *random_points(_centers(frames)), notes
 
 
 def _ply_points(path: Path) -> Points:
@@ -62,14 +68,27 @@ def _ply_points(path: Path) -> Points:
             f"{path} is not a readable point cloud.", "Expected a PLY with x, y, z, red, green, blue."
         ) from error
     points = list(model.points3D.values())
-    if len(points) < 4:
-        raise UserError(f"{path} holds {len(points)} points; at least 4 are needed.")
+    if len(points) < MIN_POINTS:
+        raise UserError(
+            f"{path} holds {len(points)} points; at least {MIN_POINTS} are needed.",
+            "Remove it to start from random points around the cameras.",
+        )
     return np.array([p.xyz for p in points], np.float32), np.array([p.color for p in points], np.uint8)
 
 
-def _applied(content: dict[str, Any]) -> NDArray[np.float64]:
+def _applied(content: dict[str, Any], path: Path) -> NDArray[np.float64]:
     """The map [3, 4] from COLMAP's world to the file's (nerfstudio's applied_transform)."""
-    return np.array(content.get("applied_transform", np.eye(4)[:3]), np.float64)[:3]
+    stated = content.get("applied_transform", np.eye(4)[:3])
+    try:
+        applied = np.array(stated, np.float64)
+    except (ValueError, TypeError):
+        applied = np.empty(0)
+    if applied.shape not in ((3, 4), (4, 4)):
+        raise UserError(
+            f"applied_transform of {path} must be a 3x4 matrix of numbers, found {str(stated)[:60]}.",
+            "Correct it, or remove it if the poses are those of the COLMAP model.",
+        )
+    return applied[:3]
 
 
 def _same_world(model: ColmapModel, applied: NDArray[np.float64], frames: Sequence[FrameFiles]) -> bool:
@@ -87,12 +106,3 @@ def _same_world(model: ColmapModel, applied: NDArray[np.float64], frames: Sequen
 def _centers(frames: Sequence[FrameFiles]) -> NDArray[np.float64]:
     shots = [frame.rgb or frame.thermal for frame in frames]
     return np.array([camera_center(shot.viewmat) for shot in shots if shot is not None])
-
-
-def _random_points(centers: NDArray[np.float64]) -> Points:
-    """Uniform points of random colours in a cube around the cameras, the same ones every time."""
-    mean = centers.mean(0)
-    radius = max(1.1 * float(np.linalg.norm(centers - mean, axis=1).max()), 1e-3) * _RANDOM_RADIUS
-    generator = np.random.default_rng(0)
-    points = mean + generator.uniform(-radius, radius, (_RANDOM_POINTS, 3))
-    return points.astype(np.float32), generator.integers(0, 256, (_RANDOM_POINTS, 3), np.uint8)
