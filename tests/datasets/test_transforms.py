@@ -7,6 +7,7 @@ import pytest
 from capture_folders import HEIGHT, WIDTH, rgb_image, write_colmap_folder, write_image, write_transforms
 
 from thermosplat.datasets import load_capture
+from thermosplat.datasets.lens import Lens, rectification
 from thermosplat.errors import UserError
 
 
@@ -51,6 +52,33 @@ def test_other_distortion_models(tmp_path, extra, model):
     """Fisheye cameras, and a third radial coefficient."""
     write_transforms(tmp_path, **extra)
     assert any(model in note for note in load_capture(tmp_path).notes)
+
+
+@pytest.mark.parametrize(
+    ("model", "distortion", "same_as"),
+    [
+        ("SIMPLE_RADIAL", {"k1": -0.2}, "OPENCV"),
+        ("RADIAL", {"k1": -0.2, "k2": 0.05}, "OPENCV"),
+        ("SIMPLE_RADIAL_FISHEYE", {"k1": -0.02}, "OPENCV_FISHEYE"),
+        ("RADIAL_FISHEYE", {"k1": -0.02, "k2": 0.01}, "OPENCV_FISHEYE"),
+    ],
+)
+def test_radial_cameras(tmp_path, model, distortion, same_as):
+    """nerfstudio's radial models: the same image as COLMAP's own model gives."""
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    write_transforms(tmp_path / "a", 2, camera_model=model, fl_y=40.0, **distortion)
+    write_transforms(tmp_path / "b", 2, camera_model=same_as, fl_y=40.0, **distortion)
+    got, same = (load_capture(tmp_path / folder).train[0].rgb for folder in "ab")
+    assert got.camera == same.camera
+    np.testing.assert_array_equal(got.image, same.image)
+    params = (40.0, 15.0, 12.5, *distortion.values())
+    expected = rectification(Lens(model, params, WIDTH, HEIGHT), WIDTH, HEIGHT)
+    np.testing.assert_allclose(
+        [got.camera.fx, got.camera.cx, got.camera.width],
+        [expected.camera.fx, expected.camera.cx, expected.camera.width],
+    )
+    np.testing.assert_allclose(got.image.astype(float), expected.apply(rgb_image(1)), atol=1)
 
 
 def test_intrinsics_per_frame(tmp_path):
@@ -156,6 +184,9 @@ def test_missing_files_are_counted(tmp_path):
         ({"frames": []}, "lists no frames"),
         ({"fl_x": None, "fl_y": None}, "no focal length"),
         ({"camera_model": "SPHERICAL"}, "SPHERICAL"),
+        ({"frames": ["images/a.png"]}, r'Frame 0 of .* must be an object, found "images/a\.png"'),
+        ({"frames": [{"file_path": 5}]}, r"file_path of frame 0 of .* must be a file name, found 5"),
+        ({"frames": [{"transform_matrix": []}]}, r"Frame 0 of .* has no file_path"),
         ({"w": "wide"}, r"Frame 0 of .* has intrinsics that are no numbers"),
         ({"k1": "strong"}, r"Frame 0 of .* has intrinsics that are no numbers"),
         ({"fl_x": -40.0}, r"camera of images/frame_eval_00000\.png is impossible: PINHOLE of 32x24 px"),
@@ -169,8 +200,9 @@ def test_broken_transforms_are_told(tmp_path, change, says):
     content = write_transforms(tmp_path) | change
     content = {key: value for key, value in content.items() if value is not None}
     (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
-    with pytest.raises(UserError, match=says):
+    with pytest.raises(UserError, match=says) as caught:
         load_capture(tmp_path)
+    assert caught.value.hint
 
 
 @pytest.mark.parametrize("matrix", [None, [[1, 2], [3, 4]], (2 * np.eye(4)).tolist(), np.full((4, 4), np.nan).tolist()])
@@ -179,8 +211,9 @@ def test_broken_poses_are_told(tmp_path, matrix):
     content = write_transforms(tmp_path)
     content["frames"][2]["transform_matrix"] = matrix
     (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
-    with pytest.raises(UserError, match=r"Frame 2 of .*transforms_thermal\.json"):
+    with pytest.raises(UserError, match=r"Frame 2 of .*transforms_thermal\.json") as caught:
         load_capture(tmp_path)
+    assert caught.value.hint
 
 
 def test_broken_json_is_told(tmp_path):

@@ -111,9 +111,9 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        raise UserError(f"{path} is not readable JSON: {error}.") from error
+        raise UserError(f"{path} is not readable JSON: {error}.", "Restore it, or export it again.") from error
     if not isinstance(content, dict):
-        raise UserError(f"{path} must hold a JSON object, found a {type(content).__name__}.")
+        raise UserError(f"{path} must hold a JSON object, found a {type(content).__name__}.", "Is it the right file?")
     return content
 
 

@@ -5,7 +5,9 @@ image's camera. Names like frame_train_00001 and frame_eval_00001 state the spli
 test_filenames. temperature_bounds.json gives the temperatures of black and white.
 """
 
+import json
 from pathlib import Path
+from typing import Any
 
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.image_names import frame_names
@@ -36,9 +38,7 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
         UserError: The file lacks intrinsics, poses or frames.
     """
     content = read_json(path)
-    entries = content.get("frames")
-    if not isinstance(entries, list) or not entries:
-        raise UserError(f"{path} lists no frames.", "Expected nerfstudio's transforms with a list under 'frames'.")
+    entries = _entries(content, path)
     names = [image_name(root, entry) for entry in entries]
     splits, notes = stated_splits(content, path, names)
     called = frame_names(names, path.name)
@@ -61,7 +61,7 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
             )
         )
     if not frames:
-        first = next(iter(images.not_found.values()), "no file_path is given")
+        first = next(iter(images.not_found.values()), names[0])
         raise UserError(
             f"None of the {len(entries)} images that {path} lists exists (first: {first}).",
             "Paths are absolute, or relative to the folder of that file. Is it the right folder?",
@@ -80,6 +80,24 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
         not_found=images.not_found,
         notes=(*notes, *point_notes, *images.notes()),
     )
+
+
+def _entries(content: dict[str, Any], path: Path) -> list[dict[str, Any]]:
+    """What the file says of each frame: an object that names its files."""
+    entries = content.get("frames")
+    hint = "Expected nerfstudio's transforms: under 'frames' a list of objects with file_path and transform_matrix."
+    if not isinstance(entries, list) or not entries:
+        raise UserError(f"{path} lists no frames.", hint)
+    for number, entry in enumerate(entries):
+        if not isinstance(entry, dict):
+            raise UserError(f"Frame {number} of {path} must be an object, found {json.dumps(entry)[:60]}.", hint)
+        for key in ("file_path", "thermal_file_path"):
+            if not isinstance(entry.get(key) or "", str):
+                found = json.dumps(entry[key])[:60]
+                raise UserError(f"{key} of frame {number} of {path} must be a file name, found {found}.", hint)
+        if not (entry.get("file_path") or entry.get("thermal_file_path")):
+            raise UserError(f"Frame {number} of {path} has no file_path.", hint)
+    return entries
 
 
 def _temperature_bounds(root: Path) -> tuple[float, float] | None:
