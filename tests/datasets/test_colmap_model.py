@@ -49,14 +49,6 @@ def test_damaged_models_are_told(tmp_path, name):
         read_model(tmp_path)
 
 
-def test_incomplete_models_are_told(tmp_path):
-    """A model without its points is a UserError with pycolmap's reason."""
-    write_model(synthetic_model(3), tmp_path)
-    (tmp_path / "points3D.bin").unlink()
-    with pytest.raises(UserError, match="incomplete or damaged"):
-        read_model(tmp_path)
-
-
 def test_no_model(tmp_path):
     """The message says where a model was looked for and what was found, the hint how to make one."""
     write_colmap_folder(tmp_path, 3)

@@ -10,6 +10,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from thermosplat.cameras import camera_center
+from thermosplat.datasets.colmap_damage import damage_after_failure, damage_before_reading
 from thermosplat.datasets.lens import Lens
 from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points
 from thermosplat.errors import UserError
@@ -18,8 +19,6 @@ MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse")
 """Where a model is looked for; RGBT-Scenes is downloaded with the second and documented with the first."""
 THERMAL_FOLDERS = frozenset({"thermal", "ir", "tir", "lwir", "infrared"})
 """A registered image below a folder of this name (any case) is a thermal one."""
-_RECORD_BYTES = {"cameras.bin": 48, "images.bin": 73, "frames.bin": 84, "points3D.bin": 51}
-"""Least size of a record of COLMAP's binary files: a camera of 3 parameters, a point without observations."""
 _MIN_REGISTERED_SHARE = 0.1
 
 
@@ -70,13 +69,14 @@ def read_model(folder: Path) -> ColmapModel:
         UserError: Files are missing or damaged.
     """
     hint = "Make the model again (colmap mapper), or copy all its files."
-    _check_sizes(folder, hint)
+    damage = damage_before_reading(folder)
+    if damage is not None:
+        raise UserError(f"The COLMAP model in {folder} is incomplete or damaged: {damage}.", hint)
     try:
         model = pycolmap.Reconstruction(folder)
     except (ValueError, IndexError, RuntimeError, OSError) as error:
-        raise UserError(
-            f"The COLMAP model in {folder} is incomplete or damaged ({_last_words(error)}).", hint
-        ) from error
+        damage = damage_after_failure(folder, error)
+        raise UserError(f"The COLMAP model in {folder} is incomplete or damaged: {damage}.", hint) from error
     lenses = {camera_id: Lens.from_colmap(camera) for camera_id, camera in model.cameras.items()}
     images = [
         RegisteredImage(
@@ -162,19 +162,3 @@ def _viewmat(image: pycolmap.Image) -> NDArray[np.float64]:
     viewmat = np.eye(4)
     viewmat[:3] = image.cam_from_world().matrix()
     return viewmat
-
-
-def _check_sizes(folder: Path, hint: str) -> None:
-    """Refuse binary files too short for their own record count: pycolmap would hang or abort on some of them."""
-    for name, record in _RECORD_BYTES.items():
-        path = folder / name
-        if path.is_file():
-            with path.open("rb") as file:
-                count = int.from_bytes(file.read(8).ljust(8, b"\xff"), "little")
-            if path.stat().st_size < 8 + count * record:
-                raise UserError(f"{path} is damaged: it is shorter than its own count of records asks for.", hint)
-
-
-def _last_words(error: Exception) -> str:
-    """The part of a pycolmap message that says what is wrong, without source file and line."""
-    return " ".join(str(error).rpartition("] ")[2].split()).rstrip(".") or type(error).__name__
