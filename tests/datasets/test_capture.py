@@ -1,12 +1,16 @@
 """Frames and captures in memory."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
+from capture_folders import write_rgbt_scenes
 
 from thermosplat.cameras import Camera
+from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture, Frame, View
+from thermosplat.errors import UserError
 
 CAMERA = Camera(10.0, 10.0, 2.0, 2.0, 4, 4)
 
@@ -56,3 +60,26 @@ def test_require_accepts_what_is_there():
     both = capture(Frame("a", view("rgb"), view("thermal")))
     both.require(rgb=True, thermal=True)
     assert both.train[0].rgb is not None
+
+
+def test_short_representations():
+    """A prompt shows what there is, not the pixels."""
+    whole = capture(Frame("a", view("rgb"), view("thermal")), Frame("b", view("rgb"), None))
+    assert repr(whole) == "Capture('c', colmap, 2 train + 0 test frames, 2 RGB + 1 thermal views, 4 points, 0 notes)"
+    shown = "Frame('b', View(rgb 'a', 4x4 px, 3 channels))"
+    assert repr(whole.train[1]) == shown
+    assert repr(Frame("d", None, None)) == "Frame('d', no views)"
+    scalar = dataclasses.replace(view("thermal"), image=np.zeros((4, 4, 1), np.float32), celsius=np.zeros((4, 4)))
+    assert repr(scalar) == "View(thermal 'a', 4x4 px, 1 channel, with °C)"
+
+
+def test_a_loaded_capture_has_a_short_representation(tmp_path):
+    """The whole of it on one line."""
+    assert len(repr(load_capture(write_rgbt_scenes(tmp_path)))) < 200
+
+
+@pytest.mark.parametrize("factor", [2.5, 0, -1, "2", None])
+def test_data_factors_are_whole_numbers(tmp_path, factor):
+    """2.5 would shrink by something else than it says."""
+    with pytest.raises(UserError, match=r"must be a whole number of at least 1, got"):
+        load_capture(write_rgbt_scenes(tmp_path, 2), data_factor=factor)

@@ -1,6 +1,7 @@
 """From a listing of files to a capture in memory: read, interpret, rectify, shrink, divide."""
 
 from itertools import compress
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +40,11 @@ def assemble(
     Raises:
         UserError: Files are unreadable, of the wrong size, or not what `thermal` asks for.
     """
-    if data_factor < 1:
-        raise UserError(f"--data-factor must be at least 1, got {data_factor}.")
+    if not isinstance(data_factor, Integral) or data_factor < 1:
+        raise UserError(
+            f"--data-factor (data_factor) must be a whole number of at least 1, got {data_factor!r}.",
+            "1 keeps the images' size, 2 halves width and height.",
+        )
     frames = sorted(listing.frames, key=lambda frame: frame.name)
     if not frames:
         raise UserError(f"No image of {root} has a camera in its model.", "Are images and model of the same capture?")

@@ -17,7 +17,7 @@ from thermosplat.radiometry import ThermalScale
 Modality = Literal["rgb", "thermal"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class View:
     """One image with its camera.
 
@@ -39,14 +39,23 @@ class View:
     image: NDArray[np.uint8] | NDArray[np.float32]
     celsius: NDArray[np.float32] | None = None
 
+    def __repr__(self) -> str:
+        channels = "1 channel" if self.image.shape[2] == 1 else f"{self.image.shape[2]} channels"
+        celsius = "" if self.celsius is None else ", with °C"
+        size = f"{self.camera.width}x{self.camera.height} px"
+        return f"View({self.modality} {self.name!r}, {size}, {channels}{celsius})"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Frame:
     """One exposure: the RGB and the thermal view that were taken together, or the one there is."""
 
     name: str
     rgb: View | None
     thermal: View | None
+
+    def __repr__(self) -> str:
+        return f"Frame({self.name!r}, {', '.join(map(repr, _views(self))) or 'no views'})"
 
     @property
     def aligned(self) -> bool:
@@ -56,7 +65,7 @@ class Frame:
         return self.rgb.camera == self.thermal.camera and np.array_equal(self.rgb.viewmat, self.thermal.viewmat)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Capture:
     """Everything training and evaluation take from a folder.
 
@@ -83,6 +92,20 @@ class Capture:
     thermal_scale: ThermalScale | None
     notes: tuple[str, ...] = field(default=())
     not_found: Mapping[str, Path] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        frames = (*self.train, *self.test)
+        views = " + ".join(
+            f"{count} {name}"
+            for name, count in (
+                ("RGB", sum(frame.rgb is not None for frame in frames)),
+                ("thermal", sum(frame.thermal is not None for frame in frames)),
+            )
+        )
+        return (
+            f"Capture({self.name!r}, {self.layout}, {len(self.train)} train + {len(self.test)} test frames, "
+            f"{views} views, {len(self.points):,} points, {len(self.notes)} notes)"
+        )
 
     @cached_property  # asked for in every training step
     def scene_extent(self) -> float:
