@@ -78,7 +78,8 @@ def _images_in(folder: Path) -> str | None:
 
 
 def _folders(root: Path) -> str:
-    folders = [path for path in sorted(root.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    inside = sorted(root.iterdir()) if root.is_dir() else []  # a capture need not come from a folder
+    folders = [path for path in inside if path.is_dir() and not path.name.startswith(".")]
     return f"Found: {', '.join(describe_folder(path) for path in folders) or 'no folders'}."
 
 
