@@ -22,7 +22,7 @@ from thermosplat.model import SceneModel
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training import checkpoint_writer, training_step
 from thermosplat.training import trainer as trainer_module
-from thermosplat.training.interruption import TrainingInterrupted
+from thermosplat.training.interruption import TrainingInterrupted, stop_signals
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
 
@@ -152,11 +152,19 @@ def test_interrupt_between_updates(
     assert_same_state(state_tensors(resumed), whole_run[12])
 
 
-@pytest.mark.parametrize("place", ["step_unless", "random_stream"])
+@pytest.mark.parametrize(
+    ("place", "number"),
+    [("step_unless", signal.SIGINT), ("random_stream", signal.SIGINT), ("step_unless", signal.SIGTERM)],
+)
 def test_interrupt_during_an_update(
-    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str
+    tmp_path: Path,
+    capture: Capture,
+    whole_run: dict[int, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    place: str,
+    number: signal.Signals,
 ) -> None:
-    """Ctrl-C while optimizers or density control are at work lets them finish first."""
+    """Ctrl-C or SIGTERM while optimizers or density control are at work lets them finish first."""
     trainer = toy_trainer(tmp_path, toy_run_config(), capture)
     owner = training_step if place == "step_unless" else trainer_module
     genuine: Callable[..., Any] = getattr(owner, place)
@@ -164,13 +172,14 @@ def test_interrupt_during_an_update(
 
     def interrupted(*args: Any, **kwargs: Any) -> object:
         if trainer.step >= (5 if place == "step_unless" else 6) and not done:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
             done.append(1)
         return genuine(*args, **kwargs)
 
     monkeypatch.setattr(owner, place, interrupted)
-    with pytest.raises(TrainingInterrupted) as stop:
+    with pytest.raises(TrainingInterrupted) as stop, stop_signals():
         trainer.train()
+    assert stop.value.exit_code == 128 + number
     monkeypatch.undo()
     assert stop.value.checkpoint == tmp_path / "ckpts" / "step_000006.pt"
     resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))

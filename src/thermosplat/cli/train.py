@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
-from thermosplat.cli.errors import INTERRUPTED, run_command
+from thermosplat.cli.errors import print_last, run_command
 from thermosplat.cli.host_settings import importing, prepare_host
 from thermosplat.errors import UserError
 
@@ -30,7 +30,7 @@ def main(argv: list[str] | None = None) -> int:
         argv: Arguments without the program's name. None: the process's.
 
     Returns:
-        The exit code: 0, 2 for a mistake of the user's, 130 after Ctrl-C.
+        The exit code: 0, 2 for a mistake of the user's, 130 after Ctrl-C, 143 after SIGTERM.
     """
     words = sys.argv[1:] if argv is None else argv
     return run_command(lambda: _train(words), debug="--debug" in words)
@@ -48,13 +48,16 @@ def _train(argv: list[str]) -> int:
             capture, trainer_class = _capture_and_trainer(config)
         make = _new_trainer if config.resume is None else _resumed_trainer
         trainer = make(config, capture, trainer_class)
-    from thermosplat.training.interruption import TrainingInterrupted
+    from thermosplat.training.interruption import TrainingInterrupted, stop_signals
 
     try:
-        trainer.train()
+        with stop_signals():  # again: pycolmap has been imported
+            trainer.train()
     except TrainingInterrupted as stop:
-        print(f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}")
-        return INTERRUPTED
+        print_last(
+            f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}"
+        )
+        return stop.exit_code
     _say_where(trainer)
     return 0
 

@@ -1,21 +1,20 @@
 """Cells in processes of their own, one at a time on each device.
 
 A process a cell keeps them apart: what one leaves on the GPU, or breaks, is gone with it, and the peak of its memory is
-its own. Ctrl-C, or SIGTERM, is handed on to the processes; each saves a checkpoint, so that the same command goes on.
+its own. Ctrl-C, SIGTERM and SIGHUP are handed on to the processes as SIGTERM; each saves a checkpoint, so that the same
+command goes on.
 """
 
 import os
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from thermosplat.errors import UserError
+from thermosplat.training.interruption import stop_signals
 
 POLL_SECONDS = 0.2
 
@@ -88,11 +87,11 @@ def run_jobs(
         The jobs that were not started.
 
     Raises:
-        KeyboardInterrupt: After Ctrl-C or SIGTERM, when all processes have ended.
+        KeyboardInterrupt: After Ctrl-C, SIGTERM or SIGHUP, when all processes have ended.
     """
     waiting, running, began = list(jobs), dict[str, _Running](), time.monotonic()
     left: list[Job] = []
-    with _terminated_like_interrupted():
+    with stop_signals():
         try:
             while waiting or running:
                 if time_limit is not None and time.monotonic() - began >= time_limit:
@@ -110,7 +109,7 @@ def run_jobs(
                         done(current.job, device, code)
         except BaseException:  # also an error in a callback: no process outlives this one
             for current in running.values():
-                current.process.send_signal(signal.SIGINT)
+                current.process.terminate()  # a process in a script's background ignores SIGINT
             for current in running.values():
                 current.process.wait()
             raise
@@ -154,15 +153,3 @@ def _start(job: Job, environment: dict[str, str]) -> _Running:
             start_new_session=True,  # Ctrl-C reaches it once, from here
         )
     return _Running(job, process)
-
-
-@contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)

@@ -11,7 +11,7 @@ import resource
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,15 @@ class StepRecord:
     """Time spent in steps so far [s]."""
 
 
+class _Output(Console):
+    """Standard output. Where nobody reads it any more the training shall save itself; rich would end the process."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise the BrokenPipeError that is being handled, once."""
+        self.quiet = True
+        raise  # rich calls this in its except clause
+
+
 class RunLogger:
     """Tells the user, metrics.jsonl and TensorBoard how the training goes.
 
@@ -77,7 +86,7 @@ class RunLogger:
         self.max_steps = max_steps
         self.log_every = log_every
         self.device = device
-        self.console = console if console is not None else Console(highlight=False)
+        self.console = console if console is not None else _Output(highlight=False)
         self.held_out: dict[str, float] = {}
         self._tensorboard = tensorboard
         self._writer: Any = None
@@ -183,10 +192,11 @@ class RunLogger:
 
     def close(self) -> None:
         """Take the live line down and close the files. The logger cannot be used afterwards."""
-        self._report_late()
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
+        with suppress(OSError):  # the output may be what ended the training
+            self._report_late()
+            if self._live is not None:
+                self._live.stop()
+        self._live = None
         if self._writer is not None:
             self._writer.close()
             self._writer = None

@@ -5,7 +5,7 @@
 
 Read :meth:`Trainer.train` for the run and :meth:`Trainer._train_step` for a step; everything they call says what it
 does in its own file. Steps count from 1. The state is always that of a whole number of steps, whatever ends the run:
-Ctrl-C, a full memory or a bad loss.
+Ctrl-C, SIGTERM, a full memory or a bad loss.
 """
 
 import time
@@ -34,7 +34,7 @@ from thermosplat.training.checkpoint_writer import CheckpointWriter
 from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.gaussian_ops import become_copy
-from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts, meanwhile
+from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts, meanwhile, stop_signal
 from thermosplat.training.modality_schedule import ModalitySchedule, Span
 from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.random_streams import random_stream
@@ -143,7 +143,7 @@ class Trainer:
             The content of metrics.json.
 
         Raises:
-            TrainingInterrupted: After Ctrl-C; carries the checkpoint and the command that goes on.
+            TrainingInterrupted: After Ctrl-C and its like; carries the checkpoint and the command that goes on.
             UserError: If memory runs out, or a loss or gradient becomes NaN or infinite; says what was saved where.
         """
         config, state = self.config, self.state
@@ -170,11 +170,11 @@ class Trainer:
             state.seconds.wall = time.perf_counter() - started
             write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
             return self._finish(metrics)
-        except KeyboardInterrupt:
-            with deferred_interrupts(redeliver=False):
-                self._stop_if_not_finite()
-                raise TrainingInterrupted(self._save(), self.run.resume_command()) from None
-        except Exception as error:
+        except (KeyboardInterrupt, Exception) as error:
+            if (number := stop_signal(error)) is not None:
+                with deferred_interrupts(redeliver=False):
+                    self._stop_if_not_finite()
+                    raise TrainingInterrupted(self._save(), self.run.resume_command(), number) from None
             if not is_out_of_memory(error):
                 raise
             raise self._out_of_memory() from error
