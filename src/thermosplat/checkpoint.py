@@ -35,6 +35,10 @@ _REQUIRED: dict[str, tuple[str, ...]] = {
 """What a checkpoint must have, and what of it must lie in which entry."""
 
 
+class NotWrittenError(UserError):
+    """A file or folder could not be written: a full disk, no permission. What was there before is as it was."""
+
+
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Write a file so that its name only ever holds a complete one.
 
@@ -43,7 +47,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         write: Writes the file to the temporary path it is given, which lies in the same folder and has the same suffix.
 
     Raises:
-        UserError: If the folder or the file cannot be written (disk full, no permission).
+        NotWrittenError: If the folder or the file cannot be written.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
@@ -53,7 +57,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
             os.fsync(file.fileno())  # the data before the name, or a power cut leaves an empty file under a good name
         os.replace(temporary, path)
     except OSError as error:
-        raise UserError(
+        raise NotWrittenError(
             f"Could not write {path}: {error.strerror or error}.",
             "Free some space, or choose another folder to write to.",
         ) from error
@@ -73,7 +77,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:
         The file.
 
     Raises:
-        UserError: If the file cannot be written.
+        NotWrittenError: If the file cannot be written.
     """
 
     def write(temporary: Path) -> None:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from thermosplat import __version__
-from thermosplat.checkpoint import write_atomically
+from thermosplat.checkpoint import NotWrittenError, write_atomically
 from thermosplat.devices import device_name
 from thermosplat.errors import UserError
 
@@ -107,7 +107,7 @@ class RunDirectory:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise UserError(
+            raise NotWrittenError(
                 f"Could not make the folder {folder}: {error.strerror}.",
                 "Move what is in its way, or see to it that the result folder can be written to.",
             ) from error

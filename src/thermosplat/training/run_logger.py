@@ -98,6 +98,7 @@ class RunLogger:
         self._rate = 0.0
         self._refreshed = 0.0
         self._late: StepRecord | None = None
+        self._lines_lost = False
 
     def start(self, step: int) -> None:
         """Open the files; drop lines of metrics.jsonl from after the step that a resumed run starts from.
@@ -198,7 +199,8 @@ class RunLogger:
                 self._live.stop()
         self._live = None
         if self._writer is not None:
-            self._writer.close()
+            with suppress(OSError):  # a full disk
+                self._writer.close()
             self._writer = None
 
     def _report_late(self) -> None:
@@ -266,13 +268,24 @@ class RunLogger:
         )
 
     def _append(self, entry: dict[str, Any]) -> None:
-        with self.run.metrics_jsonl.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(finite_or_null(entry), allow_nan=False) + "\n")
+        path = self.run.metrics_jsonl
+        try:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(finite_or_null(entry), allow_nan=False) + "\n")
+        except OSError as error:  # a full disk: a line less, which costs no training
+            if not self._lines_lost:
+                self.say(f"Could not write {path}: {error.strerror or error}. Training goes on without its line.")
+            self._lines_lost = True
 
     def _tensorboard_scalars(self, step: int, scalars: dict[str, float]) -> None:
-        if self._writer is not None:
+        if self._writer is None:
+            return
+        try:
             for name, value in scalars.items():
                 self._writer.add_scalar(name, value, step)
+        except OSError as error:  # of its own thread, which has ended
+            self._writer = None
+            self.say(f"TensorBoard files are written no further: {error.strerror or error}.")
 
 
 def _memory_bytes(device: torch.device) -> int:
