@@ -15,6 +15,7 @@ import torch
 
 from thermosplat.cli import evaluate, export, render, train
 from thermosplat.config_files import load_config
+from thermosplat.run_lock import LOCK_FILE
 from thermosplat.training.trainer import Trainer
 
 QUICK = ["--data-factor", "4", "--device", "cpu", "--no-tensorboard", "--log-every", "1"]
@@ -86,6 +87,22 @@ def test_occupied_result_folder(run: Run, finished: Path) -> None:
     assert f"already holds a run ({STEPS} steps)" in printed
     assert "--resume" in printed
     assert "--overwrite" in printed
+
+
+@pytest.mark.usefixtures("unharmed")
+@pytest.mark.parametrize("words", [["sample", "--overwrite"], ["--max-steps", str(STEPS + 1)]])
+def test_run_that_is_being_trained(run: Run, finished: Path, words: list[str]) -> None:
+    """Nothing is deleted or written where another process trains."""
+    lock = finished / LOCK_FILE
+    lock.write_text("4711 elsewhere\n")
+    try:
+        folder = ["--resume", finished] if "sample" not in words else [*QUICK, "--result-dir", finished]
+        code, printed = run(train.main, *words, *folder)
+        assert lock.read_text() == "4711 elsewhere\n"
+    finally:
+        lock.unlink()
+    assert code == 2
+    assert "is being trained by process 4711 on elsewhere" in printed
 
 
 @pytest.mark.usefixtures("unharmed")

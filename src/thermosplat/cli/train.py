@@ -51,7 +51,9 @@ def _train(argv: list[str]) -> int:
     from thermosplat.training.interruption import TrainingInterrupted, stop_signals
 
     try:
-        with stop_signals():  # again: pycolmap has been imported
+        with stop_signals(), trainer.run.locked():  # the signals again: pycolmap has been imported
+            if config.resume is None:  # last, when nothing in the input can stop the run any more: it may delete here
+                trainer.run.create(trainer.run.path, overwrite=config.overwrite)
             trainer.train()
     except TrainingInterrupted as stop:
         print_last(
@@ -96,12 +98,7 @@ def _new_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type[
 
     folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
     data = config.data if config.data == "sample" else str(Path(config.data).resolve())  # holds from any directory
-    trainer = trainer_class(
-        replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder)
-    )
-    # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
-    RunDirectory.create(folder, overwrite=config.overwrite)
-    return trainer
+    return trainer_class(replace(config, data=data, result_dir=folder, overwrite=False), capture, RunDirectory(folder))
 
 
 def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type["Trainer"]) -> "Trainer":

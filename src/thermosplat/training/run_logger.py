@@ -23,7 +23,7 @@ from rich.text import Text
 from torch import Tensor
 
 from thermosplat.checkpoint import write_atomically
-from thermosplat.run_directory import RunDirectory, finite_or_null
+from thermosplat.run_directory import TENSORBOARD_SUFFIX, RunDirectory, finite_or_null
 
 _REFRESH_SECONDS = 0.25  # of the live line
 _COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is compiling kernels
@@ -115,7 +115,7 @@ class RunLogger:
             try:
                 from torch.utils.tensorboard import SummaryWriter
 
-                self._writer = SummaryWriter(str(self.run.tb), purge_step=step + 1)
+                self._writer = SummaryWriter(str(self.run.tb), purge_step=step + 1, filename_suffix=TENSORBOARD_SUFFIX)
             except ImportError:
                 self.say('TensorBoard files are not written: pip install "thermosplat[tensorboard]" to have them.')
 

@@ -145,9 +145,13 @@ class Trainer:
 
         Raises:
             TrainingInterrupted: After Ctrl-C and its like; carries the checkpoint and the command that goes on.
-            UserError: If memory or, at the end, the disk is full, or a loss or gradient becomes NaN or infinite; says
-                what was saved where.
+            UserError: If another process trains there, or memory or, at the end, the disk is full, or a loss or gradient
+                becomes NaN or infinite: says what was saved where.
         """
+        with self.run.locked():
+            return self._train()
+
+    def _train(self) -> dict[str, Any]:
         config, state = self.config, self.state
         started = time.perf_counter() - state.seconds.wall
         try:
