@@ -10,6 +10,7 @@ A checkpoint is a plain dict of tensors and built-in types (``torch.load(..., we
     thermal_scale  dict (``ThermalScale.state_dict``) | None
     training       dict, optimizer and densification state (``training.training_state``)
     train_frames   list of the training frames' names; checkpoints of 0.1.0 have none
+    test_frames    the same of the held-out frames
 """
 
 import contextlib

@@ -201,10 +201,15 @@ def test_mistakes_in_the_siblings(run: Run, main: Callable[[list[str]], int], fi
 
 
 def test_eval_agrees_with_training(run: Run, finished: Path) -> None:
-    """thermosplat-eval prints and writes the numbers that training ended with, and pictures."""
+    """thermosplat-eval prints and writes the numbers that training ended with, and pictures of these frames alone."""
+    stale = finished / "renders" / f"eval_{STEPS:06d}" / "desk_9999.png"
+    stale.parent.mkdir(exist_ok=True)
+    stale.write_bytes(b"x")
     code, printed = run(evaluate.main, finished, "--device", "cpu")
     assert code == 0
+    assert not stale.exists()
     written = json.loads((finished / "stats" / f"eval_{STEPS:06d}.json").read_text())
+    assert written["data"] == "sample"
     trained = json.loads((finished / "metrics.json").read_text())
     for modality in ("rgb", "thermal"):
         assert written[modality]["psnr"] == pytest.approx(trained[modality]["psnr"], rel=1e-6)
@@ -266,15 +271,36 @@ def test_another_capture_is_noticed(run: Run, finished: Path, tmp_path: Path) ->
     shutil.copytree(str(files("thermosplat") / "sample"), other)
     for folder in ("rgb", "thermal"):
         min((other / folder / "train").iterdir()).unlink()
-    before = (finished / "metrics.json").read_bytes()
+    for folder in ("rgb", "thermal"):
+        min((other / folder / "test").iterdir()).unlink()
+    before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
     code, printed = run(train.main, other, "--resume", finished, "--max-steps", STEPS + 1)
     assert code == 2
     assert "cannot go on with another capture" in printed
-    assert (finished / "metrics.json").read_bytes() == before
     code, printed = run(evaluate.main, finished, "--data", other, "--device", "cpu")
     assert code == 0
     assert f"Is this the capture of {finished}?" in printed
+    name = f"{STEPS:06d}_other"
+    assert json.loads((finished / "stats" / f"eval_{name}.json").read_text())["data"] == str(other)
+    assert list((finished / "renders" / f"eval_{name}").glob("*.png"))
+    code, printed = run(render.main, finished, "--data", other, "--device", "cpu", "--frames", 2)
+    assert code == 0
+    assert f"Is this the capture of {finished}?" in printed
+    assert (finished / "videos" / f"interp_both_{name}.mp4").is_file()
+    assert {path: path.read_bytes() for path in before} == before  # its own results are as they were
     assert "Is this the capture" not in run(evaluate.main, finished, "--device", "cpu")[1]
+
+
+def test_capture_with_other_held_out_frames_is_another(run: Run, finished: Path, tmp_path: Path) -> None:
+    """Also where the training frames are the same: its numbers are not the run's."""
+    other = tmp_path / "fewer"
+    shutil.copytree(str(files("thermosplat") / "sample"), other)
+    for folder in ("rgb", "thermal"):
+        min((other / folder / "test").iterdir()).unlink()
+    code, printed = run(evaluate.main, finished, "--data", other, "--device", "cpu")
+    assert code == 0
+    assert "other held-out frames" in printed
+    assert (finished / "stats" / f"eval_{STEPS:06d}_fewer.csv").is_file()
 
 
 @pytest.mark.parametrize("words", [["--frames", "0"], ["--fps", "0"], ["--path", "zigzag"], ["--modality", "sound"]])
@@ -300,6 +326,9 @@ def test_render_along_a_path(run: Run, finished: Path) -> None:
     assert len(images) == 2
     assert images[0].shape[1] * 2 == pytest.approx(video.get(cv2.CAP_PROP_FRAME_WIDTH), abs=1)
     assert not np.array_equal(images[0], images[1])
+    assert run(render.main, finished, "--path", "test", "--modality", "rgb", "--format", "png")[0] == 0
+    named = {path.name for path in (finished / "videos" / f"test_rgb_{STEPS:06d}").iterdir()}
+    assert named == {path.name for path in (finished / "renders").glob("*.png")}
 
 
 def test_export_elsewhere(run: Run, finished: Path, tmp_path: Path) -> None:

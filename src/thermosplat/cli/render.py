@@ -21,7 +21,8 @@ class RenderArguments(RunOnCaptureArguments):
     modality: Literal["rgb", "thermal", "both"] | None = None
     """Which spectrum. None: both side by side, or the one that was trained."""
     format: Literal["mp4", "png"] = "mp4"
-    """A video (H.264 with the extra "video" installed: pip install "thermosplat[video]"), or a folder of PNGs."""
+    """A video (H.264 with the extra "video" installed: pip install "thermosplat[video]"), or a folder of PNGs, named
+    by the frames on the train and test paths and numbered on the others."""
     frames: int = 120
     """Images along the path; the train and test paths have one for each view."""
     fps: int = 30
@@ -49,6 +50,7 @@ def _render(arguments: RenderArguments) -> int:
     from rich.progress import track
 
     from thermosplat.cli.loaded_run import load_run
+    from thermosplat.evaluation import file_stem
     from thermosplat.export.scene import modelled
     from thermosplat.rendering import rendered_images, viewpoints
     from thermosplat.video import write_images
@@ -61,13 +63,16 @@ def _render(arguments: RenderArguments) -> int:
             f"{arguments.run} was trained on {available[0]} images only.", f"Give --modality {available[0]}."
         )
     capture = loaded.capture(arguments.data)
+    for note in capture.notes:
+        print(note)
     points = viewpoints(capture, arguments.path, shown, num_frames=arguments.frames, device=loaded.device)
     images = rendered_images(loaded.model, points, sh_degree=loaded.sh_degree, thermal_scale=loaded.thermal_scale)
     written = write_images(
         track(images, f"Rendering {arguments.path}", len(points), transient=True, disable=not sys.stdout.isatty()),
-        loaded.directory.videos / f"{arguments.path}_{shown}_{loaded.step:06d}",
+        loaded.directory.videos / f"{arguments.path}_{shown}_{loaded.result_name(capture)}",
         format=arguments.format,
         fps=arguments.fps,
+        names=[file_stem(point.frame) for point in points] if arguments.path in ("train", "test") else None,
     )
     if arguments.format == "mp4" and written.is_dir():
         print("No video encoder here, so PNGs were written.")

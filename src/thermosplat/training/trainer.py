@@ -145,7 +145,7 @@ class Trainer:
 
         Raises:
             TrainingInterrupted: After Ctrl-C and its like; carries the checkpoint and the command that goes on.
-            UserError: If another process trains there, or memory or, at the end, the disk is full, or a loss or gradient
+            UserError: If another process trains there, memory or (at the end) the disk is full, or a loss or gradient
                 becomes NaN or infinite: says what was saved where.
         """
         with self.run.locked():
@@ -286,7 +286,8 @@ class Trainer:
     def _checkpoint(self) -> tuple[Path, dict[str, Any]]:
         """File and content of a checkpoint of the steps done; callers have made sure that the state is finite."""
         state = self.state.checkpoint(self.config, self.sh_degree, self.capture.thermal_scale)
-        state["train_frames"] = [frame.name for frame in self.capture.train]
+        for split in ("train", "test"):
+            state[f"{split}_frames"] = [frame.name for frame in getattr(self.capture, split)]
         return self.run.checkpoint(self.state.step), state
 
     def _saving(self) -> AbstractContextManager[None]:
