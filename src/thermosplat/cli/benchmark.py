@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.errors import run_command
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
@@ -78,8 +79,11 @@ def main(argv: list[str] | None = None) -> int:
         The exit code: 0, 2 for a mistake of the user's or a cell that failed, 130 after Ctrl-C.
     """
     words = sys.argv[1:] if argv is None else argv
-    arguments = tyro.cli(BenchmarkArguments, prog="thermosplat-benchmark", args=words)
-    return run_command(lambda: _benchmark(arguments), debug=arguments.debug)
+
+    def body() -> int:
+        return _benchmark(parse_command_line(BenchmarkArguments, words, prog="thermosplat-benchmark"))
+
+    return run_command(body, debug="--debug" in words)
 
 
 def _benchmark(arguments: BenchmarkArguments) -> int:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import tyro
-
+from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.errors import run_command
+from thermosplat.cli.host_settings import importing
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 
 if TYPE_CHECKING:
@@ -39,17 +39,22 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    arguments = tyro.cli(EvalArguments, prog="thermosplat-eval", args=sys.argv[1:] if argv is None else argv)
-    return run_command(lambda: _evaluate(arguments), debug=arguments.debug)
+    words = sys.argv[1:] if argv is None else argv
+
+    def body() -> int:
+        return _evaluate(parse_command_line(EvalArguments, words, prog="thermosplat-eval"))
+
+    return run_command(body, debug="--debug" in words)
 
 
 def _evaluate(arguments: EvalArguments) -> int:
-    from rich.console import Console
+    with importing():
+        from rich.console import Console
 
-    from thermosplat.cli.loaded_run import load_run
-    from thermosplat.evaluation import evaluate, file_stem
-    from thermosplat.labelled_regions import write_regions
-    from thermosplat.lpips import find_lpips
+        from thermosplat.cli.loaded_run import load_run
+        from thermosplat.evaluation import evaluate, file_stem
+        from thermosplat.labelled_regions import write_regions
+        from thermosplat.lpips import find_lpips
 
     console = Console(highlight=False, soft_wrap=True)
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)

@@ -4,9 +4,9 @@ import sys
 from dataclasses import dataclass
 from typing import Literal
 
-import tyro
-
+from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.errors import run_command
+from thermosplat.cli.host_settings import importing
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.errors import UserError
 
@@ -38,8 +38,12 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    arguments = tyro.cli(RenderArguments, prog="thermosplat-render", args=sys.argv[1:] if argv is None else argv)
-    return run_command(lambda: _render(arguments), debug=arguments.debug)
+    words = sys.argv[1:] if argv is None else argv
+
+    def body() -> int:
+        return _render(parse_command_line(RenderArguments, words, prog="thermosplat-render"))
+
+    return run_command(body, debug="--debug" in words)
 
 
 def _render(arguments: RenderArguments) -> int:
@@ -47,13 +51,14 @@ def _render(arguments: RenderArguments) -> int:
         if getattr(arguments, name) < 1:
             raise UserError(f"--{name} must be at least 1, found {getattr(arguments, name)}.")
 
-    from rich.progress import track
+    with importing():
+        from rich.progress import track
 
-    from thermosplat.cli.loaded_run import load_run
-    from thermosplat.evaluation import file_stem
-    from thermosplat.export.scene import modelled
-    from thermosplat.rendering import rendered_images, viewpoints
-    from thermosplat.video import write_images
+        from thermosplat.cli.loaded_run import load_run
+        from thermosplat.evaluation import file_stem
+        from thermosplat.export.scene import modelled
+        from thermosplat.rendering import rendered_images, viewpoints
+        from thermosplat.video import write_images
 
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
     available = modelled(loaded.model)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import print_last, run_command
-from thermosplat.cli.host_settings import importing, prepare_host
+from thermosplat.cli.host_settings import importing, prepare_host, without_garbage_collection
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
@@ -39,8 +39,9 @@ def main(argv: list[str] | None = None) -> int:
 def _train(argv: list[str]) -> int:
     config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
     prepare_host()
-    with importing():
-        from thermosplat.cli.warp_start import started_meanwhile
+    with without_garbage_collection():
+        with importing():
+            from thermosplat.cli.warp_start import started_meanwhile
 
         with started_meanwhile(config):
             if config.resume is not None:
@@ -78,7 +79,8 @@ def _check_capture_to_go_on_with(config: "TrainConfig") -> None:
 
 def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Trainer"]]:
     """The capture, and the trainer's class: images are read while torch and the trainer are imported."""
-    from thermosplat.datasets import load_capture  # takes no torch
+    with importing():
+        from thermosplat.datasets import load_capture  # takes no torch
 
     with ThreadPoolExecutor(max_workers=1) as thread:
         reading = thread.submit(
@@ -88,7 +90,8 @@ def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Traine
             test_every=config.test_every,
             thermal=config.thermal,
         )
-        from thermosplat.training.trainer import Trainer
+        with importing():
+            from thermosplat.training.trainer import Trainer
 
         return reading.result(), Trainer
 
