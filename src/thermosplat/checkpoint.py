@@ -16,12 +16,14 @@ A checkpoint is a plain dict of tensors and built-in types (``torch.load(..., we
 import contextlib
 import os
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from thermosplat.config_files import from_dict
 from thermosplat.errors import UserError
 
 FORMAT = 1
@@ -140,9 +142,53 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
             f"{path} has checkpoint format {state['format']}; this version of thermosplat reads format {FORMAT}.",
             "Use the version of thermosplat that wrote it.",
         )
-    missing = [key for key in _REQUIRED if key not in state]
-    for key, entries in _REQUIRED.items():
-        missing += [f"{key}.{entry}" for entry in entries if key in state and entry not in state[key]]
+    missing = _missing(state)
     if missing:
-        raise UserError(f"{path} is not a complete checkpoint: {', '.join(missing)} missing.")
+        raise UserError(
+            f"{path} is not a complete checkpoint: {', '.join(missing)} missing.",
+            "Delete it; thermosplat-train --resume then goes on from the checkpoint before it.",
+        )
+    try:
+        from_dict(state["config"], source=f"the configuration in {path}")
+    except UserError as error:
+        message = f"{error.message} Another version of thermosplat wrote that file."
+        raise UserError(message, "Use the version that wrote it, or train again.") from error
     return state
+
+
+@contextmanager
+def damage_explained(part: str) -> Iterator[None]:
+    """Around what makes an object of a checkpoint's content: what that lacks is a user's error.
+
+    Args:
+        part: What of the checkpoint it is.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = (str(error).splitlines() or [""])[0]
+        raise UserError(
+            f"The checkpoint is damaged: its {part} cannot be used ({type(error).__name__}: {reason}).",
+            "Take another one of the run with --step, or delete it; the one before it is then the newest.",
+        ) from error
+
+
+def _missing(state: dict[str, Any]) -> list[str]:
+    """What a checkpoint lacks, by dotted names."""
+    missing = [key for key in _REQUIRED if key not in state]
+    for key in ("config", "model", "training"):
+        if key in state and not isinstance(state[key], dict):
+            missing.append(key)
+    for key, entries in _REQUIRED.items():
+        if key not in missing:
+            missing += [f"{key}.{entry}" for entry in entries if entry not in state[key]]
+    if not missing:
+        sets = state["model"]["gaussian_sets"]
+        if not isinstance(sets, dict):
+            return ["model.gaussian_sets"]
+        missing = [f"model.gaussian_sets.{name}" for name, values in sets.items() if not values]
+        if state["thermal_scale"] is not None and not state["thermal_scale"]:
+            missing.append("thermal_scale")
+    return missing

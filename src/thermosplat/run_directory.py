@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from thermosplat import __version__
-from thermosplat.checkpoint import NotWrittenError, write_atomically
+from thermosplat.checkpoint import NotWrittenError, load_checkpoint, write_atomically
 from thermosplat.devices import device_name
 from thermosplat.errors import UserError
 from thermosplat.run_lock import run_lock
@@ -234,6 +234,24 @@ class RunDirectory:
     def resume_command(self) -> str:
         """The command line that goes on with this run."""
         return f"thermosplat-train --resume {shlex.quote(str(self.path))}"
+
+    def read_config(self) -> "TrainConfig":
+        """The configuration of the run: its config.yaml, or what its newest checkpoint says where that is gone.
+
+        Raises:
+            UserError: There is neither, or it cannot be read.
+        """
+        from thermosplat.config_files import from_dict, load_config
+
+        if self.config_yaml.is_file():
+            return load_config(self.config_yaml)
+        path = self.latest_checkpoint()
+        if path is None:
+            raise UserError(
+                f"{self.path} has neither a config.yaml nor a checkpoint to go on from.",
+                "Start again with --overwrite.",
+            )
+        return from_dict(load_checkpoint(path)["config"], source=str(path))
 
     def write_config(self, config: "TrainConfig") -> None:
         """Write ``config.yaml``."""

@@ -81,7 +81,7 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
     from thermosplat.run_directory import RunDirectory
 
     folder = str(first.resume)
-    run_config = load_config(RunDirectory.open(folder).config_yaml)
+    run_config = RunDirectory.open(folder).read_config()
     start = dataclasses.replace(run_config, resume=folder, result_dir=folder)
     asked = _parse(argv, start)
     if asked.overwrite:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from thermosplat.checkpoint import load_checkpoint
+from thermosplat.checkpoint import damage_explained, load_checkpoint
 from thermosplat.cli.warp_start import start_warp
 from thermosplat.config import TrainConfig
 from thermosplat.config_files import from_dict
@@ -98,13 +98,15 @@ def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> L
     start_warp()
     state = load_checkpoint(_checkpoint(directory, step), chosen)
     scale = state["thermal_scale"]
+    with damage_explained("thermal scale"):
+        thermal_scale = None if scale is None else ThermalScale.from_state_dict(scale)
     return LoadedRun(
         directory=directory,
         config=from_dict(state["config"], source=f"the configuration stored in {folder}"),
         step=state["step"],
         sh_degree=state["sh_degree"],
         model=SceneModel.from_checkpoint(state, chosen).eval(),
-        thermal_scale=None if scale is None else ThermalScale.from_state_dict(scale),
+        thermal_scale=thermal_scale,
         device=chosen,
         train_frames=state.get("train_frames"),
         test_frames=state.get("test_frames"),
