@@ -34,6 +34,12 @@ def test_user_error_is_a_panel_on_stderr(capsys: pytest.CaptureFixture[str]) -> 
     assert "Traceback" not in captured.err
 
 
+def test_user_error_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """For the logs that thermosplat-benchmark reads."""
+    assert run_command(failing(UserError("No\n" + 100 * "x" + ".", "Use this.")), debug=False, one_line=True) == 2
+    assert capsys.readouterr().err == f"Error: No {100 * 'x'}. Use this.\n"
+
+
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     """--debug adds the traceback and keeps the code."""
     assert run_command(failing(UserError("No.")), debug=True) == 2

@@ -87,6 +87,17 @@ def test_interrupt_reaches_the_jobs_and_waits_for_them(tmp_path: Path, number: s
     assert all("saved" in job.log.read_text() for job in jobs)
 
 
+def test_reason_of_a_failure(tmp_path: Path) -> None:
+    """The last line that a process wrote, or the signal that ended it; also where it wrote nothing at all."""
+    failing = job(tmp_path, "failing", "")
+    assert failing.reason(2) == "it wrote nothing"
+    failing.log.write_text("step 3\nError: No capture here. Give another.\n\n")
+    assert failing.reason(2) == "No capture here. Give another."
+    failing.log.write_text("Traceback (most recent call last):\n  File x\nValueError: broken\n")
+    assert failing.reason(1) == "ValueError: broken"
+    assert failing.reason(-signal.SIGKILL) == "ended by SIGKILL"
+
+
 def test_environment_of_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
     """A GPU's index counts among the visible ones; on the CPU none is visible."""
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)

@@ -38,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
         The exit code.
     """
     arguments = tyro.cli(CellArguments, prog="benchmark_cell", args=sys.argv[1:] if argv is None else argv)
-    return run_command(lambda: _make(arguments), debug=False)
+    return run_command(lambda: _make(arguments), debug=False, one_line=True)  # for ``Job.reason``
 
 
 def _make(arguments: CellArguments) -> int:

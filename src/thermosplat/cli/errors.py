@@ -16,18 +16,19 @@ from thermosplat.training.interruption import stop_signal, stop_signals
 USER_ERROR = 2
 
 
-def run_command(body: Callable[[], int], *, debug: bool) -> int:
+def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False) -> int:
     """Run a command and turn what a user can mend into a message and an exit code.
 
     Args:
         body: The command; returns its exit code.
         debug: Show the traceback too.
+        one_line: Say what is wrong in one line without a panel, for programs that read it.
 
     Returns:
         The exit code. Errors that are no mistake of the user's are raised as they are.
     """
     with stop_signals():
-        code = _code_of(body, debug)
+        code = _code_of(body, debug, print_error_line if one_line else print_error)
     try:
         sys.stdout.flush()
     except OSError as error:  # nobody reads what is left of it (| head)
@@ -39,7 +40,7 @@ def run_command(body: Callable[[], int], *, debug: bool) -> int:
     return code
 
 
-def _code_of(body: Callable[[], int], debug: bool) -> int:
+def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], None]) -> int:
     try:
         return body()
     except SystemExit as stop:  # --help, or flags that tyro does not understand
@@ -49,7 +50,7 @@ def _code_of(body: Callable[[], int], debug: bool) -> int:
     except UserError as error:
         if debug:
             Console(stderr=True).print_exception()
-        print_error(error.message, error.hint)
+        tell(error.message, error.hint)
         return USER_ERROR
     except (KeyboardInterrupt, OSError) as error:
         number = stop_signal(error)
@@ -62,7 +63,7 @@ def _code_of(body: Callable[[], int], debug: bool) -> int:
     except (RuntimeError, MemoryError) as error:
         if debug or not _is_out_of_memory(error):
             raise
-        print_error("Out of memory.", "Close other programs that use this device, and try again.")
+        tell("Out of memory.", "Close other programs that use this device, and try again.")
         return USER_ERROR
 
 
@@ -77,6 +78,11 @@ def print_error(message: str, hint: str = "") -> None:
     if hint:
         lines += [Text(), Text(hint, style="bold")]
     Console(stderr=True, highlight=False).print(Panel(Group(*lines), title="Error", title_align="left", style="red"))
+
+
+def print_error_line(message: str, hint: str) -> None:
+    """Print an error as one line on stderr, the last one: see :func:`print_error`."""
+    print(" ".join(f"Error: {message} {hint}".split()), file=sys.stderr, flush=True)
 
 
 def print_last(text: str) -> None:

@@ -6,6 +6,7 @@ command goes on.
 """
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -29,6 +30,21 @@ class Job:
     """Program and arguments."""
     log: Path
     """Where its output goes, at the end of what is there."""
+
+    def reason(self, code: int) -> str:
+        """Why it failed: the signal that ended it, or else the last line that it wrote.
+
+        Args:
+            code: Its exit code, as ``subprocess`` has it.
+        """
+        if code < 0:
+            return f"ended by {signal.Signals(-code).name}"
+        try:
+            lines = self.log.read_text(encoding="utf-8", errors="replace").split("\n")
+        except OSError:
+            lines = []
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "it wrote nothing")
+        return last.removeprefix("Error: ")
 
 
 @dataclass(frozen=True)
