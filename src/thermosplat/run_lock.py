@@ -104,10 +104,10 @@ def _is_still(file: int, path: Path) -> bool:
 
 def _being_trained(path: Path, holder: tuple[int, str] | None) -> UserError:
     process = "another process" if holder is None else f"process {holder[0]} on {holder[1]}"
-    return UserError(
-        f"{path.parent} is being trained by {process}.",
-        f"Wait for it, or give another --result-dir. If that process has ended on another machine, delete {path}.",
-    )
+    hint = "Wait for it, or give another --result-dir."
+    if holder is not None and holder[1] != socket.gethostname():
+        hint = f"{hint} If that process has ended, delete {path}."
+    return UserError(f"{path.parent} is being trained by {process}.", hint)
 
 
 def _not_written(path: Path, error: OSError) -> UserError:
