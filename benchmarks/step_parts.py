@@ -79,15 +79,8 @@ def profiled(work: Callable[[], object], count: int, device: torch.device) -> li
 def part_times(kernels: list[dict[str, Any]]) -> dict[str, float]:
     """Milliseconds a step of each part, in the order of a step as far as kernels have one."""
     names = ["projection", "SH", "binning", "blending", "decoders", "image losses"]
-    names += [
-        "blending adjoint",
-        "SH adjoint",
-        "projection adjoint",
-        "optimizer",
-        "bookkeeping",
-        "penalties, noise",
-        REST,
-    ]
+    names += ["blending adjoint", "SH adjoint", "projection adjoint", "optimizer"]
+    names += ["bookkeeping", "penalties, noise", REST]
     times = dict.fromkeys(names, 0.0)
     for kernel in kernels:
         times[kernel["part"]] += kernel["microseconds"] / 1e3

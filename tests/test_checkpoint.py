@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat.checkpoint import FORMAT, load_checkpoint, on_host, save_checkpoint, write_atomically
+from thermosplat.checkpoint import FORMAT, damage_explained, load_checkpoint, on_host, save_checkpoint, write_atomically
 from thermosplat.errors import UserError
 
 
@@ -128,6 +128,13 @@ def test_pickled_code_is_refused(tmp_path: Path) -> None:
         ({"format": FORMAT + 1}, f"reads format {FORMAT}"),
         ({"format": FORMAT, "step": 3}, "config, sh_degree, model, thermal_scale, training missing"),
         ({"format": FORMAT, **_state(), "model": {"x": 1}}, r"model\.gaussian_sets, model\.decoders, .* missing"),
+        ({"format": FORMAT, **_state(), "config": None}, "config missing"),
+        ({"format": FORMAT, **_state(), "thermal_scale": {}}, "thermal_scale missing"),
+        (
+            {"format": FORMAT, **_state(), "model": {**_state()["model"], "gaussian_sets": {"shared": {}}}},
+            r"model\.gaussian_sets\.shared missing",
+        ),
+        ({"format": FORMAT, **_state(), "config": {"brightness": 1}}, "unknown key.*Another version of thermosplat"),
     ],
 )
 def test_foreign_content_is_explained(tmp_path: Path, content: dict[str, Any], message: str) -> None:
@@ -135,3 +142,13 @@ def test_foreign_content_is_explained(tmp_path: Path, content: dict[str, Any], m
     torch.save(content, tmp_path / "x.pt")
     with pytest.raises(UserError, match=message):
         load_checkpoint(tmp_path / "x.pt")
+
+
+@pytest.mark.parametrize("error", [KeyError("means"), RuntimeError("size mismatch\nfor weight"), TypeError("no list")])
+def test_content_that_cannot_be_used_is_a_user_error(error: Exception) -> None:
+    """What an object lacks is said in a sentence; what is one already stays."""
+    with pytest.raises(UserError, match=rf"its model cannot be used \({type(error).__name__}: [^\n]*\)"):  # noqa: SIM117
+        with damage_explained("model"):
+            raise error
+    with pytest.raises(UserError, match=r"^mine$"), damage_explained("model"):
+        raise UserError("mine")

@@ -14,17 +14,19 @@ def _finished_run(path: Path, step: int = 30_000) -> RunDirectory:
     run = RunDirectory.create(path)
     run.checkpoint(step).write_bytes(b"x")
     run.metrics_jsonl.write_text("{}\n")
-    (run.renders / "a.png").write_bytes(b"x")
+    (run.renders / "a_1.png").write_bytes(b"x")
+    (run.stats / "per_view.csv").write_text("frame,modality\na/1,rgb\n")
     return run
 
 
 def test_second_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
-    """The message says how far the run there is, and the two ways on."""
+    """The message says how far the run there is, and the three ways on, the one that harms nothing first."""
     _finished_run(tmp_path / "shed")
     with pytest.raises(UserError, match=r"shed already holds a run \(30,000 steps\)") as caught:
         RunDirectory.create(tmp_path / "shed")
     assert "--resume" in caught.value.hint
     assert "--overwrite" in caught.value.hint
+    assert "--result-dir NEW" in caught.value.hint
 
 
 def test_overwrite_deletes_the_run_and_nothing_else(tmp_path: Path) -> None:
@@ -34,6 +36,28 @@ def test_overwrite_deletes_the_run_and_nothing_else(tmp_path: Path) -> None:
     run = RunDirectory.create(tmp_path, overwrite=True)
     assert not run.holds_a_run()
     assert [entry.name for entry in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_overwrite_leaves_what_other_trainers_wrote(tmp_path: Path) -> None:
+    """gsplat's trainer has the same folders; its files in them, and a user's, survive, whatever of ours lies beside."""
+    _finished_run(tmp_path)
+    ours = [
+        *("ckpts/.step_000100.4711.tmp.pt", "stats/step_000100.json", "stats/eval_000100.csv"),
+        *("stats/eval_000100_shed.json", "stats/regions_000100_shed.json", "renders/eval_000100/b.png"),
+        *("renders/eval_000100_shed/b.png", "ply/splat_rgb.ply", "videos/ellipse_both_000100.mp4"),
+        *("videos/test_rgb_000100_shed/desk_0001.png", "tb/events.out.tfevents.17.host.1.0.thermosplat", "config.yaml"),
+    ]
+    theirs = [
+        *("ckpts/ckpt_6999_rank0.pt", "stats/val_step6999.json", "renders/val_step6999_0000.png", "renders/mine/b.png"),
+        *("ply/point_cloud_6999.ply", "videos/traj_6999.mp4", "tb/events.out.tfevents.17.host.1.0", "cfg.yml"),
+    ]
+    for name in (*ours, *theirs):
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
+        (tmp_path / name).write_bytes(b"x")
+    RunDirectory.create(tmp_path, overwrite=True)
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == set(theirs)
+    assert not (tmp_path / "renders" / "eval_000100").exists()
 
 
 def test_folder_with_other_files_can_be_used(tmp_path: Path) -> None:

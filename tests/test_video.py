@@ -66,6 +66,13 @@ def test_a_shorter_path_leaves_no_images_of_a_longer_one(tmp_path: Path) -> None
     assert sorted(file.name for file in folder.iterdir()) == ["00000.png", "00001.png", "mine.png"]
 
 
+def test_pngs_of_frames_have_their_names(tmp_path: Path) -> None:
+    """Names in place of numbers; numbered images of an earlier time go."""
+    write_images(plain_images(), tmp_path / "path", format="png", fps=5)
+    folder = write_images(plain_images()[:2], tmp_path / "path", format="png", fps=5, names=["desk_08", "desk_16"])
+    assert sorted(file.name for file in folder.iterdir()) == ["desk_08.png", "desk_16.png"]
+
+
 def test_no_encoder_means_pngs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no video can be encoded, all images still come out, as PNGs."""
 

@@ -4,6 +4,8 @@ Each is compiled when it is first launched, one after the other. Whoever knows t
 compiled meanwhile, on several cores.
 """
 
+from pathlib import Path
+
 import warp as wp
 
 from warp_kernels.blend_layout import default_layout
@@ -66,6 +68,17 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         gather,
         note_pairs_kernel,
     ]
+
+
+def must_compile_for_cpu(kernels: list[wp.Kernel]) -> bool:
+    """Whether Warp's cache lacks one of them.
+
+    Args:
+        kernels: any.
+    """
+    cache = Path(wp.config.kernel_cache_dir)
+    folders = {cache / kernel.module.get_module_identifier(block_dim=1) for kernel in kernels}
+    return not all(any(folder.glob("*.o")) for folder in folders)
 
 
 def compile_for_cpu(kernels: list[wp.Kernel]) -> None:

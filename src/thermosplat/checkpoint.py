@@ -10,17 +10,20 @@ A checkpoint is a plain dict of tensors and built-in types (``torch.load(..., we
     thermal_scale  dict (``ThermalScale.state_dict``) | None
     training       dict, optimizer and densification state (``training.training_state``)
     train_frames   list of the training frames' names; checkpoints of 0.1.0 have none
+    test_frames    the same of the held-out frames
 """
 
 import contextlib
 import os
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from thermosplat.config_files import from_dict
 from thermosplat.errors import UserError
 
 FORMAT = 1
@@ -35,6 +38,10 @@ _REQUIRED: dict[str, tuple[str, ...]] = {
 """What a checkpoint must have, and what of it must lie in which entry."""
 
 
+class NotWrittenError(UserError):
+    """A file or folder could not be written: a full disk, no permission. What was there before is as it was."""
+
+
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Write a file so that its name only ever holds a complete one.
 
@@ -43,7 +50,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         write: Writes the file to the temporary path it is given, which lies in the same folder and has the same suffix.
 
     Raises:
-        UserError: If the folder or the file cannot be written (disk full, no permission).
+        NotWrittenError: If the folder or the file cannot be written.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
@@ -53,7 +60,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
             os.fsync(file.fileno())  # the data before the name, or a power cut leaves an empty file under a good name
         os.replace(temporary, path)
     except OSError as error:
-        raise UserError(
+        raise NotWrittenError(
             f"Could not write {path}: {error.strerror or error}.",
             "Free some space, or choose another folder to write to.",
         ) from error
@@ -73,7 +80,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:
         The file.
 
     Raises:
-        UserError: If the file cannot be written.
+        NotWrittenError: If the file cannot be written.
     """
 
     def write(temporary: Path) -> None:
@@ -135,9 +142,53 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
             f"{path} has checkpoint format {state['format']}; this version of thermosplat reads format {FORMAT}.",
             "Use the version of thermosplat that wrote it.",
         )
-    missing = [key for key in _REQUIRED if key not in state]
-    for key, entries in _REQUIRED.items():
-        missing += [f"{key}.{entry}" for entry in entries if key in state and entry not in state[key]]
+    missing = _missing(state)
     if missing:
-        raise UserError(f"{path} is not a complete checkpoint: {', '.join(missing)} missing.")
+        raise UserError(
+            f"{path} is not a complete checkpoint: {', '.join(missing)} missing.",
+            "Delete it; thermosplat-train --resume then goes on from the checkpoint before it.",
+        )
+    try:
+        from_dict(state["config"], source=f"the configuration in {path}")
+    except UserError as error:
+        message = f"{error.message} Another version of thermosplat wrote that file."
+        raise UserError(message, "Use the version that wrote it, or train again.") from error
     return state
+
+
+@contextmanager
+def damage_explained(part: str) -> Iterator[None]:
+    """Around what makes an object of a checkpoint's content: what that lacks is a user's error.
+
+    Args:
+        part: What of the checkpoint it is.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = (str(error).splitlines() or [""])[0]
+        raise UserError(
+            f"The checkpoint is damaged: its {part} cannot be used ({type(error).__name__}: {reason}).",
+            "Take another one of the run with --step, or delete it; the one before it is then the newest.",
+        ) from error
+
+
+def _missing(state: dict[str, Any]) -> list[str]:
+    """What a checkpoint lacks, by dotted names."""
+    missing = [key for key in _REQUIRED if key not in state]
+    for key in ("config", "model", "training"):
+        if key in state and not isinstance(state[key], dict):
+            missing.append(key)
+    for key, entries in _REQUIRED.items():
+        if key not in missing:
+            missing += [f"{key}.{entry}" for entry in entries if entry not in state[key]]
+    if not missing:
+        sets = state["model"]["gaussian_sets"]
+        if not isinstance(sets, dict):
+            return ["model.gaussian_sets"]
+        missing = [f"model.gaussian_sets.{name}" for name, values in sets.items() if not values]
+        if state["thermal_scale"] is not None and not state["thermal_scale"]:
+            missing.append("thermal_scale")
+    return missing

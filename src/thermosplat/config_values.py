@@ -42,8 +42,9 @@ def fill(default: Config, values: dict[str, Any], *, source: str, prefix: str = 
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """ ", did you mean ...?" for the known word closest to a mistyped one, or nothing where none is close."""
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
-    return f' (did you mean "{close[0]}"?)' if close else ""
+    by_lower_case = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower(), list(by_lower_case), n=1, cutoff=0.6)
+    return f' (did you mean "{by_lower_case[close[0]]}"?)' if close else ""
 
 
 def _converted(value: Any, annotation: Any, *, source: str, where: str) -> Any:

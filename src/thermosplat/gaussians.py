@@ -213,5 +213,11 @@ class Gaussians(nn.Module):
 
         Args:
             state: What ``state_dict()`` returned.
+
+        Raises:
+            KeyError: It lacks a parameter that every Gaussian has.
         """
+        for name in ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"):
+            if name not in state:
+                raise KeyError(name)
         return cls(state)

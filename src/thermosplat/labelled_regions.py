@@ -7,6 +7,7 @@ as much as ten pixels. Depth is the expected depth Σ w z / Σ w of what a spect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,7 +88,14 @@ def region_errors(model: SceneModel, capture: Capture, *, sh_degree: int, device
 
 
 def write_regions(
-    run: RunDirectory, model: SceneModel, capture: Capture, steps: int, sh_degree: int, device: torch.device | str
+    run: RunDirectory,
+    model: SceneModel,
+    capture: Capture,
+    steps: int,
+    sh_degree: int,
+    device: torch.device | str,
+    *,
+    path: Path | None = None,
 ) -> Regions | None:
     """Measure ``region_errors`` and write the run's regions.json; without ground truth nothing is written.
 
@@ -98,13 +106,14 @@ def write_regions(
         steps: Training steps done.
         sh_degree: Highest SH degree in use.
         device: Where the model is.
+        path: Another file in place of regions.json.
 
     Returns:
         The errors.
     """
     regions = region_errors(model, capture, sh_degree=sh_degree, device=device)
     if regions is not None:
-        run.write_json(run.regions_json, {"steps": steps, "regions": regions})
+        run.write_json(path or run.regions_json, {"steps": steps, "regions": regions})
     return regions
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import torch
 from torch import Tensor, nn
 
+from thermosplat.checkpoint import damage_explained
 from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.config_checks import check_config
 from thermosplat.config_files import from_dict
@@ -309,17 +310,21 @@ class SceneModel(nn.Module):
         Args:
             state: The checkpoint: its "config" (plain) and its "model" (``checkpoint_state``).
             device: Where the model shall live.
+
+        Raises:
+            UserError: It is incomplete.
         """
         config = from_dict(state["config"])
         saved = state["model"]
         num_bases = (config.sh_degree + 1) ** 2 - 1
-        gaussian_sets = {
-            name: Gaussians.from_state_dict(unpack(values, num_bases))
-            for name, values in saved["gaussian_sets"].items()
-        }
-        model = cls(config.model, config.decoder, gaussian_sets, saved["thermal_channels"], config.background)
-        if model.decoders is not None:
-            model.decoders.load_state_dict(saved["decoders"])
+        with damage_explained("model"):
+            gaussian_sets = {
+                name: Gaussians.from_state_dict(unpack(values, num_bases))
+                for name, values in saved["gaussian_sets"].items()
+            }
+            model = cls(config.model, config.decoder, gaussian_sets, saved["thermal_channels"], config.background)
+            if model.decoders is not None:
+                model.decoders.load_state_dict(saved["decoders"])
         return model.to(device)
 
 

@@ -29,6 +29,8 @@ class Viewpoint(NamedTuple):
 
     rgb: ViewTensors | None
     thermal: ViewTensors | None
+    frame: str = ""
+    """The frame whose views these are, on the train and test paths."""
 
 
 def viewpoints(
@@ -120,9 +122,9 @@ def _shown_views(frame: Frame, shown: Shown) -> Frame:
 def _viewpoint(frame: Frame, device: torch.device | str) -> Viewpoint:
     rgb = None if frame.rgb is None else _view_tensors(frame.rgb.camera, frame.rgb.viewmat, device)
     if frame.aligned:
-        return Viewpoint(rgb, rgb)
+        return Viewpoint(rgb, rgb, frame.name)
     thermal = None if frame.thermal is None else _view_tensors(frame.thermal.camera, frame.thermal.viewmat, device)
-    return Viewpoint(rgb, thermal)
+    return Viewpoint(rgb, thermal, frame.name)
 
 
 def _view_tensors(camera: Camera, viewmat: NDArray[np.float64], device: torch.device | str) -> ViewTensors:

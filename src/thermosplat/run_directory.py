@@ -5,9 +5,11 @@ stats/                 metrics per step      environment.json  versions, device 
 renders/               PNG strips            metrics.jsonl     one line per log interval and evaluation
 ply/                   exported Gaussians    metrics.json      the final numbers
 videos/                camera paths          regions.json      errors by region, where there is ground truth
-tb/                    TensorBoard events
+tb/                    TensorBoard events     training.lock     the process that trains here, as long as it does
 """
 
+import contextlib
+import csv
 import importlib.metadata
 import json
 import math
@@ -15,23 +17,38 @@ import os
 import platform
 import re
 import shlex
-import shutil
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 
 from thermosplat import __version__
-from thermosplat.checkpoint import write_atomically
+from thermosplat.checkpoint import NotWrittenError, load_checkpoint, write_atomically
 from thermosplat.devices import device_name
 from thermosplat.errors import UserError
+from thermosplat.run_lock import run_lock
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
 
-_FOLDERS = ("ckpts", "stats", "renders", "ply", "videos", "tb")
+TENSORBOARD_SUFFIX = ".thermosplat"
+"""At the end of our event files' names, by which they are told from those of other trainers."""
+
 _FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "regions.json", "environment.json")
 _CHECKPOINT_NAME = re.compile(r"step_(\d+)\.pt")
+_ON_CAPTURE = r"\d+(_.+)?"  # a step, and the name of another capture than the run's own
+_WRITTEN = {
+    "ckpts": _CHECKPOINT_NAME.pattern,
+    "stats": rf"step_\d+\.json|per_view\.csv|(eval|regions)_{_ON_CAPTURE}\.(json|csv)",
+    "renders": rf"eval_{_ON_CAPTURE}",
+    "ply": r"splat_(rgb|thermal)\.ply",
+    "videos": rf"(interp|ellipse|spiral|train|test)_(rgb|thermal|both)_{_ON_CAPTURE}",
+    "tb": rf"events\.out\.tfevents\..*{re.escape(TENSORBOARD_SUFFIX)}",
+}
+"""Names of what a run's commands write into each folder, strips in renders/ apart: those have the frames' names. Other
+trainers have folders of the same names."""
+_TEMPORARY = re.compile(r"\..+\.\d+(\.tmp\..+|\.mp4)")
 _PACKAGES = ("torch", "warp-lang", "numpy", "kornia", "pycolmap", "opencv-contrib-python-headless")
 
 
@@ -57,23 +74,18 @@ class RunDirectory:
             UserError: If the folder already holds a run, or is a file.
         """
         run = cls(path)
-        if run.path.exists() and not run.path.is_dir():
-            raise UserError(f"{run.path} is a file; the result folder cannot go there.", "Give another --result-dir.")
+        run._check_is_no_file()
         if run.holds_a_run():
             if not overwrite:
                 latest = run.latest_checkpoint()
                 steps = f"{checkpoint_step(latest):,} steps" if latest else "no checkpoint yet"
                 resume = f"Go on with it: --resume {shlex.quote(str(run.path))}. Or start" if latest else "Start"
                 raise UserError(
-                    f"{run.path} already holds a run ({steps}).", f"{resume} again in its place: --overwrite."
+                    f"{run.path} already holds a run ({steps}).",
+                    f"Keep it and start another: --result-dir NEW. {resume} again in its place: --overwrite.",
                 )
             run._delete()
-        try:
-            run.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(
-                f"Could not make the result folder {run.path}: {error.strerror}.", "Give another --result-dir."
-            ) from error
+        run._make()
         return run
 
     @classmethod
@@ -92,22 +104,63 @@ class RunDirectory:
             )
         return run
 
+    def locked(self) -> AbstractContextManager[None]:
+        """Around what trains here: no other process does meanwhile. The result folder is made.
+
+        Raises:
+            UserError: If another process trains here, or the folder cannot be made.
+        """
+        self._check_is_no_file()
+        self._make()
+        return run_lock(self.path)
+
     def holds_a_run(self) -> bool:
         """Whether a training run has written here."""
         return any((self.path / name).is_file() for name in _FILES) or self.latest_checkpoint() is not None
 
+    def _check_is_no_file(self) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise UserError(f"{self.path} is a file; the result folder cannot go there.", "Give another --result-dir.")
+
+    def _make(self) -> None:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(
+                f"Could not make the result folder {self.path}: {error.strerror}.", "Give another --result-dir."
+            ) from error
+
     def _delete(self) -> None:
-        for name in _FOLDERS:
-            shutil.rmtree(self.path / name, ignore_errors=True)
+        strips = self._strips()
+        for name, written in _WRITTEN.items():
+            folder = self.path / name
+            for entry in folder.iterdir() if folder.is_dir() else ():
+                is_ours = re.fullmatch(written, entry.stem if entry.suffix == ".mp4" else entry.name)
+                if is_ours and entry.is_dir():
+                    for picture in entry.glob("*.png"):
+                        picture.unlink()
+                    _remove_if_empty(entry)
+                elif is_ours or entry in strips or _TEMPORARY.fullmatch(entry.name):
+                    entry.unlink()
+            _remove_if_empty(folder)
         for name in _FILES:
             (self.path / name).unlink(missing_ok=True)
+
+    def _strips(self) -> set[Path]:
+        """The strips of the held-out frames, by the table of their numbers."""
+        try:
+            with (self.path / "stats" / "per_view.csv").open(newline="", encoding="utf-8") as file:
+                frames = {row.get("frame") or "" for row in csv.DictReader(file)}
+        except (OSError, ValueError, csv.Error):
+            return set()
+        return {self.path / "renders" / f"{frame.replace('/', '_')}.png" for frame in frames}
 
     def _folder(self, name: str) -> Path:
         folder = self.path / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise UserError(
+            raise NotWrittenError(
                 f"Could not make the folder {folder}: {error.strerror}.",
                 "Move what is in its way, or see to it that the result folder can be written to.",
             ) from error
@@ -182,6 +235,24 @@ class RunDirectory:
         """The command line that goes on with this run."""
         return f"thermosplat-train --resume {shlex.quote(str(self.path))}"
 
+    def read_config(self) -> "TrainConfig":
+        """The configuration of the run: its config.yaml, or what its newest checkpoint says where that is gone.
+
+        Raises:
+            UserError: There is neither, or it cannot be read.
+        """
+        from thermosplat.config_files import from_dict, load_config
+
+        if self.config_yaml.is_file():
+            return load_config(self.config_yaml)
+        path = self.latest_checkpoint()
+        if path is None:
+            raise UserError(
+                f"{self.path} has neither a config.yaml nor a checkpoint to go on from.",
+                "Start again with --overwrite.",
+            )
+        return from_dict(load_checkpoint(path)["config"], source=str(path))
+
     def write_config(self, config: "TrainConfig") -> None:
         """Write ``config.yaml``."""
         from thermosplat.config_files import to_yaml
@@ -210,6 +281,11 @@ def checkpoint_step(path: Path) -> int:
     if match is None:
         raise ValueError(f"expected a checkpoint named step_<number>.pt, got {path.name}")
     return int(match[1])
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):  # not there, or something else is in it
+        folder.rmdir()
 
 
 def finite_or_null(value: Any) -> Any:

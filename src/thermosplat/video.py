@@ -1,8 +1,8 @@
-"""Writing a sequence of images as MP4 or as numbered PNGs."""
+"""Writing a sequence of images as MP4 or as PNGs."""
 
 import importlib.util
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from itertools import chain
 from pathlib import Path
@@ -16,7 +16,9 @@ from thermosplat.image_display import Image8, fitted, write_png
 VideoFormat = Literal["mp4", "png"]
 
 
-def write_images(images: Iterable[Image8], target: Path, *, format: VideoFormat, fps: int) -> Path:
+def write_images(
+    images: Iterable[Image8], target: Path, *, format: VideoFormat, fps: int, names: Sequence[str] | None = None
+) -> Path:
     """Write images as a video, or as PNGs in a folder.
 
     MP4 is H.264 by imageio-ffmpeg where that is installed (extra "video"), else OpenCV's MPEG-4, which some browsers do
@@ -28,6 +30,7 @@ def write_images(images: Iterable[Image8], target: Path, *, format: VideoFormat,
         target: File or folder without a suffix; ``.mp4`` is appended for a video.
         format: What to write.
         fps: Images a second of the video, >= 1.
+        names: Names of the PNGs without ".png", as many as images. None: numbers.
 
     Returns:
         The video file, or the folder of PNGs.
@@ -44,8 +47,9 @@ def write_images(images: Iterable[Image8], target: Path, *, format: VideoFormat,
     target.mkdir(exist_ok=True)
     written = set()
     for index, image in enumerate(images):
-        written.add(target / f"{index:05d}.png")
-        write_png(target / f"{index:05d}.png", image)
+        path = target / f"{f'{index:05d}' if names is None else names[index]}.png"
+        written.add(path)
+        write_png(path, image)
     for earlier in set(target.glob("[0-9]" * 5 + ".png")) - written:
         earlier.unlink()  # of a longer path rendered into this folder before: the sequence would go on with it
     return target

@@ -66,6 +66,20 @@ def test_no_capture() -> None:
     assert "thermosplat-train sample" in caught.value.hint
 
 
+def test_presets_are_found_in_any_case() -> None:
+    """A preset in capitals is a typo with a suggestion."""
+    with pytest.raises(UserError, match='did you mean "3dgs"'):
+        parse_train_arguments(["x", "--config", "3DGS"])
+
+
+def test_file_cannot_ask_to_resume(tmp_path: Path) -> None:
+    """What is checked when the flag is given would not be: the message names the flag."""
+    (tmp_path / "mine.yaml").write_text("base: demo\nresume: results/my shed\n")
+    with pytest.raises(UserError, match=r"mine\.yaml has resume: results/my shed") as caught:
+        parse_train_arguments(["x", "--config", str(tmp_path / "mine.yaml")])
+    assert "thermosplat-train --resume 'results/my shed'" in caught.value.hint
+
+
 def test_impossible_flag_value() -> None:
     """Values out of range are refused with the flag's name."""
     with pytest.raises(UserError, match="--sh-degree must be at most 3, found 4"):
@@ -94,8 +108,7 @@ def test_help_imports_nothing_heavy(command: str) -> None:
     script = (
         "import sys\n"
         f"from thermosplat.cli.{command} import main\n"
-        "try:\n    main(['--help'])\n"
-        "except SystemExit as stop:\n    code = stop.code\n"
+        "code = main(['--help'])\n"
         "print('heavy:', code, sorted({'torch', 'warp', 'cv2', 'kornia', 'pycolmap', 'numpy'} & set(sys.modules)))\n"
     )
     path = [str(Path(__file__).parents[2] / "src"), *sys.path]

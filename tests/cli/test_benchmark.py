@@ -42,6 +42,7 @@ def test_matrix_is_made_once_and_merged(run: Run, tmp_path: Path) -> None:
     code, printed = run(*words)
     assert code == 0, (out / "sample/3dgs/seed_42/cell.log").read_text()
     assert "sample / 3dgs / seed 42: finished" in printed
+    assert "1 cell, 0 of them finished. Steps: 3dgs 3" in printed
     assert "| rgb | PSNR | 3dgs |" in printed
     expected = {"results.json", "per_view.csv", "tables.md", "table1.csv", "table1.tex", "cost.csv", "sheets", "sample"}
     assert expected <= {path.name for path in out.iterdir()}
@@ -89,7 +90,8 @@ def test_failed_cell_stops_no_other_and_time_runs_out(run: Run, tmp_path: Path) 
     code, printed = run(*words, "--devices", "cpu")
     assert code == 2
     assert "1 of 2 cells failed: empty / 3dgs / seed 42" in printed
-    assert "empty / 3dgs / seed 42: failed (1 of 2)" in printed
+    assert "empty / 3dgs / seed 42: failed: " in printed
+    assert "2 cells, 0 of them finished. Steps: 3dgs 2" in printed
     assert "sample / 3dgs / seed 42: finished (2 of 2)" in printed
     assert "| rgb | PSNR | 3dgs |" in printed
     (cell,) = json.loads((out / "results.json").read_text())["cells"]
@@ -100,13 +102,14 @@ def test_failed_cell_stops_no_other_and_time_runs_out(run: Run, tmp_path: Path) 
 
 
 def test_failed_cell_is_named(run: Run, tmp_path: Path) -> None:
-    """A cell that cannot be trained ends the command with code 2 and its log; nothing else is lost."""
+    """A cell that cannot be trained ends the command with code 2, its reason and its log; nothing else is lost."""
     (tmp_path / "empty").mkdir()
     out = tmp_path / "matrix"
     code, printed = run(tmp_path / "empty", "--methods", "3dgs", "--devices", "cpu", "--out", out)
     assert code == 2
-    assert "1 of 1 cells failed: empty / 3dgs / seed 42 (exit code 2" in printed
-    assert "no capture of a known layout" in unfolded((out / "empty/3dgs/seed_42/cell.log").read_text())
+    assert "1 of 1 cell failed: empty / 3dgs / seed 42 (exit code 2" in printed
+    assert printed.count("no capture of a known layout") == 2  # when it failed, and at the end
+    assert (out / "empty/3dgs/seed_42/cell.log").read_text().splitlines()[-1].startswith("Error: ")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,9 @@
 """How a command ends: exit codes, the panel, and what --debug adds."""
 
+import errno
+import os
+import signal
+
 import pytest
 import torch
 
@@ -30,6 +34,12 @@ def test_user_error_is_a_panel_on_stderr(capsys: pytest.CaptureFixture[str]) -> 
     assert "Traceback" not in captured.err
 
 
+def test_user_error_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """For the logs that thermosplat-benchmark reads."""
+    assert run_command(failing(UserError("No\n" + 100 * "x" + ".", "Use this.")), debug=False, one_line=True) == 2
+    assert capsys.readouterr().err == f"Error: No {100 * 'x'}. Use this.\n"
+
+
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     """--debug adds the traceback and keeps the code."""
     assert run_command(failing(UserError("No.")), debug=True) == 2
@@ -40,6 +50,24 @@ def test_ctrl_c_is_130(capsys: pytest.CaptureFixture[str]) -> None:
     """Ctrl-C outside the training ends quietly with the shell's code for it."""
     assert run_command(failing(KeyboardInterrupt()), debug=False) == 130
     assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_stop_signals_have_the_shells_codes(number: signal.Signals, capsys: pytest.CaptureFixture[str]) -> None:
+    """What Python would end at is an interrupt in a command, with the code a shell expects."""
+
+    def body() -> int:
+        os.kill(os.getpid(), number)
+        return 0
+
+    assert run_command(body, debug=False) == 128 + number
+    assert "Interrupted." in capsys.readouterr().err
+
+
+def test_output_that_nobody_reads_is_no_error(capsys: pytest.CaptureFixture[str]) -> None:
+    """``| head`` ends a command as SIGPIPE would, without a word."""
+    assert run_command(failing(BrokenPipeError(errno.EPIPE, "Broken pipe")), debug=False) == 128 + signal.SIGPIPE
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory"), MemoryError()])

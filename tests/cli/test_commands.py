@@ -1,61 +1,21 @@
-"""The four commands on the sample capture, run in this process; every mistake ends with code 2 and no traceback."""
+"""thermosplat-train on the sample capture, run in this process; every mistake ends with code 2 and no traceback."""
 
 import dataclasses
 import json
-import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 import torch
+from sample_runs import QUICK, STEPS, Run
 
 from thermosplat.cli import evaluate, export, render, train
 from thermosplat.config_files import load_config
+from thermosplat.run_lock import LOCK_FILE
 from thermosplat.training.trainer import Trainer
-
-QUICK = ["--data-factor", "4", "--device", "cpu", "--no-tensorboard", "--log-every", "1"]
-STEPS = 3
-
-Outcome = tuple[int, str]
-Run = Callable[..., Outcome]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command; returns its exit code and what it printed, panels unfolded into running text."""
-
-    def runner(main: Callable[[list[str]], int], *words: object) -> Outcome:
-        capsys.readouterr()
-        try:
-            code = main([str(word) for word in words])
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        captured = capsys.readouterr()
-        printed = captured.out + captured.err
-        assert "Traceback" not in printed
-        return code, " ".join(re.sub("[│╭╮╰╯─]", " ", printed).split())
-
-    return runner
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run of a few steps on the sample capture."""
-    folder = tmp_path_factory.mktemp("runs") / "finished run"
-    assert train.main(["sample", *QUICK, "--max-steps", str(STEPS), "--result-dir", str(folder)]) == 0
-    return folder
-
-
-@pytest.fixture
-def unharmed(finished: Path) -> Iterator[None]:
-    """Nothing in the finished run changes during the test."""
-    before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
-    yield
-    assert {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()} == before
 
 
 def test_training_leaves_everything_behind(finished: Path) -> None:
@@ -86,6 +46,22 @@ def test_occupied_result_folder(run: Run, finished: Path) -> None:
     assert f"already holds a run ({STEPS} steps)" in printed
     assert "--resume" in printed
     assert "--overwrite" in printed
+
+
+@pytest.mark.usefixtures("unharmed")
+@pytest.mark.parametrize("words", [["sample", "--overwrite"], ["--max-steps", str(STEPS + 1)]])
+def test_run_that_is_being_trained(run: Run, finished: Path, words: list[str]) -> None:
+    """Nothing is deleted or written where another process trains."""
+    lock = finished / LOCK_FILE
+    lock.write_text("4711 elsewhere\n")
+    try:
+        folder = ["--resume", finished] if "sample" not in words else [*QUICK, "--result-dir", finished]
+        code, printed = run(train.main, *words, *folder)
+        assert lock.read_text() == "4711 elsewhere\n"
+    finally:
+        lock.unlink()
+    assert code == 2
+    assert "is being trained by process 4711 on elsewhere" in printed
 
 
 @pytest.mark.usefixtures("unharmed")
@@ -167,61 +143,6 @@ def test_resume_with_another_sh_degree(run: Run, finished: Path) -> None:
     assert "was trained with sh_degree=2, the command asks for 0" in printed
 
 
-@pytest.mark.parametrize("main", [evaluate.main, render.main, export.main])
-def test_mistakes_in_the_siblings(run: Run, main: Callable[[list[str]], int], finished: Path, tmp_path: Path) -> None:
-    """No run, no such checkpoint, a damaged checkpoint: one message each, with the steps there are."""
-    code, printed = run(main, tmp_path / "nothing")
-    assert code == 2
-    assert "No training run" in printed
-    code, printed = run(main, finished, "--step", 77)
-    assert code == 2
-    assert f"no checkpoint of step 77. It has: --step {STEPS}." in printed
-    (tmp_path / "broken" / "ckpts").mkdir(parents=True)
-    (tmp_path / "broken" / "ckpts" / "step_000009.pt").write_bytes(b"half a checkpo")
-    code, printed = run(main, tmp_path / "broken")
-    assert code == 2
-    assert "is damaged" in printed
-
-
-def test_eval_agrees_with_training(run: Run, finished: Path) -> None:
-    """thermosplat-eval prints and writes the numbers that training ended with, and pictures."""
-    code, printed = run(evaluate.main, finished, "--device", "cpu")
-    assert code == 0
-    written = json.loads((finished / "stats" / f"eval_{STEPS:06d}.json").read_text())
-    trained = json.loads((finished / "metrics.json").read_text())
-    for modality in ("rgb", "thermal"):
-        assert written[modality]["psnr"] == pytest.approx(trained[modality]["psnr"], rel=1e-6)
-        assert f"{trained[modality]['psnr']:.2f}" in printed
-    assert "PSNR [dB]" in printed
-    assert list((finished / "renders" / f"eval_{STEPS:06d}").glob("*.png"))
-
-
-def test_regions_of_a_capture_with_ground_truth(run: Run, finished: Path, tmp_path: Path) -> None:
-    """Training leaves regions.json, thermosplat-eval makes it again and prints it; other captures have no such file."""
-    assert not (finished / "regions.json").exists()
-    capture, folder = tmp_path / "with_truth", tmp_path / "run"
-    shutil.copytree(str(files("thermosplat") / "sample"), capture)
-    (capture / "ground_truth").mkdir()
-    depth, label = np.full((150, 200), 2.0, np.float32), np.zeros((150, 200), np.uint8)
-    label[:, 100:] = 1
-    for image in (capture / "rgb").rglob("*.jpg"):
-        np.savez(capture / "ground_truth" / image.stem, depth_rgb=depth, depth_thermal=depth, label=label)
-    assert run(train.main, capture, *QUICK, "--max-steps", 2, "--result-dir", folder)[0] == 0
-    trained = json.loads((folder / "regions.json").read_text())
-    assert trained["steps"] == 2
-    assert list(trained["regions"]) == ["all", "glass", "unlabelled"]
-    (folder / "regions.json").unlink()
-    code, printed = run(evaluate.main, folder, "--device", "cpu")
-    assert code == 0
-    assert "glass" in printed
-    again = json.loads((folder / "regions.json").read_text())
-    for region, numbers in trained["regions"].items():
-        for modality in ("rgb", "thermal"):
-            known = {name: number for name, number in numbers[modality].items() if number is not None}
-            found = {name: number for name, number in again["regions"][region][modality].items() if number is not None}
-            assert found == pytest.approx(known, rel=1e-5)
-
-
 def test_capture_that_moved(run: Run, finished: Path, tmp_path: Path) -> None:
     """A run whose capture is not where it was asks for --data."""
     state = torch.load(finished / "ckpts" / f"step_{STEPS:06d}.pt", weights_only=True)
@@ -257,61 +178,6 @@ def test_a_capture_named_on_resume_is_found_from_anywhere(
     assert run(evaluate.main, tmp_path / "run", "--device", "cpu")[0] == 0
 
 
-def test_another_capture_is_noticed(run: Run, finished: Path, tmp_path: Path) -> None:
-    """A run does not go on with a capture that lacks one of its training frames, and evaluating there says so."""
-    other = tmp_path / "other"
-    shutil.copytree(str(files("thermosplat") / "sample"), other)
-    for folder in ("rgb", "thermal"):
-        min((other / folder / "train").iterdir()).unlink()
-    before = (finished / "metrics.json").read_bytes()
-    code, printed = run(train.main, other, "--resume", finished, "--max-steps", STEPS + 1)
-    assert code == 2
-    assert "cannot go on with another capture" in printed
-    assert (finished / "metrics.json").read_bytes() == before
-    code, printed = run(evaluate.main, finished, "--data", other, "--device", "cpu")
-    assert code == 0
-    assert f"Is this the capture of {finished}?" in printed
-    assert "Is this the capture" not in run(evaluate.main, finished, "--device", "cpu")[1]
-
-
-@pytest.mark.parametrize("words", [["--frames", "0"], ["--fps", "0"], ["--path", "zigzag"], ["--modality", "sound"]])
-def test_mistakes_in_render(run: Run, finished: Path, words: list[str]) -> None:
-    """Impossible values of thermosplat-render's flags are refused by name."""
-    code, printed = run(render.main, finished, *words)
-    assert code == 2
-    assert words[0] in printed
-
-
-def test_render_along_a_path(run: Run, finished: Path) -> None:
-    """Both spectra side by side as a video, one alone as PNGs."""
-    assert run(render.main, finished, "--frames", 3, "--device", "cpu")[0] == 0
-    video = cv2.VideoCapture(str(finished / "videos" / f"interp_both_{STEPS:06d}.mp4"))
-    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
-    code, printed = run(
-        render.main, finished, "--path", "ellipse", "--frames", 2, "--modality", "rgb", "--format", "png"
-    )
-    assert code == 0
-    folder = finished / "videos" / f"ellipse_rgb_{STEPS:06d}"
-    assert str(folder) in printed
-    images = [cv2.imread(str(path)) for path in sorted(folder.iterdir())]
-    assert len(images) == 2
-    assert images[0].shape[1] * 2 == pytest.approx(video.get(cv2.CAP_PROP_FRAME_WIDTH), abs=1)
-    assert not np.array_equal(images[0], images[1])
-
-
-def test_export_elsewhere(run: Run, finished: Path, tmp_path: Path) -> None:
-    """thermosplat-export writes the asked-for spectrum into the asked-for folder, the same as training did."""
-    code, printed = run(export.main, finished, "--modality", "thermal", "--output", tmp_path / "out")
-    assert code == 0
-    assert "Gaussians" in printed
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["splat_thermal.ply"]
-    original = finished / "ply" / "splat_thermal.ply"
-    assert (tmp_path / "out" / "splat_thermal.ply").read_bytes() == original.read_bytes()
-    assert run(export.main, finished, "--modality", "thermal", "--output", tmp_path / "small", "--compact")[0] == 0
-    small = tmp_path / "small" / "splat_thermal.ply"
-    assert small.stat().st_size < 0.35 * original.stat().st_size  # 17 of 62 properties
-
-
 def test_run_of_one_spectrum(run: Run, tmp_path: Path) -> None:
     """A model of RGB alone trains, and its siblings offer RGB alone."""
     folder = tmp_path / "run"
@@ -334,3 +200,33 @@ def test_config_of_a_run_reproduces_it(run: Run, finished: Path, tmp_path: Path)
     assert second["thermal"] == first["thermal"]
     configs = [load_config(folder / "config.yaml") for folder in (finished, tmp_path / "again")]
     assert dataclasses.replace(configs[1], result_dir=configs[0].result_dir) == configs[0]
+
+
+@pytest.mark.usefixtures("unharmed")
+def test_run_without_its_configuration(run: Run, finished: Path, tmp_path: Path) -> None:
+    """A config.yaml that somebody deleted is in the checkpoint too; without either the message says so."""
+    folder = tmp_path / "run"
+    shutil.copytree(finished, folder)
+    (folder / "config.yaml").unlink()
+    assert run(train.main, "--resume", folder, "--result-dir", folder, "--max-steps", STEPS + 1)[0] == 0
+    assert (folder / "config.yaml").is_file()
+    shutil.rmtree(folder / "ckpts")
+    (folder / "config.yaml").unlink()
+    code, printed = run(train.main, "--resume", folder)
+    assert code == 2
+    assert "neither a config.yaml nor a checkpoint" in printed
+
+
+@pytest.mark.usefixtures("unharmed")
+@pytest.mark.parametrize("main", [train.main, export.main])
+def test_edited_checkpoint(run: Run, finished: Path, tmp_path: Path, main: Callable[[list[str]], int]) -> None:
+    """A checkpoint that lacks a part of the model is told, not shown as a traceback."""
+    folder = tmp_path / "run"
+    shutil.copytree(finished, folder)
+    path = folder / "ckpts" / f"step_{STEPS:06d}.pt"
+    state = torch.load(path, weights_only=True)
+    state["model"]["gaussian_sets"]["shared"].pop("means")
+    torch.save(state, path)
+    code, printed = run(main, *(["--resume"] if main is train.main else []), folder)
+    assert code == 2
+    assert "The checkpoint is damaged: its model cannot be used" in printed

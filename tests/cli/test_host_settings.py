@@ -4,13 +4,14 @@ import gc
 import importlib
 import os
 import platform
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
 
 import pytest
 
-from thermosplat.cli.host_settings import importing
+from thermosplat.cli.host_settings import importing, without_garbage_collection
 
 ROUNDS = """
 import os, resource
@@ -71,8 +72,18 @@ def test_garbage_is_collected_again_after_imports() -> None:
     assert gc.isenabled()
     gc.disable()
     try:
-        with importing():
+        with without_garbage_collection():
             pass
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+def test_ctrl_c_waits_for_the_end_of_an_import() -> None:
+    """It comes at the end of the block, and is not lost."""
+    imported = []
+    with pytest.raises(KeyboardInterrupt), importing():  # noqa: PT012  it comes at the block's end
+        os.kill(os.getpid(), signal.SIGINT)
+        imported.append(True)
+    assert imported
+    assert gc.isenabled()

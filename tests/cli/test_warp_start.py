@@ -55,6 +55,7 @@ def test_kernels_are_compiled_before_the_block_ends(
     """Those of the configuration's step, on the CPU, where both spectra share their Gaussians."""
     compiled: list[Any] = []
     monkeypatch.setattr(step_kernels, "cpu_step_kernels", lambda *shape: shape)
+    monkeypatch.setattr(step_kernels, "must_compile_for_cpu", lambda shape: False)
     monkeypatch.setattr(step_kernels, "compile_for_cpu", lambda shape: compiled.append(shape))
     config = replace(TrainConfig(), device=changes.pop("device", "cpu"))
     model = replace(config.model, **{key.removeprefix("model."): value for key, value in changes.items()})
@@ -72,3 +73,16 @@ def test_errors_of_the_compiler_are_not_lost(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(step_kernels, "compile_for_cpu", fail)
     with pytest.raises(RuntimeError, match="no compiler"), started_meanwhile(replace(TrainConfig(), device="cpu")):
         pass
+
+
+@pytest.mark.parametrize("cached", [True, False])
+def test_compiling_is_said_before_it_begins(
+    cached: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A start that takes half a minute says why at once; one that finds all kernels in the cache says nothing."""
+    said: list[str] = []
+    monkeypatch.setattr(step_kernels, "must_compile_for_cpu", lambda kernels: not cached)
+    monkeypatch.setattr(step_kernels, "compile_for_cpu", lambda kernels: said.append(capsys.readouterr().out))
+    with started_meanwhile(replace(TrainConfig(), device="cpu")):
+        pass
+    assert [text.startswith("Compiling kernels, once per machine") for text in said] == [not cached]

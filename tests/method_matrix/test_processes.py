@@ -15,13 +15,16 @@ from thermosplat.method_matrix.processes import Job, choose_devices, device_envi
 
 SAYS_DEVICE = "import os, sys; print('device', os.environ['CUDA_VISIBLE_DEVICES']); sys.exit({code})"
 SLEEPS = """
-import sys, time
-try:
-    print('sleeping', flush=True)
-    time.sleep(60)
-except KeyboardInterrupt:
+import signal, sys, time
+
+def stop(number, frame):
     print('saved')
-    sys.exit(130)
+    sys.exit(143)
+
+signal.signal(signal.SIGTERM, stop)
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell sets it in the background
+print('sleeping', flush=True)
+time.sleep(60)
 """
 
 
@@ -66,9 +69,9 @@ def test_nothing_starts_after_the_time_limit(tmp_path: Path) -> None:
     assert run_jobs(jobs, ["cpu"], started=lambda *_: None, done=lambda *_: None, time_limit=0.0) == jobs
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupt_reaches_the_jobs_and_waits_for_them(tmp_path: Path, number: signal.Signals) -> None:
-    """Ctrl-C and SIGTERM let every process save before this one ends; nothing new is started."""
+    """Ctrl-C, SIGTERM and SIGHUP let every process save before this one ends; nothing new is started."""
     jobs = [job(tmp_path, "first", SLEEPS), job(tmp_path, "second", SLEEPS)]
 
     def interrupt_when_both_sleep() -> None:
@@ -82,6 +85,17 @@ def test_interrupt_reaches_the_jobs_and_waits_for_them(tmp_path: Path, number: s
         run_jobs(jobs, ["cpu", "cuda:0"], started=lambda *_: None, done=lambda *_: None)
     watcher.join()
     assert all("saved" in job.log.read_text() for job in jobs)
+
+
+def test_reason_of_a_failure(tmp_path: Path) -> None:
+    """The last line that a process wrote, or the signal that ended it; also where it wrote nothing at all."""
+    failing = job(tmp_path, "failing", "")
+    assert failing.reason(2) == "it wrote nothing"
+    failing.log.write_text("step 3\nError: No capture here. Give another.\n\n")
+    assert failing.reason(2) == "No capture here. Give another."
+    failing.log.write_text("Traceback (most recent call last):\n  File x\nValueError: broken\n")
+    assert failing.reason(1) == "ValueError: broken"
+    assert failing.reason(-signal.SIGKILL) == "ended by SIGKILL"
 
 
 def test_environment_of_a_device(monkeypatch: pytest.MonkeyPatch) -> None:

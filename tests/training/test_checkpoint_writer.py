@@ -11,10 +11,11 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat.checkpoint import save_checkpoint
+from thermosplat.checkpoint import NotWrittenError, save_checkpoint
 from thermosplat.errors import UserError
+from thermosplat.run_directory import RunDirectory
 from thermosplat.training import checkpoint_writer
-from thermosplat.training.checkpoint_writer import CheckpointWriter
+from thermosplat.training.checkpoint_writer import CheckpointWriter, naming_the_newest_checkpoint
 
 
 def saved(path: Path) -> float:
@@ -23,7 +24,7 @@ def saved(path: Path) -> float:
 
 
 def fail(path: Path, state: dict[str, Any]) -> Path:
-    raise UserError(f"Could not write {path}: No space left on device.")
+    raise NotWrittenError(f"Could not write {path}: No space left on device.")
 
 
 def test_what_changes_after_the_block_is_not_in_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,7 +36,7 @@ def test_what_changes_after_the_block_is_not_in_the_file(tmp_path: Path, monkeyp
         return save_checkpoint(path, state)
 
     monkeypatch.setattr(checkpoint_writer, "save_checkpoint", save)
-    means, writer = torch.tensor(1.0), CheckpointWriter()
+    means, writer = torch.tensor(1.0), CheckpointWriter(print)
     with writer.beginning(tmp_path / "1.pt", {"means": means}):
         pass
     means += 1
@@ -59,7 +60,7 @@ def test_one_file_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         return save_checkpoint(path, state)
 
     monkeypatch.setattr(checkpoint_writer, "save_checkpoint", save)
-    writer = CheckpointWriter()
+    writer = CheckpointWriter(print)
     for value in (1.0, 2.0):
         with writer.beginning(tmp_path / "x.pt", {"means": torch.tensor(value)}):
             pass
@@ -70,10 +71,11 @@ def test_one_file_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("call", ["look", "wait", "beginning", "write"])
-def test_failure_is_raised_once_by_the_next_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
-    """Whichever call is next raises it; only what is written at once is written all the same."""
+def test_failure_is_told_once_by_the_next_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
+    """A full disk is said by whichever call is next, which does its own work all the same."""
     monkeypatch.setattr(checkpoint_writer, "save_checkpoint", fail)
-    means, writer = torch.tensor(1.0), CheckpointWriter()
+    said: list[str] = []
+    means, writer = torch.tensor(1.0), CheckpointWriter(said.append)
     with writer.beginning(tmp_path / "1.pt", {"means": means}):
         pass
     assert writer._writing is not None
@@ -86,11 +88,23 @@ def test_failure_is_raised_once_by_the_next_call(tmp_path: Path, monkeypatch: py
         "beginning": lambda: ExitStack().enter_context(writer.beginning(*arguments)),
         "write": lambda: writer.write(*arguments),
     }
-    with pytest.raises(UserError, match=r"1\.pt: No space left"):
-        calls[call]()
-    assert [entry.name for entry in tmp_path.iterdir()] == (["2.pt"] if call == "write" else [])
+    calls[call]()
     writer.look()
     writer.wait()
+    assert said == [f"Could not write {tmp_path / '1.pt'}: No space left on device. Training goes on without it."]
+    assert [entry.name for entry in tmp_path.iterdir()] == (["2.pt"] if call in ("write", "beginning") else [])
+
+
+def test_what_there_is_to_go_on_from_is_named(tmp_path: Path) -> None:
+    """A full disk at the end of a training: the newest checkpoint and the command, or that there is none."""
+    run = RunDirectory.create(tmp_path)
+    with pytest.raises(UserError, match="No checkpoint of this training is saved"), naming_the_newest_checkpoint(run):
+        fail(run.checkpoint(9), {})
+    run.checkpoint(4).write_bytes(b"x")
+    both = r"step_000009\.pt: No space left.*step_000004\.pt"
+    with pytest.raises(UserError, match=both) as caught, naming_the_newest_checkpoint(run):
+        fail(run.checkpoint(9), {})
+    assert run.resume_command() in caught.value.hint
 
 
 def test_state_that_cannot_be_gathered_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,7 +114,7 @@ def test_state_that_cannot_be_gathered_is_told(tmp_path: Path, monkeypatch: pyte
         raise RuntimeError("DefaultCPUAllocator: can't allocate memory")
 
     monkeypatch.setattr(checkpoint_writer, "on_host", exhausted)
-    means, writer = torch.tensor(1.0), CheckpointWriter()
+    means, writer = torch.tensor(1.0), CheckpointWriter(print)
     with writer.beginning(tmp_path / "1.pt", {"means": means}):
         pass
     with pytest.raises(RuntimeError, match="can't allocate memory"):
@@ -112,7 +126,7 @@ def test_state_that_cannot_be_gathered_is_told(tmp_path: Path, monkeypatch: pyte
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
 def test_block_that_fails_leaves_a_whole_file(tmp_path: Path, error: type[BaseException]) -> None:
     """The write goes on, whatever ends the block."""
-    means, writer = torch.tensor(1.0), CheckpointWriter()
+    means, writer = torch.tensor(1.0), CheckpointWriter(print)
     with pytest.raises(error), writer.beginning(tmp_path / "1.pt", {"means": means}):
         raise error
     means += 1
@@ -122,7 +136,7 @@ def test_block_that_fails_leaves_a_whole_file(tmp_path: Path, error: type[BaseEx
 
 def test_interrupt_waits_for_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C while a file is waited for is acted on when it is complete."""
-    writer = CheckpointWriter()
+    writer = CheckpointWriter(print)
 
     def save(path: Path, state: dict[str, Any]) -> Path:
         os.kill(os.getpid(), signal.SIGINT)

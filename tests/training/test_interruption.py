@@ -1,6 +1,7 @@
-"""Ctrl-C waits for what must not stop half-way, and is not forgotten."""
+"""Ctrl-C, SIGTERM and SIGHUP wait for what must not stop half-way, and are not forgotten."""
 
 import contextlib
+import errno
 import os
 import signal
 import threading
@@ -8,7 +9,7 @@ import time
 
 import pytest
 
-from thermosplat.training.interruption import deferred_interrupts, meanwhile
+from thermosplat.training.interruption import Stopped, deferred_interrupts, meanwhile, stop_signal, stop_signals
 
 
 @pytest.fixture(autouse=True)
@@ -120,3 +121,40 @@ def test_meanwhile_waits_for_work_that_was_interrupted_at_its_start() -> None:
         with pytest.raises(KeyboardInterrupt), meanwhile(work):
             time.sleep(10)
         assert len(done) == count
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_other_stop_signals_wait_like_ctrl_c(number: signal.Signals) -> None:
+    """They are raised at the end of the outer block, as an interrupt that knows its signal; then all is as before."""
+    done = []
+    before = signal.getsignal(number)
+    with pytest.raises(Stopped) as caught, stop_signals(), stop_signals():  # noqa: PT012  it comes at the block's end
+        with deferred_interrupts():
+            with deferred_interrupts():
+                os.kill(os.getpid(), number)
+                done.append("inner")
+            done.append("outer")
+        done.append("after")
+    assert done == ["inner", "outer"]
+    assert stop_signal(caught.value) == number
+    assert signal.getsignal(number) == before
+
+
+def test_ignored_signals_stay_ignored() -> None:
+    """What nohup has set is kept, also by a block that defers."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_signals(), deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_signals_that_errors_stand_for() -> None:
+    """An output that nobody reads, or a terminal that is closed, stops as a signal does; a full disk does not."""
+    assert stop_signal(KeyboardInterrupt()) == signal.SIGINT
+    assert stop_signal(BrokenPipeError(errno.EPIPE, "Broken pipe")) == signal.SIGPIPE
+    assert stop_signal(OSError(errno.EIO, "Input/output error")) == signal.SIGPIPE
+    assert stop_signal(OSError(errno.ENOSPC, "No space left on device")) is None
+    assert stop_signal(ZeroDivisionError()) is None

@@ -1,5 +1,6 @@
 """What a run says: plain lines, the live line, metrics.jsonl and TensorBoard."""
 
+import errno
 import io
 import json
 import math
@@ -215,6 +216,42 @@ def test_missing_tensorboard_is_a_hint(tmp_path: Path, monkeypatch: pytest.Monke
     logger.step(_record(5))
     assert 'pip install "thermosplat[tensorboard]"' in output.getvalue()
     assert _entries(tmp_path)[0]["step"] == 5
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_full_disk_costs_lines_not_the_training(tmp_path: Path) -> None:
+    """Lines that cannot be written are told once, those of TensorBoard too, and every step goes on being said."""
+
+    class FullWriter:
+        def add_scalar(self, *_: object) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    (tmp_path / "metrics.jsonl").symlink_to("/dev/full")
+    logger, output = _logger(tmp_path)
+    logger.start(0)
+    logger._writer = FullWriter()
+    for step in range(1, 16):
+        logger.step(_record(step))
+    logger.close()
+    said = output.getvalue()
+    assert said.count("metrics.jsonl: No space left on device. Training goes on") == 1
+    assert said.count("TensorBoard files are written no further: No space left on device.") == 1
+    assert said.count("Gaussians") == 3
+
+
+def test_output_that_nobody_reads_is_raised_once(tmp_path: Path) -> None:
+    """Training hears of it, where rich would end the process; what is said afterwards goes nowhere."""
+
+    class Gone(io.StringIO):
+        def flush(self) -> None:
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    logger = RunLogger(RunDirectory(tmp_path), max_steps=5, log_every=1, device=torch.device("cpu"), tensorboard=False)
+    logger.console.file = Gone()
+    with pytest.raises(BrokenPipeError):
+        logger.say("a line")
+    logger.say("another")
+    logger.close()
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.4, "0:00"), (59.6, "1:00"), (754, "12:34"), (4354, "1:12:34")])

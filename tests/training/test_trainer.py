@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import errno
 import json
 import os
 import signal
@@ -14,7 +15,7 @@ import pytest
 import torch
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 
-from thermosplat.checkpoint import load_checkpoint, save_checkpoint
+from thermosplat.checkpoint import NotWrittenError, load_checkpoint, save_checkpoint
 from thermosplat.config import DensificationConfig, LossConfig, OptimizerConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
@@ -22,7 +23,7 @@ from thermosplat.model import SceneModel
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training import checkpoint_writer, training_step
 from thermosplat.training import trainer as trainer_module
-from thermosplat.training.interruption import TrainingInterrupted
+from thermosplat.training.interruption import TrainingInterrupted, stop_signals
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
 
@@ -152,11 +153,19 @@ def test_interrupt_between_updates(
     assert_same_state(state_tensors(resumed), whole_run[12])
 
 
-@pytest.mark.parametrize("place", ["step_unless", "random_stream"])
+@pytest.mark.parametrize(
+    ("place", "number"),
+    [("step_unless", signal.SIGINT), ("random_stream", signal.SIGINT), ("step_unless", signal.SIGTERM)],
+)
 def test_interrupt_during_an_update(
-    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str
+    tmp_path: Path,
+    capture: Capture,
+    whole_run: dict[int, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    place: str,
+    number: signal.Signals,
 ) -> None:
-    """Ctrl-C while optimizers or density control are at work lets them finish first."""
+    """Ctrl-C or SIGTERM while optimizers or density control are at work lets them finish first."""
     trainer = toy_trainer(tmp_path, toy_run_config(), capture)
     owner = training_step if place == "step_unless" else trainer_module
     genuine: Callable[..., Any] = getattr(owner, place)
@@ -164,13 +173,14 @@ def test_interrupt_during_an_update(
 
     def interrupted(*args: Any, **kwargs: Any) -> object:
         if trainer.step >= (5 if place == "step_unless" else 6) and not done:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
             done.append(1)
         return genuine(*args, **kwargs)
 
     monkeypatch.setattr(owner, place, interrupted)
-    with pytest.raises(TrainingInterrupted) as stop:
+    with pytest.raises(TrainingInterrupted) as stop, stop_signals():
         trainer.train()
+    assert stop.value.exit_code == 128 + number
     monkeypatch.undo()
     assert stop.value.checkpoint == tmp_path / "ckpts" / "step_000006.pt"
     resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))
@@ -235,59 +245,67 @@ def test_interrupt_while_a_checkpoint_is_written(
     assert_same_state(state_tensors(resumed), whole_run[6])
 
 
-def full_disk(monkeypatch: pytest.MonkeyPatch, spared: str, ready: Callable[[], bool]) -> None:
-    """Let every write of a checkpoint wait until it may begin, and fail unless the file has that name."""
+def full_disk(monkeypatch: pytest.MonkeyPatch, is_full: Callable[[Path], bool]) -> None:
+    """Let the writes of those checkpoints find a full disk."""
 
-    def save(path: Path, state: dict[str, Any]) -> Path:
-        if path.name == spared:
-            return save_checkpoint(path, state)
-        for _ in range(1000):
-            if ready():
-                break
-            time.sleep(0.01)
-        raise UserError(f"Could not write {path}: No space left on device.")
+    def save(state: dict[str, Any], file: Any) -> None:
+        if is_full(Path(file.name)):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        genuine(state, file)
 
-    monkeypatch.setattr(checkpoint_writer, "save_checkpoint", save)
+    genuine = torch.save
+    monkeypatch.setattr(torch, "save", save)
 
 
-def test_failed_write_is_told_soon(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A disk that is full for a checkpoint beside the training ends the training, not only its last step."""
-    trainer = toy_trainer(tmp_path, toy_run_config(max_steps=60, save_steps=(4,)), capture)
-    full_disk(monkeypatch, "none", lambda: True)
-    with pytest.raises(UserError, match=r"step_000004\.pt: No space left"):
-        trainer.train()
-    assert trainer.step < 60
-    assert not (tmp_path / "metrics.json").exists()
+def test_full_disk_beside_the_training_costs_a_file(
+    tmp_path: Path,
+    capture: Capture,
+    whole_run: dict[int, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """What cannot be saved on the way is said, training goes on, and the next checkpoint is tried."""
+    trainer = toy_trainer(tmp_path, toy_run_config(save_steps=(4, 8), eval_steps=(5,)), capture)
+    full_disk(monkeypatch, lambda path: "step_000004" in path.name)
+    genuine = trainer.run.write_json
+
+    def write_json(path: Path, value: dict[str, Any]) -> None:
+        if path.name == "step_000005.json":
+            raise NotWrittenError("Could not write step_000005.json: No space left on device.")
+        genuine(path, value)
+
+    monkeypatch.setattr(trainer.run, "write_json", write_json)
+    trainer.train()
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("step_000004.pt: No space left on device. Training goes on") == 1
+    assert said.count("step_000005.json: No space left on device. Training goes on") == 1
+    assert sorted(path.name for path in (tmp_path / "ckpts").iterdir()) == ["step_000008.pt", "step_000012.pt"]
+    assert_same_state(state_tensors(trainer), whole_run[12])
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_failed_write_costs_no_later_checkpoint(
-    tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch, stopped: bool
+def test_full_disk_at_the_end_names_what_there_is(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, stopped: bool
 ) -> None:
-    """One that is still under way at the end, or at Ctrl-C, is told once the newest state is safe."""
+    """At the last step, or at Ctrl-C, the message has the checkpoint that is saved and the command that goes on."""
     config = toy_run_config(save_steps=(4,))
     trainer = toy_trainer(tmp_path, config, capture)
-    last = 6 if stopped else 12
-    genuine, ending = trainer.run.checkpoint, []
-
-    def checkpoint(step: int) -> Path:
-        if step == last:
-            ending.append(step)
-        return genuine(step)
 
     def render(*args: Any, **kwargs: Any) -> object:
-        if stopped and trainer.step == last:
+        if stopped and trainer.step == 6:
             raise KeyboardInterrupt
         return SceneModel.render(trainer.model, *args, **kwargs)
 
-    monkeypatch.setattr(trainer.run, "checkpoint", checkpoint)
     monkeypatch.setattr(trainer.model, "render", render)
-    full_disk(monkeypatch, f"step_{last:06d}.pt", lambda: bool(ending))
-    with pytest.raises(UserError, match=r"step_000004\.pt: No space left"):
+    full_disk(monkeypatch, lambda path: "step_000004" not in path.name)
+    last = 6 if stopped else 12
+    with pytest.raises(UserError, match=rf"step_{last:06d}\.pt: No space left.* saved: .*step_000004\.pt") as caught:
         trainer.train()
-    assert [path.name for path in (tmp_path / "ckpts").iterdir()] == [f"step_{last:06d}.pt"]
+    monkeypatch.undo()
+    assert f"thermosplat-train --resume {tmp_path}" in caught.value.hint
     resumed = Trainer.resume(config, capture, RunDirectory.open(tmp_path))
-    assert_same_state(state_tensors(resumed), state_tensors(trainer))
+    resumed.train()
+    assert_same_state(state_tensors(resumed), whole_run[12])
 
 
 @pytest.mark.parametrize("looks_every", [1, 3])

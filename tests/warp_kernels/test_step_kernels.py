@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -13,12 +14,16 @@ import torch
 import warp as wp
 from thermosplat.pair_capacity import PairCapacity
 from thermosplat.rasterizer import rasterization_rgbt
-from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels
+from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels, must_compile_for_cpu
 
 dual = sys.argv[1] == "True"
 wp.init()
 kernels = cpu_step_kernels(11, 8 if dual else 0)
 compile_for_cpu(kernels)
+assert not must_compile_for_cpu(kernels)
+cache, wp.config.kernel_cache_dir = wp.config.kernel_cache_dir, sys.argv[2]
+assert must_compile_for_cpu(kernels)
+wp.config.kernel_cache_dir = cache
 ahead = {kernel.module.name for kernel in kernels}
 launched = {module.name for module in wp._src.context.user_modules.values() if module.execs}
 assert launched == ahead, launched ^ ahead
@@ -53,7 +58,7 @@ def test_what_one_traversal_cannot_blend_is_not_compiled() -> None:
 
 
 @pytest.mark.parametrize("dual", [True, False])
-def test_a_step_compiles_nothing_else(dual: bool) -> None:
+def test_a_step_compiles_nothing_else(dual: bool, tmp_path: Path) -> None:
     """In a fresh process, with one opacity or two, a step finds all its kernels compiled."""
-    done = subprocess.run([sys.executable, "-c", STEP, str(dual)], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", STEP, str(dual), str(tmp_path)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

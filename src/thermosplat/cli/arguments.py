@@ -1,11 +1,14 @@
 """The arguments of thermosplat-train: a preset, the flags on top of it, and what a resumed run already fixes."""
 
 import dataclasses
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from thermosplat.cli.command_line import parse_command_line
+from thermosplat.cli.foreign_flags import refuse_foreign_flags
 from thermosplat.config import TrainConfig
 from thermosplat.config_checks import check_config
 from thermosplat.config_files import load_config
@@ -50,14 +53,21 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
         The configuration. With ``resume`` set it is the run's own, with the changes that a resumed run may have.
 
     Raises:
-        UserError: No capture, an unknown preset, a value out of range, or flags that contradict the resumed run.
-        SystemExit: Code 0 after --help, code 2 after flags that tyro cannot understand.
+        UserError: No capture, an unknown preset, a value out of range, another trainer's flag, or flags that contradict
+            the resumed run.
+        SystemExit: Code 0 after --help or --version, code 2 after flags that tyro cannot understand.
     """
+    refuse_foreign_flags(argv)
     first = _parse([word for word in argv if word not in HELP_FLAGS], TrainConfig(config=""))
     if first.resume is not None:
         return _resumed(argv, first)
     name = first.config or ("demo" if first.data == "sample" else "thermosplat")
     preset = load_config(name)
+    if preset.resume is not None:
+        raise UserError(
+            f"{name} has resume: {preset.resume}, which no configuration file can ask for.",
+            f"Take that line out and give the flag: thermosplat-train --resume {shlex.quote(preset.resume)}",
+        )
     config = dataclasses.replace(_parse(argv, preset), config=preset.config)
     if not config.data:
         raise UserError(
@@ -71,7 +81,7 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
     from thermosplat.run_directory import RunDirectory
 
     folder = str(first.resume)
-    run_config = load_config(RunDirectory.open(folder).config_yaml)
+    run_config = RunDirectory.open(folder).read_config()
     start = dataclasses.replace(run_config, resume=folder, result_dir=folder)
     asked = _parse(argv, start)
     if asked.overwrite:
@@ -97,7 +107,7 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
 
 def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
     start = TrainArguments(**{field.name: getattr(default, field.name) for field in dataclasses.fields(TrainConfig)})
-    arguments = tyro.cli(TrainArguments, prog="thermosplat-train", args=argv, default=start)
+    arguments = parse_command_line(TrainArguments, argv, prog="thermosplat-train", default=start)
     return TrainConfig(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(TrainConfig)})
 
 

@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.errors import run_command
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
 from thermosplat.method_matrix.overrides import parse_overrides
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from thermosplat.method_matrix.cells import Cell
     from thermosplat.method_matrix.matrix import Matrix
 
 
@@ -78,8 +82,11 @@ def main(argv: list[str] | None = None) -> int:
         The exit code: 0, 2 for a mistake of the user's or a cell that failed, 130 after Ctrl-C.
     """
     words = sys.argv[1:] if argv is None else argv
-    arguments = tyro.cli(BenchmarkArguments, prog="thermosplat-benchmark", args=words)
-    return run_command(lambda: _benchmark(arguments), debug=arguments.debug)
+
+    def body() -> int:
+        return _benchmark(parse_command_line(BenchmarkArguments, words, prog="thermosplat-benchmark"))
+
+    return run_command(body, debug="--debug" in words)
 
 
 def _benchmark(arguments: BenchmarkArguments) -> int:
@@ -109,8 +116,9 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
         nonlocal ended
         ended += 1
         if code:
-            failed.append(f"{job.title} (exit code {code}, log in {job.log})")
-        print(f"{job.title}: {'failed' if code else 'finished'} ({ended} of {len(cells)})", flush=True)
+            failed.append(f"{job.title} (exit code {code}, log in {job.log}): {job.reason(code)}")
+        outcome = f"failed: {job.reason(code)}" if code else "finished"
+        print(f"{job.title}: {outcome} ({ended} of {len(cells)})", flush=True)
         if not code:
             try:
                 write_report(matrix.out, merged)  # at once: the machine may go before the matrix is complete
@@ -118,14 +126,17 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
                 print(f"The tables cannot be written now: {error}", flush=True)
 
     if jobs:
-        print(f"{len(cells)} cells, {len(cells) - len(jobs)} of them finished.", flush=True)
+        print(
+            f"{_cells(len(cells))}, {len(cells) - len(jobs)} of them finished. Steps: {_steps(matrix, missing)}",
+            flush=True,
+        )
         try:
             left = run_jobs(jobs, devices, started=started, done=done, time_limit=arguments.time_limit)
         except KeyboardInterrupt:
             print("Stopped; what was begun is saved. The same command goes on.", flush=True)
             raise
     if left:
-        print(f"Time is up: {len(left)} of {len(cells)} cells not begun. The same command goes on.", flush=True)
+        print(f"Time is up: {len(left)} of {_cells(len(cells))} not begun. The same command goes on.", flush=True)
     if finished or len(failed) + len(left) < len(jobs) or not jobs:
         for table in write_report(matrix.out, merged):
             print(f"\n{table.title}\n\n{table.markdown()}", end="")
@@ -133,9 +144,24 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
         if (matrix.out / "regions.md").is_file():
             print("Errors by region: regions.md, .csv and .tex there")
     if failed:
-        message = f"{len(failed)} of {len(cells)} cells failed: {'; '.join(failed)}."
-        raise UserError(message, "The same command tries them again.")
+        message = f"{len(failed)} of {_cells(len(cells))} failed:\n" + "\n".join(failed)
+        raise UserError(message, "The same command tries again.")
     return 0
+
+
+def _cells(count: int) -> str:
+    return f"{count} cell{'' if count == 1 else 's'}"
+
+
+def _steps(matrix: "Matrix", cells: "Sequence[Cell]") -> str:
+    """Steps of the methods: --max-steps is that of a method with 30,000."""
+    steps: dict[str, list[int]] = {}
+    for cell in cells:
+        steps.setdefault(cell.method, []).append(matrix.config(cell).max_steps)
+    ranges = {method: (min(numbers), max(numbers)) for method, numbers in steps.items()}
+    return ", ".join(
+        f"{method} {least:,}" + (f" to {most:,}" if most > least else "") for method, (least, most) in ranges.items()
+    )
 
 
 def _matrix(arguments: BenchmarkArguments) -> "Matrix":

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import tyro
 
-from thermosplat.cli.errors import INTERRUPTED, run_command
+from thermosplat.cli.errors import run_command
+from thermosplat.cli.host_settings import importing
 from thermosplat.config_files import load_config
 from thermosplat.method_matrix.cells import Cell
 
@@ -37,22 +38,24 @@ def main(argv: list[str] | None = None) -> int:
         The exit code.
     """
     arguments = tyro.cli(CellArguments, prog="benchmark_cell", args=sys.argv[1:] if argv is None else argv)
-    return run_command(lambda: _make(arguments), debug=False)
+    return run_command(lambda: _make(arguments), debug=False, one_line=True)  # for ``Job.reason``
 
 
 def _make(arguments: CellArguments) -> int:
-    from thermosplat.cli.warp_start import start_warp
-    from thermosplat.method_matrix.cell_run import make_cell
-    from thermosplat.training.interruption import TrainingInterrupted
+    with importing():
+        from thermosplat.cli.warp_start import start_warp
+        from thermosplat.method_matrix.cell_run import make_cell
+        from thermosplat.training.interruption import TrainingInterrupted, stop_signals
 
     start_warp()
     config = load_config(arguments.folder / "cell.yaml")
     cell = Cell(arguments.scene, arguments.method, arguments.seed)
     try:
-        make_cell(cell, config, arguments.folder, keep_checkpoint=arguments.keep_checkpoint)
+        with stop_signals():  # again: pycolmap has been imported
+            make_cell(cell, config, arguments.folder, keep_checkpoint=arguments.keep_checkpoint)
     except TrainingInterrupted as stop:
         print(f"Interrupted; saved {stop.checkpoint}.")
-        return INTERRUPTED
+        return stop.exit_code
     return 0
 
 

@@ -1,42 +1,69 @@
-"""How commands end: 0, 2 with a panel for a mistake of the user's, 130 after Ctrl-C."""
+"""How commands end: 0, 2 with a panel for a mistake of the user's, 128 + its number after a signal (130: Ctrl-C)."""
 
+import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from typing import TextIO
 
 from rich.console import Console, Group
 from rich.panel import Panel
 from rich.text import Text
 
 from thermosplat.errors import UserError
+from thermosplat.training.interruption import stop_signal, stop_signals
 
 USER_ERROR = 2
-INTERRUPTED = 130
 
 
-def run_command(body: Callable[[], int], *, debug: bool) -> int:
+def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False) -> int:
     """Run a command and turn what a user can mend into a message and an exit code.
 
     Args:
         body: The command; returns its exit code.
         debug: Show the traceback too.
+        one_line: Say what is wrong in one line without a panel, for programs that read it.
 
     Returns:
         The exit code. Errors that are no mistake of the user's are raised as they are.
     """
+    with stop_signals():
+        code = _code_of(body, debug, print_error_line if one_line else print_error)
+    try:
+        sys.stdout.flush()
+    except OSError as error:  # nobody reads what is left of it (| head)
+        _discard(sys.stdout)
+        number = stop_signal(error)
+        if number is None:
+            raise
+        return code or 128 + number
+    return code
+
+
+def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], None]) -> int:
     try:
         return body()
+    except SystemExit as stop:  # --help, or flags that tyro does not understand
+        if not isinstance(stop.code, int):
+            raise
+        return stop.code
     except UserError as error:
         if debug:
             Console(stderr=True).print_exception()
-        print_error(error.message, error.hint)
+        tell(error.message, error.hint)
         return USER_ERROR
-    except KeyboardInterrupt:
-        Console(stderr=True).print("Interrupted.")
-        return INTERRUPTED
+    except (KeyboardInterrupt, OSError) as error:
+        number = stop_signal(error)
+        if number is None:
+            raise
+        if isinstance(error, KeyboardInterrupt):
+            with suppress(OSError):
+                print("Interrupted.", file=sys.stderr)
+        return 128 + number
     except (RuntimeError, MemoryError) as error:
         if debug or not _is_out_of_memory(error):
             raise
-        print_error("Out of memory.", "Close other programs that use this device, and try again.")
+        tell("Out of memory.", "Close other programs that use this device, and try again.")
         return USER_ERROR
 
 
@@ -51,6 +78,29 @@ def print_error(message: str, hint: str = "") -> None:
     if hint:
         lines += [Text(), Text(hint, style="bold")]
     Console(stderr=True, highlight=False).print(Panel(Group(*lines), title="Error", title_align="left", style="red"))
+
+
+def print_error_line(message: str, hint: str) -> None:
+    """Print an error as one line on stderr, the last one: see :func:`print_error`."""
+    print(" ".join(f"Error: {message} {hint}".split()), file=sys.stderr, flush=True)
+
+
+def print_last(text: str) -> None:
+    """Print the last words of a command, on stderr where nobody reads stdout any more."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            print(text, file=stream, flush=True)
+            return
+        except OSError:
+            _discard(stream)
+
+
+def _discard(stream: TextIO) -> None:
+    """Let what is left in a stream that nobody reads go nowhere: Python would fail when it writes it at its end."""
+    with suppress(OSError, ValueError):  # no file behind it
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
 
 
 def _is_out_of_memory(error: BaseException) -> bool:

@@ -2,11 +2,12 @@
 
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import tyro
-
+from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.errors import run_command
+from thermosplat.cli.host_settings import importing
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 
 if TYPE_CHECKING:
@@ -38,17 +39,22 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    arguments = tyro.cli(EvalArguments, prog="thermosplat-eval", args=sys.argv[1:] if argv is None else argv)
-    return run_command(lambda: _evaluate(arguments), debug=arguments.debug)
+    words = sys.argv[1:] if argv is None else argv
+
+    def body() -> int:
+        return _evaluate(parse_command_line(EvalArguments, words, prog="thermosplat-eval"))
+
+    return run_command(body, debug="--debug" in words)
 
 
 def _evaluate(arguments: EvalArguments) -> int:
-    from rich.console import Console
+    with importing():
+        from rich.console import Console
 
-    from thermosplat.cli.loaded_run import load_run
-    from thermosplat.evaluation import evaluate
-    from thermosplat.labelled_regions import write_regions
-    from thermosplat.lpips import find_lpips
+        from thermosplat.cli.loaded_run import load_run
+        from thermosplat.evaluation import evaluate, file_stem
+        from thermosplat.labelled_regions import write_regions
+        from thermosplat.lpips import find_lpips
 
     console = Console(highlight=False, soft_wrap=True)
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
@@ -58,7 +64,8 @@ def _evaluate(arguments: EvalArguments) -> int:
     lpips, lpips_note = find_lpips(arguments.lpips_weights or loaded.config.lpips_weights, loaded.device)
     console.print(lpips_note, markup=False)
     run = loaded.directory
-    strips, table = run.renders / f"eval_{loaded.step:06d}", run.stats / f"eval_{loaded.step:06d}.csv"
+    name = loaded.result_name(capture)
+    strips, table = run.renders / f"eval_{name}", run.stats / f"eval_{name}.csv"
     strips.mkdir(exist_ok=True)
     metrics = evaluate(
         loaded.model,
@@ -69,13 +76,20 @@ def _evaluate(arguments: EvalArguments) -> int:
         strips_dir=strips,
         csv_path=table,
     )
-    numbers = run.stats / f"eval_{loaded.step:06d}.json"
-    run.write_json(numbers, {**metrics, "steps": loaded.step})
+    shown = {f"{file_stem(frame.name)}.png" for frame in capture.test}
+    for earlier in strips.glob("*.png"):
+        if earlier.name not in shown:  # of frames that were held out at another time
+            earlier.unlink()
+    numbers = run.stats / f"eval_{name}.json"
+    data = arguments.data or loaded.config.data
+    where = data if data == "sample" else str(Path(data).resolve())
+    run.write_json(numbers, {**metrics, "steps": loaded.step, "data": where})
     _print_metrics(console, loaded, metrics)
-    regions = write_regions(run, loaded.model, capture, loaded.step, loaded.sh_degree, loaded.device)
+    by_region = run.regions_json if loaded.is_own(capture) else run.stats / f"regions_{name}.json"
+    regions = write_regions(run, loaded.model, capture, loaded.step, loaded.sh_degree, loaded.device, path=by_region)
     if regions is not None:
         _print_regions(console, regions)
-        console.print(f"By region {run.regions_json}", markup=False)
+        console.print(f"By region {by_region}", markup=False)
     console.print(f"Numbers {numbers}, per view {table}, pictures {strips}", markup=False)
     return 0
 

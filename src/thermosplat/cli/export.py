@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import tyro
-
+from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.errors import run_command
+from thermosplat.cli.host_settings import importing
 from thermosplat.cli.run_arguments import RunArguments
 
 
@@ -33,13 +33,18 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    arguments = tyro.cli(ExportArguments, prog="thermosplat-export", args=sys.argv[1:] if argv is None else argv)
-    return run_command(lambda: _export(arguments), debug=arguments.debug)
+    words = sys.argv[1:] if argv is None else argv
+
+    def body() -> int:
+        return _export(parse_command_line(ExportArguments, words, prog="thermosplat-export"))
+
+    return run_command(body, debug="--debug" in words)
 
 
 def _export(arguments: ExportArguments) -> int:
-    from thermosplat.cli.loaded_run import load_run
-    from thermosplat.export.scene import export_scene, modelled
+    with importing():
+        from thermosplat.cli.loaded_run import load_run
+        from thermosplat.export.scene import export_scene, modelled
 
     loaded = load_run(arguments.run, step=arguments.step, device="cpu")
     if arguments.modality is None:

@@ -11,6 +11,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from thermosplat.training.interruption import deferred_interrupts
+
 KEPT_BYTES = 2**31 - 1
 """Freed memory that stays with the process; the largest number that ``mallopt`` takes."""
 
@@ -37,7 +39,17 @@ def prepare_host() -> None:
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Around imports: no garbage is looked for.
+    """Around imports: they are quicker, and Ctrl-C waits for their end.
+
+    An interrupt in the middle of an import comes out of C++ as some other error than an interrupt.
+    """
+    with deferred_interrupts(), without_garbage_collection():
+        yield
+
+
+@contextmanager
+def without_garbage_collection() -> Iterator[None]:
+    """Around imports, and what is done while they go on: no garbage is looked for.
 
     Torch and what it brings make some 400,000 objects that all stay; to go through them again and again takes a fifth
     of the time.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from thermosplat.checkpoint import load_checkpoint
+from thermosplat.checkpoint import damage_explained, load_checkpoint
 from thermosplat.cli.warp_start import start_warp
 from thermosplat.config import TrainConfig
 from thermosplat.config_files import from_dict
@@ -39,6 +39,8 @@ class LoadedRun:
     """Where the model is."""
     train_frames: list[str] | None
     """Names of the frames it was trained on; None where the checkpoint does not say."""
+    test_frames: list[str] | None
+    """Names of the frames it was to be judged by; None where the checkpoint does not say."""
 
     def capture(self, data: str | None) -> Capture:
         """The capture it was trained on.
@@ -47,7 +49,7 @@ class LoadedRun:
             data: Where it lies now; None: where it lay.
 
         Returns:
-            The capture; a note of it says so if its training frames are not those of the run.
+            The capture; a note of it says so if its frames are not those of the run.
 
         Raises:
             UserError: It cannot be read there.
@@ -62,10 +64,22 @@ class LoadedRun:
             data or config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
         )
         difference = other_frames(self.train_frames, capture)
+        if not difference and not self.is_own(capture):
+            difference = f"{capture.root} has other held-out frames."
         if difference:
-            note = f"Is this the capture of {self.directory.path}? {difference}"
+            name = self.result_name(capture)
+            note = f"Is this the capture of {self.directory.path}? {difference} Results are named {name}."
             capture = replace(capture, notes=(*capture.notes, note))
         return capture
+
+    def is_own(self, capture: Capture) -> bool:
+        """Whether a capture has the frames that the run was trained on and is judged by, as far as it says."""
+        splits = ((self.train_frames, capture.train), (self.test_frames, capture.test))
+        return all(then is None or then == [frame.name for frame in now] for then, now in splits)
+
+    def result_name(self, capture: Capture) -> str:
+        """What results on a capture are called: by the step; on another one than the run's, by its name too."""
+        return f"{self.step:06d}" if self.is_own(capture) else f"{self.step:06d}_{capture.name}"
 
 
 def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> LoadedRun:
@@ -84,15 +98,18 @@ def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> L
     start_warp()
     state = load_checkpoint(_checkpoint(directory, step), chosen)
     scale = state["thermal_scale"]
+    with damage_explained("thermal scale"):
+        thermal_scale = None if scale is None else ThermalScale.from_state_dict(scale)
     return LoadedRun(
         directory=directory,
         config=from_dict(state["config"], source=f"the configuration stored in {folder}"),
         step=state["step"],
         sh_degree=state["sh_degree"],
         model=SceneModel.from_checkpoint(state, chosen).eval(),
-        thermal_scale=None if scale is None else ThermalScale.from_state_dict(scale),
+        thermal_scale=thermal_scale,
         device=chosen,
         train_frames=state.get("train_frames"),
+        test_frames=state.get("test_frames"),
     )
 
 

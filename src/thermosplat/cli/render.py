@@ -4,9 +4,9 @@ import sys
 from dataclasses import dataclass
 from typing import Literal
 
-import tyro
-
+from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.errors import run_command
+from thermosplat.cli.host_settings import importing
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.errors import UserError
 
@@ -21,7 +21,8 @@ class RenderArguments(RunOnCaptureArguments):
     modality: Literal["rgb", "thermal", "both"] | None = None
     """Which spectrum. None: both side by side, or the one that was trained."""
     format: Literal["mp4", "png"] = "mp4"
-    """A video (H.264 with the extra "video" installed: pip install "thermosplat[video]"), or a folder of PNGs."""
+    """A video (H.264 with the extra "video" installed: pip install "thermosplat[video]"), or a folder of PNGs, named
+    by the frames on the train and test paths and numbered on the others."""
     frames: int = 120
     """Images along the path; the train and test paths have one for each view."""
     fps: int = 30
@@ -37,8 +38,12 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    arguments = tyro.cli(RenderArguments, prog="thermosplat-render", args=sys.argv[1:] if argv is None else argv)
-    return run_command(lambda: _render(arguments), debug=arguments.debug)
+    words = sys.argv[1:] if argv is None else argv
+
+    def body() -> int:
+        return _render(parse_command_line(RenderArguments, words, prog="thermosplat-render"))
+
+    return run_command(body, debug="--debug" in words)
 
 
 def _render(arguments: RenderArguments) -> int:
@@ -46,12 +51,14 @@ def _render(arguments: RenderArguments) -> int:
         if getattr(arguments, name) < 1:
             raise UserError(f"--{name} must be at least 1, found {getattr(arguments, name)}.")
 
-    from rich.progress import track
+    with importing():
+        from rich.progress import track
 
-    from thermosplat.cli.loaded_run import load_run
-    from thermosplat.export.scene import modelled
-    from thermosplat.rendering import rendered_images, viewpoints
-    from thermosplat.video import write_images
+        from thermosplat.cli.loaded_run import load_run
+        from thermosplat.evaluation import file_stem
+        from thermosplat.export.scene import modelled
+        from thermosplat.rendering import rendered_images, viewpoints
+        from thermosplat.video import write_images
 
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
     available = modelled(loaded.model)
@@ -61,13 +68,16 @@ def _render(arguments: RenderArguments) -> int:
             f"{arguments.run} was trained on {available[0]} images only.", f"Give --modality {available[0]}."
         )
     capture = loaded.capture(arguments.data)
+    for note in capture.notes:
+        print(note)
     points = viewpoints(capture, arguments.path, shown, num_frames=arguments.frames, device=loaded.device)
     images = rendered_images(loaded.model, points, sh_degree=loaded.sh_degree, thermal_scale=loaded.thermal_scale)
     written = write_images(
         track(images, f"Rendering {arguments.path}", len(points), transient=True, disable=not sys.stdout.isatty()),
-        loaded.directory.videos / f"{arguments.path}_{shown}_{loaded.step:06d}",
+        loaded.directory.videos / f"{arguments.path}_{shown}_{loaded.result_name(capture)}",
         format=arguments.format,
         fps=arguments.fps,
+        names=[file_stem(point.frame) for point in points] if arguments.path in ("train", "test") else None,
     )
     if arguments.format == "mp4" and written.is_dir():
         print("No video encoder here, so PNGs were written.")

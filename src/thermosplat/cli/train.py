@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
-from thermosplat.cli.errors import INTERRUPTED, run_command
-from thermosplat.cli.host_settings import importing, prepare_host
+from thermosplat.cli.errors import print_last, run_command
+from thermosplat.cli.host_settings import importing, prepare_host, without_garbage_collection
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def main(argv: list[str] | None = None) -> int:
         argv: Arguments without the program's name. None: the process's.
 
     Returns:
-        The exit code: 0, 2 for a mistake of the user's, 130 after Ctrl-C.
+        The exit code: 0, 2 for a mistake of the user's, 130 after Ctrl-C, 143 after SIGTERM.
     """
     words = sys.argv[1:] if argv is None else argv
     return run_command(lambda: _train(words), debug="--debug" in words)
@@ -39,8 +39,9 @@ def main(argv: list[str] | None = None) -> int:
 def _train(argv: list[str]) -> int:
     config = parse_train_arguments(argv)  # before the heavy imports, so that --help and mistakes answer at once
     prepare_host()
-    with importing():
-        from thermosplat.cli.warp_start import started_meanwhile
+    with without_garbage_collection():
+        with importing():
+            from thermosplat.cli.warp_start import started_meanwhile
 
         with started_meanwhile(config):
             if config.resume is not None:
@@ -48,13 +49,18 @@ def _train(argv: list[str]) -> int:
             capture, trainer_class = _capture_and_trainer(config)
         make = _new_trainer if config.resume is None else _resumed_trainer
         trainer = make(config, capture, trainer_class)
-    from thermosplat.training.interruption import TrainingInterrupted
+    from thermosplat.training.interruption import TrainingInterrupted, stop_signals
 
     try:
-        trainer.train()
+        with stop_signals(), trainer.run.locked():  # the signals again: pycolmap has been imported
+            if config.resume is None:  # last, when nothing in the input can stop the run any more: it may delete here
+                trainer.run.create(trainer.run.path, overwrite=config.overwrite)
+            trainer.train()
     except TrainingInterrupted as stop:
-        print(f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}")
-        return INTERRUPTED
+        print_last(
+            f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}"
+        )
+        return stop.exit_code
     _say_where(trainer)
     return 0
 
@@ -73,7 +79,8 @@ def _check_capture_to_go_on_with(config: "TrainConfig") -> None:
 
 def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Trainer"]]:
     """The capture, and the trainer's class: images are read while torch and the trainer are imported."""
-    from thermosplat.datasets import load_capture  # takes no torch
+    with importing():
+        from thermosplat.datasets import load_capture  # takes no torch
 
     with ThreadPoolExecutor(max_workers=1) as thread:
         reading = thread.submit(
@@ -83,7 +90,8 @@ def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Traine
             test_every=config.test_every,
             thermal=config.thermal,
         )
-        from thermosplat.training.trainer import Trainer
+        with importing():
+            from thermosplat.training.trainer import Trainer
 
         return reading.result(), Trainer
 
@@ -92,11 +100,8 @@ def _new_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type[
     from thermosplat.run_directory import RunDirectory
 
     folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
-    config, overwrite = _from_anywhere(config), config.overwrite
-    trainer = trainer_class(replace(config, result_dir=folder, overwrite=False), capture, RunDirectory(folder))
-    # Last, when nothing in the input can stop the run any more: --overwrite deletes here.
-    RunDirectory.create(folder, overwrite=overwrite)
-    return trainer
+    config = replace(_from_anywhere(config), result_dir=folder, overwrite=False)
+    return trainer_class(config, capture, RunDirectory(folder))
 
 
 def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type["Trainer"]) -> "Trainer":

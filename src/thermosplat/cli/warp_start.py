@@ -55,7 +55,7 @@ def started_meanwhile(config: "TrainConfig") -> Iterator[None]:
     """Around imports and the reading of images, none of which may use Warp: it is ready when they are done.
 
     The CUDA driver takes a while to start and leaves Python to others meanwhile. Where the training will run on the
-    CPU, its kernels are compiled as well: a few seconds of the first run on two cores. On CUDA, which kernels blend
+    CPU, its kernels are compiled as well, which is said where the cache lacks some. On CUDA, which kernels blend
     depends on the frame.
 
     Args:
@@ -77,8 +77,11 @@ def _start(config: "TrainConfig") -> None:
     model = config.model
     if not on_cpu or model.gaussian_sets != "shared" or model.feature_dim == 0:
         return
-    from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels
+    from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels, must_compile_for_cpu
 
     thermal_channels = model.feature_dim if model.geometric_decoupling else 0
     antialiased = model.rasterize_mode == "antialiased"
-    compile_for_cpu(cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased))
+    kernels = cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased)
+    if must_compile_for_cpu(kernels):
+        print("Compiling kernels, once per machine (half a minute on two cores) ...", flush=True)
+    compile_for_cpu(kernels)

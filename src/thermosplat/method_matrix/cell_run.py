@@ -32,8 +32,13 @@ def make_cell(cell: Cell, config: TrainConfig, folder: Path, *, keep_checkpoint:
 
     Raises:
         TrainingInterrupted: After Ctrl-C; a checkpoint was saved.
-        UserError: The capture or the configuration cannot be used.
+        UserError: The capture or the configuration cannot be used, or another process makes this cell.
     """
+    with RunDirectory(folder).locked():
+        return _made(cell, config, folder, keep_checkpoint)
+
+
+def _made(cell: Cell, config: TrainConfig, folder: Path, keep_checkpoint: bool) -> CellResult:
     trainer = _trainer(config, folder)
     if trainer.device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(trainer.device)

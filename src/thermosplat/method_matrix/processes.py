@@ -1,7 +1,8 @@
 """Cells in processes of their own, one at a time on each device.
 
 A process a cell keeps them apart: what one leaves on the GPU, or breaks, is gone with it, and the peak of its memory is
-its own. Ctrl-C, or SIGTERM, is handed on to the processes; each saves a checkpoint, so that the same command goes on.
+its own. Ctrl-C, SIGTERM and SIGHUP are handed on to the processes as SIGTERM; each saves a checkpoint, so that the same
+command goes on.
 """
 
 import os
@@ -9,13 +10,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from thermosplat.errors import UserError
+from thermosplat.training.interruption import stop_signals
 
 POLL_SECONDS = 0.2
 
@@ -30,6 +30,21 @@ class Job:
     """Program and arguments."""
     log: Path
     """Where its output goes, at the end of what is there."""
+
+    def reason(self, code: int) -> str:
+        """Why it failed: the signal that ended it, or else the last line that it wrote.
+
+        Args:
+            code: Its exit code, as ``subprocess`` has it.
+        """
+        if code < 0:
+            return f"ended by {signal.Signals(-code).name}"
+        try:
+            lines = self.log.read_text(encoding="utf-8", errors="replace").split("\n")
+        except OSError:
+            lines = []
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "it wrote nothing")
+        return last.removeprefix("Error: ")
 
 
 @dataclass(frozen=True)
@@ -88,11 +103,11 @@ def run_jobs(
         The jobs that were not started.
 
     Raises:
-        KeyboardInterrupt: After Ctrl-C or SIGTERM, when all processes have ended.
+        KeyboardInterrupt: After Ctrl-C, SIGTERM or SIGHUP, when all processes have ended.
     """
     waiting, running, began = list(jobs), dict[str, _Running](), time.monotonic()
     left: list[Job] = []
-    with _terminated_like_interrupted():
+    with stop_signals():
         try:
             while waiting or running:
                 if time_limit is not None and time.monotonic() - began >= time_limit:
@@ -110,7 +125,7 @@ def run_jobs(
                         done(current.job, device, code)
         except BaseException:  # also an error in a callback: no process outlives this one
             for current in running.values():
-                current.process.send_signal(signal.SIGINT)
+                current.process.terminate()  # a process in a script's background ignores SIGINT
             for current in running.values():
                 current.process.wait()
             raise
@@ -154,15 +169,3 @@ def _start(job: Job, environment: dict[str, str]) -> _Running:
             start_new_session=True,  # Ctrl-C reaches it once, from here
         )
     return _Running(job, process)
-
-
-@contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)

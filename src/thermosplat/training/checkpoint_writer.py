@@ -1,25 +1,33 @@
 """The checkpoints of a run, one at a time: written at once, or in another thread while training goes on.
 
-A write that is under way holds a copy of the state in the host's memory, and nothing on the device.
+A write that is under way holds a copy of the state in the host's memory, and nothing on the device. A disk that is full
+while training goes on is said and no more: the state is in memory, and space may be free at the next step that saves.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from thermosplat.checkpoint import on_host, save_checkpoint
+from thermosplat.checkpoint import NotWrittenError, on_host, save_checkpoint
+from thermosplat.errors import UserError
+from thermosplat.run_directory import RunDirectory
 from thermosplat.training.interruption import deferred_interrupts
 
 
 class CheckpointWriter:
     """Writes checkpoints so that no two are written at a time and no failure is forgotten.
 
-    What went wrong with a checkpoint that was written beside the training is raised once, by the next call.
+    That a checkpoint beside the training could not be written is said once, by the next call; anything else that went
+    wrong with it is raised there.
+
+    Args:
+        say: Tells the user something.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
         self._thread = ThreadPoolExecutor(max_workers=1)
         self._writing: Future[Path] | None = None
 
@@ -32,9 +40,6 @@ class CheckpointWriter:
         Args:
             path: The file.
             state: Its content; no parameters (``meanwhile`` says why).
-
-        Raises:
-            UserError: If the one before could not be written.
         """
         with deferred_interrupts():  # a thread that was interrupted while it was started would not be waited for
             self.wait()
@@ -54,7 +59,7 @@ class CheckpointWriter:
             state: Its content, which nobody changes meanwhile.
 
         Raises:
-            UserError: If this one could not be written, or the one that was under way.
+            NotWrittenError: If this one could not be written.
         """
         with deferred_interrupts():
             try:
@@ -64,13 +69,47 @@ class CheckpointWriter:
         return path
 
     def look(self) -> None:
-        """Raise what went wrong with a write that has ended, without waiting for one that has not."""
+        """Tell what went wrong with a write that has ended, without waiting for one that has not."""
         if self._writing is not None and self._writing.done():
             self.wait()
 
     def wait(self) -> None:
-        """Let the write that is under way come to its end, and raise what went wrong with it."""
+        """Let the write that is under way come to its end, and tell what went wrong with it."""
         with deferred_interrupts():
             writing, self._writing = self._writing, None
             if writing is not None:
-                writing.result()
+                with going_on_without(self._say):
+                    writing.result()
+
+
+@contextmanager
+def going_on_without(say: Callable[[str], None]) -> Iterator[None]:
+    """Around files that a training can do without: say that one could not be written, and go on.
+
+    Args:
+        say: Tells the user something.
+    """
+    try:
+        yield
+    except NotWrittenError as error:
+        say(f"{error.message} Training goes on without it.")
+
+
+@contextmanager
+def naming_the_newest_checkpoint(run: RunDirectory) -> Iterator[None]:
+    """Around the last files of a training: where one cannot be written, say what there is to go on from.
+
+    Args:
+        run: The run.
+
+    Raises:
+        UserError: In place of a NotWrittenError.
+    """
+    try:
+        yield
+    except NotWrittenError as error:
+        latest = run.latest_checkpoint()
+        if latest is None:
+            raise UserError(f"{error.message} No checkpoint of this training is saved.", error.hint) from error
+        message = f"{error.message} The newest checkpoint that is saved: {latest}."
+        raise UserError(message, f"Free some space, then go on with: {run.resume_command()}") from error

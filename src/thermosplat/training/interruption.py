@@ -1,5 +1,10 @@
-"""Ctrl-C during training: at any moment, with nothing lost and no half-done update."""
+"""Ctrl-C and its like during training: at any moment, with nothing lost and no half-done update.
 
+SIGTERM (a cluster's time limit, docker stop, timeout), SIGHUP (a terminal that is closed) and an output that nobody
+reads any more (``| head``) stop a training as Ctrl-C does.
+"""
+
+import errno
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -8,46 +13,101 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
+_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Stopped(KeyboardInterrupt):
+    """SIGTERM or SIGHUP: ends what Ctrl-C ends.
+
+    Args:
+        number: The signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
 
 class TrainingInterrupted(Exception):
-    """The user stopped the training; everything up to then is in a checkpoint.
+    """The training was stopped from outside; everything up to then is in a checkpoint.
 
     Args:
         checkpoint: The checkpoint.
         resume_command: The command line that goes on from it.
+        number: The signal that stopped it.
     """
 
-    def __init__(self, checkpoint: Path, resume_command: str) -> None:
+    def __init__(self, checkpoint: Path, resume_command: str, number: int = signal.SIGINT) -> None:
         super().__init__(f"Interrupted. Checkpoint: {checkpoint}. Go on with: {resume_command}")
         self.checkpoint = checkpoint
         self.resume_command = resume_command
+        self.number = number
+
+    @property
+    def exit_code(self) -> int:
+        """What a shell expects of a program that a signal ended."""
+        return 128 + self.number
+
+
+def stop_signal(error: BaseException) -> signal.Signals | None:
+    """The signal that an exception stands for: SIGPIPE where nobody reads the output; None for any other error."""
+    if isinstance(error, KeyboardInterrupt):
+        return signal.Signals(getattr(error, "number", signal.SIGINT))
+    if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.EIO):  # EIO: the terminal was closed
+        return signal.SIGPIPE
+    return None
 
 
 @contextmanager
-def deferred_interrupts(redeliver: bool = True) -> Iterator[None]:
-    """Let Ctrl-C wait until the block is done: for updates and files that must not stop half-way.
+def stop_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise ``Stopped`` in the block, where Python would end at once and lose what it has.
 
-    Outside the main thread Python delivers no signals, and there is nothing to defer.
-
-    Args:
-        redeliver: Act on a Ctrl-C of the meantime afterwards. Off where the program is about to end anyway.
+    Who had a signal ignored keeps that (nohup). Importing pycolmap puts handlers of its own in their place, which print
+    the C stack: begin the block again after that.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    pending = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal pending
-        pending = True
-
-    previous = signal.signal(signal.SIGINT, note)
+    numbers = [number for number in _STOPPING[1:] if signal.getsignal(number) is not signal.SIG_IGN]
+    previous = {number: signal.signal(number, _stop) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number, handler in previous.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    raise Stopped(number)
+
+
+@contextmanager
+def deferred_interrupts(redeliver: bool = True) -> Iterator[None]:
+    """Let Ctrl-C, SIGTERM and SIGHUP wait until the block is done: for what must not stop half-way.
+
+    Outside the main thread Python delivers no signals, and there is nothing to defer.
+
+    Args:
+        redeliver: Act on a signal of the meantime afterwards. Off where the program is about to end anyway.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pending: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        pending.append(number)
+
+    # those that Python acts on; what else would be done is done at once
+    numbers = [number for number in _STOPPING if callable(signal.getsignal(number))]
+    previous = {number: signal.signal(number, note) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
     if pending and redeliver:
-        signal.raise_signal(signal.SIGINT)  # to whoever listened before: KeyboardInterrupt, or the block around this
+        signal.raise_signal(pending[0])  # to whoever listened before: an exception, or the block around this
 
 
 @contextmanager

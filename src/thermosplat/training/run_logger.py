@@ -11,7 +11,7 @@ import resource
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from rich.text import Text
 from torch import Tensor
 
 from thermosplat.checkpoint import write_atomically
-from thermosplat.run_directory import RunDirectory, finite_or_null
+from thermosplat.run_directory import TENSORBOARD_SUFFIX, RunDirectory, finite_or_null
 
 _REFRESH_SECONDS = 0.25  # of the live line
 _COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is compiling kernels
@@ -49,6 +49,15 @@ class StepRecord:
     """Degree of the spherical harmonics in use."""
     train_seconds: float
     """Time spent in steps so far [s]."""
+
+
+class _Output(Console):
+    """Standard output. Where nobody reads it any more the training shall save itself; rich would end the process."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise the BrokenPipeError that is being handled, once."""
+        self.quiet = True
+        raise  # rich calls this in its except clause
 
 
 class RunLogger:
@@ -77,7 +86,7 @@ class RunLogger:
         self.max_steps = max_steps
         self.log_every = log_every
         self.device = device
-        self.console = console if console is not None else Console(highlight=False)
+        self.console = console if console is not None else _Output(highlight=False)
         self.held_out: dict[str, float] = {}
         self._tensorboard = tensorboard
         self._writer: Any = None
@@ -89,6 +98,7 @@ class RunLogger:
         self._rate = 0.0
         self._refreshed = 0.0
         self._late: StepRecord | None = None
+        self._lines_lost = False
 
     def start(self, step: int) -> None:
         """Open the files; drop lines of metrics.jsonl from after the step that a resumed run starts from.
@@ -105,7 +115,7 @@ class RunLogger:
             try:
                 from torch.utils.tensorboard import SummaryWriter
 
-                self._writer = SummaryWriter(str(self.run.tb), purge_step=step + 1)
+                self._writer = SummaryWriter(str(self.run.tb), purge_step=step + 1, filename_suffix=TENSORBOARD_SUFFIX)
             except ImportError:
                 self.say('TensorBoard files are not written: pip install "thermosplat[tensorboard]" to have them.')
 
@@ -183,12 +193,14 @@ class RunLogger:
 
     def close(self) -> None:
         """Take the live line down and close the files. The logger cannot be used afterwards."""
-        self._report_late()
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
+        with suppress(OSError):  # the output may be what ended the training
+            self._report_late()
+            if self._live is not None:
+                self._live.stop()
+        self._live = None
         if self._writer is not None:
-            self._writer.close()
+            with suppress(OSError):  # a full disk
+                self._writer.close()
             self._writer = None
 
     def _report_late(self) -> None:
@@ -256,13 +268,24 @@ class RunLogger:
         )
 
     def _append(self, entry: dict[str, Any]) -> None:
-        with self.run.metrics_jsonl.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(finite_or_null(entry), allow_nan=False) + "\n")
+        path = self.run.metrics_jsonl
+        try:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(finite_or_null(entry), allow_nan=False) + "\n")
+        except OSError as error:  # a full disk: a line less, which costs no training
+            if not self._lines_lost:
+                self.say(f"Could not write {path}: {error.strerror or error}. Training goes on without its line.")
+            self._lines_lost = True
 
     def _tensorboard_scalars(self, step: int, scalars: dict[str, float]) -> None:
-        if self._writer is not None:
+        if self._writer is None:
+            return
+        try:
             for name, value in scalars.items():
                 self._writer.add_scalar(name, value, step)
+        except OSError as error:  # of its own thread, which has ended
+            self._writer = None
+            self.say(f"TensorBoard files are written no further: {error.strerror or error}.")
 
 
 def _memory_bytes(device: torch.device) -> int:

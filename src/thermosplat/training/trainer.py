@@ -5,7 +5,7 @@
 
 Read :meth:`Trainer.train` for the run and :meth:`Trainer._train_step` for a step; everything they call says what it
 does in its own file. Steps count from 1. The state is always that of a whole number of steps, whatever ends the run:
-Ctrl-C, a full memory or a bad loss.
+Ctrl-C, SIGTERM, a full memory or a bad loss.
 """
 
 import time
@@ -30,11 +30,12 @@ from thermosplat.pair_capacity import PairCapacity
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training.auto_budget import AutoBudget
 from thermosplat.training.captured_steps import CapturedSteps
-from thermosplat.training.checkpoint_writer import CheckpointWriter
+from thermosplat.training.checkpoint_writer import CheckpointWriter, going_on_without, naming_the_newest_checkpoint
 from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.gaussian_ops import become_copy
-from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts, meanwhile
+from thermosplat.training.greeting import greeting
+from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts, meanwhile, stop_signal
 from thermosplat.training.modality_schedule import ModalitySchedule, Span
 from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.random_streams import random_stream
@@ -101,7 +102,7 @@ class Trainer:
             self.device_step.decoding = fast.active
         if on_cuda and config.graph:
             self.captured = CapturedSteps(self.device_step, len(self.frames))
-        self.checkpoints = CheckpointWriter()
+        self.checkpoints = CheckpointWriter(self.logger.say)
         self.lpips: Lpips | None = None
         self._warm = False
 
@@ -143,9 +144,14 @@ class Trainer:
             The content of metrics.json.
 
         Raises:
-            TrainingInterrupted: After Ctrl-C; carries the checkpoint and the command that goes on.
-            UserError: If memory runs out, or a loss or gradient becomes NaN or infinite; says what was saved where.
+            TrainingInterrupted: After Ctrl-C and its like; carries the checkpoint and the command that goes on.
+            UserError: If another process trains there, memory or (at the end) the disk is full, or a loss or gradient
+                becomes NaN or infinite: says what was saved where.
         """
+        with self.run.locked():
+            return self._train()
+
+    def _train(self) -> dict[str, Any]:
         config, state = self.config, self.state
         started = time.perf_counter() - state.seconds.wall
         try:
@@ -159,22 +165,24 @@ class Trainer:
                 state.seconds.wall = time.perf_counter() - started
                 self.checkpoints.look()
                 if state.step < config.max_steps:
-                    with self._saving() if state.step in config.save_steps else nullcontext():
+                    saving = state.step in config.save_steps
+                    with going_on_without(self.logger.say), self._saving() if saving else nullcontext():
                         if state.step in config.eval_steps:
                             self._evaluate()
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
-            # whatever goes wrong in here, what was trained is kept
-            with meanwhile(partial(self.checkpoints.write, *self._checkpoint())), meanwhile(self._exporting()):
-                metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
-            state.seconds.wall = time.perf_counter() - started
-            write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
-            return self._finish(metrics)
-        except KeyboardInterrupt:
-            with deferred_interrupts(redeliver=False):
-                self._stop_if_not_finite()
-                raise TrainingInterrupted(self._save(), self.run.resume_command()) from None
-        except Exception as error:
+            with naming_the_newest_checkpoint(self.run):
+                # whatever goes wrong in here, what was trained is kept
+                with meanwhile(partial(self.checkpoints.write, *self._checkpoint())), meanwhile(self._exporting()):
+                    metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+                state.seconds.wall = time.perf_counter() - started
+                write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
+                return self._finish(metrics)
+        except (KeyboardInterrupt, Exception) as error:
+            if (number := stop_signal(error)) is not None:
+                with deferred_interrupts(redeliver=False):
+                    self._stop_if_not_finite()
+                    raise TrainingInterrupted(self._save(), self.run.resume_command(), number) from None
             if not is_out_of_memory(error):
                 raise
             raise self._out_of_memory() from error
@@ -242,19 +250,10 @@ class Trainer:
 
     def _greet(self, lpips: str) -> None:
         """Say once what is trained on what, and what the capture has to say."""
-        say, step = self.logger.say, self.state.step
-        for note in (*self.capture.notes, *self.noise_notes, lpips):
-            say(note)
-        if self.device.type == "cpu":
-            why = "Training on the CPU" if torch.cuda.is_available() else "No CUDA device: training on the CPU"
-            cores = f"{torch.get_num_threads()} torch threads"
-            advice = "" if self.config.config == "demo" else "; --config demo is made for it"
-            say(f"{why} with Warp ({cores}), many times slower than a GPU{advice}.")
-        say(
-            f"{self.capture.name}: {len(self.frames)} training and {len(self.capture.test)} held-out frames, "
-            f"{self.model.num_gaussians:,} Gaussians{f', from step {step:,}' if step else ''}; "
-            f"results go to {self.run.path}"
-        )
+        counts = {"num_frames": len(self.frames), "num_gaussians": self.model.num_gaussians}
+        about = greeting(self.config, self.capture, self.run, self.device, step=self.state.step, **counts)
+        for line in (*self.capture.notes, *self.noise_notes, lpips, *about):
+            self.logger.say(line)
 
     # ---- evaluation and what is left behind --------------------------------------------------------------------------
 
@@ -287,7 +286,8 @@ class Trainer:
     def _checkpoint(self) -> tuple[Path, dict[str, Any]]:
         """File and content of a checkpoint of the steps done; callers have made sure that the state is finite."""
         state = self.state.checkpoint(self.config, self.sh_degree, self.capture.thermal_scale)
-        state["train_frames"] = [frame.name for frame in self.capture.train]
+        for split in ("train", "test"):
+            state[f"{split}_frames"] = [frame.name for frame in getattr(self.capture, split)]
         return self.run.checkpoint(self.state.step), state
 
     def _saving(self) -> AbstractContextManager[None]:
@@ -296,7 +296,7 @@ class Trainer:
 
     def _save(self) -> Path:
         """Write a checkpoint of the steps done, at once."""
-        with deferred_interrupts():
+        with naming_the_newest_checkpoint(self.run), deferred_interrupts():
             return self.checkpoints.write(*self._checkpoint())
 
     # ---- when it goes wrong ------------------------------------------------------------------------------------------

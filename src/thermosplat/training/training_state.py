@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from thermosplat.checkpoint import damage_explained
 from thermosplat.config import DensificationConfig, OptimizerConfig, TrainConfig
 from thermosplat.config_files import to_dict
 from thermosplat.gaussians import Gaussians
@@ -170,7 +171,14 @@ class TrainingState:
 
         Args:
             checkpoint: What ``checkpoint.load_checkpoint`` read.
+
+        Raises:
+            UserError: It is incomplete.
         """
+        with damage_explained("training state"):
+            self._load(checkpoint)
+
+    def _load(self, checkpoint: dict[str, Any]) -> None:
         training = checkpoint["training"]
         if training["optimizers"] is not None:
             for owner, optimizers in self.optimizers.items():

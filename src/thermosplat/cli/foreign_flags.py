@@ -1,0 +1,49 @@
+"""Flags of gsplat, INRIA's 3DGS and nerfstudio, and what thermosplat-train has in their place (the README's table)."""
+
+from thermosplat.errors import UserError
+
+_COUNTERPARTS = {
+    "--result-dir": "-m --model-path --output-dir",
+    "--data-factor": "-r --resolution --downscale-factor",
+    "--test-every": "--eval --eval-mode",
+    "--max-steps": "--iterations --max-num-iterations",
+    "--sh-degree": "--pipeline.model.sh-degree",
+    "--loss.ssim-lambda": "--ssim-lambda --lambda-dssim --pipeline.model.ssim-lambda",
+    "--eval-steps": "--test-iterations --steps-per-eval-all-images",
+    "--save-steps": "--save-iterations --steps-per-save",
+    "--model.rasterize-mode antialiased": "--antialiased --antialiasing --pipeline.model.rasterize-mode",
+    "--optimizer.means-lr": "--means-lr --position-lr-init --optimizers.means.optimizer.lr",
+    "--densification.start-step": "--strategy.refine-start-iter --densify-from-iter --pipeline.model.warmup-length",
+    "--densification.stop-step": "--strategy.refine-stop-iter --densify-until-iter --pipeline.model.stop-split-at",
+    "--densification.every": "--strategy.refine-every --densification-interval --pipeline.model.refine-every",
+    "--densification.reset-every": (
+        "--strategy.reset-every --opacity-reset-interval --pipeline.model.reset-alpha-every"
+    ),
+    "--densification.grad-threshold": (
+        "--strategy.grow-grad2d --densify-grad-threshold --pipeline.model.densify-grad-thresh"
+    ),
+    "--resume": "--ckpt --start-checkpoint --load-dir",
+}
+_DATA = ("-s", "--source-path", "--data", "--data-dir")
+_OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.split()}
+
+
+def refuse_foreign_flags(argv: list[str]) -> None:
+    """Name our own flag where a command line has another trainer's.
+
+    Args:
+        argv: Arguments without the program's name.
+
+    Raises:
+        UserError: At the first such flag.
+    """
+    for word, following in zip(argv, [*argv[1:], "-"]):
+        given, _, value = word.partition("=")
+        flag = given.replace("_", "-")
+        if flag in _DATA:
+            folder = value or ("FOLDER" if following.startswith("-") else following)
+            raise UserError(
+                f"thermosplat-train has no flag {given}.", f"Give the folder without a flag: thermosplat-train {folder}"
+            )
+        if flag in _OURS:
+            raise UserError(f"thermosplat-train has no flag {given}.", f"The flag here: {_OURS[flag]}")

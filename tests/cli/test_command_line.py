@@ -1,0 +1,81 @@
+"""What all commands understand: --help that reads well, --version, an output that nobody reads, Ctrl-C at the start."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from thermosplat import __version__
+from thermosplat.cli import benchmark, evaluate, export, render, train
+
+COMMANDS = {"train": train, "evaluate": evaluate, "render": render, "export": export, "benchmark": benchmark}
+
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "pycolmap":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+from thermosplat.cli.{command} import main
+code = main(["{folder}"])
+print(code, hasattr(sys.modules.get("pycolmap"), "Reconstruction"))
+"""
+
+
+def in_a_process(script: str, **options: object) -> "subprocess.CompletedProcess[str]":
+    """Run a script with the modules of this process, wherever they come from."""
+    source = Path(__file__).parents[2] / "src"
+    path = os.pathsep.join([str(source), str(source.parent), *filter(None, sys.path)])
+    environment = {**os.environ, "PYTHONPATH": path}
+    return subprocess.run([sys.executable, "-c", script], env=environment, text=True, **options)  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_version(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """--version says it and ends with code 0, whatever else is asked."""
+    assert COMMANDS[command].main(["--version"]) == 0
+    assert capsys.readouterr().out == f"thermosplat {__version__}\n"
+
+
+@pytest.mark.parametrize("command", ["train", "benchmark"])
+def test_help_has_the_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each on its own line, as the docstring has them."""
+    assert COMMANDS[command].main(["--help"]) == 0
+    printed = capsys.readouterr().out
+    assert "Examples:\n" in printed
+    assert len(re.findall(rf"^  thermosplat-{command} ", printed, re.MULTILINE)) == 4
+
+
+def test_help_wraps_at_the_edge_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    """Where a description's line ends in the source cannot be seen."""
+    assert train.main(["--help"]) == 0
+    printed = capsys.readouterr().out
+    lines = " ".join(re.sub("[│╭╮╰╯─]", " ", printed).split())
+    assert "Other schedules (densification, SH degree) are not rescaled when this changes, as in gsplat." in lines
+    assert not re.search("not rescaled when *│\n", printed)
+
+
+def test_help_that_nobody_reads() -> None:
+    """``--help | head`` ends without a word on stderr."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    script = "import sys; from thermosplat.cli.train import main; sys.exit(main(['--help']))"
+    done = in_a_process(script, stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert done.stderr == ""
+    assert done.returncode in (0, 141)
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate", "render", "export"])
+def test_ctrl_c_waits_for_imports(command: str, tmp_path: Path) -> None:
+    """C++ would report it as a broken installation; so the import is completed first, and then the command ends."""
+    script = INTERRUPTED_IMPORT.format(command=command, folder="sample" if command == "train" else tmp_path)
+    done = in_a_process(script, capture_output=True, cwd=tmp_path)
+    assert done.stdout.split("\n")[-2] == "130 True", done.stderr
+    assert "Traceback" not in done.stderr

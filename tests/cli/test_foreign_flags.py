@@ -1,0 +1,53 @@
+"""Who comes from another trainer is told the flag here."""
+
+from pathlib import Path
+
+import pytest
+
+from thermosplat.cli.arguments import parse_train_arguments
+from thermosplat.cli.foreign_flags import refuse_foreign_flags
+from thermosplat.errors import UserError
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["--data", "data/shed"], "thermosplat-train data/shed"),
+        (["-s", "data/shed"], "thermosplat-train data/shed"),
+        (["--data_dir=data/shed"], "thermosplat-train data/shed"),
+        (["--source-path"], "thermosplat-train FOLDER"),
+        (["data/shed", "--iterations", "3"], "--max-steps"),
+        (["data/shed", "--max-num-iterations", "3"], "--max-steps"),
+        (["data/shed", "-m", "out"], "--result-dir"),
+        (["data/shed", "--lambda_dssim", "0.2"], "--loss.ssim-lambda"),
+        (["data/shed", "--antialiasing"], "--model.rasterize-mode antialiased"),
+    ],
+)
+def test_flags_of_other_trainers(words: list[str], hint: str) -> None:
+    """The message names the flag that was given, the hint ours."""
+    given = next(word for word in words if word.startswith("-")).partition("=")[0]
+    with pytest.raises(UserError, match=f"has no flag {given}") as caught:
+        parse_train_arguments(words)
+    assert hint in caught.value.hint
+
+
+def test_every_flag_of_the_readmes_table_has_a_hint() -> None:
+    """What the table calls otherwise than thermosplat-train does is known, and led to what the table says."""
+    rows = [line.split("|")[1:-1] for line in README.read_text().splitlines() if line.startswith("| `-")]
+    assert len(rows) > 10
+    for row in rows:
+        ours = [word.replace("DATA", "thermosplat-train x") for word in row[-1].split("`")[1::2]]
+        for cell in row[:-1]:
+            for flag in (part.split("`")[0] for part in cell.split("`")[1::2]):
+                if flag.replace("_", "-") in row[-1] or flag == "--eval-mode interval":
+                    continue
+                with pytest.raises(UserError) as caught:
+                    refuse_foreign_flags([flag, "x"])
+                assert any(word in caught.value.hint for word in ours), flag
+
+
+def test_our_own_flags_pass() -> None:
+    """Also those that another trainer has by the same name."""
+    refuse_foreign_flags(["data/shed", "--max-steps", "3", "--sh_degree", "2", "--test-every", "8", "--resume", "x"])

@@ -1,0 +1,153 @@
+"""thermosplat-eval, -render and -export on runs on the sample capture; every mistake ends with code 2."""
+
+import json
+import shutil
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from sample_runs import QUICK, STEPS, Run
+
+from thermosplat.cli import evaluate, export, render, train
+
+
+@pytest.mark.parametrize("main", [evaluate.main, render.main, export.main])
+def test_mistakes_in_the_siblings(run: Run, main: Callable[[list[str]], int], finished: Path, tmp_path: Path) -> None:
+    """No run, no such checkpoint, a damaged checkpoint: one message each, with the steps there are."""
+    code, printed = run(main, tmp_path / "nothing")
+    assert code == 2
+    assert "No training run" in printed
+    code, printed = run(main, finished, "--step", 77)
+    assert code == 2
+    assert f"no checkpoint of step 77. It has: --step {STEPS}." in printed
+    (tmp_path / "broken" / "ckpts").mkdir(parents=True)
+    (tmp_path / "broken" / "ckpts" / "step_000009.pt").write_bytes(b"half a checkpo")
+    code, printed = run(main, tmp_path / "broken")
+    assert code == 2
+    assert "is damaged" in printed
+
+
+def test_eval_agrees_with_training(run: Run, finished: Path) -> None:
+    """thermosplat-eval prints and writes the numbers that training ended with, and pictures of these frames alone."""
+    stale = finished / "renders" / f"eval_{STEPS:06d}" / "desk_9999.png"
+    stale.parent.mkdir(exist_ok=True)
+    stale.write_bytes(b"x")
+    code, printed = run(evaluate.main, finished, "--device", "cpu")
+    assert code == 0
+    assert not stale.exists()
+    written = json.loads((finished / "stats" / f"eval_{STEPS:06d}.json").read_text())
+    assert written["data"] == "sample"
+    trained = json.loads((finished / "metrics.json").read_text())
+    for modality in ("rgb", "thermal"):
+        assert written[modality]["psnr"] == pytest.approx(trained[modality]["psnr"], rel=1e-6)
+        assert f"{trained[modality]['psnr']:.2f}" in printed
+    assert "PSNR [dB]" in printed
+    assert list((finished / "renders" / f"eval_{STEPS:06d}").glob("*.png"))
+
+
+def test_regions_of_a_capture_with_ground_truth(run: Run, finished: Path, tmp_path: Path) -> None:
+    """Training leaves regions.json, thermosplat-eval makes it again and prints it; other captures have no such file."""
+    assert not (finished / "regions.json").exists()
+    capture, folder = tmp_path / "with_truth", tmp_path / "run"
+    shutil.copytree(str(files("thermosplat") / "sample"), capture)
+    (capture / "ground_truth").mkdir()
+    depth, label = np.full((150, 200), 2.0, np.float32), np.zeros((150, 200), np.uint8)
+    label[:, 100:] = 1
+    for image in (capture / "rgb").rglob("*.jpg"):
+        np.savez(capture / "ground_truth" / image.stem, depth_rgb=depth, depth_thermal=depth, label=label)
+    assert run(train.main, capture, *QUICK, "--max-steps", 2, "--result-dir", folder)[0] == 0
+    trained = json.loads((folder / "regions.json").read_text())
+    assert trained["steps"] == 2
+    assert list(trained["regions"]) == ["all", "glass", "unlabelled"]
+    (folder / "regions.json").unlink()
+    code, printed = run(evaluate.main, folder, "--device", "cpu")
+    assert code == 0
+    assert "glass" in printed
+    again = json.loads((folder / "regions.json").read_text())
+    for region, numbers in trained["regions"].items():
+        for modality in ("rgb", "thermal"):
+            known = {name: number for name, number in numbers[modality].items() if number is not None}
+            found = {name: number for name, number in again["regions"][region][modality].items() if number is not None}
+            assert found == pytest.approx(known, rel=1e-5)
+
+
+def test_another_capture_is_noticed(run: Run, finished: Path, tmp_path: Path) -> None:
+    """A run does not go on with a capture that lacks one of its training frames, and evaluating there says so."""
+    other = tmp_path / "other"
+    shutil.copytree(str(files("thermosplat") / "sample"), other)
+    for folder in ("rgb", "thermal"):
+        min((other / folder / "train").iterdir()).unlink()
+    for folder in ("rgb", "thermal"):
+        min((other / folder / "test").iterdir()).unlink()
+    before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
+    code, printed = run(train.main, other, "--resume", finished, "--max-steps", STEPS + 1)
+    assert code == 2
+    assert "cannot go on with another capture" in printed
+    code, printed = run(evaluate.main, finished, "--data", other, "--device", "cpu")
+    assert code == 0
+    assert f"Is this the capture of {finished}?" in printed
+    name = f"{STEPS:06d}_other"
+    assert json.loads((finished / "stats" / f"eval_{name}.json").read_text())["data"] == str(other)
+    assert list((finished / "renders" / f"eval_{name}").glob("*.png"))
+    code, printed = run(render.main, finished, "--data", other, "--device", "cpu", "--frames", 2)
+    assert code == 0
+    assert f"Is this the capture of {finished}?" in printed
+    assert (finished / "videos" / f"interp_both_{name}.mp4").is_file()
+    assert {path: path.read_bytes() for path in before} == before  # its own results are as they were
+    assert "Is this the capture" not in run(evaluate.main, finished, "--device", "cpu")[1]
+
+
+def test_capture_with_other_held_out_frames_is_another(run: Run, finished: Path, tmp_path: Path) -> None:
+    """Also where the training frames are the same: its numbers are not the run's."""
+    other = tmp_path / "fewer"
+    shutil.copytree(str(files("thermosplat") / "sample"), other)
+    for folder in ("rgb", "thermal"):
+        min((other / folder / "test").iterdir()).unlink()
+    code, printed = run(evaluate.main, finished, "--data", other, "--device", "cpu")
+    assert code == 0
+    assert "other held-out frames" in printed
+    assert (finished / "stats" / f"eval_{STEPS:06d}_fewer.csv").is_file()
+
+
+@pytest.mark.parametrize("words", [["--frames", "0"], ["--fps", "0"], ["--path", "zigzag"], ["--modality", "sound"]])
+def test_mistakes_in_render(run: Run, finished: Path, words: list[str]) -> None:
+    """Impossible values of thermosplat-render's flags are refused by name."""
+    code, printed = run(render.main, finished, *words)
+    assert code == 2
+    assert words[0] in printed
+
+
+def test_render_along_a_path(run: Run, finished: Path) -> None:
+    """Both spectra side by side as a video, one alone as PNGs."""
+    assert run(render.main, finished, "--frames", 3, "--device", "cpu")[0] == 0
+    video = cv2.VideoCapture(str(finished / "videos" / f"interp_both_{STEPS:06d}.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
+    code, printed = run(
+        render.main, finished, "--path", "ellipse", "--frames", 2, "--modality", "rgb", "--format", "png"
+    )
+    assert code == 0
+    folder = finished / "videos" / f"ellipse_rgb_{STEPS:06d}"
+    assert str(folder) in printed
+    images = [cv2.imread(str(path)) for path in sorted(folder.iterdir())]
+    assert len(images) == 2
+    assert images[0].shape[1] * 2 == pytest.approx(video.get(cv2.CAP_PROP_FRAME_WIDTH), abs=1)
+    assert not np.array_equal(images[0], images[1])
+    assert run(render.main, finished, "--path", "test", "--modality", "rgb", "--format", "png")[0] == 0
+    named = {path.name for path in (finished / "videos" / f"test_rgb_{STEPS:06d}").iterdir()}
+    assert named == {path.name for path in (finished / "renders").glob("*.png")}
+
+
+def test_export_elsewhere(run: Run, finished: Path, tmp_path: Path) -> None:
+    """thermosplat-export writes the asked-for spectrum into the asked-for folder, the same as training did."""
+    code, printed = run(export.main, finished, "--modality", "thermal", "--output", tmp_path / "out")
+    assert code == 0
+    assert "Gaussians" in printed
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["splat_thermal.ply"]
+    original = finished / "ply" / "splat_thermal.ply"
+    assert (tmp_path / "out" / "splat_thermal.ply").read_bytes() == original.read_bytes()
+    assert run(export.main, finished, "--modality", "thermal", "--output", tmp_path / "small", "--compact")[0] == 0
+    small = tmp_path / "small" / "splat_thermal.ply"
+    assert small.stat().st_size < 0.35 * original.stat().st_size  # 17 of 62 properties

@@ -1,0 +1,60 @@
+"""A training in a process of its own, stopped from outside: nothing is lost, and it says how to go on."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[2] / "src"
+
+
+def _terminate(process: "subprocess.Popen[str]") -> None:
+    process.send_signal(signal.SIGTERM)
+
+
+def _hang_up(process: "subprocess.Popen[str]") -> None:
+    process.send_signal(signal.SIGHUP)
+
+
+def _stop_reading(process: "subprocess.Popen[str]") -> None:
+    assert process.stdout is not None
+    process.stdout.close()
+
+
+@pytest.mark.parametrize(
+    ("stop", "code"), [(_terminate, 143), (_hang_up, 129), (_stop_reading, 141)], ids=["SIGTERM", "SIGHUP", "head"]
+)
+def test_stopped_training_is_saved(tmp_path: Path, stop: Callable[["subprocess.Popen[str]"], None], code: int) -> None:
+    """A checkpoint, a sentence with the command that goes on, the shell's code; no stack of pycolmap's."""
+    run = tmp_path / "run"
+    words = "sample --data-factor 4 --device cpu --no-tensorboard --log-every 1 --max-steps 10000 --result-dir"
+    path = os.pathsep.join([str(SOURCE), str(SOURCE.parent), os.environ.get("PYTHONPATH", "")])
+    with subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from thermosplat.cli.train import main; sys.exit(main())",
+            *words.split(),
+            run,
+        ],
+        stdout=subprocess.PIPE,
+        stderr=(tmp_path / "stderr").open("w"),
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+    ) as process:
+        assert process.stdout is not None
+        next(line for line in process.stdout if line.startswith("step 3"))
+        stop(process)
+        said = "" if process.stdout.closed else process.stdout.read()
+    said += (tmp_path / "stderr").read_text()
+    assert process.returncode == code, said
+    (checkpoint,) = (run / "ckpts").iterdir()
+    assert f"saved {checkpoint}" in said
+    assert f"thermosplat-train --resume {run}" in said
+    assert "Traceback" not in said
+    assert "***" not in said  # as glog begins its stacks
+    assert "Broken" not in said
