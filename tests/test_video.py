@@ -29,7 +29,7 @@ def test_video_has_every_image_in_order(encoder: str, tmp_path: Path, monkeypatc
     """Each encoder writes all images, in RGB order, and drops a last odd row and column."""
     if encoder == "_h264":
         pytest.importorskip(
-            "imageio_ffmpeg", reason='imageio-ffmpeg is not installed (pip install "thermosplat[video]")'
+            "imageio_ffmpeg", reason='imageio-ffmpeg is not installed (pip install ".[video]")'
         )
     monkeypatch.setattr(video, "_encoder", getattr(video, encoder))
     path = write_images(iter(plain_images(49, 65)), tmp_path / "videos" / "path", format="mp4", fps=5)

@@ -70,7 +70,7 @@ def test_separate_sets_export_their_own_harmonics() -> None:
 
 def test_files_state_what_thermal_colors_mean(tmp_path: Path) -> None:
     """Both files are written; the thermal header has the palette and the temperatures of its ends."""
-    plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install "thermosplat[test]")')
+    plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install ".[test]")')
     capture = toy_capture(thermal_kind="scalar")
     model = toy_model(toy_config(), capture)
     written = export_scene(model, tmp_path / "ply", thermal_scale=capture.thermal_scale)

@@ -8,7 +8,7 @@ import torch
 
 from thermosplat.export.ply import Splats, write_splats
 
-plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install "thermosplat[test]")')
+plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install ".[test]")')
 
 INRIA_ORDER = (
     ["x", "y", "z", "nx", "ny", "nz"]

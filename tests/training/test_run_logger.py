@@ -214,7 +214,7 @@ def test_missing_tensorboard_is_a_hint(tmp_path: Path, monkeypatch: pytest.Monke
     logger, output = _logger(tmp_path, tensorboard=True)
     logger.start(0)
     logger.step(_record(5))
-    assert 'pip install "thermosplat[tensorboard]"' in output.getvalue()
+    assert 'pip install ".[tensorboard]"' in output.getvalue()
     assert _entries(tmp_path)[0]["step"] == 5
 
 

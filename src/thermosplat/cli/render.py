@@ -21,7 +21,7 @@ class RenderArguments(RunOnCaptureArguments):
     modality: Literal["rgb", "thermal", "both"] | None = None
     """Which spectrum. None: both side by side, or the one that was trained."""
     format: Literal["mp4", "png"] = "mp4"
-    """A video (H.264 with the extra "video" installed: pip install "thermosplat[video]"), or a folder of PNGs, named
+    """A video (H.264 with the extra "video" installed: pip install ".[video]"), or a folder of PNGs, named
     by the frames on the train and test paths and numbered on the others."""
     frames: int = 120
     """Images along the path; the train and test paths have one for each view."""

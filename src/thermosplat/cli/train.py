@@ -2,7 +2,7 @@
 
 thermosplat-train sample                  the capture that comes with the package, minutes on two CPU cores
 thermosplat-train data/shed               a capture of one's own
-thermosplat-train --resume results/shed   go on after an interruption
+thermosplat-train --resume results/shed/thermosplat   go on after an interruption
 """
 
 import shlex
