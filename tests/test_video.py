@@ -28,9 +28,7 @@ def frames_of(path: Path) -> list[np.ndarray]:
 def test_video_has_every_image_in_order(encoder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each encoder writes all images, in RGB order, and drops a last odd row and column."""
     if encoder == "_h264":
-        pytest.importorskip(
-            "imageio_ffmpeg", reason='imageio-ffmpeg is not installed (pip install ".[video]")'
-        )
+        pytest.importorskip("imageio_ffmpeg", reason='imageio-ffmpeg is not installed (pip install ".[video]")')
     monkeypatch.setattr(video, "_encoder", getattr(video, encoder))
     path = write_images(iter(plain_images(49, 65)), tmp_path / "videos" / "path", format="mp4", fps=5)
     assert path == tmp_path / "videos" / "path.mp4"

@@ -31,7 +31,7 @@ class TrainArguments(TrainConfig):
       thermosplat-train sample
       thermosplat-train data/shed --data-factor 2 --result-dir results/shed
       thermosplat-train data/shed --config 3dgs --max-steps 7000
-      thermosplat-train --resume results/shed/thermosplat
+      thermosplat-train --resume results/shed
     """
 
     data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")] = ""

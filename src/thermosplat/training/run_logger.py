@@ -117,7 +117,7 @@ class RunLogger:
 
                 self._writer = SummaryWriter(str(self.run.tb), purge_step=step + 1, filename_suffix=TENSORBOARD_SUFFIX)
             except ImportError:
-                self.say('TensorBoard files are not written: pip install ".[tensorboard]" in the repository to have them.')
+                self.say('TensorBoard files are not written: pip install ".[tensorboard]" in the repository for them.')
 
     def say(self, message: str) -> None:
         """Print one line above the live line."""
