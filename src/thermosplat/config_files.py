@@ -128,3 +128,12 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise UserError(f"{path} must hold keys and values, found a {type(values).__name__}.")
     return {str(key): value for key, value in values.items()}
+
+
+def data_from_anywhere(data: str) -> str:
+    """What names a capture (``TrainConfig.data``) as a run keeps it: a path that holds from any directory.
+
+    Args:
+        data: A folder, or "sample".
+    """
+    return data if data == "sample" else str(Path(data).resolve())

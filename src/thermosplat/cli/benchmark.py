@@ -3,15 +3,13 @@
 thermosplat-benchmark data/Dimsum data/Truck --methods baselines thermosplat ablations --out results/matrix
 """
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from thermosplat.cli.command_line import parse_command_line
-from thermosplat.cli.errors import run_command
+from thermosplat.cli.program import run_program
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
 from thermosplat.method_matrix.overrides import parse_overrides
@@ -81,12 +79,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code: 0, 2 for a mistake of the user's or a cell that failed, 130 after Ctrl-C.
     """
-    words = sys.argv[1:] if argv is None else argv
-
-    def body() -> int:
-        return _benchmark(parse_command_line(BenchmarkArguments, words, prog="thermosplat-benchmark"))
-
-    return run_command(body, debug="--debug" in words)
+    return run_program(BenchmarkArguments, _benchmark, argv, prog="thermosplat-benchmark")
 
 
 def _benchmark(arguments: BenchmarkArguments) -> int:

@@ -1,14 +1,12 @@
 """thermosplat-eval: a trained run against its held-out views."""
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thermosplat.cli.command_line import parse_command_line
-from thermosplat.cli.errors import run_command
 from thermosplat.cli.host_settings import importing
+from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
+from thermosplat.config_files import data_from_anywhere
 
 if TYPE_CHECKING:
     from thermosplat.cli.loaded_run import LoadedRun
@@ -39,12 +37,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    words = sys.argv[1:] if argv is None else argv
-
-    def body() -> int:
-        return _evaluate(parse_command_line(EvalArguments, words, prog="thermosplat-eval"))
-
-    return run_command(body, debug="--debug" in words)
+    return run_program(EvalArguments, _evaluate, argv, prog="thermosplat-eval")
 
 
 def _evaluate(arguments: EvalArguments) -> int:
@@ -81,9 +74,8 @@ def _evaluate(arguments: EvalArguments) -> int:
         if earlier.name not in shown:  # of frames that were held out at another time
             earlier.unlink()
     numbers = run.stats / f"eval_{name}.json"
-    data = arguments.data or loaded.config.data
-    where = data if data == "sample" else str(Path(data).resolve())
-    run.write_json(numbers, {**metrics, "steps": loaded.step, "data": where})
+    data = data_from_anywhere(arguments.data or loaded.config.data)
+    run.write_json(numbers, {**metrics, "steps": loaded.step, "data": data})
     _print_metrics(console, loaded, metrics)
     by_region = run.regions_json if loaded.is_own(capture) else run.stats / f"regions_{name}.json"
     regions = write_regions(run, loaded.model, capture, loaded.step, loaded.sh_degree, loaded.device, path=by_region)

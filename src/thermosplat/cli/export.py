@@ -1,13 +1,11 @@
 """thermosplat-export: a trained run as PLY files for third-party viewers."""
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from thermosplat.cli.command_line import parse_command_line
-from thermosplat.cli.errors import run_command
 from thermosplat.cli.host_settings import importing
+from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunArguments
 
 
@@ -33,12 +31,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    words = sys.argv[1:] if argv is None else argv
-
-    def body() -> int:
-        return _export(parse_command_line(ExportArguments, words, prog="thermosplat-export"))
-
-    return run_command(body, debug="--debug" in words)
+    return run_program(ExportArguments, _export, argv, prog="thermosplat-export")
 
 
 def _export(arguments: ExportArguments) -> int:

@@ -4,9 +4,8 @@ import sys
 from dataclasses import dataclass
 from typing import Literal
 
-from thermosplat.cli.command_line import parse_command_line
-from thermosplat.cli.errors import run_command
 from thermosplat.cli.host_settings import importing
+from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.errors import UserError
 
@@ -38,12 +37,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    words = sys.argv[1:] if argv is None else argv
-
-    def body() -> int:
-        return _render(parse_command_line(RenderArguments, words, prog="thermosplat-render"))
-
-    return run_command(body, debug="--debug" in words)
+    return run_program(RenderArguments, _render, argv, prog="thermosplat-render")
 
 
 def _render(arguments: RenderArguments) -> int:

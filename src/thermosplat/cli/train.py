@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import print_last, run_command
 from thermosplat.cli.host_settings import importing, prepare_host, without_garbage_collection
+from thermosplat.config_files import data_from_anywhere
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def _new_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type[
     from thermosplat.run_directory import RunDirectory
 
     folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
-    config = replace(_from_anywhere(config), result_dir=folder, overwrite=False)
+    config = replace(config, data=data_from_anywhere(config.data), result_dir=folder, overwrite=False)
     return trainer_class(config, capture, RunDirectory(folder))
 
 
@@ -108,12 +109,7 @@ def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: t
     from thermosplat.run_directory import RunDirectory
 
     run = RunDirectory.open(str(config.resume))
-    return trainer_class.resume(replace(_from_anywhere(config), resume=None), capture, run)
-
-
-def _from_anywhere(config: "TrainConfig") -> "TrainConfig":
-    """The configuration as a run keeps it: with a path to the capture that holds from any directory."""
-    return config if config.data == "sample" else replace(config, data=str(Path(config.data).resolve()))
+    return trainer_class.resume(replace(config, data=data_from_anywhere(config.data), resume=None), capture, run)
 
 
 def _say_where(trainer: "Trainer") -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from thermosplat.config import TrainConfig
-from thermosplat.config_files import load_config, preset_paths, to_dict
+from thermosplat.config_files import data_from_anywhere, load_config, preset_paths, to_dict
 from thermosplat.errors import UserError
 
 REFERENCE_STEPS = 30_000
@@ -63,7 +63,7 @@ def parse_scenes(words: Iterable[str]) -> list[Scene]:
         name, _, data = ("", "", word) if Path(word).expanduser().is_dir() else word.rpartition("=")
         if data != "sample" and not Path(data).expanduser().is_dir():
             raise UserError(f"There is no capture folder {data}.", "Give folders, or NAME=FOLDER.")
-        data = data if data == "sample" else str(Path(data).expanduser().resolve())
+        data = data_from_anywhere(str(Path(data).expanduser()))
         scenes.append(Scene(name or Path(data).name, data))
     names = [scene.name for scene in scenes]
     for name in names:

@@ -26,13 +26,11 @@ def opacities_restored(gaussians: nn.Module) -> Iterator[None]:
     Args:
         gaussians: The Gaussians.
     """
-    saved = [(value, value.detach().clone()) for name, value in gaussians.named_parameters() if "opacit" in name]
+    saved = _copies(value for name, value in gaussians.named_parameters() if "opacit" in name)
     try:
         yield
     finally:
-        with torch.no_grad():
-            for value, before in saved:
-                value.copy_(before)
+        _put_back(saved)
 
 
 @contextmanager
@@ -42,14 +40,23 @@ def kept_on_failure(parameters: Iterable[Tensor]) -> Iterator[None]:
     Args:
         parameters: What to keep.
     """
-    saved = [(value, value.detach().clone()) for value in parameters]
+    saved = _copies(parameters)
     try:
         yield
     except BaseException:  # Ctrl-C too
-        with torch.no_grad():
-            for value, before in saved:
-                value.copy_(before)
+        _put_back(saved)
         raise
+
+
+def _copies(parameters: Iterable[Tensor]) -> list[tuple[Tensor, Tensor]]:
+    """Parameters, each with a copy of what it holds."""
+    return [(value, value.detach().clone()) for value in parameters]
+
+
+@torch.no_grad()
+def _put_back(saved: list[tuple[Tensor, Tensor]]) -> None:
+    for value, before in saved:
+        value.copy_(before)
 
 
 @torch.no_grad()

@@ -1,0 +1,23 @@
+"""From a command line to an exit code."""
+
+import sys
+from collections.abc import Callable
+
+from thermosplat.cli.command_line import Arguments, parse_command_line
+from thermosplat.cli.errors import run_command
+
+
+def run_program(kind: type[Arguments], body: Callable[[Arguments], int], argv: list[str] | None, *, prog: str) -> int:
+    """Understand a command line and do what it says.
+
+    Args:
+        kind: As of ``parse_command_line``, with a flag ``debug``.
+        body: What the program does; returns the exit code.
+        argv: Arguments without the program's name. None: the process's.
+        prog: The program's name.
+
+    Returns:
+        The exit code, as ``run_command`` has it.
+    """
+    words = sys.argv[1:] if argv is None else argv
+    return run_command(lambda: body(parse_command_line(kind, words, prog=prog)), debug="--debug" in words)
