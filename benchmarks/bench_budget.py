@@ -4,8 +4,8 @@
         [--budgets 0.01 0.05 0.25 1.0] [--prune-by weights] [--time-limit 600] [--out results/budget] [--runs FOLDER...]
 
 Trains each DATA once with its number of Gaussians fixed (or takes a finished run), then for every budget removes the
-Gaussians that matter least to the training views, fine-tunes what is left, drops thermal offsets and spherical
-harmonics and rounds parameters as ``--budget auto`` does, and evaluates the held-out views. The budget 1.0 is
+Gaussians that matter least to the training views, fine-tunes what is left, drops thermal offsets, latent channels and
+spherical harmonics and rounds parameters as ``--budget auto`` does, and evaluates the held-out views. The budget 1.0 is
 fine-tuned as long and keeps everything as float32: what the others are compared with. Writes budget.json, budget.md
 and, where matplotlib is installed, budget.png. The same command goes on after an interruption: what budget.json holds
 is not measured again.
@@ -83,6 +83,7 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
             {name: least(values, round((1.0 - budget) * len(values))) for name, values in scores.items()}
         )
         trainer.budget.drop_offsets(trainer.sh_degree)
+        trainer.budget.reduce_features(trainer.sh_degree)
     metrics = trainer.train()
     for path in trainer.run.ckpts.glob("*.pt"):
         path.unlink()
@@ -95,6 +96,7 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
         "thermal_psnr": (metrics["thermal"] or {}).get("psnr"),
         "ms": 1000.0 / rate,
         "thermal_offsets_kept": metrics["thermal_offsets_kept"],
+        "feature_channels": metrics["feature_channels"],
     }
 
 

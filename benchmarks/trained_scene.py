@@ -53,7 +53,7 @@ def trained_scene(path: Path, data: str | None = None) -> BenchmarkScene:
         sh,
         viewmat,
         K,
-        gaussians.features.detach() if gaussians.has_features else None,
+        gaussians.expanded(gaussians.features).detach() if gaussians.has_features else None,
     )
 
 

@@ -262,17 +262,17 @@ class AutoBudgetConfig:
     offset_change: float = 0.02
     """Largest such change by the thermal opacity offsets that become zero for good at the last pruning; the others
     shrink no further. Open choice: offsets are a hundredth of the model, so little is risked for them."""
+    feature_change: float = 0.01
+    """Largest such change, also of channels that losses see, by the latent channels that go then. Open choice."""
     sh_change: float = 0.01
-    """Largest such change by the spherical harmonics that are dropped at the end, after which nothing is fine-tuned:
-    0.04 dB. Open choice."""
+    """Largest such change by spherical harmonics that go at the end, untuned afterwards: 0.04 dB. Open choice."""
     rounding_change: float = 0.002
     """Largest such change by parameters that are rounded to float16 at the end: 0.01 dB. 0: none are. Open choice."""
     measured_views: int = 12
     """Training views, spread over all, whose change is looked at: a bisection renders them ten times. Open choice."""
     validation_views: int = 2
     """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
-    ends with ``densification.stop_step`` or the first pruning. None are taken where that would be over a tenth: what
-    they would have shown is worth more. Open choice."""
+    ends with ``densification.stop_step`` or the first pruning. None where that would be over a tenth. Open choice."""
     validate_every: int = 250
     """Steps between looks at the validation views."""
     least_gain: float = 0.02

@@ -148,7 +148,7 @@ def see_both(
 
 
 def blended_features(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:
-    """What is blended: features [N, d], and beside them log-depth where its spread is asked for.
+    """What is blended: features [N, d] or their coordinates [N, r], and log-depth where its spread is asked for.
 
     Args:
         gaussians: The set.
@@ -160,10 +160,13 @@ def blended_features(gaussians: Gaussians, view: "ViewTensors", rendering: Rende
     return with_depth_moments(gaussians.features, gaussians.means, view.viewmat)
 
 
-def taken_apart(image: Tensor, alpha: Tensor, rendering: Rendering) -> tuple[Tensor, list[Tensor]]:
+def taken_apart(
+    gaussians: Gaussians, image: Tensor, alpha: Tensor, rendering: Rendering
+) -> tuple[Tensor, list[Tensor]]:
     """What was blended of ``blended_features``.
 
     Args:
+        gaussians: The set.
         image: The image.
         alpha: Its accumulated opacity, [H, W, 1].
         rendering: Whether the spread is asked for.
@@ -172,9 +175,9 @@ def taken_apart(image: Tensor, alpha: Tensor, rendering: Rendering) -> tuple[Ten
         Features [H, W, d], and the spread of depths, a scalar, where it was asked for.
     """
     if rendering.depth_spread_limit is None:
-        return image, []
-    features, spread = features_and_spread(image, alpha, rendering.depth_spread_limit)
-    return features, [spread]
+        return gaussians.expanded(image), []
+    blended, spread = features_and_spread(image, alpha, rendering.depth_spread_limit)
+    return gaussians.expanded(blended), [spread]
 
 
 def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tuple[Tensor, Tensor]:

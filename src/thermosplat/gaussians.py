@@ -35,7 +35,10 @@ class Gaussians(nn.Module):
         logit_opacities: Logits of the visible opacity α, shape [N].
         sh0: Spherical harmonics coefficients of degree 0, shape [N, 1, 3].
         shN: Coefficients of the higher degrees, shape [N, K-1, 3]; [N, 0, 3] for degree 0.
-        features: Latent features f, rendered as they are, shape [N, d]; only where the model decodes features.
+        features: Latent features f, rendered as they are, shape [N, d]; only where the model decodes features. With a
+            basis their coordinates in it, shape [N, r].
+        feature_basis: Orthonormal columns B, shape [d, r]: features are f = B c where Gaussians hold coordinates c of
+            fewer channels, r < d (``training.feature_channels``). None: they hold f itself.
         thermal_sh0: As sh0, for the thermal image; only in a set that two spectra share without features.
         thermal_shN: As shN, for the thermal image; with thermal_sh0.
         thermal_opacity_offsets: Δ_t α, the thermal opacity is sigmoid(logit α + Δ_t α), shape [N]; only in a set that
@@ -43,8 +46,11 @@ class Gaussians(nn.Module):
         logit_thermal_opacities: Logits of α_t in place of offsets, where ``ModelConfig.thermal_opacity`` is "own".
 
     Args:
-        parameters: Initial value of each parameter by its name; the optional ones may be missing.
+        parameters: Initial value of each parameter by its name; the optional ones may be missing. Where there is a
+            basis, it is among them.
     """
+
+    feature_basis: Tensor | None
 
     means: nn.Parameter
     quats: nn.Parameter
@@ -60,8 +66,11 @@ class Gaussians(nn.Module):
 
     def __init__(self, parameters: dict[str, Tensor]) -> None:
         super().__init__()
+        basis = parameters.get("feature_basis")
+        self.register_buffer("feature_basis", None if basis is None else basis.detach().clone())
         for name, value in parameters.items():
-            setattr(self, name, nn.Parameter(value.detach().clone()))
+            if name != "feature_basis":
+                setattr(self, name, nn.Parameter(value.detach().clone()))
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -133,6 +142,10 @@ class Gaussians(nn.Module):
     def has_features(self) -> bool:
         """Whether the Gaussians carry latent features."""
         return "features" in self._parameters
+
+    def expanded(self, coordinates: Tensor) -> Tensor:
+        """Features [..., d] of what Gaussians hold of them, or of what was blended of that, [..., r]."""
+        return coordinates if self.feature_basis is None else coordinates @ self.feature_basis.T
 
     @classmethod
     def from_points(

@@ -98,6 +98,11 @@ class SceneModel(nn.Module):
         return sum(num_bytes(values) for values in [*stored["gaussian_sets"].values(), stored["decoders"] or {}])
 
     @property
+    def feature_channels(self) -> int | None:
+        """Latent channels that are blended; None where there are no features."""
+        return self.gaussians("shared").features.shape[1] if self.decoders is not None else None
+
+    @property
     def offsets_kept(self) -> float | None:
         """Share of the Gaussians with a thermal opacity of their own; None where there are no offsets."""
         offsets = [value for name, value in self.named_parameters() if name.endswith("thermal_opacity_offsets")]
@@ -151,8 +156,8 @@ class SceneModel(nn.Module):
             gaussians = self.gaussians("shared")
             blended = blended_features(gaussians, thermal, how)
             image, alpha, info = see(gaussians, blended, gaussians.thermal_logits, thermal, how)
-            features, spreads = taken_apart(image, alpha, how)
-            decoded = self.decoders.thermal(*self._decoder_inputs(thermal, features))
+            features, spreads = taken_apart(gaussians, image, alpha, how)
+            decoded = self.decoders.thermal(*self.decoder_inputs(thermal, features))
             rendered.thermal, rendered.thermal_alpha = self._covered(decoded, alpha), alpha
             rendered.thermal_features = features
             rendered.depth_spreads += spreads
@@ -189,20 +194,21 @@ class SceneModel(nn.Module):
         output = see_both(gaussians, with_thermal and gaussians.has_two_opacities, blended, view, how)
         # squeeze, not [0], whose gradient would be copied into zeros
         alpha = output.render_alphas.squeeze(0)
-        visible_features, spreads = taken_apart(output.render_features.squeeze(0), alpha, how)
+        visible_features, spreads = taken_apart(gaussians, output.render_features.squeeze(0), alpha, how)
         rendered = RenderedFrame(visible_features=visible_features, rgb_alpha=alpha, depth_spreads=spreads)
         rendered.infos["shared"] = [output.info]
         if with_thermal:
             thermal_alpha, thermal_features = alpha, visible_features  # of one opacity both spectra see the same
             if output.render_thermal_features is not None and output.render_thermal_alphas is not None:
                 thermal_alpha = output.render_thermal_alphas.squeeze(0)
-                thermal_features, spreads = taken_apart(output.render_thermal_features.squeeze(0), thermal_alpha, how)
+                blended_thermal = output.render_thermal_features.squeeze(0)
+                thermal_features, spreads = taken_apart(gaussians, blended_thermal, thermal_alpha, how)
             rendered.thermal_alpha, rendered.thermal_features = thermal_alpha, thermal_features
             rendered.depth_spreads = rendered.depth_spreads + spreads
-            decoded, thermal = decoders.both(*self._decoder_inputs(view, visible_features, thermal_features))
+            decoded, thermal = decoders.both(*self.decoder_inputs(view, visible_features, thermal_features))
             rendered.thermal = self._covered(thermal, thermal_alpha)
         else:
-            decoded = decoders.rgb(*self._decoder_inputs(view, visible_features))
+            decoded = decoders.rgb(*self.decoder_inputs(view, visible_features))
         if self.decoder_config.hybrid_rgb:
             rendered.rgb = self._covered(decoded, alpha, output.render_colors.squeeze(0))
         elif self.decoder_config.covered_only:
@@ -220,7 +226,7 @@ class SceneModel(nn.Module):
         covered = alpha * decoded
         return covered if base is None else base + covered
 
-    def _decoder_inputs(self, view: "ViewTensors", *features: Tensor) -> tuple[Tensor, ...]:
+    def decoder_inputs(self, view: "ViewTensors", *features: Tensor) -> tuple[Tensor, ...]:
         """Rendered features [H, W, d] as the decoders take them: with the viewing directions, where they see those."""
         if not self.decoder_config.view_direction:
             return features

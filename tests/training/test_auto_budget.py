@@ -213,10 +213,49 @@ def test_growth_of_a_set_that_is_trained_later(tmp_path: Path) -> None:
     assert not trainer.state.growing
 
 
+def test_latent_channels_go_with_the_last_pruning(tmp_path: Path) -> None:
+    """As few as the tolerance allows; metrics.json says how many, and the trained model comes back with them."""
+    config = budget_config(20, prune_at=(0.45, 0.9), feature_change=1e9)
+    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
+    advance(trainer, 17)
+    assert trainer.model.feature_channels == 8
+    trainer.train()
+    assert trainer.model.feature_channels == 1
+    assert json.loads(trainer.run.metrics_json.read_text())["feature_channels"] == 1
+    restored = SceneModel.from_checkpoint(load_checkpoint(trainer.run.checkpoint(20)), "cpu")
+    assert restored.num_bytes == trainer.model.num_bytes
+    frame = trainer.frames[0]
+    one, other = (model.render(frame.rgb, frame.thermal, sh_degree=1) for model in (trainer.model, restored))
+    assert torch.equal(one.rgb, other.rgb)
+    assert torch.equal(one.thermal, other.thermal)
+
+
+def test_channels_of_losses_count_as_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where channels are not trained on, or there are none, nothing is made of them."""
+    seen = []
+
+    def note(model: SceneModel, optimizers: object, change: ImageChange, tolerance: float) -> int:
+        seen.append((set(change.supervised), tolerance))
+        return 8
+
+    monkeypatch.setattr("thermosplat.training.auto_budget.reduce_features", note)
+    config, capture = budget_config(feature_change=0.03), many_frames(toy_capture(), FRAMES)
+    for name, loss in {"all": {}, "rgb": {"features_thermal": 0.0}, "none": {"features": 0.0}}.items():
+        changed = dataclasses.replace(config, loss=dataclasses.replace(config.loss, **loss))
+        trainer = toy_trainer(tmp_path / name, changed, capture)
+        assert trainer.budget is not None
+        trainer.budget.reduce_features(1)
+    without = dataclasses.replace(config, model=dataclasses.replace(config.model, feature_dim=0))
+    trainer = toy_trainer(tmp_path / "sh", without, capture)
+    assert trainer.budget is not None
+    trainer.budget.reduce_features(1)
+    assert seen == [({"features_rgb", "features_thermal"}, 0.03), ({"features_rgb"}, 0.03), (set(), 0.03)]
+
+
 @pytest.mark.parametrize("stop", [7, 30])
 def test_resumed_run_is_the_same(tmp_path: Path, stop: int) -> None:
-    """A run that stopped before or after pruning ends as one that did not."""
-    config, capture = budget_config(), many_frames(toy_capture(), FRAMES)
+    """A run that stopped before or after pruning, which leaves one latent channel, ends as one that did not."""
+    config, capture = budget_config(feature_change=1e9), many_frames(toy_capture(), FRAMES)
     whole = toy_trainer(tmp_path / "whole", config, capture)
     advance(whole, 36)
     half = toy_trainer(tmp_path / "half", config, capture)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from toy_run import many_frames, state_tensors, toy_run_config, toy_trainer
 
-from thermosplat.config import DensificationConfig
+from thermosplat.config import AutoBudgetConfig, DensificationConfig
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
 
@@ -132,6 +132,28 @@ def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     assert (gaussians.opacities[:5] > 0.005).all()
     assert ((gaussians.means[:5] - means).norm(dim=-1) > 0.01).all()
     assert trainer.guard.first_bad() is None
+
+
+def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
+    """Steps with other kernels than before are captured once these are loaded, and go on as without graphs."""
+    budget = AutoBudgetConfig(prune_at=(0.5,), prune_change=0.0, feature_change=1e9, measured_views=2)
+    still = DensificationConfig(enabled=False)
+
+    def run(name: str, graph: bool) -> Trainer:
+        config = dataclasses.replace(toy_run_config(max_steps=40), device="cuda", graph=graph, densification=still)
+        config = dataclasses.replace(config, budget="auto", auto_budget=budget)
+        trainer = toy_trainer(tmp_path / name, config, many_frames(toy_capture()))
+        while trainer.step < 40:
+            trainer._train_step()
+        return trainer
+
+    plain, captured = run("plain", False), run("captured", True)
+    assert captured.captured is not None
+    assert captured.captured._graphs
+    assert captured.guard.first_bad() is None
+    assert captured.model.feature_channels == plain.model.feature_channels == 1
+    ours, theirs = captured.model.gaussians("shared"), plain.model.gaussians("shared")
+    torch.testing.assert_close(ours.means, theirs.means, rtol=0.05, atol=5e-3)
 
 
 def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:

@@ -6,7 +6,15 @@ from random_gaussians import random_gaussians, stepped_optimizers
 
 from thermosplat.gaussians import Gaussians
 from thermosplat.training import gaussian_ops
-from thermosplat.training.gaussian_ops import Optimizers, clear_moments, clone, grow, prune, reset_opacities
+from thermosplat.training.gaussian_ops import (
+    Optimizers,
+    clear_moments,
+    clone,
+    grow,
+    in_new_basis,
+    prune,
+    reset_opacities,
+)
 
 
 def _snapshot(gaussians: Gaussians, optimizers: Optimizers) -> dict[str, dict[str, torch.Tensor]]:
@@ -127,6 +135,26 @@ def test_reset_lowers_both_opacities() -> None:
         assert not state["exp_avg"].any()
         assert state["step"] == 1
     assert optimizers["means"].state[gaussians.means]["exp_avg"].any()
+
+
+def test_vectors_in_a_new_basis() -> None:
+    """Coordinates of vectors and of what Adam knows of their gradients; everything else stays what it was."""
+    gaussians = random_gaussians(5)
+    optimizers = stepped_optimizers(gaussians)
+    before, features = _snapshot(gaussians, optimizers), gaussians.features
+    basis = torch.linalg.qr(torch.randn(8, 3, generator=torch.Generator().manual_seed(3)))[0]
+    in_new_basis(gaussians, optimizers, "features", 2.0 * basis, basis)
+    now = _snapshot(gaussians, optimizers)
+    old, new = before.pop("features"), now.pop("features")
+    torch.testing.assert_close(new["value"], 2.0 * old["value"] @ basis)
+    torch.testing.assert_close(new["exp_avg"], old["exp_avg"] @ basis)
+    torch.testing.assert_close(new["exp_avg_sq"], old["exp_avg_sq"] @ basis.square())
+    assert (new["exp_avg_sq"] > 0).all()
+    assert all(torch.equal(now[name][key], before[name][key]) for name in before for key in before[name])
+    assert features not in optimizers["features"].state
+    gaussians.features.grad = torch.full_like(gaussians.features, 10.0)
+    optimizers["features"].step()
+    assert (gaussians.features < new["value"]).all()
 
 
 def test_training_goes_on_after_every_operation() -> None:

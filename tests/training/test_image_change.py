@@ -29,6 +29,32 @@ def test_change_is_measured_against_the_error() -> None:
     assert expected["rgb"] > expected["thermal"] > 0
 
 
+def test_supervised_channels_are_images_too() -> None:
+    """Those asked for are compared with what losses compare them with, although no image shows them."""
+    capture = toy_capture()
+    model, frame = toy_model(toy_config(), capture), toy_frame(capture)
+    assert model.decoders is not None
+    with torch.no_grad():
+        for parameter in model.decoders.parameters():
+            parameter.zero_()
+    images, with_channel = ImageChange(model, [frame], 1), ImageChange(model, [frame], 1, ("features_thermal",))
+    assert with_channel.errors.keys() == {"rgb", "thermal", "features_thermal"}
+
+    def channel() -> torch.Tensor:
+        features = model.render(frame.rgb, frame.thermal, sh_degree=1).thermal_features
+        assert features is not None
+        return features.detach()[..., 3].clamp(0, 1)
+
+    before = channel()
+    with torch.no_grad():
+        model.gaussians("shared").features[:, 3] += 0.1
+    assert frame.thermal is not None
+    error = (before - frame.thermal.intensity).square().mean().item()
+    assert with_channel.errors["features_thermal"] == pytest.approx(error, rel=1e-5)
+    assert images.now() == 0.0
+    assert with_channel.now() == pytest.approx((channel() - before).square().mean().item() / error, rel=1e-4)
+
+
 @pytest.mark.parametrize("tolerance", [0.0, 0.4, 1.0, 7.0])
 def test_most_within(tolerance: float) -> None:
     """The largest number whose change is within; the model is left with it."""

@@ -29,5 +29,6 @@ def test_what_a_run_says_of_itself(tmp_path: Path) -> None:
     assert found["gaussians"] == {"shared": 60}
     assert found["model_bytes"] == state.model.num_bytes > 0
     assert found["thermal_offsets_kept"] == 0.0
+    assert found["feature_channels"] == 8
     assert found["lpips_net"] is None
     assert found["device"].startswith("CPU")

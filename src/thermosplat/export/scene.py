@@ -109,7 +109,7 @@ def modality_splats(model: SceneModel, modality: Modality, thermal_scale: Therma
 
 def _decoder_input(model: SceneModel, gaussians: Gaussians) -> Tensor:
     """Features as the decoders take them; where they also want a viewing direction, none: zero."""
-    features = gaussians.features
+    features = gaussians.expanded(gaussians.features)
     return torch.nn.functional.pad(features, (0, 3)) if model.decoder_config.view_direction else features
 
 

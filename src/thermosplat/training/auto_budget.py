@@ -6,12 +6,13 @@
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
   Nothing is removed while it still grows, which ends with the last share at the latest.
 - Thermal opacity offsets shrink, and at the last removal those that do next to nothing go (offset_shrinkage.py).
+- At the last removal latent channels become as few as are needed (feature_channels.py).
 - At the end spherical harmonics are dropped (sh_bands.py) and parameters rounded (rounding.py) as far as those images
   do not show it, and the checkpoint stores only what is left (packed_parameters.py).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import torch
 from torch import Tensor
@@ -19,6 +20,7 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.metrics import psnr
 from thermosplat.training.contributions import contributions
+from thermosplat.training.feature_channels import reduce_features
 from thermosplat.training.gaussian_ops import kept_on_failure
 from thermosplat.training.image_change import ImageChange
 from thermosplat.training.modality_schedule import ModalitySchedule
@@ -82,6 +84,7 @@ class AutoBudget:
             self._prune(sh_degree)
         if is_last:
             self.drop_offsets(sh_degree)
+            self.reduce_features(sh_degree)
 
     def finish(self, sh_degree: int) -> None:
         """Drop what is not needed once training is over, all of it or nothing; again only after further steps.
@@ -171,14 +174,29 @@ class AutoBudget:
             dropped = idle_offsets(gaussians, effects, change, self.settings.offset_change)
             drop_offsets(gaussians, state.optimizers[name], dropped)
 
-    def images(self, sh_degree: int) -> ImageChange:
-        """Some training images as they are now.
+    def reduce_features(self, sh_degree: int) -> None:
+        """Leave as few latent channels as the training images, and the losses on channels, need.
 
         Args:
             sh_degree: Degree of the spherical harmonics in use.
         """
+        state, loss = self.state, self.config.loss
+        if state.model.decoders is None:
+            return
+        weights = {"features_rgb": loss.features_rgb, "features_thermal": loss.features_thermal}
+        supervised = [name for name, weight in weights.items() if loss.features * weight > 0]
+        change = self.images(sh_degree, supervised)
+        reduce_features(state.model, state.optimizers["shared"], change, self.settings.feature_change)
+
+    def images(self, sh_degree: int, supervised: Collection[str] = ()) -> ImageChange:
+        """Some training images as they are now.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+            supervised: As ``ImageChange``'s.
+        """
         looked_at = _spread(len(self.frames), min(self.settings.measured_views, len(self.frames)))
-        return ImageChange(self.state.model, [self.frames[index] for index in looked_at], sh_degree)
+        return ImageChange(self.state.model, [self.frames[index] for index in looked_at], sh_degree, supervised)
 
     def _prune(self, sh_degree: int) -> None:
         change = self.images(sh_degree)

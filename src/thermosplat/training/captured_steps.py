@@ -87,6 +87,11 @@ class CapturedSteps:
         """Drop what was captured: the tensors it works on are about to change, or have changed."""
         self._graphs.clear()
 
+    def start_over(self) -> None:
+        """Drop what was captured: what the steps do is about to change too, and with it the kernels that do it."""
+        self.forget()
+        self._seen.clear()
+
     def look(self) -> None:
         """See whether all pairs had room; if not, those steps changed nothing, and the next ones get more room."""
         if self._graphs and self.step.capacity.is_short():

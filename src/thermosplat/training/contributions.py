@@ -52,7 +52,8 @@ def _weights_of_both(model: SceneModel, view: ViewTensors, signs: torch.Generato
     """Summed weights at α and at α_t, shape [2, N], by one traversal; deterministic, for they decide who goes."""
     gaussians = model.gaussians("shared")
     # as many channels as training blends, so that its compiled kernels serve
-    colors, features = _ones(gaussians, 3), _ones(gaussians, model.config.feature_dim or 3)
+    blended = gaussians.features.shape[1] if gaussians.has_features else 3
+    colors, features = _ones(gaussians, 3), _ones(gaussians, blended)
     output = rasterization_rgbt(
         gaussians.means.detach(),
         gaussians.quats.detach(),

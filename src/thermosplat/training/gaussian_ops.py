@@ -167,6 +167,30 @@ def become_copy(gaussians: nn.Module, optimizers: Optimizers, source: nn.Module)
 
 
 @torch.no_grad()
+def in_new_basis(gaussians: nn.Module, optimizers: Optimizers, name: str, into: Tensor, basis: Tensor) -> None:
+    """Replace vectors of Gaussians by their coordinates in a basis.
+
+    Adam's means of gradients are turned exactly, their mean squares as if the gradients' numbers were independent.
+
+    Args:
+        gaussians: The Gaussians.
+        optimizers: Their optimizers.
+        name: The parameter, shape [N, d].
+        into: What its rows are multiplied by, shape [d, r].
+        basis: Orthonormal columns, shape [d, r]; coordinates times its transpose are vectors again.
+    """
+    parameter = dict(gaussians.named_parameters())[name]
+    into, basis = into.to(parameter), basis.to(parameter)
+    new = _parameter_like(parameter, parameter.detach() @ into)
+    turned = {"exp_avg": basis, "exp_avg_sq": basis.square()}
+    state = {
+        key: value @ turned[key] if key in turned else value
+        for key, value in optimizers[name].state.get(parameter, {}).items()
+    }
+    _put(gaussians, optimizers, {name: (new, state)})
+
+
+@torch.no_grad()
 def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: float) -> None:
     """Lower every opacity to at most ``max_opacity``, so that only Gaussians the images need come back. 3DGS.
 
@@ -216,9 +240,10 @@ def _parameter_like(parameter: nn.Parameter, values: Tensor) -> nn.Parameter:
 def _put(
     gaussians: nn.Module, optimizers: Optimizers, replacements: dict[str, tuple[nn.Parameter, dict[str, Tensor]]]
 ) -> None:
-    """Replace every parameter and what its optimizer knows of it."""
-    for name, parameter in list(gaussians.named_parameters()):
-        new, state = replacements[name]
+    """Replace parameters and what their optimizers know of them."""
+    parameters = dict(gaussians.named_parameters())
+    for name, (new, state) in replacements.items():
+        parameter = parameters[name]
         setattr(gaussians, name, new)
         optimizers[name].param_groups[0]["params"] = [new]
         optimizers[name].state.pop(parameter, None)

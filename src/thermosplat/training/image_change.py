@@ -6,7 +6,7 @@ x costs 10 log10(1 + x) dB of the images' PSNR: 0.04 dB for 0.01. So what is noi
 spectrum by itself, and nothing needs a threshold in units of its own.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import torch
 from torch import Tensor
@@ -22,23 +22,29 @@ class ImageChange:
         model: The scene.
         frames: The frames to look at; their renders are kept on the device.
         sh_degree: Degree of the spherical harmonics in use.
+        supervised: Further images to look at, which losses compare with the same ones: of "features_rgb" (A_f[:3]) and
+            "features_thermal" (A_ft[3]).
     """
 
-    def __init__(self, model: SceneModel, frames: Sequence[FrameTensors], sh_degree: int) -> None:
+    def __init__(
+        self, model: SceneModel, frames: Sequence[FrameTensors], sh_degree: int, supervised: Collection[str] = ()
+    ) -> None:
         self.model = model
         self.frames = frames
         self.sh_degree = sh_degree
+        self.supervised = supervised
         self._before = [self._images(frame) for frame in frames]
         errors: dict[str, list[Tensor]] = {}
         for frame, images in zip(frames, self._before, strict=True):
-            for modality, view in (("rgb", frame.rgb), ("thermal", frame.thermal)):
-                if modality in images and view is not None and view.image is not None:
-                    errors.setdefault(modality, []).append((images[modality] - view.image).square().mean())
+            for modality, target in _targets(frame).items():
+                if modality in images:
+                    errors.setdefault(modality, []).append((images[modality] - target).square().mean())
         self.errors = {modality: max(_mean(found), 1e-12) for modality, found in errors.items()}
-        """Mean squared error of the images from before, by modality that has ground truth."""
+        """Mean squared error of the images from before, by name of what has ground truth: "rgb", "thermal", and what is
+        supervised beside them."""
 
     def now(self) -> float:
-        """Squared change of the images since then, as a share of their squared error; the larger of both spectra."""
+        """Squared change of the images since then, as a share of their squared error; the largest of all."""
         changes: dict[str, list[Tensor]] = {modality: [] for modality in self.errors}
         for frame, before in zip(self.frames, self._before, strict=True):
             images = self._images(frame)
@@ -52,6 +58,10 @@ class ImageChange:
         """What the model renders of a frame, clamped to [0, 1], by modality."""
         rendered = self.model.render(frame.rgb, frame.thermal, sh_degree=self.sh_degree, aligned=frame.aligned)
         images = {"rgb": rendered.rgb, "thermal": rendered.thermal}
+        if "features_rgb" in self.supervised and rendered.visible_features is not None:
+            images["features_rgb"] = rendered.visible_features[..., :3]
+        if "features_thermal" in self.supervised and rendered.thermal_features is not None:
+            images["features_thermal"] = rendered.thermal_features[..., 3:4]
         return {modality: image.clamp(0.0, 1.0) for modality, image in images.items() if image is not None}
 
 
@@ -77,6 +87,16 @@ def most_within(change: ImageChange, most: int, apply: Callable[[int], None], to
             beyond = middle
     apply(within)
     return within
+
+
+def _targets(frame: FrameTensors) -> dict[str, Tensor]:
+    """What images are compared with, by name."""
+    rgb = frame.rgb.image if frame.rgb is not None else None
+    thermal = frame.thermal.image if frame.thermal is not None else None
+    intensity = frame.thermal.intensity if frame.thermal is not None else None
+    named = {"rgb": rgb, "thermal": thermal, "features_rgb": rgb}
+    named["features_thermal"] = intensity[..., None] if intensity is not None else None
+    return {name: target for name, target in named.items() if target is not None}
 
 
 def _mean(values: list[Tensor]) -> float:

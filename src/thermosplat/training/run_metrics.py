@@ -33,5 +33,6 @@ def run_metrics(
         "gaussians": {name: len(gaussians) for name, gaussians in state.gaussian_sets.items()},
         "lpips_net": lpips.name if lpips is not None else None,
         "model_bytes": model.num_bytes,
+        "feature_channels": model.feature_channels,
         "thermal_offsets_kept": model.offsets_kept,
     }

@@ -1,0 +1,191 @@
+"""Latent channels that training images do not need: found, left out, and not missed."""
+
+import pytest
+import torch
+from random_gaussians import stepped_optimizers
+from torch import Tensor
+
+from thermosplat.config import LossConfig
+from thermosplat.export.scene import modality_splats
+from thermosplat.gaussians import Gaussians
+from thermosplat.losses import compare_frame
+from thermosplat.model import SceneModel
+from thermosplat.packed_parameters import num_bytes, pack, unpack
+from thermosplat.training.feature_channels import principal_directions, reduce_features
+from thermosplat.training.gaussian_ops import Optimizers
+from thermosplat.training.image_change import ImageChange
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
+
+EXACT = 1e-10
+"""Of the toy images' error, which is large: what rounding changes."""
+
+
+def model_of_rank(rank: int, aligned: bool = True, **config: object) -> tuple[SceneModel, Optimizers, ImageChange]:
+    """A toy model whose features of 8 channels lie in a space of ``rank`` dimensions, stepped once, and its images."""
+    capture = toy_capture(aligned=aligned)
+    model = toy_model(toy_config(**config), capture)  # type: ignore[arg-type]
+    optimizers = stepped_optimizers(model.gaussians("shared"))
+    generator = torch.Generator().manual_seed(2)
+    features = model.gaussians("shared").features
+    with torch.no_grad():
+        features.copy_(
+            torch.randn(len(features), rank, generator=generator) @ torch.randn(rank, 8, generator=generator)
+        )
+    return model, optimizers, ImageChange(model, [toy_frame(capture)], 1, ("features_rgb", "features_thermal"))
+
+
+@pytest.mark.parametrize("kept", [1, 3, 5])
+def test_principal_directions_lose_least(kept: int) -> None:
+    """Against random projections of that rank, and those of plain principal components; all directions lose nothing."""
+    generator = torch.Generator().manual_seed(0)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    jacobian, features = normal(40, 6) * normal(6).exp(), normal(50, 6) @ normal(6, 6)
+    answers, moments = jacobian.T @ jacobian, features.T @ features
+
+    def lost(projection: Tensor) -> float:
+        rest = torch.eye(6, dtype=torch.float64) - projection
+        return torch.trace(answers @ rest.T @ moments @ rest).item()
+
+    towards, back = principal_directions(answers, moments)
+    torch.testing.assert_close(towards @ back, torch.eye(6, dtype=torch.float64))
+    least = lost(towards[:, :kept] @ back[:kept])
+    found = torch.linalg.eigvals(answers @ moments).real
+    assert least == pytest.approx(found.sort().values[: 6 - kept].sum().item(), rel=1e-6)
+    plain = torch.linalg.eigh(moments)[1][:, -kept:]
+    assert least < lost(plain @ plain.T)
+    for _ in range(100):
+        columns, rows = normal(6, kept), normal(kept, 6)
+        assert least < lost(columns @ torch.linalg.inv(rows @ columns) @ rows)
+
+
+def test_a_direction_that_nothing_answers_to_goes_first() -> None:
+    """Images that ignore a channel, however large its features are, do not miss it."""
+    answers, moments = torch.diag(torch.tensor([1.0, 0.0, 1.0])), torch.diag(torch.tensor([1.0, 100.0, 2.0]))
+    towards, back = principal_directions(answers, moments)
+    projection = (towards[:, :2] @ back[:2]).float()
+    torch.testing.assert_close(projection, torch.diag(torch.tensor([1.0, 0.0, 1.0])), rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("aligned", [True, False])
+@pytest.mark.parametrize("rank", [4, 6])
+def test_channels_are_found(rank: int, aligned: bool) -> None:
+    """Of features of that rank so many channels are left, in half a basis; images and channels are the same."""
+    model, optimizers, change = model_of_rank(rank, aligned)
+    gaussians, frame = model.gaussians("shared"), change.frames[0]
+    before = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    left = reduce_features(model, optimizers, change, EXACT)
+    assert left == rank == model.feature_channels
+    assert gaussians.features.shape == (60, rank)
+    basis = gaussians.feature_basis
+    assert basis is not None
+    torch.testing.assert_close(basis.T @ basis, torch.eye(rank))
+    after = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    for name in ("rgb", "thermal", "visible_features", "thermal_features"):
+        torch.testing.assert_close(getattr(after, name), getattr(before, name), rtol=1e-4, atol=1e-4)
+    assert change.now() < EXACT
+
+
+def test_fewer_at_a_price() -> None:
+    """A larger tolerance leaves fewer channels, never none, and the images change within it."""
+    found = {}
+    for tolerance in (0.0, 1e-3, 1e-1, 1e9):
+        model, optimizers, change = model_of_rank(8)
+        found[tolerance] = reduce_features(model, optimizers, change, tolerance)
+        assert change.now() <= tolerance
+    assert found[0.0] == 8 >= found[1e-3] >= found[1e-1] > found[1e9] == 1
+    model, optimizers, change = model_of_rank(8)
+    before = [parameter.detach().clone() for parameter in model.parameters()]
+    assert reduce_features(model, optimizers, change, 0.0) == 8
+    assert model.gaussians("shared").feature_basis is None
+    assert all(torch.equal(*pair) for pair in zip(model.parameters(), before, strict=True))
+
+
+def test_reduced_twice() -> None:
+    """What is left is reduced like the features were; the basis is that of both."""
+    model, optimizers, change = model_of_rank(8)
+    gaussians = model.gaussians("shared")
+    first = reduce_features(model, optimizers, change, 0.05)
+    once = ImageChange(model, change.frames, 1, change.supervised)
+    second = reduce_features(model, optimizers, once, 1.0)
+    assert 8 > first > second
+    assert once.now() <= 1.0
+    basis = gaussians.feature_basis
+    assert basis is not None
+    assert basis.shape == (8, second)
+    torch.testing.assert_close(basis.T @ basis, torch.eye(second))
+
+
+def test_supervised_channels_are_kept() -> None:
+    """Channels that no image shows stay where a loss sees them, and go where none does."""
+    left = {}
+    for supervised in ((), ("features_rgb", "features_thermal")):
+        model, optimizers, change = model_of_rank(8)
+        first = model.decoders.shared_encoder[0]  # type: ignore[union-attr,index]
+        with torch.no_grad():
+            first.weight[:, :4] = 0.0  # type: ignore[union-attr,operator,index]
+        change = ImageChange(model, change.frames, 1, supervised)
+        left[supervised] = reduce_features(model, optimizers, change, EXACT)
+    assert left == {(): 4, ("features_rgb", "features_thermal"): 8}
+
+
+def test_training_goes_on_with_what_is_left() -> None:
+    """Coordinates and their moments are stepped; a step in them is a step of the features in the space that is left."""
+    model, optimizers, change = model_of_rank(5)
+    gaussians, frame = model.gaussians("shared"), change.frames[0]
+    reduce_features(model, optimizers, change, EXACT)
+    before = gaussians.features.detach().clone()
+    rendered = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    sum(compare_frame(rendered, frame, LossConfig()).losses.values()).backward()  # type: ignore[union-attr]
+    assert gaussians.features.grad is not None
+    assert gaussians.features.grad.shape == (60, 5)
+    optimizers["features"].step()
+    assert (gaussians.features != before).all()
+    for moment in ("exp_avg", "exp_avg_sq"):
+        assert optimizers["features"].state[gaussians.features][moment].shape == (60, 5)
+
+
+def test_what_is_left_is_stored_and_exported() -> None:
+    """A set comes back with its basis, in fewer bytes; viewers get the same colours."""
+    model, optimizers, change = model_of_rank(4)
+    gaussians = model.gaussians("shared")
+    splats = modality_splats(model, "rgb", None)
+    before = num_bytes(pack(gaussians.state_dict()))
+    reduce_features(model, optimizers, change, EXACT)
+    packed = pack(gaussians.state_dict())
+    assert num_bytes(packed) == before - 4 * (60 * 4 - 8 * 4)
+    restored = Gaussians.from_state_dict(unpack(packed, 3))
+    assert dict(restored.state_dict()).keys() == dict(gaussians.state_dict()).keys()
+    assert all(torch.equal(value, gaussians.state_dict()[name]) for name, value in restored.state_dict().items())
+    torch.testing.assert_close(modality_splats(model, "rgb", None).sh0, splats.sh0, rtol=1e-4, atol=1e-4)
+
+
+def test_decoders_that_see_directions() -> None:
+    """Of MS-Splatting's decoders' inputs features alone are reduced."""
+    decoder = {"branches": "separate", "modulation": False, "view_direction": True}
+    model, optimizers, change = model_of_rank(5, decoder=decoder)
+    assert reduce_features(model, optimizers, change, EXACT) == 5
+    assert change.now() < EXACT
+
+
+def test_interrupted_search_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while it is tried how many channels may go: features and moments are as they were."""
+    model, optimizers, change = model_of_rank(8)
+    gaussians = model.gaussians("shared")
+    before = gaussians.features.detach().clone()
+    looks = []
+
+    def now() -> float:
+        looks.append(0)
+        if len(looks) == 2:
+            raise KeyboardInterrupt
+        return 0.0
+
+    monkeypatch.setattr(change, "now", now)
+    with pytest.raises(KeyboardInterrupt):
+        reduce_features(model, optimizers, change, 0.1)
+    assert torch.equal(gaussians.features, before)
+    assert gaussians.feature_basis is None
+    assert gaussians.features in optimizers["features"].state
