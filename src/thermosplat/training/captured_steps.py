@@ -83,14 +83,15 @@ class CapturedSteps:
         self.step.state.step += 1
         return captured.values
 
-    def forget(self) -> None:
-        """Drop what was captured: the tensors it works on are about to change, or have changed."""
-        self._graphs.clear()
+    def forget(self, *, kernels: bool = False) -> None:
+        """Drop what was captured: the tensors it works on are about to change, or have changed.
 
-    def start_over(self) -> None:
-        """Drop what was captured: what the steps do is about to change too, and with it the kernels that do it."""
-        self.forget()
-        self._seen.clear()
+        Args:
+            kernels: So does what is done with them, and with that the kernels that must be loaded.
+        """
+        self._graphs.clear()
+        if kernels:
+            self._seen.clear()
 
     def look(self) -> None:
         """See whether all pairs had room; if not, those steps changed nothing, and the next ones get more room."""

@@ -215,10 +215,8 @@ class Trainer:
             refining = {n: s for n, s in state.strategies.items() if s.refines_at(step) or s.resets_at(step)}
             pruning = self.budget is not None and self.budget.prunes_at(step)
             replacing = any(strategy.replaces_tensors(state.gaussian_sets[n]) for n, strategy in refining.items())
-            if self.captured is not None and pruning:
-                self.captured.start_over()
-            elif self.captured is not None and replacing:
-                self.captured.forget()
+            if self.captured is not None and (replacing or pruning):
+                self.captured.forget(kernels=pruning)
             for name, strategy in refining.items():
                 random = random_stream(config.seed, "split", step)
                 strategy.refine(state.gaussian_sets[name], state.optimizers[name], step, random)
