@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 from collections.abc import Callable
 from importlib.resources import files
@@ -36,6 +37,20 @@ def test_training_leaves_everything_behind(finished: Path) -> None:
     assert (config.config, config.data, config.max_steps, config.resume) == ("demo", "sample", STEPS, None)
     lines = [json.loads(line) for line in (finished / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines if "loss" in line] == list(range(1, STEPS + 1))
+
+
+def test_size_of_the_model_is_said(run: Run, tmp_path: Path) -> None:
+    """Gaussians and bytes; with a budget also what it has left of latent channels and thermal offsets."""
+    words = ["sample", *QUICK, "--max-steps", 1, "--result-dir"]
+    _, printed = run(train.main, *words, tmp_path / "fixed")
+    metrics = json.loads((tmp_path / "fixed" / "metrics.json").read_text())
+    assert f"Model: {metrics['num_gaussians']:,} Gaussians; {metrics['model_bytes'] / 1e6:.1f} MB." in printed
+    _, printed = run(train.main, *words, tmp_path / "auto", "--budget", "auto")
+    metrics = json.loads((tmp_path / "auto" / "metrics.json").read_text())
+    left = f"{metrics['feature_channels']} of 8 latent channels, {metrics['thermal_offsets_kept']:.0%} of the thermal"
+    assert f"Model: {metrics['num_gaussians']:,} Gaussians, {left} offsets; " in printed
+    _, printed = run(train.main, *words, tmp_path / "3dgs", "--budget", "auto", "--config", "3dgs")
+    assert re.search(r"Model: [\d,]+ Gaussians; [\d.]+ MB\.", printed)
 
 
 @pytest.mark.usefixtures("unharmed")

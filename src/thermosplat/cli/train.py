@@ -10,7 +10,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import print_last, run_command
@@ -56,13 +56,13 @@ def _train(argv: list[str]) -> int:
         with stop_signals(), trainer.run.locked():  # the signals again: pycolmap has been imported
             if config.resume is None:  # last, when nothing in the input can stop the run any more: it may delete here
                 trainer.run.create(trainer.run.path, overwrite=config.overwrite)
-            trainer.train()
+            metrics = trainer.train()
     except TrainingInterrupted as stop:
         print_last(
             f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}"
         )
         return stop.exit_code
-    _say_where(trainer)
+    _say_what_and_where(trainer, metrics)
     return 0
 
 
@@ -112,8 +112,14 @@ def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: t
     return trainer_class.resume(replace(config, data=data_from_anywhere(config.data), resume=None), capture, run)
 
 
-def _say_where(trainer: "Trainer") -> None:
-    """Name what the run left behind."""
+def _say_what_and_where(trainer: "Trainer", metrics: dict[str, Any]) -> None:
+    """How large the model is, with what a budget has left of it, and what the run left behind."""
+    size = [f"{metrics['num_gaussians']:,} Gaussians"]
+    if trainer.budget is not None and metrics["feature_channels"] is not None:
+        size.append(f"{metrics['feature_channels']} of {trainer.config.model.feature_dim} latent channels")
+    if trainer.budget is not None and metrics["thermal_offsets_kept"] is not None:
+        size.append(f"{metrics['thermal_offsets_kept']:.0%} of the thermal offsets")
+    print(f"Model: {', '.join(size)}; {metrics['model_bytes'] / 1e6:.1f} MB.")
     run = trainer.run
     pictures = len(list(run.renders.glob("*.png")))
     print(f"Results in {run.path}:")
