@@ -10,6 +10,8 @@ import torch
 from thermosplat.cli.errors import run_command
 from thermosplat.errors import UserError
 
+pytestmark = pytest.mark.usefixtures("stoppable")
+
 
 def failing(error: BaseException):
     def body() -> int:

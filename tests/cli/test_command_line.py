@@ -11,6 +11,8 @@ import pytest
 from thermosplat import __version__
 from thermosplat.cli import benchmark, evaluate, export, render, train
 
+pytestmark = pytest.mark.usefixtures("stoppable")
+
 COMMANDS = {"train": train, "evaluate": evaluate, "render": render, "export": export, "benchmark": benchmark}
 
 INTERRUPTED_IMPORT = """

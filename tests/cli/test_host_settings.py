@@ -13,6 +13,8 @@ import pytest
 
 from thermosplat.cli.host_settings import importing, without_garbage_collection
 
+pytestmark = pytest.mark.usefixtures("stoppable")
+
 ROUNDS = """
 import os, resource
 import numpy as np

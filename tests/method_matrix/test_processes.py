@@ -13,6 +13,8 @@ import torch
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.processes import Job, choose_devices, device_environment, run_jobs
 
+pytestmark = pytest.mark.usefixtures("stoppable")
+
 SAYS_DEVICE = "import os, sys; print('device', os.environ['CUDA_VISIBLE_DEVICES']); sys.exit({code})"
 SLEEPS = """
 import signal, sys, time

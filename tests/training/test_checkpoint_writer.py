@@ -17,6 +17,8 @@ from thermosplat.run_directory import RunDirectory
 from thermosplat.training import checkpoint_writer
 from thermosplat.training.checkpoint_writer import CheckpointWriter, naming_the_newest_checkpoint
 
+pytestmark = pytest.mark.usefixtures("stoppable")
+
 
 def saved(path: Path) -> float:
     """The one number in a file."""

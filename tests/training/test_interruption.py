@@ -11,6 +11,8 @@ import pytest
 
 from thermosplat.training.interruption import Stopped, deferred_interrupts, meanwhile, stop_signal, stop_signals
 
+pytestmark = pytest.mark.usefixtures("stoppable")
+
 
 @pytest.fixture(autouse=True)
 def _python_sigint() -> None:

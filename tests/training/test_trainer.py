@@ -27,6 +27,8 @@ from thermosplat.training.interruption import TrainingInterrupted, stop_signals
 from thermosplat.training.trainer import Trainer
 from toy_scene import toy_capture
 
+pytestmark = pytest.mark.usefixtures("stoppable")
+
 SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "shared": ({}, {}),
