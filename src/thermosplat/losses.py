@@ -88,7 +88,7 @@ def compare_frame(
 
 def _compared(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig, fused: bool | None) -> Comparison:
     """All losses, and those squared errors that come with them."""
-    terms = _image_terms(rendered, frame, config)
+    terms = image_terms(rendered, frame, config)
     if fused is None:
         fused = bool(terms) and all(term.image.is_cuda for term in terms)
     found = _fused(terms, config) if fused else Comparison(_filtered(terms, config.ssim_lambda), {})
@@ -121,8 +121,14 @@ def smoothness(image: Tensor) -> Tensor:
     return total_variation(image.permute(2, 0, 1), reduction="sum").sum() / image.numel()
 
 
-def _image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig) -> list[ImageTerm]:
-    """The image losses that apply to this frame (equations 10 and 11)."""
+def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: LossConfig) -> list[ImageTerm]:
+    """The image losses that apply to a frame (equations 10 and 11).
+
+    Args:
+        rendered: The render.
+        frame: The frame.
+        config: Weights; what has none is left out.
+    """
     rgb = frame.rgb.image if frame.rgb is not None else None
     thermal = frame.thermal.image if frame.thermal is not None else None
     intensity = frame.thermal.intensity if frame.thermal is not None else None

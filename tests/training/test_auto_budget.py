@@ -235,7 +235,7 @@ def test_channels_of_losses_count_as_images(tmp_path: Path, monkeypatch: pytest.
     seen = []
 
     def note(model: SceneModel, optimizers: object, change: ImageChange, tolerance: float) -> int:
-        seen.append((set(change.supervised), tolerance))
+        seen.append((change.errors.keys() - {"rgb", "thermal"}, tolerance))
         return 8
 
     monkeypatch.setattr("thermosplat.training.auto_budget.reduce_features", note)

@@ -139,15 +139,9 @@ def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
     budget = AutoBudgetConfig(prune_at=(0.5,), prune_change=0.0, feature_change=1e9, measured_views=2)
     still = DensificationConfig(enabled=False)
 
-    def run(name: str, graph: bool) -> Trainer:
-        config = dataclasses.replace(toy_run_config(max_steps=40), device="cuda", graph=graph, densification=still)
-        config = dataclasses.replace(config, budget="auto", auto_budget=budget)
-        trainer = toy_trainer(tmp_path / name, config, many_frames(toy_capture()))
-        while trainer.step < 40:
-            trainer._train_step()
-        return trainer
-
-    plain, captured = run("plain", False), run("captured", True)
+    changes = {"densification": still, "budget": "auto", "auto_budget": budget}
+    plain = _run(tmp_path / "plain", "shared", 40, graph=False, **changes)
+    captured = _run(tmp_path / "captured", "shared", 40, graph=True, **changes)
     assert captured.captured is not None
     assert captured.captured._graphs
     assert captured.guard.first_bad() is None

@@ -31,7 +31,7 @@ def model_of_rank(rank: int, aligned: bool = True, **config: object) -> tuple[Sc
         features.copy_(
             torch.randn(len(features), rank, generator=generator) @ torch.randn(rank, 8, generator=generator)
         )
-    return model, optimizers, ImageChange(model, [toy_frame(capture)], 1, ("features_rgb", "features_thermal"))
+    return model, optimizers, ImageChange(model, [toy_frame(capture)], 1, LossConfig())
 
 
 @pytest.mark.parametrize("kept", [1, 3, 5])
@@ -108,7 +108,7 @@ def test_reduced_twice() -> None:
     model, optimizers, change = model_of_rank(8)
     gaussians = model.gaussians("shared")
     first = reduce_features(model, optimizers, change, 0.05)
-    once = ImageChange(model, change.frames, 1, change.supervised)
+    once = ImageChange(model, change.frames, 1, change.losses)
     second = reduce_features(model, optimizers, once, 1.0)
     assert 8 > first > second
     assert once.now() <= 1.0
@@ -121,14 +121,14 @@ def test_reduced_twice() -> None:
 def test_supervised_channels_are_kept() -> None:
     """Channels that no image shows stay where a loss sees them, and go where none does."""
     left = {}
-    for supervised in ((), ("features_rgb", "features_thermal")):
+    for losses in (None, LossConfig()):
         model, optimizers, change = model_of_rank(8)
         first = model.decoders.shared_encoder[0]  # type: ignore[union-attr,index]
         with torch.no_grad():
             first.weight[:, :4] = 0.0  # type: ignore[union-attr,operator,index]
-        change = ImageChange(model, change.frames, 1, supervised)
-        left[supervised] = reduce_features(model, optimizers, change, EXACT)
-    assert left == {(): 4, ("features_rgb", "features_thermal"): 8}
+        change = ImageChange(model, change.frames, 1, losses)
+        left[losses] = reduce_features(model, optimizers, change, EXACT)
+    assert left == {None: 4, LossConfig(): 8}
 
 
 def test_training_goes_on_with_what_is_left() -> None:

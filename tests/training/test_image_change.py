@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from thermosplat.config import LossConfig
 from thermosplat.training.image_change import ImageChange, most_within
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model
 
@@ -37,7 +38,8 @@ def test_supervised_channels_are_images_too() -> None:
     with torch.no_grad():
         for parameter in model.decoders.parameters():
             parameter.zero_()
-    images, with_channel = ImageChange(model, [frame], 1), ImageChange(model, [frame], 1, ("features_thermal",))
+    losses = LossConfig(features_rgb=0.0)
+    images, with_channel = ImageChange(model, [frame], 1), ImageChange(model, [frame], 1, losses)
     assert with_channel.errors.keys() == {"rgb", "thermal", "features_thermal"}
 
     def channel() -> torch.Tensor:

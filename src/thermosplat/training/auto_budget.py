@@ -12,12 +12,12 @@
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import LossConfig, TrainConfig
 from thermosplat.metrics import psnr
 from thermosplat.training.contributions import contributions
 from thermosplat.training.feature_channels import reduce_features
@@ -180,23 +180,21 @@ class AutoBudget:
         Args:
             sh_degree: Degree of the spherical harmonics in use.
         """
-        state, loss = self.state, self.config.loss
+        state = self.state
         if state.model.decoders is None:
             return
-        weights = {"features_rgb": loss.features_rgb, "features_thermal": loss.features_thermal}
-        supervised = [name for name, weight in weights.items() if loss.features * weight > 0]
-        change = self.images(sh_degree, supervised)
+        change = self.images(sh_degree, self.config.loss)
         reduce_features(state.model, state.optimizers["shared"], change, self.settings.feature_change)
 
-    def images(self, sh_degree: int, supervised: Collection[str] = ()) -> ImageChange:
+    def images(self, sh_degree: int, losses: LossConfig | None = None) -> ImageChange:
         """Some training images as they are now.
 
         Args:
             sh_degree: Degree of the spherical harmonics in use.
-            supervised: As ``ImageChange``'s.
+            losses: As ``ImageChange``'s.
         """
         looked_at = _spread(len(self.frames), min(self.settings.measured_views, len(self.frames)))
-        return ImageChange(self.state.model, [self.frames[index] for index in looked_at], sh_degree, supervised)
+        return ImageChange(self.state.model, [self.frames[index] for index in looked_at], sh_degree, losses)
 
     def _prune(self, sh_degree: int) -> None:
         change = self.images(sh_degree)

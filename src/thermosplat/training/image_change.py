@@ -6,12 +6,14 @@ x costs 10 log10(1 + x) dB of the images' PSNR: 0.04 dB for 0.01. So what is noi
 spectrum by itself, and nothing needs a threshold in units of its own.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
+from thermosplat.config import LossConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.losses import image_terms
 from thermosplat.model import SceneModel
 
 
@@ -22,47 +24,48 @@ class ImageChange:
         model: The scene.
         frames: The frames to look at; their renders are kept on the device.
         sh_degree: Degree of the spherical harmonics in use.
-        supervised: Further images to look at, which losses compare with the same ones: of "features_rgb" (A_f[:3]) and
-            "features_thermal" (A_ft[3]).
+        losses: With them the channels that they compare with images count as images too.
     """
 
     def __init__(
-        self, model: SceneModel, frames: Sequence[FrameTensors], sh_degree: int, supervised: Collection[str] = ()
+        self, model: SceneModel, frames: Sequence[FrameTensors], sh_degree: int, losses: LossConfig | None = None
     ) -> None:
         self.model = model
         self.frames = frames
         self.sh_degree = sh_degree
-        self.supervised = supervised
-        self._before = [self._images(frame) for frame in frames]
+        self.losses = losses
+        self._before: list[dict[str, Tensor]] = []
         errors: dict[str, list[Tensor]] = {}
-        for frame, images in zip(frames, self._before, strict=True):
-            for modality, target in _targets(frame).items():
-                if modality in images:
-                    errors.setdefault(modality, []).append((images[modality] - target).square().mean())
+        for frame in frames:
+            compared = self._compared(frame)
+            self._before.append({modality: image for modality, (image, _) in compared.items()})
+            for modality, (image, target) in compared.items():
+                errors.setdefault(modality, []).append((image - target).square().mean())
         self.errors = {modality: max(_mean(found), 1e-12) for modality, found in errors.items()}
-        """Mean squared error of the images from before, by name of what has ground truth: "rgb", "thermal", and what is
-        supervised beside them."""
+        """Mean squared error of the images from before, by name of what has ground truth: "rgb", "thermal", and by the
+        loss's name a channel or three that it looks at."""
 
     def now(self) -> float:
         """Squared change of the images since then, as a share of their squared error; the largest of all."""
         changes: dict[str, list[Tensor]] = {modality: [] for modality in self.errors}
         for frame, before in zip(self.frames, self._before, strict=True):
-            images = self._images(frame)
-            for modality in changes:
-                if modality in images:
-                    changes[modality].append((images[modality] - before[modality]).square().mean())
+            for modality, (image, _) in self._compared(frame).items():
+                changes[modality].append((image - before[modality]).square().mean())
         return max((_mean(found) / self.errors[modality] for modality, found in changes.items()), default=0.0)
 
     @torch.no_grad()
-    def _images(self, frame: FrameTensors) -> dict[str, Tensor]:
-        """What the model renders of a frame, clamped to [0, 1], by modality."""
+    def _compared(self, frame: FrameTensors) -> dict[str, tuple[Tensor, Tensor]]:
+        """What the model renders of a frame, clamped to [0, 1], and its ground truth, by name of what has one."""
         rendered = self.model.render(frame.rgb, frame.thermal, sh_degree=self.sh_degree, aligned=frame.aligned)
-        images = {"rgb": rendered.rgb, "thermal": rendered.thermal}
-        if "features_rgb" in self.supervised and rendered.visible_features is not None:
-            images["features_rgb"] = rendered.visible_features[..., :3]
-        if "features_thermal" in self.supervised and rendered.thermal_features is not None:
-            images["features_thermal"] = rendered.thermal_features[..., 3:4]
-        return {modality: image.clamp(0.0, 1.0) for modality, image in images.items() if image is not None}
+        images = {"rgb": (rendered.rgb, frame.rgb), "thermal": (rendered.thermal, frame.thermal)}
+        compared = {
+            modality: (image, view.image)
+            for modality, (image, view) in images.items()
+            if image is not None and view is not None and view.image is not None
+        }
+        if self.losses is not None:
+            compared |= {term.name: (term.render, term.target) for term in image_terms(rendered, frame, self.losses)}
+        return {name: (image.clamp(0.0, 1.0), target) for name, (image, target) in compared.items()}
 
 
 def most_within(change: ImageChange, most: int, apply: Callable[[int], None], tolerance: float) -> int:
@@ -87,16 +90,6 @@ def most_within(change: ImageChange, most: int, apply: Callable[[int], None], to
             beyond = middle
     apply(within)
     return within
-
-
-def _targets(frame: FrameTensors) -> dict[str, Tensor]:
-    """What images are compared with, by name."""
-    rgb = frame.rgb.image if frame.rgb is not None else None
-    thermal = frame.thermal.image if frame.thermal is not None else None
-    intensity = frame.thermal.intensity if frame.thermal is not None else None
-    named = {"rgb": rgb, "thermal": thermal, "features_rgb": rgb}
-    named["features_thermal"] = intensity[..., None] if intensity is not None else None
-    return {name: target for name, target in named.items() if target is not None}
 
 
 def _mean(values: list[Tensor]) -> float:
