@@ -84,3 +84,16 @@ def test_budget_benchmark_runs(tmp_path: Path) -> None:
     done = run_script("bench_budget.py", *options, "--budgets", "0.02", "--time-limit", "0")
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(json.loads((tmp_path / "budget.json").read_text())["scenes"][name]) == 3
+
+
+def test_loops_benchmark_runs(tmp_path: Path) -> None:
+    """Trainings that go on from one checkpoint are compared; on the CPU every loop ends with the same numbers."""
+    report = tmp_path / "loops.json"
+    options = ["sample", "--devices", "cpu", "--seeds", "3", "--branch", "1", "--json", str(report)]
+    done = run_script("bench_loops.py", *options, "--", "--config", "demo", "--data-factor", "8", "--max-steps", "2")
+    assert done.returncode == 0, done.stdout + done.stderr
+    (row,) = json.loads(report.read_text())["rows"]
+    assert row["seed"] == 3
+    assert row["again"] == row["plain"] == row["default"]
+    assert all(value > 5 for value in row["default"].values())
+    assert "thermal, plain minus default: +0.000" in done.stdout
