@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from agreement import largest
 from rasterization_case import one_line
 from timing import time_interleaved
 from torch import Tensor
@@ -139,7 +140,7 @@ def variants(decoders: Decoders) -> dict[str, Variant]:
 def errors(results: list[Tensor], truth: list[Tensor]) -> dict[str, float]:
     """Largest relative difference (norm) of an image, and of a gradient."""
     apart = [float((a.double() - b).norm() / b.norm()) for a, b in zip(results, truth, strict=True)]
-    return {"images": max(apart[:2]), "gradients": max(apart[2:])}
+    return {"images": largest(apart[:2]), "gradients": largest(apart[2:])}
 
 
 def as_graph(call: Callable[[], object], device: torch.device) -> Callable[[], object]:
