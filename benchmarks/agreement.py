@@ -1,6 +1,9 @@
 """How far the images and gradients of two renderers are apart, and when that is too far to compare their times."""
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
+
+import torch
 
 
 class Tolerance(NamedTuple):
@@ -26,6 +29,11 @@ OTHER_CONVENTIONS = Tolerance(2e-2, 1e-2, 0.2)
 they still have an alpha of 0.011. A wrong camera, order or activation is far beyond it."""
 
 
+def largest(values: Iterable[float]) -> float:
+    """The largest of some numbers, NaN where one of them is: Python's max() passes over it unless it is the first."""
+    return torch.tensor([*values], dtype=torch.float64).max().item()
+
+
 def differences(one: tuple[Any, Any], other: tuple[Any, Any], names: list[str], pixel: float) -> dict[str, float]:
     """How far images and gradients of two renderers are apart.
 
@@ -39,20 +47,20 @@ def differences(one: tuple[Any, Any], other: tuple[Any, Any], names: list[str], 
         ``image_mean``, ``image_rms`` and ``image_max`` of the absolute differences of all colours and alphas,
         ``image_share`` of them above ``pixel``, and the relative difference of each gradient as ``grad_NAME``.
     """
-    total = squares = largest = above = 0.0
+    total = squares = above = 0.0
+    most: list[float] = []
     count = 0
     for a, b in zip(one[0], other[0], strict=True):
         off = (a.detach().double() - b.detach().double()).abs()
         total += off.sum().item()
         squares += off.square().sum().item()
-        # max() of a tensor with a NaN is NaN, of a Python list it may not be.
-        largest = max(off.max().item(), largest) if off.isfinite().all() else float("nan")
+        most.append(off.max().item())
         above += (~(off <= pixel)).double().sum().item()
         count += off.numel()
     result = {
         "image_mean": total / count,
         "image_rms": (squares / count) ** 0.5,
-        "image_max": largest,
+        "image_max": largest(most),
         "image_share": above / count,
     }
     for name, a, b in zip(names, one[1], other[1], strict=True):

@@ -24,10 +24,12 @@ import warp as wp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from accuracy_truth import Rasterization, Truth, errors, truth_of
+from agreement import largest
 
 import gsplat_reference
 from hard_scenes import FINITE, LARGE, NON_FINITE
 from thermosplat import rasterization
+from thermosplat.method_matrix.cell_result import write_text
 
 COLUMNS = ("image", "means", "quats", "scales", "covars", "opacities", "colors", "viewmats")
 ROUNDING = 2.0**-23
@@ -186,9 +188,9 @@ def main() -> int:
             print_row("", "gsplat", theirs, None)
         write_json(options.json, report)
     if options.markdown is not None:
-        options.markdown.write_text(markdown(rows))
+        write_text(options.markdown, markdown(rows))
     kernels = [value for row in rows.values() for value in row["float64"].values() if not isinstance(value, str)]
-    print(f"gsplat: {report['environment']['gsplat']}. Our kernels in float64 are at most {max(kernels):.1e} off.")
+    print(f"gsplat: {report['environment']['gsplat']}. Our kernels in float64 are at most {largest(kernels):.1e} off.")
     ours = [row["thermosplat"] for row in rows.values()]
     sound = all("failed" not in row and all(math.isfinite(value) for value in row.values()) for row in ours)
     return 0 if sound else 1

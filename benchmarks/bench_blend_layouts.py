@@ -17,6 +17,7 @@ import warp as wp
 from benchmark_scenes import BenchmarkScene, garden_scene
 from trained_scene import trained_scene
 
+from thermosplat.method_matrix.cell_result import write_text
 from thermosplat.rasterization_functions import Project, ProjectInputs
 from thermosplat.tile_lists import bin_tiles
 from thermosplat.warp_streams import on_torch_stream
@@ -77,7 +78,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
                     )  # fmt: skip
 
                     def forward(inputs=inputs, layout=layout):
-                        blend(*inputs, wp.Tape(), layout=layout)
+                        blend(*inputs, layout=layout)
 
                     blend(*inputs, tape, layout=layout)
                     blended.render.grad.fill_(vec(*[0.5] * channels))
@@ -101,7 +102,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
 def main() -> None:
     """Parses arguments, runs, prints and saves."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", type=Path, nargs="+", help="gsplat's test_garden.npz, result folders")
+    parser.add_argument("--scene", type=Path, nargs="+", required=True, help="gsplat's test_garden.npz, result folders")
     parser.add_argument("--data", help="where the capture of trained scenes lies now")
     parser.add_argument("--grid", type=int, nargs="+", default=[1, 5])
     parser.add_argument("--sizes", nargs="+", default=["640x480", "1920x1080"])
@@ -127,7 +128,7 @@ def main() -> None:
             width, height = (int(x) for x in size.split("x"))
             rows += bench(scene.to(torch.device("cuda")), width, height, args)
             if args.json:
-                args.json.write_text(json.dumps(rows, indent=1))
+                write_text(args.json, json.dumps(rows, indent=1))
 
 
 if __name__ == "__main__":

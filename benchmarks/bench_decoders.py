@@ -16,10 +16,12 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from agreement import largest
 from rasterization_case import one_line
 from timing import time_interleaved
 from torch import Tensor
@@ -36,6 +38,18 @@ WARM_UP = 3
 
 Images = Sequence[Tensor]
 Both = Callable[[Tensor, Tensor], Images]
+
+
+class Variant(NamedTuple):
+    """A way to decode both branches.
+
+    Attributes:
+        both: Visible and thermal features to both images.
+        active: Opened around a whole pass: the precision of matrix products holds backward too, as in a training step.
+    """
+
+    both: Both
+    active: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 class Case(NamedTuple):
@@ -58,16 +72,17 @@ class Case(NamedTuple):
         leaves = [leaf.detach().double().requires_grad_() for leaf in (self.render, self.thermal)]
         return Case(copy.deepcopy(self.decoders).double(), *leaves, [v.double() for v in self.upstream])
 
-    def forward(self, both: Both) -> Images:
+    def forward(self, variant: Variant) -> Images:
         """Both images, without gradients."""
-        with torch.no_grad():
-            return both(self.render[..., 3:], self.thermal)
+        with torch.no_grad(), variant.active():
+            return variant.both(self.render[..., 3:], self.thermal)
 
-    def forward_backward(self, both: Both) -> list[Tensor]:
+    def forward_backward(self, variant: Variant) -> list[Tensor]:
         """Both images, then the gradients of features and parameters."""
-        images = both(self.render[..., 3:], self.thermal)
-        leaves = [self.render, self.thermal, *self.decoders.parameters()]
-        gradients = torch.autograd.grad(images, leaves, self.upstream)
+        with variant.active():
+            images = variant.both(self.render[..., 3:], self.thermal)
+            leaves = [self.render, self.thermal, *self.decoders.parameters()]
+            gradients = torch.autograd.grad(images, leaves, self.upstream)
         return [*(image.detach() for image in images), *gradients]
 
 
@@ -102,36 +117,30 @@ def random_case(hidden: int, dim: int, thermal_channels: int, size: tuple[int, i
     return Case(decoders.to(device), *leaves, upstream)
 
 
-def variants(decoders: Decoders) -> dict[str, Both]:
+def variants(decoders: Decoders) -> dict[str, Variant]:
     """By name every way there is on the decoders' device to decode both branches."""
     on_cuda = next(decoders.parameters()).device.type == "cuda"
-    found: dict[str, Both] = {}
+    found: dict[str, Variant] = {}
+
+    def swapped(visible: Tensor, thermal: Tensor) -> Images:
+        return decoders.both(visible, thermal)  # what is active now
+
     for precision in ("float32", "tf32", "bfloat16") if on_cuda else ("float32", "bfloat16"):
         eager = FastDecoders(decoders, compiled=False, precision=precision)
-
-        def swapped(visible: Tensor, thermal: Tensor, eager: FastDecoders = eager) -> Images:
-            with eager.active():
-                return decoders.both(visible, thermal)
-
-        found[f"torch, {precision}"] = swapped
+        found[f"torch, {precision}"] = Variant(swapped, eager.active)
     if on_cuda and can_compile():
-        compiled = torch.compile(decoders.both, dynamic=False)
-
-        def in_tf32(visible: Tensor, thermal: Tensor) -> Images:
-            with FastDecoders(decoders, compiled=False, precision="tf32").active():
-                return compiled(visible, thermal)
-
-        found["torch.compile, tf32"] = in_tf32
+        tf32 = FastDecoders(decoders, compiled=False, precision="tf32")
+        found["torch.compile, tf32"] = Variant(torch.compile(decoders.both, dynamic=False), tf32.active)
     for team in teams(decoders):
         share = "a warp for 16 pixels" if team == 1 else f"{team} warps share 16 pixels"
-        found[f"fused, {share}"] = FusedDecoders(decoders, team).both
+        found[f"fused, {share}"] = Variant(FusedDecoders(decoders, team).both)
     return found
 
 
 def errors(results: list[Tensor], truth: list[Tensor]) -> dict[str, float]:
     """Largest relative difference (norm) of an image, and of a gradient."""
     apart = [float((a.double() - b).norm() / b.norm()) for a, b in zip(results, truth, strict=True)]
-    return {"images": max(apart[:2]), "gradients": max(apart[2:])}
+    return {"images": largest(apart[:2]), "gradients": largest(apart[2:])}
 
 
 def as_graph(call: Callable[[], object], device: torch.device) -> Callable[[], object]:
@@ -158,11 +167,11 @@ def run_case(case: Case, repeats: int, truth_pixels: int) -> dict[str, Any]:
     truth = None
     if case.render.shape[0] * case.render.shape[1] <= truth_pixels:
         exact = case.double()
-        truth = exact.forward_backward(exact.decoders.both)
-    for name, both in variants(case.decoders).items():
+        truth = exact.forward_backward(Variant(exact.decoders.both))
+    for name, variant in variants(case.decoders).items():
         try:
-            results = case.forward_backward(both)
-            captured = {kind: as_graph(functools.partial(getattr(case, kind), both), device) for kind in calls}
+            results = case.forward_backward(variant)
+            captured = {kind: as_graph(functools.partial(getattr(case, kind), variant), device) for kind in calls}
         except Exception as error:  # one variant that fails (out of memory, say) must not lose the others
             traceback.print_exc()
             row["left_out"][name] = one_line(error)

@@ -22,6 +22,7 @@ from typing import Any
 
 import torch
 import warp as wp
+from agreement import largest
 from benchmark_scenes import BenchmarkScene, garden_scene, huge_scene, synthetic_scene
 from device_peaks import DevicePeaks, measure_peaks
 from peers import CASES, PEERS, Peer, cpu_peers, cuda_peers
@@ -112,7 +113,7 @@ def print_row(row: dict[str, Any]) -> None:
         both, memory, pairs = row["forward_backward"][name], row["peak_memory_mib"][name], row["intersections"][name]
         line = f"{head} {name:<22} {times['median_ms']:>9.2f} {both['median_ms']:>9.2f} {both['host_ms']:>9.2f}"
         if (error := row["error_to_float64"].get(name)) is not None:
-            worst = max(value for key, value in error.items() if key.startswith("grad_"))
+            worst = largest(value for key, value in error.items() if key.startswith("grad_"))
             line += f" {error['image_rms']:>9.1e} {error['image_max']:>9.1e} {worst:>9.1e}"
         else:
             line += f"{'-':>10}" * 3

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+from agreement import largest
 from peers import ALL_OURS, OURS
 from rasterization_summary import Row, comparison, summary_lines
 
@@ -109,7 +110,7 @@ def _errors(rows: list[Row]) -> Iterator[str]:
             if found is None:
                 cells.append("")
                 continue
-            gradient = max(value for key, value in found.items() if key.startswith("grad_"))
+            gradient = largest(value for key, value in found.items() if key.startswith("grad_"))
             cells.append(f"{found['image_rms']:.1e} / {found['image_max']:.1e} / {gradient:.1e}")
         body.append(cells)
     yield from _table(["scene", "case", *names], body)

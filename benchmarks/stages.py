@@ -117,7 +117,6 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
             gradient = wp.to_torch(output.grad)
             gradient.copy_(torch.randn(gradient.shape, device=gradient.device))
     calls["binning"] = binning
-    # With a tape, as in training: the forward pass then leaves what the adjoint needs.
-    calls["blending"] = lambda: blend(projected, opacities, thermal, features, bins, settings, blended, wp.Tape())
+    calls["blending"] = lambda: blend(projected, opacities, thermal, features, bins, settings, blended)
     adjoints["blending adjoint"] = blend_tape.backward
     return calls | dict(reversed(adjoints.items()))

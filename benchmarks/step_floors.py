@@ -13,7 +13,8 @@ Of the decoders, features are read and images written; then features, images and
 features' gradients written. A value of the losses is one channel of a pixel in one of the terms.
 
 The decoders' weights themselves fit a cache. What fused kernels keep between forward and backward is not counted: a
-better one computes it again. ``rest`` (activations, sums, copies of the frame, losses on Gaussians) has no floor.
+better one computes it again. ``rest`` (sums, copies of the frame) has no floor. Neither have losses on
+Gaussians, nor activations, which on CUDA are timed with the projection and on the CPU with the rest.
 """
 
 from collections.abc import Callable, Mapping

@@ -11,11 +11,14 @@ from thermosplat.training.trainer import Trainer
 
 PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("image losses", ("image_loss_", "_ImageLoss", "_WindowFilter", "conv2d", "convolution")),
-    ("projection adjoint", ("project_adjoint", "activate_adjoint", "finish_camera_gradients", "ProjectBackward")),
+    (
+        "projection adjoint",
+        ("project_adjoint", "activate_adjoint", "finish_camera_gradients", "strand_sums", "ProjectBackward"),
+    ),
     ("projection", ("project_", "activate_", "Project")),
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint")),
     ("SH", ("sh_colors", "camera_positions")),
-    ("blending adjoint", ("blend_adjoint", "distribute_", "strand_sums", "BlendBackward")),
+    ("blending adjoint", ("blend_adjoint", "distribute_", "BlendBackward")),
     ("blending", ("blend_", "join_segments", "Blend")),
     (
         "binning",

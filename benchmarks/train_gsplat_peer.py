@@ -21,6 +21,7 @@ from torch import Tensor
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.frame_tensors import ViewTensors, frame_tensors
 from thermosplat.losses import image_loss
+from thermosplat.method_matrix.cell_result import write_text
 from thermosplat.metrics import psnr, ssim
 from thermosplat.neighbor_distances import neighbor_distances
 
@@ -124,7 +125,7 @@ def main() -> None:
         rows.append({"capture": capture.name} | result)
         print(rows[-1], flush=True)
         if args.json:
-            args.json.write_text(json.dumps(rows, indent=1))
+            write_text(args.json, json.dumps(rows, indent=1))
 
 
 if __name__ == "__main__":

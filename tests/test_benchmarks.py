@@ -25,7 +25,7 @@ def run_script(name: str, *options: str) -> subprocess.CompletedProcess[str]:
 
 def test_accuracy_benchmark_runs(tmp_path: Path) -> None:
     """Errors of the chosen scenes are printed and written, those of numbers that are not finite included."""
-    report, table = tmp_path / "report.json", tmp_path / "table.md"
+    report, table = tmp_path / "new" / "report.json", tmp_path / "tables" / "table.md"
     options = ["--device", "cpu", "--no-peer", "--json", str(report), "--markdown", str(table)]
     done = run_script("bench_accuracy.py", *options, "--cases", "ordinary", "needles of 500 px", "nan in scales")
     assert done.returncode == 0, done.stdout + done.stderr

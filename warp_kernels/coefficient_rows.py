@@ -39,14 +39,16 @@ ADJOINT = """
     const unsigned per_number = 0xffffffffu / width + 1;  // the row of number f is the high half of f times this
     const int source_pitch = rows.strides[0] / (int)sizeof(S), num_rows = __popc(present), read = 3 * (end - lowest);
     const S* source = (const S*)((const char*)rows.data + (long long)leader * rows.strides[0]);
-    const bool reads_quads = single && source_pitch == width && ((size_t)source & 15) == 0;
+    // Rows of an even width are apart in shared memory; 4 numbers at once must not be of two of them.
+    const bool quads = single && width % 4 != 2;
+    const bool reads_quads = quads && source_pitch == width && ((size_t)source & 15) == 0;
     const bool dense = width <= 48 && (count < 2 || rows.strides[1] == 3 * (int)sizeof(S));
     const bool together = __all_sync(all, dense && (row < 0 || row == leader + lane));
     if (add && !in_use) return v_b;
     if (together && (count < 2 || v_rows.strides[1] == rows.strides[1])) {
         const int target_pitch = v_rows.strides[0] / (int)sizeof(S);
         S* target = (S*)((char*)v_rows.data + (long long)leader * v_rows.strides[0]);
-        const bool writes_quads = single && target_pitch == width && !add && ((size_t)target & 15) == 0;
+        const bool writes_quads = quads && target_pitch == width && !add && ((size_t)target & 15) == 0;
         // The gradients first, as the basis values are in registers until then. v waits in shared memory, or the
         // compiler would keep all products in registers, which both turns have in common.
         S* factors = numbers + at_once * 49 + 3 * lane;
@@ -98,7 +100,6 @@ ADJOINT = """
                 #pragma unroll 3
                 for (f = 4 * lane; f + 3 < total; f += 128) {
                     const int r = __umulhi(f, per_number), e = f - r * width;
-                    // of an even width no 4 numbers are of two rows
                     if ((e < read && (wanted >> r & 1)) || (e + 3 >= width && (wanted >> (r + 1) & 1))) {
                         const float4 quad = __ldg((const float4*)(from + f));
                         S* to = numbers + f + r * (pitch - width);

@@ -118,7 +118,7 @@ FINISH = """
                     // of -λ SSIM by the blurred x, x² and xy
                     const S_ by_x = 2 * inverse * (sy * (B - A) - ssim * sx * (D - C));
                     const int plane = height * width;
-                    S_* out = derivatives.data + 3 * c * plane + gy * width + gx;
+                    S_* out = derivatives.data + 3LL * c * plane + gy * width + gx;
                     out[0] = -ssim_share * by_x;
                     out[plane] = ssim_share * ssim * C * inverse;
                     out[2 * plane] = -ssim_share * 2 * A * inverse;

@@ -24,9 +24,9 @@ from warp_kernels.image_tiles import (
 LOAD = """
         const bool inside = gy >= 0 && gy < height && gx >= 0 && gx < width;
         const int plane = height * width;
-        const int from = 3 * c * plane + gy * width + gx;
+        const S_* from = derivatives.data + 3LL * c * plane;  // an image of 72 megapixels has more than 2^31 in all
         #pragma unroll
-        for (int p = 0; p < 3; ++p) held[p][at] = inside ? fetch(derivatives.data, from + p * plane) : (S_)0;
+        for (int p = 0; p < 3; ++p) held[p][at] = inside ? fetch(from, gy * width + gx + p * plane) : (S_)0;
 """
 
 HELD = "{held[0][at], held[1][at], held[2][at]}"

@@ -223,6 +223,7 @@ def test_every_kernel_of_the_step_has_a_part() -> None:
     assert part_of("image_loss_tiles_adjoint_float32_ab12_cuda_kernel_forward") == "image losses"
     assert part_of("blend_adjoint_11_8_float32_8x4_ab12_cuda_kernel_forward") == "blending adjoint"
     assert part_of("project_pinhole_quats_float32_ab12_cuda_kernel_forward") == "projection"
+    assert part_of("strand_sums_16_float32_ab12_cuda_kernel_forward") == "projection adjoint"
     assert part_of("adam_update_ab12_cuda_kernel_forward") == "optimizer"
     assert part_of("void at::native::vectorized_elementwise_kernel<4, at::native::FillFunctor>") == "rest"
 

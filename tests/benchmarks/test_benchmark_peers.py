@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from agreement import OTHER_CONVENTIONS, SAME_CONVENTIONS, differences, disagreement
+from agreement import OTHER_CONVENTIONS, SAME_CONVENTIONS, differences, disagreement, largest
 from benchmark_scenes import BenchmarkScene, huge_scene, synthetic_scene
 from fragments import count_fragments
 from gswarp_peer import projection_matrix
@@ -152,3 +152,15 @@ def test_disagreement_names_what_is_off() -> None:
     assert "images differ" in (told(broken) or "")
     assert "grad_means" in (told(steeper) or "")
     assert OTHER_CONVENTIONS.pixel > SAME_CONVENTIONS.pixel
+
+
+def test_one_number_that_is_not_finite_is_the_largest_difference() -> None:
+    """Whichever of the images or gradients it is in, and however few there are."""
+    assert largest([1.0, 3.0, 2.0]) == 3.0
+    assert math.isnan(largest([1.0, math.nan, 2.0]))
+    image, alphas, gradient = torch.rand(1, 40, 50, 3), torch.rand(1, 40, 50, 1), torch.randn(5, 3)
+    truth = [image, alphas], (gradient,)
+    for place in (0, 1):
+        broken = [image.clone(), alphas.clone()]
+        broken[place][0, 0, 0, 0] = math.nan
+        assert math.isnan(differences((broken, (gradient,)), truth, ["means"], SAME_CONVENTIONS.pixel)["image_max"])

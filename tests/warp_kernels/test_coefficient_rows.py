@@ -52,7 +52,7 @@ def adjoint_kernel(dtype: type) -> wp.Kernel:
 
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 @pytest.mark.parametrize("shuffled", [False, True])
-@pytest.mark.parametrize(("count", "active"), [(15, 16), (15, 9), (8, 9), (16, 16), (3, 1), (24, 16)])
+@pytest.mark.parametrize(("count", "active"), [(15, 16), (15, 9), (8, 9), (16, 16), (3, 1), (6, 4), (10, 9), (24, 16)])
 @pytest.mark.parametrize("gaps", [False, True])
 @pytest.mark.parametrize("lowest", [0, 1])
 def test_products_are_plain_sums(
