@@ -60,7 +60,7 @@ class RunDirectory:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = Path(os.path.expanduser(path))  # as a shell leaves it in --result-dir=~/run, and YAML
 
     @classmethod
     def create(cls, path: str | Path, overwrite: bool = False) -> "RunDirectory":
