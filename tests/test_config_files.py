@@ -7,7 +7,7 @@ import pytest
 
 from thermosplat import config_files
 from thermosplat.config import TrainConfig
-from thermosplat.config_files import from_dict, list_presets, load_config, to_dict, to_yaml
+from thermosplat.config_files import data_from_anywhere, from_dict, list_presets, load_config, to_dict, to_yaml
 from thermosplat.errors import UserError
 
 BASELINES = {
@@ -126,3 +126,12 @@ def test_missing_file_and_unknown_preset() -> None:
         with pytest.raises(UserError, match=expected) as caught:
             load_config(name)
         assert "thermosplat" in caught.value.hint
+
+
+def test_captures_are_named_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run keeps an absolute path, of ~ in a YAML file too; the capture in the package keeps its name."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", "/home/of/mine")
+    assert data_from_anywhere("shed") == str(tmp_path / "shed")
+    assert data_from_anywhere("~/shed") == "/home/of/mine/shed"
+    assert data_from_anywhere("sample") == "sample"

@@ -92,6 +92,15 @@ def test_load_palette_json_and_csv(tmp_path):
     assert load_palette(tmp_path / "p.csv") == palette
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+@pytest.mark.parametrize("form", ["%d", "%.18e", "%+.1f"])
+def test_load_palette_keeps_the_first_row(tmp_path, encoding: str, form: str):
+    """Numbers as np.savetxt and spreadsheets write them are no column names: the coldest colour stays."""
+    rows = np.array([[0, 0, 4], [255, 128, 0], [255, 255, 255]])
+    np.savetxt(tmp_path / "p.csv", rows, form, delimiter=",", encoding=encoding)
+    np.testing.assert_allclose(load_palette(tmp_path / "p.csv").colors * 255, rows, atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [

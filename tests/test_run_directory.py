@@ -66,6 +66,12 @@ def test_folder_with_other_files_can_be_used(tmp_path: Path) -> None:
     assert RunDirectory.create(tmp_path).path == tmp_path
 
 
+def test_result_folder_in_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shell leaves the ~ of --result-dir=~/shed to the program: no folder is to be called ~."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert RunDirectory.create("~/shed").path == tmp_path / "shed"
+
+
 def test_file_in_the_way_is_explained(tmp_path: Path) -> None:
     """A result folder cannot be made where there is a file."""
     (tmp_path / "out").write_text("")

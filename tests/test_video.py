@@ -1,5 +1,8 @@
 """Videos and numbered PNGs, read back by OpenCV."""
 
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -7,6 +10,8 @@ import numpy as np
 import pytest
 
 from thermosplat import video
+from thermosplat.checkpoint import NotWrittenError
+from thermosplat.image_display import Image8
 from thermosplat.video import write_images
 
 COLORS = [(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)]
@@ -93,3 +98,33 @@ def test_failing_render_leaves_no_half_video(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="render failed"):
         write_images(failing(), tmp_path / "path", format="mp4", fps=5)
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("path.mp4", b"earlier")]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_video_without_room_replaces_nothing(share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An encoder leaves the rest out where the disk is full and does not say so: the earlier video stays."""
+
+    @contextmanager
+    def silent(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], object]]:
+        with video._mpeg4(path, width, height, fps) as append:
+            yield append
+        os.truncate(path, int(share * path.stat().st_size))
+
+    monkeypatch.setattr(video, "_encoder", silent)
+    (tmp_path / "path.mp4").write_bytes(b"earlier")
+    with pytest.raises(NotWrittenError, match=r"Could not write .*path\.mp4"):
+        write_images(plain_images(), tmp_path / "path", format="mp4", fps=5)
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("path.mp4", b"earlier")]
+
+
+def test_what_is_in_the_way_is_said(tmp_path: Path) -> None:
+    """A file where the folder shall be, or a folder where the video shall be, is the user's to move."""
+    (tmp_path / "path").write_text("mine")
+    (tmp_path / "path.mp4").mkdir()
+    with pytest.raises(NotWrittenError, match=r"Could not write .*00000\.png"):
+        write_images(plain_images(), tmp_path / "path", format="png", fps=5)
+    with pytest.raises(NotWrittenError, match=r"Could not write .*path\.mp4"):
+        write_images(plain_images(), tmp_path / "path", format="mp4", fps=5)
+    with pytest.raises(NotWrittenError, match=r"Could not write .*below\.mp4"):
+        write_images(plain_images(), tmp_path / "path" / "below", format="mp4", fps=5)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["path", "path.mp4"]

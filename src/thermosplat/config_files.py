@@ -4,6 +4,7 @@ A file states only what differs from its ``base``, another preset or file, or fr
 where it names none. Keys are strict: an unknown one is an error that names the nearest known key.
 """
 
+import os
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
@@ -136,4 +137,16 @@ def data_from_anywhere(data: str) -> str:
     Args:
         data: A folder, or "sample".
     """
-    return data if data == "sample" else str(Path(data).resolve())
+    return data if data == "sample" else _from_anywhere(data)
+
+
+def files_from_anywhere(config: TrainConfig) -> TrainConfig:
+    """The configuration with the other files that a run reads, palette and LPIPS weights, by such paths too."""
+    palette, weights = (
+        None if path is None else _from_anywhere(path) for path in (config.thermal.palette, config.lpips_weights)
+    )
+    return replace(config, thermal=replace(config.thermal, palette=palette), lpips_weights=weights)
+
+
+def _from_anywhere(path: str) -> str:
+    return str(Path(os.path.expanduser(path)).resolve())

@@ -158,7 +158,7 @@ def load_palette(path: str | Path) -> Palette:
     path = Path(path)
     hint = 'Give a JSON file {"lut": [[r, g, b], ...]} or a CSV with r,g,b rows (0-255) to --thermal.palette.'
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8-sig")  # spreadsheets begin a CSV with a byte-order mark
         rows = json.loads(text)["lut"] if path.suffix.lower() == ".json" else _csv_rows(text)
         levels = np.array(rows, np.float64)
     except OSError as error:
@@ -174,9 +174,15 @@ def load_palette(path: str | Path) -> Palette:
 
 def _csv_rows(text: str) -> list[list[float]]:
     rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].lstrip().startswith("#")]
-    if rows and not rows[0][0].strip().replace(".", "", 1).isdigit():
-        rows = rows[1:]
-    return [[float(level) for level in row] for row in rows]
+    return [[float(level) for level in row] for row in (rows[1:] if rows and _names_columns(rows[0]) else rows)]
+
+
+def _names_columns(row: list[str]) -> bool:
+    try:
+        float(row[0])
+    except ValueError:
+        return True
+    return False
 
 
 @dataclass(frozen=True)

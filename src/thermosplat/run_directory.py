@@ -60,7 +60,7 @@ class RunDirectory:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = Path(os.path.expanduser(path))  # as a shell leaves it in --result-dir=~/run, and YAML
 
     @classmethod
     def create(cls, path: str | Path, overwrite: bool = False) -> "RunDirectory":
@@ -227,9 +227,12 @@ class RunDirectory:
 
     def latest_checkpoint(self) -> Path | None:
         """The checkpoint with the most steps, or None where there is none."""
-        folder = self.path / "ckpts"
-        found = [file for file in folder.glob("step_*.pt") if _CHECKPOINT_NAME.fullmatch(file.name)]
-        return max(found, key=checkpoint_step, default=None)
+        return next(reversed(self.checkpoints()), None)
+
+    def checkpoints(self) -> list[Path]:
+        """All checkpoints, by their steps. Files that the user named otherwise (step_best.pt) are not among them."""
+        found = [file for file in (self.path / "ckpts").glob("step_*.pt") if _CHECKPOINT_NAME.fullmatch(file.name)]
+        return sorted(found, key=checkpoint_step)
 
     def resume_command(self) -> str:
         """The command line that goes on with this run."""

@@ -1,7 +1,7 @@
 """Writing a sequence of images as MP4 or as PNGs."""
 
 import importlib.util
-import os
+import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from itertools import chain
@@ -11,6 +11,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from thermosplat.checkpoint import write_atomically
 from thermosplat.image_display import Image8, fitted, write_png
 
 VideoFormat = Literal["mp4", "png"]
@@ -34,9 +35,11 @@ def write_images(
 
     Returns:
         The video file, or the folder of PNGs.
+
+    Raises:
+        NotWrittenError: Something could not be written; an earlier video is as it was.
     """
     images = iter(images)
-    target.parent.mkdir(parents=True, exist_ok=True)
     if format == "mp4":
         first = next(images)
         images = chain([first], images)
@@ -44,7 +47,6 @@ def write_images(
             return _write_video(images, target.with_name(f"{target.name}.mp4"), first.shape, fps)
         except NoEncoderError:
             pass  # nothing was consumed
-    target.mkdir(exist_ok=True)
     written = set()
     for index, image in enumerate(images):
         path = target / f"{f'{index:05d}' if names is None else names[index]}.png"
@@ -61,17 +63,34 @@ class NoEncoderError(Exception):
 
 def _write_video(images: Iterator[Image8], path: Path, shape: tuple[int, ...], fps: int) -> Path:
     height, width = (size // 2 * 2 for size in shape[:2])  # 4:2:0 chroma needs even sizes: drop a last odd row
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.mp4")  # the encoders go by the suffix
-    try:
+
+    def write(temporary: Path) -> None:
+        temporary.touch()  # says why it cannot be written, where the encoders only fail
         with _encoder(temporary, width, height, fps) as append:
             for image in images:
                 if image.shape != shape:
                     image = fitted(image, shape[1], shape[0])
                 append(np.ascontiguousarray(image[:height, :width]))
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        if not _is_complete(temporary):
+            raise OSError("the encoder did not complete it, as on a full disk")
+
+    write_atomically(path, write)
     return path
+
+
+def _is_complete(path: Path) -> bool:
+    """Whether the parts of an MP4 fill it and its index is among them: it comes last, and encoders do not say that it
+    found no room."""
+    size, at, kinds = path.stat().st_size, 0, set()
+    with path.open("rb") as file:
+        while at < size:
+            file.seek(at)
+            length, kind = struct.unpack(">I4s", file.read(8).ljust(8, b"\0"))
+            if length == 1:  # too long for 32 bits
+                length = int.from_bytes(file.read(8), "big")
+            kinds.add(kind)
+            at += max(length, 8)
+    return at == size and b"moov" in kinds
 
 
 def _encoder(path: Path, width: int, height: int, fps: int) -> AbstractContextManager[Callable[[Image8], object]]:
@@ -87,8 +106,15 @@ def _h264(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[I
         str(path), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
     )
     writer.send(None)
+
+    def append(image: Image8) -> None:
+        try:
+            writer.send(image)
+        except OSError as error:  # its message is the whole command; ffmpeg itself has said more on stderr
+            raise OSError("ffmpeg ended early") from error
+
     try:
-        yield writer.send
+        yield append
     finally:
         writer.close()
 

@@ -45,6 +45,19 @@ def test_resolved_config_reproduces_the_run(tmp_path: Path) -> None:
     assert parse_train_arguments(["--config", str(path)]) == config
 
 
+def test_files_are_found_from_anywhere(run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Palette and LPIPS weights are kept by absolute paths; the same relative one on --resume contradicts nothing."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    flags = ["--thermal.palette", "hot.csv", "--lpips-weights", "~/vgg.pth"]
+    config = parse_train_arguments(["data/shed", *flags])
+    assert config.thermal.palette == str(tmp_path / "hot.csv")
+    assert config.lpips_weights == str(tmp_path / "home" / "vgg.pth")
+    trained = replace(load_config(run_folder / "config.yaml"), thermal=config.thermal)
+    (run_folder / "config.yaml").write_text(to_yaml(trained))
+    assert parse_train_arguments(["--resume", str(run_folder), *flags]).thermal == config.thermal
+
+
 @pytest.mark.parametrize(
     "flags",
     [

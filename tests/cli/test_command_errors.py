@@ -1,8 +1,10 @@
 """How a command ends: exit codes, the panel, and what --debug adds."""
 
 import errno
+import io
 import os
 import signal
+import sys
 
 import pytest
 import torch
@@ -70,6 +72,15 @@ def test_output_that_nobody_reads_is_no_error(capsys: pytest.CaptureFixture[str]
     """``| head`` ends a command as SIGPIPE would, without a word."""
     assert run_command(failing(BrokenPipeError(errno.EPIPE, "Broken pipe")), debug=False) == 128 + signal.SIGPIPE
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("encoding", "degrees"), [("utf-8", "°".encode()), ("ascii", b"\\xb0")])
+def test_what_cannot_be_encoded_is_escaped(encoding: str, degrees: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file name in Latin-1, or a terminal without some sign, ends no command."""
+    stdout = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    monkeypatch.setattr(sys, "stdout", stdout)
+    assert run_command(lambda: print("f\udcfcr.jpg, °C") or 0, debug=False) == 0
+    assert stdout.buffer.getvalue() == b"f\\udcfcr.jpg, " + degrees + b"C\n"
 
 
 @pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory"), MemoryError()])

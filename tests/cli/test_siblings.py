@@ -28,6 +28,10 @@ def test_mistakes_in_the_siblings(run: Run, main: Callable[[list[str]], int], fi
     code, printed = run(main, tmp_path / "broken")
     assert code == 2
     assert "is damaged" in printed
+    (tmp_path / "broken" / "ckpts" / "step_best.pt").write_bytes(b"a copy of the user's")
+    code, printed = run(main, tmp_path / "broken", "--step", 77)
+    assert code == 2
+    assert "It has: --step 9." in printed
 
 
 def test_eval_agrees_with_training(run: Run, finished: Path) -> None:
@@ -110,6 +114,20 @@ def test_capture_with_other_held_out_frames_is_another(run: Run, finished: Path,
     assert code == 0
     assert "other held-out frames" in printed
     assert (finished / "stats" / f"eval_{STEPS:06d}_fewer.csv").is_file()
+
+
+@pytest.mark.parametrize("main", [evaluate.main, render.main])
+def test_pictures_that_cannot_be_written(run: Run, main: Callable[[list[str]], int], finished: Path, tmp_path) -> None:
+    """What keeps pictures from being written, here a file in the place of their folder, is said with the path."""
+    shutil.copytree(finished / "ckpts", tmp_path / "ckpts")
+    words = ["--path", "test", "--format", "png", "--modality", "rgb"] if main is render.main else []
+    folder = "videos/test_rgb" if main is render.main else "renders/eval"
+    (tmp_path / folder).parent.mkdir()
+    (tmp_path / f"{folder}_{STEPS:06d}").write_text("")
+    code, printed = run(main, tmp_path, "--device", "cpu", *words)
+    assert code == 2
+    assert "Could not write" in printed
+    assert "File exists" in printed
 
 
 @pytest.mark.parametrize("words", [["--frames", "0"], ["--fps", "0"], ["--path", "zigzag"], ["--modality", "sound"]])

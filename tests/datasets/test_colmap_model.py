@@ -49,6 +49,15 @@ def test_damaged_models_are_told(tmp_path, name):
         read_model(tmp_path)
 
 
+def test_names_in_another_encoding_are_told(tmp_path):
+    """COLMAP on Windows writes umlauts in the encoding of the system."""
+    synthetic_model(2).write_text(tmp_path)
+    text = (tmp_path / "images.txt").read_bytes()
+    (tmp_path / "images.txt").write_bytes(text.replace(b"0001.png", b"f\xfcr.png"))
+    with pytest.raises(UserError, match=r"f\\xfcr\.png', which is not UTF-8"):
+        read_model(tmp_path)
+
+
 def test_no_model(tmp_path):
     """The message says where a model was looked for and what was found, the hint how to make one."""
     write_colmap_folder(tmp_path, 3)

@@ -27,7 +27,7 @@ def write_rig(root, count=6, *, base="images", thermal_name=lambda number: f"the
     return model
 
 
-@pytest.mark.parametrize("base", ["images", "."])
+@pytest.mark.parametrize("base", ["images", "Images", "."])
 def test_each_modality_has_its_own_camera_and_pose(tmp_path, base):
     """Intrinsics, size and pose of the thermal views are those of the second sensor; nothing is aligned."""
     model = write_rig(tmp_path, base=base)
@@ -123,4 +123,24 @@ def test_thermal_file_of_another_aspect(tmp_path):
     write_rig(tmp_path)
     write_image(tmp_path / "images" / "thermal" / "0001.png", pseudo_color(temperatures(1, 16, 16)))
     with pytest.raises(UserError, match=r"0001\.png is 16x16 but its camera was calibrated at 20x16"):
+        load_capture(tmp_path)
+
+
+def test_images_folder_of_links(tmp_path):
+    """images/ as COLMAP wants it for a rig, made of links to the folders that there were: every file counts once."""
+    write_rig(tmp_path, base=".")
+    (tmp_path / "images").mkdir()
+    for modality in ("rgb", "thermal"):
+        (tmp_path / "images" / modality).symlink_to(tmp_path / modality)
+    capture = load_capture(tmp_path)
+    assert len(capture.train) == 5
+    assert capture.notes == ()
+
+
+def test_files_under_other_names_than_the_models(tmp_path):
+    """Where no file has a registered name, the message says what the files are called."""
+    write_rig(tmp_path)
+    for path in (tmp_path / "images").rglob("*.png"):
+        path.rename(path.with_suffix(".PNG"))
+    with pytest.raises(UserError, match=r"12 images are not in the COLMAP model and were left out \(first: 0000\.PNG"):
         load_capture(tmp_path)

@@ -90,6 +90,16 @@ def test_list_images_sorts_and_filters(tmp_path):
     assert list_images(tmp_path / "none") == []
 
 
+def test_list_images_follows_links_once(tmp_path):
+    """Folders are often links to where the images lie; one that leads back to itself gives nothing twice."""
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "disk" / "a.png").write_bytes(b"x")
+    (tmp_path / "rgb").mkdir()
+    (tmp_path / "rgb" / "train").symlink_to(tmp_path / "disk")
+    (tmp_path / "disk" / "again").symlink_to(tmp_path / "rgb")
+    assert list_images(tmp_path / "rgb", recursive=True) == [tmp_path / "rgb" / "train" / "a.png"]
+
+
 def test_read_images_keeps_the_order(tmp_path):
     """Files read in parallel come back in the order asked for."""
     paths = []

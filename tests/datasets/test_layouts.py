@@ -14,6 +14,15 @@ def test_missing_folder(tmp_path):
     assert "thermosplat-train sample" in caught.value.hint
 
 
+def test_home_folder(tmp_path, monkeypatch):
+    """A ~ that no shell has replaced, as in a YAML file, is the home folder; ~name of nobody is a name."""
+    write_rgbt_scenes(tmp_path / "shed")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert load_capture("~/shed").name == "shed"
+    with pytest.raises(UserError, match=r"~nobody-of-that-name/shed does not exist"):
+        load_capture("~nobody-of-that-name/shed")
+
+
 def test_file_instead_of_a_folder(tmp_path):
     """A file is said to be one."""
     (tmp_path / "a.zip").write_bytes(b"x")

@@ -161,6 +161,32 @@ def test_names_without_a_split_fall_back_to_every_nth(tmp_path):
     assert [len(capture.train), len(capture.test)] == [4, 2]
 
 
+def test_files_that_windows_named(tmp_path):
+    """Backslashes between folders are read as slashes, in the lists of file names too."""
+    content = write_transforms(tmp_path)
+    for frame in content["frames"]:
+        frame["file_path"], frame["thermal_file_path"] = (
+            frame[key].replace("/", "\\") for key in ("file_path", "thermal_file_path")
+        )
+    names = [frame["file_path"] for frame in content["frames"]]
+    content |= {"train_filenames": names[2:], "test_filenames": names[:2]}
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    capture = load_capture(tmp_path)
+    assert [frame.name for frame in capture.test] == ["frame_eval_00000", "frame_train_00001"]
+    assert all(frame.rgb is not None and frame.thermal is not None for frame in (*capture.train, *capture.test))
+    assert not any("names no file" in note for note in capture.notes)
+
+
+def test_an_image_of_two_frames(tmp_path):
+    """It could be held out and trained on at once."""
+    content = write_transforms(tmp_path)
+    again = content["frames"][1] | {"file_path": "./" + content["frames"][1]["file_path"]}
+    content["frames"].append(again)
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    with pytest.raises(UserError, match=r"lists images/frame_train_00001\.png in two frames"):
+        load_capture(tmp_path)
+
+
 def test_missing_files_are_counted(tmp_path):
     """Frames whose files are gone are left out with a note; if all are gone it is an error."""
     content = write_transforms(tmp_path)
@@ -222,6 +248,14 @@ def test_broken_json_is_told(tmp_path):
     (tmp_path / "transforms_thermal.json").write_text("{")
     with pytest.raises(UserError, match="not readable JSON"):
         load_capture(tmp_path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_json_as_windows_saves_it(tmp_path, encoding):
+    """Editors there put a byte-order mark before it."""
+    content = write_transforms(tmp_path)
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content), encoding=encoding)
+    assert len(load_capture(tmp_path).train) == 6
 
 
 def test_transforms_win_over_a_model_beside_images(tmp_path):

@@ -45,17 +45,23 @@ def test_unreadable_point_cloud(tmp_path):
         load_capture(tmp_path)
 
 
-@pytest.mark.parametrize("agrees", [True, False])
-def test_points_of_a_model_beside_it(tmp_path, agrees):
-    """COLMAP's points are taken through applied_transform, if its cameras then are the file's."""
+@pytest.mark.parametrize(
+    ("agrees", "folder"), [(True, "images"), (False, "images"), (True, "undistorted"), (True, "images/left")]
+)
+def test_points_of_a_model_beside_it(tmp_path, agrees, folder):
+    """COLMAP's points are taken through applied_transform, if its cameras then are the file's, in whatever folder."""
     model = synthetic_model(8)
     content = write_transforms(tmp_path)
+    (tmp_path / "images").rename(tmp_path / "moved")
+    (tmp_path / folder).parent.mkdir(exist_ok=True)
+    (tmp_path / "moved").rename(tmp_path / folder)
     applied = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]])
     content["applied_transform"] = applied.tolist()
     for image in model.images.values():
         number = image.frame_id - 1
         frame = content["frames"][number]
         image.name = frame["file_path"].split("/")[1]
+        frame["file_path"] = f"{folder}/{image.name}"
         pose = np.eye(4)
         pose[:3] = image.cam_from_world().inverse().matrix()
         pose = np.vstack([applied[:, :3] @ pose[:3], [0, 0, 0, 1]]) @ np.diag([1, -1, -1, 1])

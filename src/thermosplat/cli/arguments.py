@@ -11,7 +11,7 @@ from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.foreign_flags import refuse_foreign_flags
 from thermosplat.config import TrainConfig
 from thermosplat.config_checks import check_config
-from thermosplat.config_files import load_config
+from thermosplat.config_files import files_from_anywhere, load_config
 from thermosplat.errors import UserError
 
 HELP_FLAGS = ("-h", "--help")
@@ -68,7 +68,7 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
             f"{name} has resume: {preset.resume}, which no configuration file can ask for.",
             f"Take that line out and give the flag: thermosplat-train --resume {shlex.quote(preset.resume)}",
         )
-    config = dataclasses.replace(_parse(argv, preset), config=preset.config)
+    config = files_from_anywhere(dataclasses.replace(_parse(argv, preset), config=preset.config))
     if not config.data:
         raise UserError(
             "No capture given.", 'Say which: thermosplat-train FOLDER, or "thermosplat-train sample" for a first try.'
@@ -82,8 +82,8 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
 
     folder = str(first.resume)
     run_config = RunDirectory.open(folder).read_config()
-    start = dataclasses.replace(run_config, resume=folder, result_dir=folder)
-    asked = _parse(argv, start)
+    start = files_from_anywhere(dataclasses.replace(run_config, resume=folder, result_dir=folder))
+    asked = files_from_anywhere(_parse(argv, start))
     if asked.overwrite:
         raise UserError("--resume goes on with a run and --overwrite deletes it.", "Give one of them.")
     if Path(asked.config).stem == start.config:

@@ -3,6 +3,7 @@
 thermosplat-benchmark data/Dimsum data/Truck --methods baselines thermosplat ablations --out results/matrix
 """
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -169,7 +170,7 @@ def _matrix(arguments: BenchmarkArguments) -> "Matrix":
     from thermosplat.method_matrix.matrix import Matrix
 
     return Matrix(
-        out=Path(arguments.out),
+        out=Path(os.path.expanduser(arguments.out)),
         scenes=scenes,
         methods=methods,
         seeds=arguments.seeds,

@@ -1,5 +1,6 @@
 """How commands end: 0, 2 with a panel for a mistake of the user's, 128 + its number after a signal (130: Ctrl-C)."""
 
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -27,6 +28,7 @@ def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False)
     Returns:
         The exit code. Errors that are no mistake of the user's are raised as they are.
     """
+    _print_what_cannot_be_encoded()
     with stop_signals():
         code = _code_of(body, debug, print_error_line if one_line else print_error)
     try:
@@ -38,6 +40,13 @@ def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False)
             raise
         return code or 128 + number
     return code
+
+
+def _print_what_cannot_be_encoded() -> None:
+    """Let file names in another encoding than the terminal's, and signs that it lacks, be printed as escapes."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], None]) -> int:

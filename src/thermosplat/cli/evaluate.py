@@ -59,7 +59,6 @@ def _evaluate(arguments: EvalArguments) -> int:
     run = loaded.directory
     name = loaded.result_name(capture)
     strips, table = run.renders / f"eval_{name}", run.stats / f"eval_{name}.csv"
-    strips.mkdir(exist_ok=True)
     metrics = evaluate(
         loaded.model,
         capture,

@@ -1,5 +1,6 @@
 """thermosplat-export: a trained run as PLY files for third-party viewers."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -44,7 +45,7 @@ def _export(arguments: ExportArguments) -> int:
         modalities = modelled(loaded.model)
     else:
         modalities = ("rgb", "thermal") if arguments.modality == "both" else (arguments.modality,)
-    folder = loaded.directory.ply if arguments.output is None else Path(arguments.output)
+    folder = loaded.directory.ply if arguments.output is None else Path(os.path.expanduser(arguments.output))
     written = export_scene(
         loaded.model, folder, thermal_scale=loaded.thermal_scale, modalities=modalities, compact=arguments.compact
     )

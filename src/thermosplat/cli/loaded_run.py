@@ -121,7 +121,7 @@ def _checkpoint(directory: RunDirectory, step: int | None) -> Path:
         return latest
     path = directory.checkpoint(step)
     if not path.is_file():
-        steps = sorted(checkpoint_step(file) for file in directory.ckpts.glob("step_*.pt"))
+        steps = [checkpoint_step(file) for file in directory.checkpoints()]
         raise UserError(
             f"{directory.path} has no checkpoint of step {step}.", f"It has: {', '.join(f'--step {n}' for n in steps)}."
         )

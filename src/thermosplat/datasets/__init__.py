@@ -1,5 +1,6 @@
 """Captures from folders. `load_capture` looks at a folder, tells its layout and reads it into memory."""
 
+import os
 from importlib.resources import files
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def load_capture(
     if str(data) == SAMPLE:
         root, name = Path(str(files("thermosplat").joinpath("sample"))), SAMPLE
     else:
-        root = Path(data).expanduser()
+        root = Path(os.path.expanduser(data))  # pathlib's own fails where there is no such user
         name = root.resolve().name
     if not str(data):
         raise UserError("No capture given.", "Name a folder, or take the one in the package: thermosplat-train sample")

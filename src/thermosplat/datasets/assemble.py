@@ -47,7 +47,8 @@ def assemble(
         )
     frames = sorted(listing.frames, key=lambda frame: frame.name)
     if not frames:
-        raise UserError(f"No image of {root} has a camera in its model.", "Are images and model of the same capture?")
+        message = " ".join([f"No image of {root} has a camera in its model.", *listing.notes])
+        raise UserError(message, "Are images and model of the same capture, under the same names?")
     for shot in (shot for frame in frames for shot in (frame.rgb, frame.thermal) if shot is not None):
         _check_camera(shot, root)
     mask = hold_out_mask(frames, test_every)

@@ -79,9 +79,7 @@ def read_model(folder: Path) -> ColmapModel:
         raise UserError(f"The COLMAP model in {folder} is incomplete or damaged: {damage}.", hint) from error
     lenses = {camera_id: Lens.from_colmap(camera) for camera_id, camera in model.cameras.items()}
     images = [
-        RegisteredImage(
-            PurePosixPath(image.name.replace("\\", "/")), lenses[image.camera_id], _viewmat(image), image.frame_id
-        )
+        RegisteredImage(_name(image, folder), lenses[image.camera_id], _viewmat(image), image.frame_id)
         for image in model.images.values()
         if image.has_pose
     ]
@@ -156,6 +154,17 @@ def missing_model(root: Path, images: Path) -> UserError:
 def describe_folder(folder: Path) -> str:
     """The folder's name and how many files lie below it, for messages."""
     return f"{folder.name}/ ({sum(1 for path in folder.rglob('*') if path.is_file())} files)"
+
+
+def _name(image: pycolmap.Image, folder: Path) -> PurePosixPath:
+    """The name of a registered image, also of one that was registered on Windows."""
+    try:
+        return PurePosixPath(image.name.replace("\\", "/"))
+    except UnicodeDecodeError as error:  # the bytes of whatever encoding COLMAP was run in
+        raise UserError(
+            f"The COLMAP model in {folder} calls an image {error.object!r}, which is not UTF-8.",
+            "Give the images names without accents and umlauts, in the folders and before colmap is run.",
+        ) from error
 
 
 def _viewmat(image: pycolmap.Image) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from thermosplat.datasets.colmap_images import registration_notes
 from thermosplat.datasets.colmap_model import ColmapModel, RegisteredImage
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot, Split
 from thermosplat.datasets.image_files import list_images
-from thermosplat.datasets.image_folders import thermal_folder
+from thermosplat.datasets.image_folders import image_folder, thermal_folder
 from thermosplat.datasets.image_names import SPLIT_FOLDERS, NamedImages, exposures, files_in, frame_names
 from thermosplat.errors import UserError
 
@@ -53,12 +53,13 @@ def list_colmap_rig(root: Path, model: ColmapModel) -> Listing:
                 names.append(image.name)
             shots[image.thermal] = Shot(path, image.lens, image.viewmat, None if values is None else raw[values])
             split = split or next((s for s in SPLIT_FOLDERS if s in path.parent.parts[len(root.parts) :]), None)
-        used.update(shot.path for shot in shots.values())
+        used.update(shot.path.resolve() for shot in shots.values())  # one file may be below several folders by links
         if shots:
             frames.append(FrameFiles("", shots.get(False), shots.get(True), split, thermal_has_camera=True))
-    folders = (root / "images", root / "rgb", thermal_folder(root))
+    folders = (image_folder(root, "images"), image_folder(root, "rgb"), thermal_folder(root))
     called = frame_names(names, _MODEL)
-    unregistered = [path for folder in folders for path in list_images(folder, recursive=True) if path not in used]
+    files = [path for folder in folders for path in list_images(folder, recursive=True)]
+    unregistered = [path for path in files if path.resolve() not in used]
     return Listing(
         "colmap-rig",
         tuple(replace(frame, name=name) for frame, name in zip(frames, called, strict=True)),
@@ -100,7 +101,7 @@ def _by_frame(images: Sequence[RegisteredImage]) -> list[list[RegisteredImage]]:
 
 def _find_file(root: Path, name: PurePosixPath) -> Path | None:
     """The file of a registered image: below images/ or the capture's folder, perhaps inside train/ or test/."""
-    for base in (root / "images", root):
+    for base in (image_folder(root, "images"), root):
         path, *divided = (base / name.parent / folder / name.name for folder in ("", *SPLIT_FOLDERS))
         if path.is_file():
             return path

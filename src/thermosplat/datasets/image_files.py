@@ -1,7 +1,8 @@
 """Image files into arrays: 8-bit colour, 8-bit grey, 16-bit and floating-point, each as it is stored."""
 
+import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,21 @@ def list_images(folder: Path, *, recursive: bool = False) -> list[Path]:
     """Image files in a folder, sorted by name; empty where there is no such folder."""
     if not folder.is_dir():
         return []
-    entries = folder.rglob("*") if recursive else folder.iterdir()
+    entries = _files_below(folder) if recursive else folder.iterdir()
     return sorted(path for path in entries if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."))
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    """Files at any depth, also in folders that are links; each folder once, as links may go in a circle."""
+    seen = set()
+    for place, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(place)
+        if real in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        folders.sort()
+        yield from (Path(place, name) for name in files)
 
 
 def read_image(path: Path) -> NDArray[Any]:

@@ -109,7 +109,7 @@ def read_json(path: Path) -> dict[str, Any]:
         UserError: The file cannot be read or holds something else.
     """
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_bytes())  # in UTF-8, with a byte-order mark or without, or UTF-16
     except (OSError, ValueError) as error:
         raise UserError(f"{path} is not readable JSON: {error}.", "Restore it, or export it again.") from error
     if not isinstance(content, dict):

@@ -6,7 +6,8 @@ test_filenames. temperature_bounds.json gives the temperatures of black and whit
 """
 
 import json
-from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
@@ -41,6 +42,7 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
     entries = _entries(content, path)
     names = [image_name(root, entry) for entry in entries]
     splits, notes = stated_splits(content, path, names)
+    _check_listed_once(names, path)
     called = frame_names(names, path.name)
     images = TransformsImages(root, path, names)
     frames = []
@@ -97,7 +99,22 @@ def _entries(content: dict[str, Any], path: Path) -> list[dict[str, Any]]:
                 raise UserError(f"{key} of frame {number} of {path} must be a file name, found {found}.", hint)
         if not (entry.get("file_path") or entry.get("thermal_file_path")):
             raise UserError(f"Frame {number} of {path} has no file_path.", hint)
-    return entries
+    return [_with_slashes(entry) for entry in entries]
+
+
+def _with_slashes(entry: dict[str, Any]) -> dict[str, Any]:
+    """What is said of a frame, with its files named as here where they were named on Windows."""
+    named = {key: entry[key] for key in ("file_path", "thermal_file_path") if entry.get(key)}
+    return entry | {key: name.replace("\\", "/") for key, name in named.items()}
+
+
+def _check_listed_once(names: Sequence[PurePosixPath], path: Path) -> None:
+    """An image of two frames could be trained on and held out."""
+    seen = set()
+    for name in names:
+        if name in seen:
+            raise UserError(f"{path} lists {name} in two frames.", "Remove one of them.")
+        seen.add(name)
 
 
 def _temperature_bounds(root: Path) -> tuple[float, float] | None:

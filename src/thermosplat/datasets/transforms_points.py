@@ -1,7 +1,7 @@
 """Starting points for captures with a transforms file: its point cloud, a COLMAP model beside it, or random ones."""
 
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2  # noqa: F401  before pycolmap, see lens.py
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from thermosplat.cameras import camera_center
 from thermosplat.datasets.colmap_model import ColmapModel, read_model
-from thermosplat.datasets.frame_files import FrameFiles
+from thermosplat.datasets.frame_files import FrameFiles, Shot
+from thermosplat.datasets.image_names import stem_key
 from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points
 from thermosplat.errors import UserError
 
@@ -52,7 +53,7 @@ def transforms_points(
         reason = "has other poses"
         if len(points) < MIN_POINTS:
             reason = f"has {len(points)} points"
-        elif _same_world(model, applied, frames):
+        elif _same_world(model, applied, frames, root):
             return points, model.point_colors, notes
         notes.append(f"The COLMAP model beside {file} {reason}: it is not used.")
     notes.append(f"No point cloud (ply_file_path, sparse_pc.ply or a COLMAP model): {STARTING_RANDOM}")
@@ -91,18 +92,32 @@ def _applied(content: dict[str, Any], path: Path) -> NDArray[np.float64]:
     return applied[:3]
 
 
-def _same_world(model: ColmapModel, applied: NDArray[np.float64], frames: Sequence[FrameFiles]) -> bool:
-    """COLMAP's camera positions, mapped, are those of the frames of the same stem."""
+def _same_world(model: ColmapModel, applied: NDArray[np.float64], frames: Sequence[FrameFiles], root: Path) -> bool:
+    """COLMAP's camera positions, mapped, are those of the frames of the same path or else of the same stem."""
     positions = {image.name.stem: camera_center(image.viewmat) for image in model.images}
-    names = [index for index, frame in enumerate(frames) if frame.name in positions]
-    if not names:
+    positions |= {stem_key(image.name): camera_center(image.viewmat) for image in model.images}
+    pairs = [
+        (positions[key], camera_center(shot.viewmat))
+        for shot in _shots(frames)
+        if (key := next((key for key in _keys(shot.path, root) if key in positions), None)) is not None
+    ]
+    if not pairs:
         return False
-    centers = _centers(frames)
-    mapped = np.array([applied[:, :3] @ positions[frames[i].name] + applied[:, 3] for i in names])
-    spread = max(float(np.ptp(centers, axis=0).max()), 1e-6)
-    return float(np.median(np.linalg.norm(mapped - centers[names], axis=1))) <= _AGREEMENT * spread
+    theirs, ours = np.array(pairs).transpose(1, 0, 2)
+    mapped = theirs @ applied[:, :3].T + applied[:, 3]
+    spread = max(float(np.ptp(_centers(frames), axis=0).max()), 1e-6)
+    return float(np.median(np.linalg.norm(mapped - ours, axis=1))) <= _AGREEMENT * spread
+
+
+def _keys(path: Path, root: Path) -> tuple[str, str]:
+    """What the image of a frame may be called in the model."""
+    name = PurePosixPath(path.relative_to(root) if path.is_relative_to(root) else path.name)
+    return stem_key(name), name.stem
+
+
+def _shots(frames: Sequence[FrameFiles]) -> list[Shot]:
+    return [shot for frame in frames if (shot := frame.rgb or frame.thermal) is not None]
 
 
 def _centers(frames: Sequence[FrameFiles]) -> NDArray[np.float64]:
-    shots = [frame.rgb or frame.thermal for frame in frames]
-    return np.array([camera_center(shot.viewmat) for shot in shots if shot is not None])
+    return np.array([camera_center(shot.viewmat) for shot in _shots(frames)])

@@ -44,7 +44,7 @@ def stated_splits(
     for key, split in _LISTS.items():
         unknown = []
         for listed in _strings(content, key, path):
-            place = _place(path.parent, PurePosixPath(listed))
+            place = _place(path.parent, PurePosixPath(listed.replace("\\", "/")))
             found = by_place.get(place) or by_stem.get(place.name, set())
             if len(found) != 1:
                 unknown.append(listed)

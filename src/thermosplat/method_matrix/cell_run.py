@@ -14,7 +14,7 @@ from thermosplat.method_matrix.cell_result import CellResult, read_regions, writ
 from thermosplat.method_matrix.cells import Cell, difference, settings
 from thermosplat.method_matrix.panels import write_panels
 from thermosplat.method_matrix.render_speed import frames_per_second
-from thermosplat.run_directory import RunDirectory, checkpoint_step
+from thermosplat.run_directory import RunDirectory
 from thermosplat.training.trainer import Trainer
 
 
@@ -93,6 +93,6 @@ def _per_view(path: Path) -> list[dict[str, Any]]:
 
 
 def _drop_checkpoints(run: RunDirectory, *, keep_last: bool) -> None:
-    files = sorted(run.ckpts.glob("step_*.pt"), key=checkpoint_step)
+    files = run.checkpoints()
     for file in files[:-1] if keep_last else files:
         file.unlink()

@@ -60,10 +60,10 @@ def parse_scenes(words: Iterable[str]) -> list[Scene]:
     """
     scenes: list[Scene] = []
     for word in words:
-        name, _, data = ("", "", word) if Path(word).expanduser().is_dir() else word.rpartition("=")
-        if data != "sample" and not Path(data).expanduser().is_dir():
+        name, _, data = ("", "", word) if Path(data_from_anywhere(word)).is_dir() else word.rpartition("=")
+        if data != "sample" and not Path(data_from_anywhere(data)).is_dir():
             raise UserError(f"There is no capture folder {data}.", "Give folders, or NAME=FOLDER.")
-        data = data_from_anywhere(str(Path(data).expanduser()))
+        data = data_from_anywhere(data)
         scenes.append(Scene(name or Path(data).name, data))
     names = [scene.name for scene in scenes]
     for name in names:
