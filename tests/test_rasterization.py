@@ -198,6 +198,19 @@ def test_absgrad(device: torch.device) -> None:
     assert (results[1][0] >= results[1][1].abs() * (1 - 1e-5) - 1e-6).all()
 
 
+@pytest.mark.parametrize("seen", [slice(0, 2), slice(2, 4), slice(4, 5)])
+def test_absgrad_of_every_chunk_of_channels(device: torch.device, seen: slice) -> None:
+    """A loss on some channels has the same absgrad whether they are blended with the others or not."""
+    scene = random_scene(channels=5, cameras=2, absgrad=True, backgrounds=False)  # whose gradient is the first chunk's
+    sums = []
+    for channel_chunk in (32, 2):
+        image, _, info = rasterization(**leaves(scene, device, torch.float64), channel_chunk=channel_chunk)
+        image[..., seen].square().sum().backward()
+        sums.append(info["means2d"].absgrad)
+    assert sums[0].max() > 0
+    torch.testing.assert_close(sums[1], sums[0])
+
+
 def test_packed_gives_the_same_result(device: torch.device) -> None:
     """packed changes nothing, not even a bit."""
     scene = random_scene(cameras=2)

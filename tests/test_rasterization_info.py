@@ -1,5 +1,7 @@
 """The info dictionary: what is computed when it is read, and gsplat's sort keys."""
 
+import copy
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -108,8 +110,16 @@ def test_what_is_removed_is_not_computed_again() -> None:
 
 @pytest.mark.parametrize(
     "copied",
-    [lambda info: info.copy(), lambda info: info | {}, lambda info: {} | info, lambda info: dict([info.popitem()])],
-    ids=["copy", "or", "ror", "popitem"],
+    [
+        lambda info: info.copy(),
+        lambda info: info | {},
+        lambda info: {} | info,
+        lambda info: dict([info.popitem()]),
+        copy.copy,
+        copy.deepcopy,
+        lambda info: pickle.loads(pickle.dumps(info)),
+    ],
+    ids=["copy", "or", "ror", "popitem", "copy.copy", "deepcopy", "pickle"],
 )
 def test_copies_hold_what_is_computed(copied: Callable[[RasterizationInfo], dict[str, Any]]) -> None:
     """And not the place that was kept for it."""
@@ -164,6 +174,20 @@ def test_number_of_non_finite_gaussians_in_what_is_rendered(device: torch.device
     assert rasterization_rgbt(**leaves(scene, device, torch.float32)).info["num_nonfinite"] == 0
     scene["colors"][3, 3, 0] = scene["features"][5, 7] = scene["thermal_opacities"][9] = float("nan")
     assert rasterization_rgbt(**leaves(scene, device, torch.float32)).info["num_nonfinite"] == 3
+
+
+@pytest.mark.parametrize(("n", "batch"), [(0, ()), (4, (0,)), (0, (0,)), (4, (2, 0))])
+def test_everything_of_nothing(n: int, batch: tuple[int, ...]) -> None:
+    """Without Gaussians, or in a batch without scenes, every entry can be read and every gradient is zero."""
+    inputs = leaves(random_scene(n=n, batch=batch, cameras=2, sh_degree=1), "cpu", torch.float32)
+    image, _, info = rasterization(**inputs)
+    image.sum().backward()
+    assert not inputs["viewmats"].grad.any()
+    assert not inputs["means"].grad.any()
+    shapes = {key: tuple(value.shape) for key, value in info.items() if isinstance(value, torch.Tensor)}
+    assert shapes["tiles_per_gauss"] == shapes["depths"] == (*batch, 2, n)
+    assert shapes["conics"] == (*batch, 2, n, 3)
+    assert shapes["isect_ids"] == shapes["flatten_ids"] == (0,)
 
 
 @pytest.mark.parametrize("n", [0, 3])

@@ -127,9 +127,10 @@ def test_gradcheck(device: torch.device) -> None:
     assert torch.autograd.gradcheck(render, [inputs[name] for name in names], nondet_tol=tolerance)
 
 
-def test_means2d_gradient_sums_both_passes(device: torch.device) -> None:
+@pytest.mark.parametrize("features", [8, 20])  # 20: more than one traversal takes
+def test_means2d_gradient_sums_both_passes(device: torch.device, features: int) -> None:
     """info["means2d"] retains the summed gradient of both spectra and absgrad the sum of absolute values."""
-    scene = random_rgbt_scene(cameras=2, absgrad=True)
+    scene = random_rgbt_scene(cameras=2, absgrad=True, features=features)
     results = []
     for render, dtype, where in (
         (reference_rasterizer.rasterization_rgbt, torch.float64, "cpu"),

@@ -59,7 +59,7 @@ def strand_sums(records: wp.array, images: int) -> wp.array:
     launch_again(
         strand_sum_kernel(dtype, length),
         images * STRANDS,
-        [len(records) // images, records, sums],
+        [len(records) // max(images, 1), records, sums],
         records.device,
     )
     return sums

@@ -33,7 +33,7 @@ class BlendInputs:
     settings: ProjectionSettings
     thermal_channels: int
     shown_means2d: Tensor | None
-    """The tensor users see as info["means2d"], whose ``absgrad`` attribute the backward pass sets; None: not wanted."""
+    """The tensor users see as info["means2d"], whose ``absgrad`` the backward pass adds to; None: not wanted."""
 
 
 class BlendedTensors(NamedTuple):
@@ -146,8 +146,9 @@ class Blend(torch.autograd.Function):
             v_given = {"v_images": tuple(v_images), "v_alphas": True, "absolute": sums}
             blending_step.blend_adjoint(*step, rest=ctx.rest, **v_given, store=True)
         take_back(*arrays, *(image for image, _ in images))
-        if absolute is not None:
-            shown_means2d.absgrad = absolute
+        if absolute is not None:  # added up as .grad is: a call with many channels blends several times
+            earlier = getattr(shown_means2d, "absgrad", None)
+            shown_means2d.absgrad = absolute if earlier is None else earlier + absolute
         return *found, None
 
 

@@ -221,7 +221,7 @@ class ProjectedScene:
             values,
             {
                 "conics": lambda: conics(roots, radii),
-                "tiles_per_gauss": lambda: tiles_of_gaussians.reshape(*shape, -1),
+                "tiles_per_gauss": lambda: tiles_of_gaussians.reshape(*shape, num_gaussians),
                 "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
                 "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
                 "num_nonfinite": lambda: num_nonfinite([*inputs, *_used(harmonics)], cameras, scenes, num_gaussians),

@@ -85,6 +85,9 @@ class RasterizationInfo(dict[str, Any]):
         self._compute_all()
         return super().values()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)  # pickled and copied as a plain dict: what is still to compute is a function
+
     def _compute_all(self) -> None:
         for key in list(self._computed):
             self[key]

@@ -114,7 +114,7 @@ def rasterization(
         backgrounds: Colours behind everything, [..., C, D].
         render_mode: "RGB", "D" (accumulated depth), "ED" (expected depth), "RGB+D" or "RGB+ED".
         sparse_grad: Not supported.
-        absgrad: The backward pass sets ``info["means2d"].absgrad`` to the sums of absolute per-pixel gradients.
+        absgrad: Sums of a traversal's absolute per-pixel gradients add up in ``info["means2d"].absgrad`` like .grad.
         rasterize_mode: "classic", or "antialiased": opacities are scaled by what ``eps2d`` adds to the area
             (Mip-Splatting).
         channel_chunk: At most so many channels are blended in one traversal (never more than 32).
@@ -273,7 +273,7 @@ def rasterization_rgbt(
         features_sh_degree: As ``sh_degree``, for ``features``.
         tile_size: As in ``rasterization``.
         backgrounds: Colours behind ``colors`` only, [..., C, D] (D = 3 with ``sh_degree``).
-        absgrad: As in ``rasterization``; both passes' per-pixel gradients are summed before the absolute value.
+        absgrad: As in ``rasterization``; both passes are one traversal where D + 2 d channels are at most 32.
         rasterize_mode: As in ``rasterization``.
         camera_model: As in ``rasterization``.
         deterministic: As in ``rasterization``.
