@@ -129,6 +129,26 @@ def test_no_validation_views_where_there_are_too_few(tmp_path: Path) -> None:
     assert trainer.budget.validation == ()
 
 
+def test_cameras_that_take_turns_are_both_looked_at(tmp_path: Path) -> None:
+    """Where no frame has both spectra, growth and removal are judged by images of either."""
+    capture = many_frames(toy_capture(aligned=False), 41)
+    frames = tuple(
+        dataclasses.replace(frame, **{"thermal" if index % 2 else "rgb": None})
+        for index, frame in enumerate(capture.train)
+    )
+    config = budget_config(validation_views=2, measured_views=20)
+    trainer = toy_trainer(tmp_path, config, dataclasses.replace(capture, train=frames))
+    assert trainer.budget is not None
+    withheld = [frames[index] for index in trainer.budget.validation]
+    assert len(withheld) == 4
+    assert sum(frame.thermal is not None for frame in withheld) == 2
+    assert trainer.budget.images(1).errors.keys() == {"rgb", "thermal"}
+    alone = dataclasses.replace(config, model=dataclasses.replace(config.model, thermal=False))
+    trainer = toy_trainer(tmp_path / "rgb", alone, dataclasses.replace(capture, train=frames))
+    assert trainer.budget is not None
+    assert len(trainer.budget.validation) == 2
+
+
 def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
     """metrics.json says how small; the checkpoint holds as much, without moments, and comes back equal."""
     capture = many_frames(toy_capture(), FRAMES)
