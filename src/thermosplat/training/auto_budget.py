@@ -211,8 +211,11 @@ class AutoBudget:
         )
 
     def _sensitivities(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
-        """Of the images to opacities; a spectrum counts the more the smaller its error is, as ``change`` has it."""
-        weights = {modality: 1.0 / error for modality, error in change.errors.items()}
+        """Of the images to opacities; summed over pixels, changes are shares of a spectrum's error as in ``change``."""
+        weights = {}
+        for modality, error in change.errors.items():
+            views = [view for frame in self.frames.frames if (view := getattr(frame, modality)) is not None]
+            weights[modality] = 1.0 / (error * sum(view.image.size for view in views))
         deterministic = self.config.deterministic
         return opacity_sensitivities(self.state.model, self.frames, sh_degree, weights, deterministic=deterministic)
 
