@@ -27,6 +27,7 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.offset_shrinkage": 0,
     "auto_budget.prune_change": 0,
     "auto_budget.offset_change": 0,
+    "auto_budget.feature_change": 0,
     "auto_budget.sh_change": 0,
     "auto_budget.rounding_change": 0,
     "auto_budget.measured_views": 1,
@@ -49,7 +50,6 @@ _SHARES = (
     "loss.ssim_lambda",
     "loss.depth_spread_from",
     "densification.prune_opacity",
-    "densification.reset_opacity",
     "densification.keep_opacity",
     "schedule.thermal_from",
     "schedule.rgb_until",
@@ -104,8 +104,9 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     for key in ("eval_steps", "save_steps"):
         if any(step < 1 for step in values[key]):
             raise UserError(f"{name(key)} must be steps from 1 on, found {list(values[key])}.")
-    if not 0 < values["model.init_opacity"] < 1:
-        raise UserError(f"{name('model.init_opacity')} must lie between 0 and 1, found {values['model.init_opacity']}.")
+    for key in ("model.init_opacity", "densification.reset_opacity"):  # stored as logits
+        if not 0 < values[key] < 1:
+            raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
     if not all(0 <= channel <= 1 for channel in config.background):
         raise UserError(f"{name('background')} must be three values between 0 and 1, found {config.background}.")
     _check_temperatures(config.thermal.range_celsius, name("thermal.range_celsius"))

@@ -98,6 +98,30 @@ def test_pruning_changes_the_images_little(tmp_path: Path) -> None:
         assert change.now() <= 0.02
 
 
+def test_worth_is_a_share_of_the_error_of_images_of_any_size(tmp_path: Path) -> None:
+    """A Gaussian that one spectrum sees counts by how much its images change, be they small and of one channel."""
+    capture = toy_capture(thermal_kind="scalar", aligned=False)  # 24x18 colours, 16x14 numbers
+    capture = dataclasses.replace(capture, train=capture.train * 60)
+    config = budget_config()
+    config = dataclasses.replace(config, model=dataclasses.replace(config.model, feature_dim=0))
+    trainer = toy_trainer(tmp_path, config, capture)
+    assert trainer.budget is not None
+    gaussians = trainer.model.gaussians("shared")
+    everyone = torch.arange(60)
+    of_rgb, low, high = everyone < 30, torch.full((60,), -12.0), torch.full((60,), -2.0)
+    visible, thermal = torch.where(of_rgb, high, low), torch.where(of_rgb, low, high)
+    gaussians.set_opacity_logits(everyone, visible, thermal)
+    change = trainer.budget.images(0)
+    found = trainer.budget.scores(0, change)["shared"]
+    expected = torch.zeros(60)
+    for left_out in everyone:
+        gaussians.set_opacity_logits(left_out[None], low[:1], low[:1])
+        expected[left_out] = change.now()
+        gaussians.set_opacity_logits(everyone, visible, thermal)
+    for chosen in (of_rgb, ~of_rgb):
+        assert found[chosen].sum().item() == pytest.approx(expected[chosen].sum().item(), rel=0.2)
+
+
 def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
     """Without the gain that is asked for, growth ends after the patience."""
     config = budget_config(least_gain=1000.0, patience=6)
@@ -127,6 +151,26 @@ def test_no_validation_views_where_there_are_too_few(tmp_path: Path) -> None:
     trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES - 1))
     assert trainer.budget is not None
     assert trainer.budget.validation == ()
+
+
+def test_cameras_that_take_turns_are_both_looked_at(tmp_path: Path) -> None:
+    """Where no frame has both spectra, growth and removal are judged by images of either."""
+    capture = many_frames(toy_capture(aligned=False), 41)
+    frames = tuple(
+        dataclasses.replace(frame, **{"thermal" if index % 2 else "rgb": None})
+        for index, frame in enumerate(capture.train)
+    )
+    config = budget_config(validation_views=2, measured_views=20)
+    trainer = toy_trainer(tmp_path, config, dataclasses.replace(capture, train=frames))
+    assert trainer.budget is not None
+    withheld = [frames[index] for index in trainer.budget.validation]
+    assert len(withheld) == 4
+    assert sum(frame.thermal is not None for frame in withheld) == 2
+    assert trainer.budget.images(1).errors.keys() == {"rgb", "thermal"}
+    alone = dataclasses.replace(config, model=dataclasses.replace(config.model, thermal=False))
+    trainer = toy_trainer(tmp_path / "rgb", alone, dataclasses.replace(capture, train=frames))
+    assert trainer.budget is not None
+    assert len(trainer.budget.validation) == 2
 
 
 def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import torch
 from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.model import SceneModel
 from thermosplat.rasterizer import rasterization
-from thermosplat.training.contributions import contributions
+from thermosplat.training.contributions import contributions, squared_contributions
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model
 
 SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
@@ -47,7 +47,7 @@ def test_shares_of_squared_weights() -> None:
     model = toy_model(toy_config(), capture)
     frame = toy_frame(capture)
     gaussians = model.gaussians("shared")
-    estimated = contributions(model, [frame] * 300, squared=True)["shared"]
+    estimated = squared_contributions(model, [frame] * 300)["shared"]
     images = []
     for opacities in (gaussians.opacities, gaussians.thermal_opacities):
         everyone, _, _ = rasterization(
@@ -55,14 +55,17 @@ def test_shares_of_squared_weights() -> None:
             *(frame.rgb.viewmat[None], frame.rgb.K[None], frame.rgb.width, frame.rgb.height),
         )
         images.append(everyone.detach().square().sum(dim=(0, 1, 2)))
-    expected = torch.stack([image / image.sum() for image in images]).mean(dim=0)
+    expected = torch.stack([image / image.sum() for image in images])
     torch.testing.assert_close(estimated, expected, rtol=0.3, atol=1e-4)
-    assert estimated.sum().item() == pytest.approx(1.0, abs=1e-5)
+    assert estimated.sum(dim=1).tolist() == pytest.approx([1.0, 1.0], abs=1e-5)
 
 
 def test_separate_sets_have_shares_of_their_own() -> None:
-    """Each set's shares, of its own spectrum, add up to 1."""
+    """Each set's shares, of its own spectrum, add up to 1; of the other spectrum it has no squared ones."""
     capture = toy_capture()
     model = toy_model(toy_config(**SEPARATE), capture)
     shares = contributions(model, [frame_tensors(capture.train[0], capture.thermal_scale, "cpu")])
     assert {name: round(values.sum().item(), 4) for name, values in shares.items()} == {"rgb": 1.0, "thermal": 1.0}
+    squared = squared_contributions(model, [toy_frame(capture)])
+    assert not squared["rgb"][1].any()
+    assert squared["thermal"].sum(dim=1).tolist() == pytest.approx([0.0, 1.0])

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from thermosplat.config import DecoderConfig, ModelConfig, OptimizerConfig, Trai
 from thermosplat.config_files import to_dict
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
+from thermosplat.radiometry import ThermalScale
 from thermosplat.run_directory import RunDirectory
 from thermosplat.training.resuming import check_resumable, newest_checkpoint, other_frames
 
@@ -78,6 +80,28 @@ def test_another_capture_is_refused(tmp_path: Path, names: tuple[str, ...], firs
         UserError, match=rf"trained on 2 frames, and shed has {len(names)} .* \(first difference: {first}\)"
     ):
         check_resumable(newest_checkpoint(run), CONFIG, run, _capture(*names))
+
+
+@pytest.mark.parametrize(
+    ("then", "now", "message"),
+    [
+        ("color", "scalar", "on pseudo-coloured thermal images, and shed has thermal images of one channel"),
+        ("scalar", "color", "on thermal images of one channel, and shed has pseudo-coloured thermal images"),
+        ("color", None, "on pseudo-coloured thermal images, and shed has no thermal images"),
+    ],
+)
+def test_other_thermal_images_are_refused(
+    tmp_path: Path, then: Literal["color", "scalar"], now: Literal["color", "scalar"] | None, message: str
+) -> None:
+    """Frames of the same names may still show something that the decoders were not made for; RGB alone may go on."""
+    run = _run(tmp_path)
+    checkpoint = newest_checkpoint(run) | {"thermal_scale": ThermalScale(then).state_dict()}
+    capture = dataclasses.replace(CAPTURE, thermal_scale=None if now is None else ThermalScale(now))
+    with pytest.raises(UserError, match=message):
+        check_resumable(checkpoint, CONFIG, run, capture)
+    check_resumable(checkpoint, CONFIG, run, dataclasses.replace(capture, thermal_scale=ThermalScale(then)))
+    alone = dataclasses.replace(CONFIG, model=ModelConfig(thermal=False))
+    check_resumable(checkpoint | {"config": to_dict(alone)}, alone, run, capture)
 
 
 def test_checkpoints_without_frames_go_on(tmp_path: Path) -> None:

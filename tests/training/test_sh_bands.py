@@ -1,7 +1,9 @@
 """Spherical harmonics that the training images do not miss are dropped, and only those."""
 
 import dataclasses
+from typing import Any
 
+import pytest
 import torch
 
 from thermosplat.training.image_change import ImageChange
@@ -25,6 +27,27 @@ def test_training_images_change_within_the_tolerance() -> None:
     assert kept[:20].sum() < kept[-20:].sum()
     assert torch.equal(gaussians.shN[gaussians.shN != 0], before[gaussians.shN != 0])
     assert 0 < change.now() <= 1e-3
+
+
+@pytest.mark.parametrize("model", [{}, {"feature_dim": 0}])
+def test_colors_that_a_spectrum_does_not_show_go_first(model: dict[str, Any]) -> None:
+    """Harmonics count in the spectrum whose colours they are, however clear the Gaussian is in the other one."""
+    capture = toy_capture()
+    scene = toy_model(toy_config(**model), capture)
+    gaussians, frame = scene.gaussians("shared"), toy_frame(capture)
+    with torch.no_grad():
+        gaussians.logit_opacities[:30] = -12.0  # not drawn in RGB
+        gaussians.thermal_opacity_offsets[:30] = 14.0
+        gaussians.logit_opacities[30:] = 1.0
+        gaussians.thermal_opacity_offsets[30:] = -14.0
+    change = ImageChange(scene, [frame], 1)
+    drop_bands(scene, [frame], 1, change, 0.0)
+    assert not gaussians.shN[:30].any()
+    assert gaussians.shN[30:].any()
+    if model:
+        assert gaussians.thermal_shN[:30].any()
+        assert not gaussians.thermal_shN[30:].any()
+    assert change.now() == 0.0
 
 
 def test_zeros_cost_nothing_and_go_first() -> None:

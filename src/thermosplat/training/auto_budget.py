@@ -12,7 +12,7 @@
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -51,7 +51,12 @@ class AutoBudget:
         self.frames = frames
         self.schedule = schedule
         self.settings = config.auto_budget
-        self.validation = _validation_views(len(frames), self.settings.validation_views)
+        modelled = [name for name in ("rgb", "thermal") if getattr(config.model, name)]
+        self._having = [
+            [index for index, frame in enumerate(frames.frames) if getattr(frame, name) is not None]
+            for name in modelled
+        ]
+        self.validation = _validation_views(self._having, self.settings.validation_views)
         self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
         if state.growing:
             schedule.withhold(self.validation)
@@ -193,7 +198,7 @@ class AutoBudget:
             sh_degree: Degree of the spherical harmonics in use.
             losses: As ``ImageChange``'s.
         """
-        looked_at = _spread(len(self.frames), min(self.settings.measured_views, len(self.frames)))
+        looked_at = _spread(self._having, self.settings.measured_views)
         return ImageChange(self.state.model, [self.frames[index] for index in looked_at], sh_degree, losses)
 
     def _prune(self, sh_degree: int) -> None:
@@ -206,17 +211,31 @@ class AutoBudget:
         )
 
     def _sensitivities(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
-        """Of the images to opacities; a spectrum counts the more the smaller its error is, as ``change`` has it."""
-        weights = {modality: 1.0 / error for modality, error in change.errors.items()}
+        """Of the images to opacities; summed over pixels, changes are shares of a spectrum's error as in ``change``."""
+        weights = {}
+        for modality, error in change.errors.items():
+            views = [view for frame in self.frames.frames if (view := getattr(frame, modality)) is not None]
+            weights[modality] = 1.0 / (error * sum(view.image.size for view in views))
         deterministic = self.config.deterministic
         return opacity_sensitivities(self.state.model, self.frames, sh_degree, weights, deterministic=deterministic)
 
 
-def _validation_views(num_frames: int, count: int) -> tuple[int, ...]:
-    """Indices of ``count`` frames to withhold; none where that would be more than a tenth of them."""
-    return () if 10 * count > num_frames else _spread(num_frames, count)
+def _validation_views(having: Sequence[Sequence[int]], count: int) -> tuple[int, ...]:
+    """As ``_spread``, frames to withhold; none where that would be more than a tenth of those of a spectrum."""
+    chosen = _spread(having, count)
+    too_many = any(10 * len(set(chosen).intersection(indices)) > len(indices) for indices in having)
+    return () if too_many else chosen
 
 
-def _spread(num_frames: int, count: int) -> tuple[int, ...]:
-    """Indices of ``count`` frames spread over all."""
-    return tuple(round((i + 0.5) * num_frames / count - 0.5) for i in range(count))
+def _spread(having: Sequence[Sequence[int]], count: int) -> tuple[int, ...]:
+    """Indices of ``count`` frames of each spectrum, spread over all that have it; one frame may serve both.
+
+    Args:
+        having: Indices of the frames that have each spectrum. Captures whose cameras take turns have no frame of both.
+        count: At most.
+    """
+    chosen: set[int] = set()
+    for indices in having:
+        number = min(count, len(indices))
+        chosen.update(indices[round((i + 0.5) * len(indices) / number - 0.5)] for i in range(number))
+    return tuple(sorted(chosen))

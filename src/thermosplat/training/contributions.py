@@ -20,19 +20,40 @@ from thermosplat.model import SceneModel
 from thermosplat.rasterizer import rasterization, rasterization_rgbt
 
 
-def contributions(model: SceneModel, frames: Iterable[FrameTensors], *, squared: bool = False) -> dict[str, Tensor]:
+def contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
     """Each Gaussian's share of all blending weights of its spectra.
 
     Args:
         model: The scene.
         frames: The training frames.
-        squared: Sum squared weights, estimated with the same signs at every call.
 
     Returns:
         By name of the set, shape [N]: the sum of its weights over all pixels of all frames, divided by that of all
         Gaussians; in a set that renders both spectra the mean of both shares. They add up to 1.
     """
-    signs = torch.Generator().manual_seed(0) if squared else None
+    found = {name: _shares(weights) for name, weights in _blending_weights(model, frames, None).items()}
+    return {name: shares.sum(dim=0) / (shares > 0).any(dim=1).sum().clamp(min=1) for name, shares in found.items()}
+
+
+def squared_contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
+    """Each Gaussian's share of all squared blending weights of a spectrum, estimated with the same signs at every call.
+
+    Args:
+        model: The scene.
+        frames: The training frames.
+
+    Returns:
+        By name of the set, shape [2, N], of RGB and of thermal; either row adds up to 1, or is 0 where the set does not
+        render that spectrum.
+    """
+    signs = torch.Generator().manual_seed(0)
+    return {name: _shares(weights) for name, weights in _blending_weights(model, frames, signs).items()}
+
+
+def _blending_weights(
+    model: SceneModel, frames: Iterable[FrameTensors], signs: torch.Generator | None
+) -> dict[str, Tensor]:
+    """Sums of blending weights in RGB and thermal images [2, N] by name of the set; with signs, of their squares."""
     weights = {name: torch.zeros(2, len(model.gaussians(name)), device=_device(model)) for name in model.gaussian_sets}
     for frame in frames:
         rgb = frame.rgb if model.config.rgb else None
@@ -44,7 +65,7 @@ def contributions(model: SceneModel, frames: Iterable[FrameTensors], *, squared:
             if view is not None:
                 name = spectrum if spectrum in model.gaussian_sets else "shared"
                 weights[name][row] += _weights(model, name, view, signs, thermal=spectrum == "thermal")
-    return {name: _shares(both) for name, both in weights.items()}
+    return weights
 
 
 @torch.enable_grad()
@@ -120,10 +141,8 @@ def _ones(gaussians: Gaussians, channels: int) -> Tensor:
 
 
 def _shares(weights: Tensor) -> Tensor:
-    """Mean over the spectra that have weights of each one's shares, of weights [2, N]."""
-    totals = weights.sum(dim=1, keepdim=True)
-    spectra = (totals > 0).sum().clamp(min=1)
-    return (weights / totals.clamp(min=torch.finfo(weights.dtype).tiny)).sum(dim=0) / spectra
+    """Each Gaussian's share of a spectrum's weights, of weights [2, N]."""
+    return weights / weights.sum(dim=1, keepdim=True).clamp(min=torch.finfo(weights.dtype).tiny)
 
 
 def _device(model: SceneModel) -> torch.device:

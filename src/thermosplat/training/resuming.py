@@ -3,7 +3,7 @@
 from dataclasses import fields
 from typing import Any
 
-from thermosplat.checkpoint import load_checkpoint
+from thermosplat.checkpoint import damage_explained, load_checkpoint
 from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.config_files import from_dict
 from thermosplat.datasets.capture import Capture
@@ -12,6 +12,12 @@ from thermosplat.run_directory import RunDirectory
 
 _START_ONLY = ("feature_noise", "init_opacity", "init_scale")
 """Fields of ModelConfig that matter before the first step only."""
+_THERMAL_IMAGES = {
+    "color": "pseudo-coloured thermal images",
+    "scalar": "thermal images of one channel",
+    None: "no thermal images",
+}
+"""By the kind of their scale."""
 _TRAINING = ("optimizers", "strategies", "exposures", "seconds")
 """What of a checkpoint's training state there has always been; rendering does without."""
 
@@ -65,7 +71,8 @@ def check_resumable(checkpoint: dict[str, Any], config: TrainConfig, run: RunDir
         capture: What it would be trained on.
 
     Raises:
-        UserError: Names the first setting that differs, and both values; or the first training frame.
+        UserError: Names the first setting that differs, and both values; the first training frame; or both kinds of
+            thermal images.
     """
     saved = from_dict(checkpoint["config"], source=f"{run.path}'s checkpoint")
     then, now = _structure(saved), _structure(config)
@@ -84,6 +91,16 @@ def check_resumable(checkpoint: dict[str, Any], config: TrainConfig, run: RunDir
     if difference:
         raise UserError(
             f"{run.path} cannot go on with another capture. {difference}",
+            "Name the folder it was trained on, or start a new run with another --result-dir.",
+        )
+    saved_scale, scale = checkpoint["thermal_scale"], capture.thermal_scale
+    with damage_explained("thermal scale"):
+        trained = _THERMAL_IMAGES[None if saved_scale is None else saved_scale["kind"]]
+    found = _THERMAL_IMAGES[None if scale is None else scale.kind]
+    if config.model.thermal and trained != found:
+        raise UserError(
+            f"{run.path} cannot go on with another capture. It was trained on {trained}, and {capture.root} has "
+            f"{found}.",
             "Name the folder it was trained on, or start a new run with another --result-dir.",
         )
 

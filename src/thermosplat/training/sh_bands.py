@@ -18,7 +18,7 @@ from thermosplat.gaussians import Gaussians
 from thermosplat.model import SceneModel
 from thermosplat.projected_scene import Drawn, ProjectedScene
 from thermosplat.rasterization_arguments import checked_settings
-from thermosplat.training.contributions import contributions
+from thermosplat.training.contributions import squared_contributions
 from thermosplat.training.image_change import ImageChange, most_within
 
 _LEAST_LAMBDA = 1e-20
@@ -99,10 +99,10 @@ def color_changes(
 
 def _bands(model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int) -> Iterable[_Band]:
     """All coefficients above degree 0 that are rendered."""
-    weights = contributions(model, frames, squared=True)
+    weights = squared_contributions(model, frames)
     for name in model.gaussian_sets:
         gaussians = model.gaussians(name)
-        for spectrum in ("rgb", "thermal"):
+        for row, spectrum in enumerate(("rgb", "thermal")):
             if name not in (spectrum, "shared") or not getattr(model.config, spectrum):
                 continue
             of_thermal = spectrum == "thermal" and name == "shared"
@@ -115,7 +115,7 @@ def _bands(model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int) ->
                 if (view := getattr(frame, spectrum)) is not None
             ]
             changes = color_changes(gaussians, coefficients, cameras, sh_degree)
-            yield _Band(coefficients[1], coefficients[1].clone(), changes * weights[name])
+            yield _Band(coefficients[1], coefficients[1].clone(), changes * weights[name][row])
 
 
 def _up_to(shN: Tensor, degrees: Tensor) -> Tensor:

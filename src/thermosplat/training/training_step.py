@@ -119,7 +119,9 @@ class TrainingStep:
                 losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
             if config.loss.balance:
                 losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
-            losses |= gaussian_penalties(state.gaussian_sets, config.loss, state.scene_extent)
+            # of sets that this step renders: nothing would hold others against their penalties
+            rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
+            losses |= gaussian_penalties(rendered_sets, config.loss, state.scene_extent)
             if not losses:
                 raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
             if kind.densifying:
