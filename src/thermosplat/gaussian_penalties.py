@@ -17,10 +17,10 @@ from thermosplat.warp_gaussian_penalties import mean_opacity_and_scale
 def gaussian_penalties(
     gaussian_sets: Mapping[str, Gaussians], config: LossConfig, scene_extent: float
 ) -> dict[str, Tensor]:
-    """The weighted penalties of all sets together; one whose weight is 0 is not listed.
+    """The weighted penalties of some sets together; one whose weight is 0 is not listed.
 
     Args:
-        gaussian_sets: The sets by name.
+        gaussian_sets: By name, the sets that the step trains.
         config: The weights.
         scene_extent: Radius of the cameras [world units].
 

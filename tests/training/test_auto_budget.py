@@ -133,6 +133,36 @@ def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
     assert not trainer.state.growing
 
 
+def test_too_small_a_rise_is_none(tmp_path: Path) -> None:
+    """The best stays the best until a look has gained what is asked for."""
+    trainer = toy_trainer(tmp_path, budget_config(least_gain=0.5), many_frames(toy_capture(), FRAMES))
+    assert trainer.budget is not None
+    trainer.budget._validate(2, 1)
+    best, _ = trainer.state.best_validation
+    for below, expected in ((0.4, best - 0.4), (0.6, best)):
+        trainer.state.best_validation = (best - below, 0)
+        trainer.budget._validate(4, 1)
+        assert trainer.state.best_validation[0] == pytest.approx(expected)
+
+
+def test_offsets_shrink_until_those_that_do_nothing_go(tmp_path: Path) -> None:
+    """After every step before the last pruning, and after it no more."""
+    capture, kept = many_frames(toy_capture(), FRAMES), {}
+    for shrinkage in (0.1, 1e3):
+        trainer = toy_trainer(tmp_path / str(shrinkage), budget_config(offset_shrinkage=shrinkage), capture)
+        advance(trainer, 5)
+        kept[shrinkage] = trainer.model.offsets_kept
+    assert kept[0.1] > kept[1e3] == 0.0
+    trainer = toy_trainer(tmp_path, budget_config(offset_shrinkage=0.1), capture)
+    advance(trainer, 18)
+    left = trainer.model.offsets_kept
+    trainer.device_step.config = budget_config(offset_shrinkage=1e3)
+    advance(trainer, 20)
+    assert trainer.model.offsets_kept == left
+    assert left is not None
+    assert left > 0.0
+
+
 def test_a_full_budget_ends_growth(tmp_path: Path) -> None:
     """With MCMC nothing is added once the budget is reached: the validation views come back."""
     config = budget_config()
@@ -306,5 +336,6 @@ def test_resumed_run_is_the_same(tmp_path: Path, stop: int) -> None:
     advance(half, stop)
     half._save()
     resumed = Trainer.resume(config, capture, half.run)
+    assert resumed.state.best_validation == half.state.best_validation
     advance(resumed, 36)
     assert_same_state(state_tensors(resumed), state_tensors(whole))

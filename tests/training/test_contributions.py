@@ -1,6 +1,6 @@
 """Contributions are sums of blending weights."""
 
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 import torch
@@ -24,16 +24,20 @@ def drawn(model: SceneModel, name: str, chosen: int, capture: Any) -> tuple[floa
         image, _, _ = rasterization(
             *(gaussians.means, gaussians.quats, gaussians.scales, opacities, colors),
             *(view.viewmat[None], view.K[None], view.width, view.height),
+            rasterize_mode=model.config.rasterize_mode,
         )
         sums.append(image.double().sum().item())
     return sums[0], sums[1]
 
 
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
 @pytest.mark.parametrize("aligned", [True, False])
-def test_shares_of_blending_weights(aligned: bool) -> None:
-    """A Gaussian's share is what is drawn of it alone among the others, in both spectra."""
+def test_shares_of_blending_weights(aligned: bool, mode: Literal["classic", "antialiased"]) -> None:
+    """A Gaussian's share is what is drawn of it alone among the others, in both spectra, as the model draws it."""
     capture = toy_capture(aligned=aligned)
-    model = toy_model(toy_config(), capture)
+    model = toy_model(toy_config(rasterize_mode=mode), capture)
+    with torch.no_grad():
+        model.gaussians("shared").log_scales[:30] -= 2.0  # of the size of a pixel
     shares = contributions(model, [toy_frame(capture), toy_frame(capture)])["shared"]
     assert shares.sum().item() == pytest.approx(1.0, abs=1e-5)
     everyone = torch.tensor([drawn(model, "shared", i, capture) for i in range(len(shares))])

@@ -129,6 +129,19 @@ def test_bright_in_one_spectrum_is_enough_to_stay() -> None:
     assert gaussians.opacities.max() > 0.8
 
 
+def test_large_ones_go_only_later() -> None:
+    """At the refinement of that very step they still stay, as gsplat's do; at the next one they go."""
+    for step, expected in ((601, 0), (701, 5)):
+        gaussians = random_gaussians(30, thermal=False)
+        with torch.no_grad():
+            gaussians.logit_opacities.fill_(0.0)
+            gaussians.log_scales.fill_(-4.0)
+            gaussians.log_scales[:5] = 0.0  # a third of the scene
+        strategy = _strategy(gaussians, prune_large_from=600)
+        refinement = strategy.refine(gaussians, stepped_optimizers(gaussians), step, torch.Generator())
+        assert refinement == Refinement(pruned=expected)
+
+
 def test_cap_lets_the_largest_gradients_grow() -> None:
     """Close to the cap, the Gaussians with the largest gradients grow, up to the cap exactly."""
     gaussians = random_gaussians(20)

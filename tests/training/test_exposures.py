@@ -39,6 +39,25 @@ def test_change_of_a_frame_is_relative_to_all() -> None:
     torch.testing.assert_close(exposures(rendered, torch.tensor(0)).thermal, 0.9 * image - 0.01)
 
 
+def test_colors_are_mixed_as_written() -> None:
+    """C' = A C + b of every pixel's colours, and of the features that are compared with the same image."""
+    exposures = Exposures(2, 3)
+    change = torch.randn(3, 4, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        exposures.rgb[0], exposures.thermal[1] = 2.0 * change, 2.0 * change  # the mean of both frames has half of it
+    image, features = torch.rand(4, 5, 3), torch.rand(4, 5, 8)
+    rendered = RenderedFrame(rgb=image, thermal=image, visible_features=features, thermal_features=features)
+    mixed = [
+        torch.einsum("ij,hwj->hwi", torch.eye(3) + change[:, :3], x) + change[:, 3] for x in (image, features[..., :3])
+    ]
+    changed = exposures(rendered, torch.tensor(0))
+    torch.testing.assert_close(changed.rgb, mixed[0])
+    torch.testing.assert_close(changed.visible_features, torch.cat([mixed[1], features[..., 3:]], dim=-1))
+    changed = exposures(rendered, torch.tensor(1))
+    torch.testing.assert_close(changed.thermal, mixed[0])
+    assert torch.equal(changed.thermal_features, features)  # channel 3 is an intensity, not a colour
+
+
 @pytest.mark.parametrize("kind", ["color", "scalar"])
 def test_training_with_exposures(tmp_path: Path, kind: str) -> None:
     """Exposures learn, survive a checkpoint bit for bit, and are no part of the model."""

@@ -1,11 +1,14 @@
 """Latent channels that training images do not need: found, left out, and not missed."""
 
+import dataclasses
+
 import pytest
 import torch
 from random_gaussians import stepped_optimizers
 from torch import Tensor
 
 from thermosplat.config import LossConfig
+from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.export.scene import modality_splats
 from thermosplat.gaussians import Gaussians
 from thermosplat.losses import compare_frame
@@ -118,6 +121,19 @@ def test_reduced_twice() -> None:
     torch.testing.assert_close(basis.T @ basis, torch.eye(second))
 
 
+def test_reduced_twice_to_what_is_used() -> None:
+    """Coordinates that lie in a space of three dimensions are found to do so, whatever basis they are of."""
+    model, optimizers, change = model_of_rank(6)
+    assert reduce_features(model, optimizers, change, EXACT) == 6
+    features = model.gaussians("shared").features
+    generator = torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        features[:, 3:] = features[:, :3] @ torch.randn(3, 3, generator=generator)
+    once = ImageChange(model, change.frames, 1, change.losses)
+    assert reduce_features(model, optimizers, once, EXACT) == 3
+    assert once.now() < EXACT
+
+
 def test_supervised_channels_are_kept() -> None:
     """Channels that no image shows stay where a loss sees them, and go where none does."""
     left = {}
@@ -129,6 +145,47 @@ def test_supervised_channels_are_kept() -> None:
         change = ImageChange(model, change.frames, 1, losses)
         left[losses] = reduce_features(model, optimizers, change, EXACT)
     assert left == {None: 4, LossConfig(): 8}
+
+
+def test_what_no_image_shows_and_losses_see_alone_is_kept() -> None:
+    """Where decoders look at nothing, the channels that losses supervise are left, and no other."""
+    model, optimizers, change = model_of_rank(8)
+    with torch.no_grad():
+        model.decoders.shared_encoder[0].weight.zero_()  # type: ignore[union-attr,index,operator]
+    change = ImageChange(model, change.frames, 1, LossConfig())
+    assert reduce_features(model, optimizers, change, EXACT) == 4
+    assert change.now() < EXACT
+
+
+def model_of_two_halves() -> tuple[SceneModel, Optimizers, FrameTensors]:
+    """A model of which RGB sees the first four channels of the features and thermal the others."""
+    decoder = {"branches": "separate", "modulation": False, "covered_only": True}
+    model, optimizers, change = model_of_rank(8, decoder=decoder)
+    with torch.no_grad():
+        model.decoders.rgb_network[0].weight[:, 4:] = 0.0  # type: ignore[union-attr,index]
+        model.decoders.thermal_network[0].weight[:, :4] = 0.0  # type: ignore[union-attr,index]
+    return model, optimizers, change.frames[0]
+
+
+def test_what_is_not_covered_does_not_count() -> None:
+    """Thermal images in which no Gaussian is keep no channel, however much their decoder would make of it."""
+    model, optimizers, frame = model_of_two_halves()
+    with torch.no_grad():
+        model.gaussians("shared").thermal_opacity_offsets.fill_(-40.0)
+        model.decoders.thermal_network[0].weight *= 100.0  # type: ignore[union-attr,index,operator]
+    assert reduce_features(model, optimizers, ImageChange(model, [frame], 1), EXACT) == 4
+
+
+def test_spectra_count_by_their_errors() -> None:
+    """Where thermal images are all but exact, RGB gives up its channels first, although it would change more."""
+    model, optimizers, frame = model_of_two_halves()
+    assert frame.thermal is not None
+    with torch.no_grad():
+        model.decoders.thermal_network[0].weight *= 0.1  # type: ignore[union-attr,index,operator]
+        exact = model.render(None, frame.thermal, sh_degree=1).thermal
+    assert exact is not None
+    frame = dataclasses.replace(frame, thermal=dataclasses.replace(frame.thermal, image=exact + 1e-5))
+    assert reduce_features(model, optimizers, ImageChange(model, [frame], 1), 1.0) <= 4
 
 
 def test_training_goes_on_with_what_is_left() -> None:

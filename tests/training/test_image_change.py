@@ -13,7 +13,11 @@ def test_change_is_measured_against_the_error() -> None:
     capture = toy_capture()
     model = toy_model(toy_config(), capture)
     frame = toy_frame(capture)
+    with torch.no_grad():
+        model.gaussians("shared").sh0 += 1.0
     before = model.render(frame.rgb, frame.thermal, sh_degree=1)
+    assert before.rgb is not None
+    assert (before.rgb > 1.0).any()  # saturated: what is above does not show
     change = ImageChange(model, [frame, frame], 1)
     assert change.now() == 0.0
     with torch.no_grad():

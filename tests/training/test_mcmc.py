@@ -113,6 +113,21 @@ def test_gradients_can_choose_who_is_doubled() -> None:
     assert strategy.grad_norm_sum.tolist() == [0.0] * 42
 
 
+def test_nobody_moves_onto_the_dead() -> None:
+    """However large the gradient of a dead Gaussian is, the living ones are moved to."""
+    gaussians = random_gaussians(40)
+    with torch.no_grad():
+        gaussians.thermal_opacity_offsets.zero_()
+        gaussians.logit_opacities.fill_(1.0)
+        gaussians.logit_opacities[:20] = -9.0
+    strategy = strategy_of(gaussians, sample_by="gradient", growth=0.0)
+    strategy.grad_norm_sum[:20], strategy.grad_norm_sum[20:] = 1.0, 1e-3
+    assert strategy.refine(
+        gaussians, stepped_optimizers(gaussians), 601, torch.Generator().manual_seed(0)
+    ) == Refinement(relocated=20)
+    assert (gaussians.opacities > 0.005).all()
+
+
 def test_noise_has_the_covariance_it_should() -> None:
     """Faint Gaussians move with standard deviations λ σ(k t) Σ along their axes; clear and blocked ones do not."""
     gaussians = random_gaussians(20_000)

@@ -39,7 +39,9 @@ def test_removal_effects_are_what_removal_changes() -> None:
     gaussians, frame = model.gaussians("shared"), toy_frame(capture)
     with torch.no_grad():
         gaussians.logit_opacities -= 3.0
-        gaussians.logit_opacities[7] = 9.0  # opaque: clamped alpha
+        gaussians.logit_opacities[7] = 9.0  # opaque: clamped alpha ...
+        gaussians.log_scales[7] = 6.0  # ... in every pixel that sees it
+        gaussians.means[7, 2] = 2.0  # behind most
     weights = {"rgb": 2.0, "thermal": 5.0}
     before = gaussians.logit_opacities.detach().clone()
     estimated = removal_effects(gaussians, opacity_sensitivities(model, [frame] * MANY, 1, weights)["shared"]) / MANY

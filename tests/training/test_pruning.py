@@ -35,6 +35,18 @@ def test_as_many_go_as_images_do_not_miss() -> None:
     assert 0 < change.now() <= 0.02
 
 
+def test_gaussians_of_one_spectrum_are_missed_in_it() -> None:
+    """Those that thermal images alone show do not go without a change of these."""
+    capture = toy_capture()
+    model = toy_model(toy_config(), capture)
+    gaussians = model.gaussians("shared")
+    with torch.no_grad():
+        gaussians.logit_opacities.fill_(-20.0)
+        gaussians.thermal_opacity_offsets.fill_(20.0)
+    change = ImageChange(model, [toy_frame(capture)], 1)
+    assert dispensable(gaussians, torch.arange(60.0), change, 1e-6).sum() < 59
+
+
 def test_no_set_is_emptied() -> None:
     """Pruning all of a set leaves it as it is."""
     model = toy_model(toy_config(), toy_capture())

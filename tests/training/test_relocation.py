@@ -6,6 +6,8 @@ import pytest
 import torch
 from random_gaussians import random_gaussians, stepped_optimizers
 
+from thermosplat.config import OptimizerConfig
+from thermosplat.training.optimizers import gaussian_optimizers
 from thermosplat.training.relocation import MOST_COPIES, add, relocate, scale_factors, shared_opacities
 
 
@@ -93,3 +95,26 @@ def test_equal_opacities_stay_equal() -> None:
         gaussians.thermal_opacity_offsets.zero_()
     add(gaussians, optimizers, torch.tensor([0, 1, 1]), least=0.005)
     assert not gaussians.thermal_opacity_offsets.any()
+
+
+def test_sizes_follow_the_clearer_spectrum() -> None:
+    """A Gaussian that is clear in thermal and faint in RGB gets as small as its thermal opacity asks for."""
+    gaussians = random_gaussians(2)
+    with torch.no_grad():
+        gaussians.logit_opacities.copy_(torch.logit(torch.tensor([0.1, 0.9])))
+        gaussians.thermal_opacity_offsets.copy_(torch.logit(torch.tensor([0.9, 0.1])) - gaussians.logit_opacities)
+    before = gaussians.scales.detach().clone()
+    add(gaussians, gaussian_optimizers(gaussians, OptimizerConfig()), torch.tensor([0, 1]), least=0.005)
+    factors = scale_factors(torch.full((2,), 0.9, dtype=torch.float64), torch.tensor([2, 2])).float()
+    torch.testing.assert_close(gaussians.scales[:2], before * factors[:, None])
+
+
+def test_doubled_ones_start_without_moments() -> None:
+    """Adam forgets those that were doubled, as it does their copies, and no others."""
+    gaussians = random_gaussians(4)
+    optimizers = stepped_optimizers(gaussians)
+    add(gaussians, optimizers, torch.tensor([2]), least=0.005)
+    for name, parameter in gaussians.named_parameters():
+        for moment in ("exp_avg", "exp_avg_sq"):
+            held = optimizers[name].state[parameter][moment].reshape(5, -1)
+            assert held.any(dim=1).tolist() == [True, True, False, True, False], name

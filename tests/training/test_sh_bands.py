@@ -78,6 +78,7 @@ def test_color_changes() -> None:
     changes = color_changes(gaussians, gaussians.sh_coeffs, [view, view], 2)
     assert (changes > 1e-4)[:, :4].T.tolist() == [[False] * 3, [True, False, False], [True, True, False], [False] * 3]
     assert not changes[:, 4:].any()
+    torch.testing.assert_close(changes, color_changes(gaussians, gaussians.sh_coeffs, [view], 2))  # a mean
 
 
 def test_cheapest_degrees() -> None:

@@ -3,11 +3,15 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
+import pytest
 import torch
 from toy_run import many_frames, toy_run_config, toy_trainer
 
 from thermosplat.config import DensificationConfig, LossConfig, ScheduleConfig
+from thermosplat.training.gaussian_ops import prune
+from thermosplat.training.optimizers import gaussian_optimizers
 from thermosplat.training.training_step import StepKind, sh_degree_at
 from toy_scene import toy_capture
 
@@ -47,3 +51,28 @@ def test_penalties_leave_alone_what_a_step_does_not_train(tmp_path: Path) -> Non
             trainer._train_step()
         after = trainer.model.gaussians(kept).state_dict()
         assert all(torch.equal(value, after[name]) for name, value in before.items())
+
+
+def test_terms_have_their_weights(tmp_path: Path) -> None:
+    """Twice the weight is twice the term; balanced, a spectrum's terms are those of the other set's share."""
+    capture = many_frames(toy_capture())
+
+    def losses(name: str, loss: LossConfig, **model: Any) -> dict[str, float]:
+        config = toy_run_config(model=model, loss=loss)
+        trainer = toy_trainer(tmp_path / name, config, capture)
+        first = trainer.model.gaussians(next(iter(trainer.model.gaussian_sets)))
+        prune(first, gaussian_optimizers(first, config.optimizer), torch.arange(60) < 20)  # of two sets, 40 and 60
+        kind = StepKind(1, densifying=False, depth_spread=loss.depth_spread > 0)
+        done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+        return {term: value.item() for term, value in done.losses.items()}
+
+    once = losses("once", LossConfig(feature_norm=0.1, depth_spread=0.2))
+    twice = losses("twice", LossConfig(feature_norm=0.2, depth_spread=0.4))
+    for term in ("feature_norm", "depth_spread"):
+        assert once[term] > 0
+        assert twice[term] == pytest.approx(2.0 * once[term])
+    assert twice["rgb"] == once["rgb"]
+    separate = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
+    plain, balanced = (losses(str(on), LossConfig(balance=on), **separate) for on in (False, True))
+    factors = {"rgb": 0.6, "thermal": 0.4, "thermal_smoothness": 0.4}
+    assert balanced == pytest.approx({term: factors[term] * value for term, value in plain.items()})
