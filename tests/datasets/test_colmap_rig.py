@@ -73,20 +73,21 @@ def test_without_a_rig_stems_pair(tmp_path):
 
 
 @pytest.mark.parametrize("rig", [True, False])
-def test_splits_that_are_numbered_apart(tmp_path, rig):
+@pytest.mark.parametrize("folders", [("train", "test"), ("Train", "Test")])
+def test_splits_that_are_numbered_apart(tmp_path, rig, folders):
     """train/0000 and test/0000 are exposures of their own, paired by the rig's frames or by name."""
     model = synthetic_model(4, cameras=2) if rig else synthetic_model(4, rigs=2)
     for image in model.images.values():
         number = (image.frame_id - 1) % 4
         modality = "rgb" if image.camera_id == 1 else "thermal"
-        split = "test" if number == 3 else "train"
+        split = folders[number == 3]
         pixels = rgb_image(number) if modality == "rgb" else pseudo_color(temperatures(number))
         image.name = f"{modality}/{split}/{number % 3:04d}.png"
         write_image(tmp_path / image.name, pixels)
     write_model(model, tmp_path / "sparse" / "0")
     capture = load_capture(tmp_path)
-    assert [frame.name for frame in capture.train] == ["train_0000", "train_0001", "train_0002"]
-    assert [frame.name for frame in capture.test] == ["test_0000"]
+    assert [frame.name for frame in capture.train] == [f"{folders[0]}_000{number}" for number in range(3)]
+    assert [frame.name for frame in capture.test] == [f"{folders[1]}_0000"]
     assert capture.notes == ()
     for number, frame in enumerate((*capture.train, *capture.test)):
         np.testing.assert_array_equal(frame.rgb.image, rgb_image(number))

@@ -55,6 +55,15 @@ def test_downloaded_form(tmp_path):
     assert len(load_capture(root).train) == 6
 
 
+def test_split_folders_in_capitals(tmp_path):
+    """Train/ and Test/ divide as train/ and test/ do."""
+    write_rgbt_scenes(tmp_path)
+    for folder in ("rgb", "thermal"):
+        for split in ("train", "test"):
+            (tmp_path / folder / split).rename(tmp_path / folder / split.capitalize())
+    assert [frame.name for frame in load_capture(tmp_path).test] == ["0000", "0004"]
+
+
 def test_without_split_folders_every_nth_is_held_out(tmp_path):
     """Sorted index % test_every == 0."""
     root = write_rgbt_scenes(tmp_path, folders=False)

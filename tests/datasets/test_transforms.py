@@ -140,6 +140,23 @@ def test_splits_that_are_numbered_apart(tmp_path, stated):
         assert frame.rgb.viewmat[0, 3] == -number
 
 
+@pytest.mark.parametrize("held_out", ["test", "val"])
+@pytest.mark.parametrize("absolute", [True, False])
+def test_splits_by_folders(tmp_path, held_out, absolute):
+    """train/ against test/ or val/ divides the frames also where no two have one stem; folders above do not."""
+    root = tmp_path / "test"
+    content = write_transforms(root)
+    for number, frame in enumerate(content["frames"]):
+        name = f"images/{'train' if number > 2 else held_out}/{number}.png"
+        (root / name).parent.mkdir(exist_ok=True)
+        (root / frame["file_path"]).rename(root / name)
+        frame["file_path"] = str(root / name) if absolute else name
+    (root / "transforms_thermal.json").write_text(json.dumps(content))
+    capture = load_capture(root)
+    assert [frame.rgb.viewmat[0, 3] for frame in capture.test] == [0, -1, -2]
+    assert len(capture.train) == 5
+
+
 def test_a_thermal_image_that_may_be_of_two_frames(tmp_path):
     """A flat thermal/ beside images of equal stems in train/ and test/ is not guessed at."""
     divided(tmp_path)

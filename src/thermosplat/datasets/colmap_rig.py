@@ -52,13 +52,14 @@ def list_colmap_rig(root: Path, model: ColmapModel) -> Listing:
             if not shots:
                 names.append(image.name)
             shots[image.thermal] = Shot(path, image.lens, image.viewmat, None if values is None else raw[values])
-            split = split or next((s for s in SPLIT_FOLDERS if s in path.parent.parts[len(root.parts) :]), None)
+            folders = [part.lower() for part in path.parent.parts[len(root.parts) :]]
+            split = split or next((s for s in SPLIT_FOLDERS if s in folders), None)
         used.update(shot.path.resolve() for shot in shots.values())  # one file may be below several folders by links
         if shots:
             frames.append(FrameFiles("", shots.get(False), shots.get(True), split, thermal_has_camera=True))
-    folders = (image_folder(root, "images"), image_folder(root, "rgb"), thermal_folder(root))
+    searched = (image_folder(root, "images"), image_folder(root, "rgb"), thermal_folder(root))
     called = frame_names(names, _MODEL)
-    files = [path for folder in folders for path in list_images(folder, recursive=True)]
+    files = [path for folder in searched for path in list_images(folder, recursive=True)]
     unregistered = [path for path in files if path.resolve() not in used]
     return Listing(
         "colmap-rig",

@@ -43,8 +43,8 @@ def _key(name: PurePosixPath, skipped: Iterable[str]) -> str:
 
 
 def stated_split(name: PurePosixPath) -> Split | None:
-    """The split that the first folder of a name says."""
-    return next((split for split in SPLIT_FOLDERS if name.parts[0] == split and len(name.parts) > 1), None)
+    """The split that the first folder of a name says, in any case."""
+    return next((split for split in SPLIT_FOLDERS if name.parts[0].lower() == split and len(name.parts) > 1), None)
 
 
 def frame_names(names: Sequence[PurePosixPath], where: str) -> list[str]:

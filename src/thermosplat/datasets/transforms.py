@@ -45,13 +45,14 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
     _check_listed_once(names, path)
     called = frame_names(names, path.name)
     images = TransformsImages(root, path, names)
-    frames = []
+    frames, found = [], []
     for number, (name, entry) in enumerate(zip(names, entries, strict=True)):
         if splits is not None and name not in splits:
             continue
         files = images.find(name, entry)
         if files is None:
             continue
+        found.append(name)
         viewmat = frame_viewmat(entry, path, number)
         lens = frame_lens(entry, content, path, number, files.rgb or files.thermal)
         frames.append(
@@ -69,7 +70,7 @@ def list_transforms(root: Path, path: Path, model_folder: Path | None) -> Listin
             "Paths are absolute, or relative to the folder of that file. Is it the right folder?",
         )
     if splits is None:
-        frames = with_splits_from_names(frames)
+        frames = with_splits_from_names(frames, found)
     else:
         check_stated(frames, splits, path)
     points, colors, point_notes = transforms_points(root, path.name, content, frames, model_folder)

@@ -94,18 +94,27 @@ def check_stated(frames: Sequence[FrameFiles], splits: Splits, path: Path) -> No
         )
 
 
-def with_splits_from_names(frames: Sequence[FrameFiles]) -> list[FrameFiles]:
-    """Splits by words of the names, if the names tell both kinds apart.
+def with_splits_from_names(frames: Sequence[FrameFiles], names: Sequence[PurePosixPath]) -> list[FrameFiles]:
+    """Splits by words of the names and by folders, if they tell both kinds apart.
 
     Args:
         frames: Frames without a split.
+        names: Path of each one's image.
     """
-    words = [set(frame.name.lower().replace("-", "_").split("_")) for frame in frames]
+    words = [
+        {*frame.name.lower().replace("-", "_").split("_"), *_folders(name)}
+        for frame, name in zip(frames, names, strict=True)
+    ]
     held_out = [bool(word & _EVAL_WORDS) for word in words]
     trained = ["train" in word for word in words]
     if not (any(held_out) and any(trained)):
         return list(frames)
     return [replace(frame, split="test" if test else "train") for frame, test in zip(frames, held_out, strict=True)]
+
+
+def _folders(name: PurePosixPath) -> list[str]:
+    """The folders inside the capture; those around it say nothing of its frames."""
+    return [] if name.is_absolute() else [part.lower() for part in name.parts[:-1]]
 
 
 def _strings(content: dict[str, Any], key: str, path: Path) -> list[str]:
