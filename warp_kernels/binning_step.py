@@ -51,7 +51,8 @@ def bin_tiles(
 
     Without a ``room`` the number of pairs is read back to the host once, and every pair is listed. With it nothing is
     read back, so that the step can be captured in a CUDA graph; pairs beyond it, those of the farthest Gaussians, are
-    left out, and ``bins.pair_ends`` says how many were needed.
+    left out, as are the last Gaussians where there are too many; the last entry of ``bins.totals``, or of
+    ``bins.pair_ends`` where that is None, says how many were needed.
 
     Args:
         projected: from ``project``. Radii of Gaussians with non-finite features are set to zero.

@@ -41,10 +41,17 @@ def scalar_name(dtype: type) -> str:
 def warp_any(x: int) -> int: ...
 
 
+# This, like warp_sum, is one instruction from compute capability 8.0 on.
 @wp.func_native("""
-#if defined(__CUDA_ARCH__)
+#if !defined(__CUDA_ARCH__)
+    return x;
+#elif __CUDA_ARCH__ >= 800
     return __reduce_max_sync(0xffffffffu, x);
 #else
+    for (int distance = 16; distance > 0; distance /= 2) {
+        const int other = __shfl_xor_sync(0xffffffffu, x, distance);
+        if (other > x) x = other;
+    }
     return x;
 #endif
 """)
@@ -72,9 +79,12 @@ def count_bits(x: wp.uint32) -> int: ...
 
 
 @wp.func_native("""
-#if defined(__CUDA_ARCH__)
+#if !defined(__CUDA_ARCH__)
+    return x;
+#elif __CUDA_ARCH__ >= 800
     return __reduce_add_sync(0xffffffffu, x);
 #else
+    for (int distance = 16; distance > 0; distance /= 2) x += __shfl_xor_sync(0xffffffffu, x, distance);
     return x;
 #endif
 """)

@@ -66,16 +66,17 @@ def compile_all(kernels: list[wp.Kernel], arch: int, folder: Path) -> None:
         assert [path for path in target.iterdir() if path.suffix == ".cubin"], kernel.key
 
 
-def test_blending_compiles_for_cuda(tmp_path: Path) -> None:
-    """The forward kernel and the atomic adjoint of RGB, with warp intrinsics and the butterfly reduction."""
+@pytest.mark.parametrize("arch", [75, 90])
+def test_rendering_compiles_for_cuda(arch: int, tmp_path: Path) -> None:
+    """Binning, the forward kernel and the atomic adjoint of RGB, with warp intrinsics and the butterfly reduction."""
     layout = BlendLayout(16, 8, 8, 32)
-    kernels = [blend_kernel(3, 0, wp.float32, layout)]
+    kernels = [*binning_kernels(wp.float32, 32), blend_kernel(3, 0, wp.float32, layout)]
     kernels.append(blend_adjoint_kernel(3, 0, wp.float32, layout, False, False))
-    compile_all(kernels, 90, tmp_path)
+    compile_all(kernels, arch, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("arch", [75, 80, 90])
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Activations, projection, colours, binning, sums."""
@@ -103,7 +104,7 @@ def cuda_layouts(tile_size: int, channels: int, thermal_channels: int, dtype: ty
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("arch", [75, 80, 90])
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 @pytest.mark.parametrize(("channels", "thermal_channels"), [(1, 0), (3, 0), (11, 0), (11, 8), (32, 0)])
 @pytest.mark.parametrize("tile_size", [8, 16, 32])

@@ -18,14 +18,14 @@ from warp_kernels.pair_notes import note_pairs_kernel
 from warp_kernels.position_noise import noise_kernel
 
 
-@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("arch", [75, 80, 90])
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     """Adam and the finite check, with tables of addresses as arguments, and what is noted of pairs."""
     compile_all([adam_coefficients_kernel, adam_update_kernel, note_bad_kernel, note_pairs_kernel], arch, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("arch", [75, 80, 90])
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Losses, covered images, and what density control notes."""
@@ -34,7 +34,7 @@ def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [80, 90])
+@pytest.mark.parametrize("arch", [75, 80, 90])
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Penalties on Gaussians and on the spread of their depths, and the noise on their means."""

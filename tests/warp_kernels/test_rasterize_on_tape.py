@@ -122,3 +122,16 @@ def test_what_the_shortcut_does_not_do() -> None:
     scene = warp_scene(n=5, cameras=2)
     with pytest.raises(ValueError, match="one image"):
         rasterize(scene.gaussians, scene.features, scene.settings)
+
+
+def test_a_tape_of_no_gaussians() -> None:
+    """The image is empty, and what lies before the render on the tape gets gradients of zero."""
+    scene = warp_scene(n=0, requires_grad=True, backgrounds=False)
+    tape = wp.Tape()
+    result = rasterize(scene.gaussians, scene.features, scene.settings, tape)
+    assert (result.blended.transmittance.numpy() == 1).all()
+    upstream(result, False)
+    tape.backward()
+    assert (scene.gaussians.viewmats.grad.numpy() == 0).all()
+    tape.zero()
+    assert (result.blended.render.grad.numpy() == 0).all()

@@ -44,7 +44,7 @@ def warp_scene(
         array(scene["viewmats"], matrix((4, 4), dtype)),
         array(scene["Ks"], matrix((3, 3), dtype)),
     )
-    colors = scene["colors"].expand(cameras, *scene["colors"].shape).reshape(cameras * n, -1)
+    colors = scene["colors"].expand(cameras, *scene["colors"].shape).flatten(0, 1)
     settings = ProjectionSettings(
         width=scene["width"], height=scene["height"], num_gaussians=n, num_cameras=cameras, num_images=cameras
     )
