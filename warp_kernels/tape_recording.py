@@ -39,4 +39,5 @@ def record_adjoint(tape: wp.Tape, adjoint: Callable[[], None], *arrays: wp.array
         adjoint: launches the adjoint kernels, none of which records itself.
         arrays: inputs and outputs; those that already have gradients are those ``tape.zero()`` will clear.
     """
-    tape.record_func(adjoint, [array for array in arrays if array.grad is not None])
+    # Warp takes one without elements for one without a gradient.
+    tape.record_func(adjoint, [array for array in arrays if array.grad is not None and array.size > 0])
