@@ -1,5 +1,6 @@
 """Launches spread over CPU threads."""
 
+import multiprocessing
 from collections.abc import Iterator
 
 import numpy as np
@@ -51,6 +52,18 @@ def test_every_tile_once(tiles: int, threads: int) -> None:
     marks = wp.zeros((tiles, 4), dtype=wp.int32, device="cpu")
     launching.launch_tiles(mark_kernel, tiles, 4, [marks], wp.get_device("cpu"))
     assert (marks.numpy() == 1).all()
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # Python 3.12, of a process with threads
+def test_a_forked_process_launches_too() -> None:
+    """A data loader's worker, say, whose parent has already spread launches over its threads."""
+    test_every_tile_once(tiles=77, threads=2)
+    child = multiprocessing.get_context("fork").Process(target=test_every_tile_once, args=(77, 2))
+    child.start()
+    child.join(timeout=20)
+    child.kill()
+    child.join()
+    assert child.exitcode == 0
 
 
 def test_thread_count_must_be_positive() -> None:
