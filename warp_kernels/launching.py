@@ -128,3 +128,11 @@ def _threads() -> ThreadPoolExecutor:
     if _pool is None:
         _pool = ThreadPoolExecutor(_num_threads, thread_name_prefix="warp_kernels")
     return _pool
+
+
+def _forget_threads() -> None:
+    global _pool
+    _pool = None
+
+
+os.register_at_fork(after_in_child=_forget_threads)  # threads stay with the parent: their pool would wait forever
