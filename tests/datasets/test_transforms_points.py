@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pytest
 from capture_folders import synthetic_model, write_model, write_transforms
-from plyfile import PlyData, PlyElement
 
 from thermosplat.cameras import camera_center
 from thermosplat.datasets import load_capture
 from thermosplat.errors import UserError
+
+plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install ".[test]")')
 
 
 def write_ply(path, points, colors, *, text=False):
@@ -19,7 +20,7 @@ def write_ply(path, points, colors, *, text=False):
         rows[name] = points[:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
         rows[name] = colors[:, channel]
-    PlyData([PlyElement.describe(rows, "vertex")], text=text).write(path)
+    plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")], text=text).write(path)
 
 
 @pytest.mark.parametrize(("name", "text"), [("sparse_pc.ply", False), ("cloud.ply", True)])
