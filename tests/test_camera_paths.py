@@ -104,6 +104,24 @@ def test_spiral_looks_at_the_focus() -> None:
     assert (seen[:, 2] > 0).all()
 
 
+def test_spiral_of_a_drive_looks_ahead() -> None:
+    """Cameras that were driven along their parallel axes see the road from every pose, the foremost one too."""
+    places = np.stack([0.05 * np.sin(np.arange(40)), 0.02 * np.cos(np.arange(40)), np.linspace(0, 10, 40)], axis=1)
+    drive = np.stack([look_to(place, np.array([0.0, 0.0, 1.0]), UP) for place in places])
+    poses = spiral_path(drive, 120)
+    assert np.ptp(centres(poses)[:, 2]) > 5
+    assert (poses[:, 2, 2] > np.cos(np.radians(45))).all()
+
+
+@pytest.mark.parametrize("path", [interpolated_path, ellipse_path, spiral_path])
+def test_paths_of_a_camera_that_stays_in_its_place(path) -> None:
+    """Turned by half a circle, or not at all: every pose is a rotation all the same."""
+    for directions in ([1.0, -1.0, 1.0, -1.0], [1.0, 1.0, 1.0, 1.0]):
+        cameras = np.stack([look_to(np.zeros(3), np.array([0.0, 0.0, z]), UP) for z in directions])
+        poses = path(cameras, 7)
+        np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1.0)
+
+
 @pytest.mark.parametrize(("path", "count"), [(interpolated_path, 1), (spiral_path, 1), (ellipse_path, 2)])
 def test_too_few_views(path, count: int) -> None:
     """A path through too few views is refused with a path that works."""

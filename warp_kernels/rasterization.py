@@ -82,11 +82,19 @@ def rasterize(
         Everything the steps made.
 
     Raises:
-        ValueError: if ``settings`` or the number of images ask for what this shortcut does not do.
+        ValueError: if ``settings`` or the number of images ask for what this shortcut does not do, or the numbers in
+            ``settings`` are not those of the arrays.
     """
     images = len(gaussians.viewmats)
     if settings.antialiased or images != 1:
         raise ValueError("rasterize() renders one image in the classic mode; chain the four steps for anything else.")
+    # What settings say is what kernels read and write, of memory that is not there too.
+    counts, there = (settings.num_gaussians, settings.num_cameras, settings.num_images), len(gaussians.means)
+    if counts != (there, 1, 1) or len(features) != there:
+        raise ValueError(
+            f"settings must have num_gaussians = {there} (the means), num_cameras = num_images = 1, got {counts}; "
+            f"features must have {there} rows, got {len(features)}."
+        )
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
     projected = allocate_projected(images * settings.num_gaussians, dtype, device, tape is not None)
     project(gaussians, settings, projected, tape)

@@ -83,7 +83,8 @@ def spiral_path(viewmats: Matrices, num_frames: int) -> Matrices:
     radii = np.percentile(np.abs((centres - centre) @ mean_pose[:3, :3]), 90, axis=0)  # right, down, forward
     focus, reach = focus_point(poses), np.linalg.norm(radii)
     focus_depth = np.median(np.einsum("vi,vi->v", focus - centres, poses[:, :3, 2]))
-    target = focus if focus_depth > 0.5 * reach else centre + reach * forward  # parallel cameras have no focus
+    # Parallel cameras have no focus; what they look at then lies ahead of all of the spiral, within 45 degrees.
+    target = focus if focus_depth > 0.5 * reach else centre + 2 * reach * forward
     angles = np.linspace(0, 2 * np.pi * SPIRAL_TURNS, num_frames, endpoint=False)
     local = np.stack([np.cos(angles), -np.sin(angles), -np.sin(angles / SPIRAL_TURNS)], axis=1) * radii
     path = centre + local @ mean_pose[:3, :3].T
@@ -95,7 +96,7 @@ def look_to(centre: Matrices, forward: Matrices, up: Matrices) -> Matrices:
 
     Args:
         centre: Camera centre [world units], shape [3].
-        forward: Viewing direction of any length, shape [3].
+        forward: Viewing direction of any length, shape [3]; where it is zero, one across ``up`` is taken.
         up: Direction that points upwards in the image, shape [3]; another one is taken where it is parallel to
             ``forward``.
 
@@ -103,6 +104,8 @@ def look_to(centre: Matrices, forward: Matrices, up: Matrices) -> Matrices:
         Shape [4, 4].
     """
     z = _unit(forward)
+    if not z.any():  # halfway between opposite directions, or at the very point that is looked at
+        z = _unit(np.cross(up, np.eye(3)[np.abs(up).argmin()]))
     x = np.cross(z, _unit(up))
     if np.linalg.norm(x) < 1e-6:
         x = np.cross(z, np.eye(3)[np.abs(z).argmin()])

@@ -1,5 +1,6 @@
 """warp_kernels alone, on a Warp tape of the user's own, without torch in the loop."""
 
+import dataclasses
 import subprocess
 import sys
 from typing import Any
@@ -115,6 +116,17 @@ def test_without_a_tape() -> None:
     assert (image == same).all()
     expected, _, _ = rasterization(**leaves(scene.scene | {"backgrounds": None}, "cpu", torch.float32))
     assert np.abs(image - expected[0].detach().numpy()).max() < 1e-6
+
+
+@pytest.mark.parametrize("wrong", ["num_gaussians", "num_cameras", "num_images"])
+def test_numbers_of_settings_are_the_arrays(wrong: str) -> None:
+    """More than there are would be read, and written, from memory of others."""
+    scene = warp_scene(n=5)
+    settings = dataclasses.replace(scene.settings, **{wrong: 6})
+    with pytest.raises(ValueError, match="num_gaussians = 5"):
+        rasterize(scene.gaussians, scene.features, settings)
+    with pytest.raises(ValueError, match="got 3"):
+        rasterize(scene.gaussians, scene.features[:3], scene.settings)
 
 
 def test_what_the_shortcut_does_not_do() -> None:
