@@ -10,6 +10,7 @@ import argparse
 import json
 import statistics
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import torch
@@ -48,7 +49,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
     with torch.no_grad():
         *_projected, arrays = Project.apply(
             scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
-            scene.intrinsics(width, height)[None], ProjectInputs(settings, (), (1,)),
+            scene.intrinsics(width, height)[None], ProjectInputs(settings, (), (1,), nullcontext()),
         )  # fmt: skip
     flat = scene.features(max(channels for channels, _ in args.channels))
     bins, memory = bin_tiles(arrays, opacities, thermal, flat, settings, args.tile_size)

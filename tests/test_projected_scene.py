@@ -87,6 +87,22 @@ def test_threads_render_at_once(device: torch.device) -> None:
             assert relative_error(found[1], expected[found[0]]) < 1e-12
 
 
+def test_threads_differentiate_one_scene(device: torch.device) -> None:
+    """Backward passes of one graph in several threads have the gradients that each would have alone."""
+    inputs = leaves(random_scene(n=500, width=80, height=60, sh_degree=3), device, torch.float64)
+    loss = rasterization(**inputs)[0].square().sum()
+
+    def gradients(_: int = 0) -> tuple[torch.Tensor, ...]:
+        wanted = [inputs[name] for name in ("means", "scales", "colors", "viewmats")]
+        return torch.autograd.grad(loss, wanted, retain_graph=True)
+
+    expected = gradients()
+    with ThreadPoolExecutor(2) as pool:
+        for found in pool.map(gradients, range(12)):
+            for one, other in zip(found, expected, strict=True):
+                assert relative_error(one, other) < 1e-12
+
+
 def test_opacities_retain_their_gradients(device: torch.device) -> None:
     """Those in info are per image: over the cameras their gradients sum to the inputs'."""
     inputs = leaves(random_rgbt_scene(cameras=2), device, torch.float64)

@@ -4,6 +4,7 @@ As in rasterization_functions, only what is saved keeps memory alive; the arrays
 memory, wherever it is by then.
 """
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.tile_lists import TileLists
-from thermosplat.warp_bridge import given_view, keep, kept, kinds_of, lend, take_back, vector_of, view
+from thermosplat.warp_bridge import given_view, in_turns, keep, kept, kinds_of, lend, take_back, vector_of, view
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels import blending_step
 from warp_kernels.array_views import ArrayView, nothing
@@ -34,6 +35,8 @@ class BlendInputs:
     thermal_channels: int
     shown_means2d: Tensor | None
     """The tensor users see as info["means2d"], whose ``absgrad`` the backward pass adds to; None: not wanted."""
+    turns: AbstractContextManager[Any]
+    """The scene's lock; see ``in_turns``."""
 
 
 class BlendedTensors(NamedTuple):
@@ -74,7 +77,7 @@ class Blend(torch.autograd.Function):
         ctx.rest = None if rest is None else view(rest, vector_of(rest.shape[-1], dtype))
         ctx.blended = blending_step.BlendedArrays(*[array for array, _ in images])
         ctx.projected, ctx.bins = projected, lists.bins
-        ctx.inputs = (settings, inputs.shown_means2d)
+        ctx.inputs, ctx.turns = (settings, inputs.shown_means2d), inputs.turns
         step = (projected, ctx.opacities, ctx.thermal_opacities, ctx.features, lists.bins, settings, ctx.blended)
         with launches_on_torch_stream(means2d.device):
             ctx.walk = blending_step.blend(*step, rest=ctx.rest)
@@ -104,6 +107,7 @@ class Blend(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
+    @in_turns
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         held = kept(ctx)
         means2d, packed_roots, *opacities = held[:4]

@@ -1,6 +1,7 @@
 """A scene projected once, and the tensors everything blended from it shares. Flat index: image · N + Gaussian."""
 
 import math
+import threading
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, cast
 
@@ -61,6 +62,7 @@ class ProjectedScene:
     ) -> None:
         self.tile_size = tile_size
         self.deterministic = deterministic
+        self._turns = threading.Lock()
         self.settings = settings
         self.images_shape = (*means.shape[:-2], settings.num_cameras)
         means = means.contiguous()
@@ -87,7 +89,7 @@ class ProjectedScene:
             bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
             viewmats.contiguous(),
             Ks.contiguous(),
-            ProjectInputs(settings, tuple(one.settings for one in self._harmonics), self.images_shape),
+            ProjectInputs(settings, tuple(one.settings for one in self._harmonics), self.images_shape, self._turns),
             *(coefficients for one in self._harmonics for coefficients in one[:2]),
         )
         count = len(ProjectedTensors._fields)
@@ -144,6 +146,7 @@ class ProjectedScene:
             self.settings,
             thermal_channels,
             self.means2d if absgrad else None,
+            self._turns,
         )
         tensors = (self.means2d, self.projected.roots, opacities, second, features, rest)
         return BlendedTensors(*Blend.apply(*tensors, inputs))

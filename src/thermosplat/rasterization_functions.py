@@ -7,6 +7,7 @@ lets go of it. Work runs on torch's current stream. The blending's function is i
 """
 
 import math
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import torch
@@ -14,7 +15,7 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.warp_bridge import keep, kept, kinds_of, lend, take_back, view, warp_device_of
+from thermosplat.warp_bridge import in_turns, keep, kept, kinds_of, lend, take_back, view, warp_device_of
 from thermosplat.warp_streams import launches_on_torch_stream
 from warp_kernels.array_views import ArrayView, nothing
 from warp_kernels.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
@@ -77,6 +78,8 @@ class ProjectInputs(NamedTuple):
     color_settings: tuple[ColorSettings, ...]
     """One for each pair of coefficients among the tensors."""
     images_shape: tuple[int, ...]
+    turns: AbstractContextManager[Any]
+    """The scene's lock; see ``in_turns``."""
 
 
 class Project(torch.autograd.Function):
@@ -125,7 +128,7 @@ class Project(torch.autograd.Function):
                 sh_colors(c[-1], how)
         ctx.mark_non_differentiable(projected.radii, projected.extents, packed_roots)
         ctx.set_materialize_grads(False)
-        ctx.inputs, ctx.gaussians, ctx.projected, ctx.colors = inputs, g, p, c
+        ctx.inputs, ctx.gaussians, ctx.projected, ctx.colors, ctx.turns = inputs, g, p, c, inputs.turns
         keep(
             ctx,
             (g.means, means),
@@ -145,6 +148,7 @@ class Project(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
+    @in_turns
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, covars, viewmats, Ks, *held = kept(ctx)
         count = len(ProjectedTensors._fields)

@@ -5,14 +5,16 @@ see are made in the shape they see.
 """
 
 import functools
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
 import warp as wp
 from torch import Tensor
 
 from warp_kernels.array_views import ArrayView
+
+Backward = TypeVar("Backward", bound=Callable[..., Any])
 
 LONGEST = 2**30
 """Most numbers of a tensor that kernels number one by one, with 32 bits; see ``numbered_parts``."""
@@ -167,3 +169,23 @@ def kept(ctx: Any) -> tuple[Any, ...]:
         if tensor is not None and tensor.data_ptr() != array.ptr:
             array.place(tensor.data_ptr())
     return tensors
+
+
+def in_turns(backward: Backward) -> Backward:
+    """Lets threads that differentiate one scene do so one after the other.
+
+    Its functions share arrays that carry gradients while an adjoint runs, and a launch lets other threads go on.
+
+    Args:
+        backward: of an autograd function whose ``ctx.turns`` is the scene's lock.
+
+    Returns:
+        It, holding that lock.
+    """
+
+    @functools.wraps(backward)
+    def in_turn(ctx: Any, *gradients: Tensor | None) -> Any:
+        with ctx.turns:
+            return backward(ctx, *gradients)
+
+    return cast("Backward", in_turn)
