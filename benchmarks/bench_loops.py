@@ -13,12 +13,10 @@ trainings share a GPU, so nothing here says anything of time.
 import argparse
 import json
 import math
-import os
 import queue
 import shlex
 import shutil
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -28,8 +26,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import thermosplat
-import warp_kernels
+from training_command import apart, failure, run_python
+
 from thermosplat.method_matrix.cell_result import write_json
 from thermosplat.method_matrix.processes import choose_devices, device_environment
 from thermosplat.run_directory import RunDirectory
@@ -61,15 +59,11 @@ class Trainings:
         """
         device = self._free.get()
         try:
-            roots = [str(Path(str(module.__file__)).parents[1]) for module in (thermosplat, warp_kernels)]
-            environment = device_environment(device, sharing=self.count)
-            environment["PYTHONPATH"] = os.pathsep.join([*roots, *filter(None, [environment.get("PYTHONPATH")])])
-            command = [sys.executable, "-c", TRAIN, *words]
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+            done = run_python(["-c", TRAIN, *words], device_environment(device, sharing=self.count))
         finally:
             self._free.put(device)
-        if done.returncode != 0:
-            raise RuntimeError((done.stderr or done.stdout).strip()[-500:])
+        if error := failure(done):
+            raise RuntimeError(error)
         metrics = json.loads(RunDirectory(folder).metrics_json.read_text(encoding="utf-8"))
         return {spectrum: metrics[spectrum]["psnr"] for spectrum in SPECTRA if metrics[spectrum]}
 
@@ -96,7 +90,7 @@ def measured(trainings: Trainings, command: Sequence[str], seed: int, branch: in
         if loop == "plain":  # in the file: a run goes on with the settings that it was begun with
             run.write_config(replace(run.read_config(), graph=False, compile=False))
         run.metrics_json.unlink()
-        for path in run.ckpts.glob("*.pt"):
+        for path in run.checkpoints():
             if path != run.checkpoint(branch):
                 path.unlink()
         row[loop] = trainings.train(run.path, "--resume", str(run.path))
@@ -131,9 +125,7 @@ def table(rows: Sequence[Row]) -> str:
 
 def parse(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     """The script's own options, and the flags of thermosplat-train after ``--``."""
-    flags: list[str] = []
-    if "--" in words:
-        words, flags = words[: words.index("--")], words[words.index("--") + 1 :]
+    words, flags = apart(words)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", help="folder of a capture, or sample")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])

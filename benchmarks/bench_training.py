@@ -24,6 +24,7 @@ from typing import Any
 import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
 from device_peaks import measure_peaks
 from frozen_training import Frames
+from training_command import apart
 from training_peers import compare_steps
 from training_sizes import capture_rows, memory_fit, profiled_row, synthetic_row
 from training_tables import markdown
@@ -48,9 +49,7 @@ SIZES, COUNTS = ("640x480", "1280x1024"), (100_000, 300_000, 1_000_000)
 
 def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     """The script's own options, and the flags of thermosplat-train after ``--``."""
-    flags: list[str] = []
-    if "--" in words:
-        words, flags = words[: words.index("--")], words[words.index("--") + 1 :]
+    words, flags = apart(words)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", help="folder of a capture, or sample")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS[:4]), help="default all but sample")

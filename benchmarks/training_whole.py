@@ -1,10 +1,8 @@
 """Whole training runs by the command's own entry, each in a process of its own: seconds, quality, memory over time."""
 
 import json
-import math
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from training_command import failure, run_python
 
-import thermosplat
-import warp_kernels
 from thermosplat.checkpoint import load_checkpoint
 from thermosplat.run_directory import RunDirectory
 
@@ -99,24 +96,15 @@ def _run(
         return {"error": "not started: the time limit"}
     clock = out.with_name(f"{out.name}_compilation.json")
     words = [*arguments, "--result-dir", str(out), "--overwrite"]
-    roots = [str(Path(str(module.__file__)).parents[1]) for module in (thermosplat, warp_kernels)]
-    path = os.pathsep.join([*roots, *filter(None, [os.environ.get("PYTHONPATH")])])
     begun, started = time.time(), time.perf_counter()
     try:
-        done = subprocess.run(
-            [sys.executable, str(ENTRY), str(clock), *words],
-            env=os.environ | {"PYTHONPATH": path} | dict(environment or {}),
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=None if math.isinf(limit_s) else limit_s,
-        )
+        done = run_python([str(ENTRY), str(clock), *words], environment or {}, limit_s)
     except subprocess.TimeoutExpired:
         return {"error": "stopped: the time limit"}
     seconds = time.perf_counter() - started
     run = RunDirectory(out)
-    if done.returncode != 0:
-        return {"error": (done.stderr or done.stdout).strip()[-500:]}
+    if error := failure(done):
+        return {"error": error}
     compilation = json.loads(clock.read_text(encoding="utf-8"))
     return {"process_s": seconds} | _row(run, run.metrics_json.stat().st_mtime - begun, compilation)
 

@@ -94,8 +94,8 @@ def _applied(content: dict[str, Any], path: Path) -> NDArray[np.float64]:
 
 def _same_world(model: ColmapModel, applied: NDArray[np.float64], frames: Sequence[FrameFiles], root: Path) -> bool:
     """COLMAP's camera positions, mapped, are those of the frames of the same path or else of the same stem."""
-    positions = {image.name.stem: camera_center(image.viewmat) for image in model.images}
-    positions |= {stem_key(image.name): camera_center(image.viewmat) for image in model.images}
+    placed = [(image.name, camera_center(image.viewmat)) for image in model.images]
+    positions = {name.stem: center for name, center in placed} | {stem_key(name): center for name, center in placed}
     pairs = [
         (positions[key], camera_center(shot.viewmat))
         for shot in _shots(frames)

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.config import LossConfig, TrainConfig
+from thermosplat.export.scene import modelled
 from thermosplat.metrics import psnr
 from thermosplat.training.contributions import contributions
 from thermosplat.training.feature_channels import reduce_features
@@ -51,10 +52,9 @@ class AutoBudget:
         self.frames = frames
         self.schedule = schedule
         self.settings = config.auto_budget
-        modelled = [name for name in ("rgb", "thermal") if getattr(config.model, name)]
         self._having = [
             [index for index, frame in enumerate(frames.frames) if getattr(frame, name) is not None]
-            for name in modelled
+            for name in modelled(state.model)
         ]
         self.validation = _validation_views(self._having, self.settings.validation_views)
         self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
