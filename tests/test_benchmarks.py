@@ -87,13 +87,18 @@ def test_budget_benchmark_runs(tmp_path: Path) -> None:
 
 
 def test_loops_benchmark_runs(tmp_path: Path) -> None:
-    """Trainings that go on from one checkpoint are compared; on the CPU every loop ends with the same numbers."""
+    """Trainings that go on from one checkpoint are compared; on the CPU every loop ends with the same numbers.
+
+    Each has a process of its own: one in some hundred ends 4e-7 dB apart, for a cause not found (benchmarks/notes.md).
+    Within one process tests/training/test_trainer.py asks for equal bits.
+    """
     report = tmp_path / "loops.json"
     options = ["sample", "--devices", "cpu", "--seeds", "3", "--branch", "1", "--json", str(report)]
     done = run_script("bench_loops.py", *options, "--", "--config", "demo", "--data-factor", "8", "--max-steps", "2")
     assert done.returncode == 0, done.stdout + done.stderr
     (row,) = json.loads(report.read_text())["rows"]
     assert row["seed"] == 3
-    assert row["again"] == row["plain"] == row["default"]
+    for loop in ("again", "plain"):
+        assert row[loop] == pytest.approx(row["default"], rel=0, abs=1e-5), loop
     assert all(value > 5 for value in row["default"].values())
     assert "thermal, plain minus default: +0.000" in done.stdout

@@ -34,6 +34,13 @@ def test_packed_parameters_come_back_and_are_smaller() -> None:
         assert torch.equal(back[name], value), name
 
 
+def test_order_is_kept() -> None:
+    """Parameters come back in their order, packed ones among the others: a resumed model has its parameters' order."""
+    values = parameters()
+    for names in (["shN", "thermal_opacity_offsets", "means"], ["thermal_opacity_offsets", "means", "shN"]):
+        assert list(unpack(pack({name: values[name] for name in names}), 15)) == names
+
+
 def test_what_would_not_shrink_stays() -> None:
     """Full harmonics and offsets everywhere are stored as they are; without harmonics there is nothing to pack."""
     full = {"shN": torch.ones(4, 3, 3), "thermal_opacity_offsets": torch.ones(4)}

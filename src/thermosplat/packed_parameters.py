@@ -41,8 +41,11 @@ def unpack(packed: dict[str, Tensor], num_bases: int) -> dict[str, Tensor]:
         num_bases: Spherical harmonics above degree 0, K - 1.
     """
     packed = {name: value.float() if value.dtype == torch.float16 else value for name, value in packed.items()}
-    parameters = {name: value for name, value in packed.items() if "." not in name}
-    for name in {key.partition(".")[0] for key in packed if "." in key}:
+    parameters: dict[str, Tensor] = {}
+    for name in dict.fromkeys(key.partition(".")[0] for key in packed):  # in their order, which a set would not keep
+        if name in packed:
+            parameters[name] = packed[name]
+            continue
         values = packed[f"{name}.values"]
         if name in _BANDS:
             degrees = packed[f"{name}.degrees"]

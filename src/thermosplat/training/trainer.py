@@ -110,7 +110,7 @@ class Trainer:
     def resume(
         cls, config: TrainConfig, capture: Capture, run: RunDirectory, logger: RunLogger | None = None
     ) -> "Trainer":
-        """Go on from the newest checkpoint of a run; on the CPU, bit for bit as if it had never stopped.
+        """Go on from the newest checkpoint of a run; on the CPU, with the same numbers as if it had never stopped.
 
         Args:
             config: The run's configuration; rates, schedule and device may differ from the first time, the model not.
