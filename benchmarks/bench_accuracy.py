@@ -22,12 +22,11 @@ from typing import Any
 import torch
 import warp as wp
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from accuracy_truth import Rasterization, Truth, errors, truth_of
-from agreement import largest
-
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "fixtures"))
 import gsplat_reference
 from hard_scenes import FINITE, LARGE, NON_FINITE
+from measuring.agreement import largest
+from scenes.accuracy_truth import Rasterization, Truth, errors, truth_of
 from thermosplat import rasterization
 from thermosplat.method_matrix.cell_result import write_text
 

@@ -3,7 +3,7 @@
     python benchmarks/bench_blend_layouts.py --scene test_garden.npz results/desk --data DATA --json layouts.json
 
 Over layouts, channels and segments (pairs of a list that one block of the adjoint walks; 0: the whole list). The
-answers are built into ``warp_kernels.blend_layout.default_layout``.
+answers are built into ``warp_kernels.blending.blend_layout.default_layout``.
 """
 
 import argparse
@@ -15,16 +15,16 @@ from pathlib import Path
 
 import torch
 import warp as wp
-from benchmark_scenes import BenchmarkScene, garden_scene
-from trained_scene import trained_scene
 
+from scenes.benchmark_scenes import BenchmarkScene, garden_scene
+from scenes.trained_scene import trained_scene
 from thermosplat.method_matrix.cell_result import write_text
-from thermosplat.rasterization_functions import Project, ProjectInputs
-from thermosplat.tile_lists import bin_tiles
-from thermosplat.warp_streams import on_torch_stream
-from warp_kernels.blend_layout import BlendLayout
-from warp_kernels.blending_step import BlendedArrays, blend
-from warp_kernels.projection import ProjectionSettings
+from thermosplat.rasterizer.binning import bin_tiles
+from thermosplat.rasterizer.projection import Project, ProjectInputs
+from thermosplat.torch_bridge.streams import on_torch_stream
+from warp_kernels.blending.blend_layout import BlendLayout
+from warp_kernels.blending.blending_step import BlendedArrays, blend
+from warp_kernels.projection.projection import ProjectionSettings
 
 
 def median_ms(run: Callable[[], object], repeats: int) -> float:

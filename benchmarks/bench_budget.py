@@ -4,7 +4,7 @@
         [--budgets 0.01 0.05 0.25 1.0] [--prune-by weights] [--time-limit 600] [--out results/budget] [--runs FOLDER...]
 
 Trains each DATA once with its number of Gaussians fixed (or takes a finished run), then for every budget removes the
-Gaussians that matter least to the training views, fine-tunes what is left, drops thermal offsets, latent channels and
+Gaussians that matter least to the training views, fine-tunes what is left, drops opacity offsets, latent channels and
 spherical harmonics and rounds parameters as ``--budget auto`` does, and evaluates the held-out views. The budget 1.0 is
 fine-tuned as long and keeps everything as float32: what the others are compared with. Writes budget.json, budget.md
 and, where matplotlib is installed, budget.png. The same command goes on after an interruption: what budget.json holds
@@ -21,17 +21,18 @@ from typing import Any, cast
 
 import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
 
-from thermosplat.checkpoint import write_atomically
-from thermosplat.cli.warp_start import start_warp
 from thermosplat.config import AutoBudgetConfig, TrainConfig
-from thermosplat.config_files import load_config
+from thermosplat.config.files import load_config
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.method_matrix.cell_result import write_text
 from thermosplat.method_matrix.render_speed import frames_per_second
-from thermosplat.run_directory import RunDirectory
-from thermosplat.training.pruning import least
-from thermosplat.training.resuming import newest_checkpoint
+from thermosplat.rasterizer.warp_start import start_warp
+from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.spectra import label
+from thermosplat.training.budget.pruning import least
+from thermosplat.training.session.resuming import newest_checkpoint
 from thermosplat.training.trainer import Trainer
 
 BUDGETS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 1.0)
@@ -40,10 +41,8 @@ COLUMNS = {
     "num_gaussians": "{:,}",
     "model_bytes": "{:,}",
     "bytes_share": "{:.1%}",
-    "rgb_psnr": "{:.2f}",
-    "thermal_psnr": "{:.2f}",
-    "ms": "{:.2f}",
 }
+PSNR, MILLISECONDS = "_psnr", "ms"
 Rows = list[dict[str, Any]]
 
 
@@ -92,21 +91,26 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
         "budget": budget,
         "num_gaussians": metrics["num_gaussians"],
         "model_bytes": metrics["model_bytes"],
-        "rgb_psnr": (metrics["rgb"] or {}).get("psnr"),
-        "thermal_psnr": (metrics["thermal"] or {}).get("psnr"),
-        "ms": 1000.0 / rate,
-        "thermal_offsets_kept": metrics["thermal_offsets_kept"],
+        **{f"{name}{PSNR}": (metrics[name] or {}).get("psnr") for name in metrics["spectra"]},
+        MILLISECONDS: 1000.0 / rate,
+        "opacity_offsets_kept": metrics["opacity_offsets_kept"],
         "feature_channels": metrics["feature_channels"],
     }
+
+
+def measured_spectra(rows: Rows) -> list[str]:
+    """The spectra of some measurements."""
+    return list(dict.fromkeys(key.removesuffix(PSNR) for row in rows for key in row if key.endswith(PSNR)))
 
 
 def table(rows: Rows) -> str:
     """The measurements of a scene as Markdown, the smallest budget first."""
     whole = next((row["model_bytes"] for row in rows if row["budget"] == 1.0), None)
-    lines = [" | ".join(["", *COLUMNS, ""]).strip(), "|" + "---|" * len(COLUMNS)]
+    columns = COLUMNS | {f"{name}{PSNR}": "{:.2f}" for name in measured_spectra(rows)} | {MILLISECONDS: "{:.2f}"}
+    lines = [" | ".join(["", *columns, ""]).strip(), "|" + "---|" * len(columns)]
     for row in sorted(rows, key=lambda row: cast(float, row["budget"])):
         shown = {**row, "bytes_share": None if whole is None else row["model_bytes"] / whole}
-        cells = ["-" if shown[key] is None else form.format(shown[key]) for key, form in COLUMNS.items()]
+        cells = ["-" if shown.get(key) is None else form.format(shown[key]) for key, form in columns.items()]
         lines.append(" | ".join(["", *cells, ""]).strip())
     return "\n".join(lines) + "\n"
 
@@ -120,22 +124,23 @@ def plot(scenes: dict[str, Rows], path: Path) -> bool:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    quantities = {"num_gaussians": "Gaussians", "model_bytes": "model bytes", "ms": "ms a frame, all spectra"}
-    modalities = ("rgb", "thermal")
-    figure, grid = plt.subplots(2, 3, figsize=(13, 7), sharex="col", sharey="row", layout="constrained")
-    for modality, axes in zip(modalities, grid, strict=True):
-        axes[0].set_ylabel(f"held-out {modality} PSNR\nover that of all Gaussians [dB]")
-        for axis, (key, label) in zip(axes, quantities.items(), strict=True):
+    quantities = {"num_gaussians": "Gaussians", "model_bytes": "model bytes", MILLISECONDS: "ms a frame, all spectra"}
+    spectra = measured_spectra([row for rows in scenes.values() for row in rows])
+    size = {"figsize": (13, 3.5 * len(spectra)), "sharex": "col", "sharey": "row", "squeeze": False}
+    figure, grid = plt.subplots(len(spectra), len(quantities), layout="constrained", **size)
+    for spectrum, axes in zip(spectra, grid, strict=True):
+        axes[0].set_ylabel(f"held-out {label(spectrum)} PSNR\nover that of all Gaussians [dB]")
+        for axis, key in zip(axes, quantities, strict=True):
             for name, rows in scenes.items():
                 ordered = sorted(rows, key=lambda row: cast(float, row["budget"]))
-                whole, values = ordered[-1], [row[f"{modality}_psnr"] for row in ordered]
+                whole, values = ordered[-1], [row.get(f"{spectrum}{PSNR}") for row in ordered]
                 if None not in values and whole["budget"] == 1.0:
                     axis.plot([row[key] for row in ordered], [v - values[-1] for v in values], "o-", label=name)
             axis.axhline(-0.1, color="grey", linewidth=0.8, linestyle="--")
-            axis.set_xscale("linear" if key == "ms" else "log")
+            axis.set_xscale("linear" if key == MILLISECONDS else "log")
             axis.grid(alpha=0.3)
-            if modality == "thermal":
-                axis.set_xlabel(label)
+    for axis, text in zip(grid[-1], quantities.values(), strict=True):
+        axis.set_xlabel(text)
     grid[0, 0].legend()
     write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=130))
     return True
@@ -195,7 +200,7 @@ def main() -> None:
         finished = RunDirectory.open(options.runs[index]) if options.runs else None
         base = load_config(finished.config_yaml if finished else options.config)
         factor = base.data_factor if finished else options.data_factor
-        capture = load_capture(data, data_factor=factor, test_every=base.test_every, thermal=base.thermal)
+        capture = load_capture(data, data_factor=factor, test_every=base.test_every, spectra=base.spectra)
         rows = scenes.setdefault(capture.name, [])
         folder: Path = options.out / capture.name
         for budget in sorted(set(options.budgets) - {row["budget"] for row in rows}, reverse=True):
@@ -207,7 +212,8 @@ def main() -> None:
     text = "\n".join(f"{name}\n\n{table(rows)}" for name, rows in scenes.items() if rows)
     write_text(options.out / "budget.md", text)
     print(text)
-    if not plot({name: rows for name, rows in scenes.items() if rows}, options.out / "budget.png"):
+    found = {name: rows for name, rows in scenes.items() if rows}
+    if found and not plot(found, options.out / "budget.png"):
         print("No plot: pip install matplotlib.")
 
 

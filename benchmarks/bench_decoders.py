@@ -15,40 +15,42 @@ import json
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from agreement import largest
-from rasterization_case import one_line
-from timing import time_interleaved
 from torch import Tensor
 
-from thermosplat.checkpoint import write_atomically
+from measuring.agreement import largest
+from measuring.timing import time_interleaved
+from rasterization.case import one_line
 from thermosplat.config import DecoderConfig
-from thermosplat.decoders import Decoders
-from thermosplat.devices import choose_device
-from thermosplat.run_directory import environment
-from thermosplat.training.fast_decoders import FastDecoders, can_compile
-from thermosplat.warp_decoders import FusedDecoders, teams
+from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.devices import choose_device
+from thermosplat.runs.run_directory import environment
+from thermosplat.scene.decoders import Decoders
+from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, model_spectra
+from thermosplat.training.fast_decoders import Decode, FastDecoders, can_compile
+from thermosplat.training.fused_decoders import FusedDecoders, teams
 
 WARM_UP = 3
 
 Images = Sequence[Tensor]
-Both = Callable[[Tensor, Tensor], Images]
+MODULATED, PRIOR = "rgb", "thermal"
+"""The spectrum that is modulated, and the one whose prior modulates it."""
 
 
 class Variant(NamedTuple):
     """A way to decode both branches.
 
     Attributes:
-        both: Visible and thermal features to both images.
+        decode: Features by spectrum to images.
         active: Opened around a whole pass: the precision of matrix products holds backward too, as in a training step.
     """
 
-    both: Both
+    decode: Decode
     active: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
@@ -72,15 +74,20 @@ class Case(NamedTuple):
         leaves = [leaf.detach().double().requires_grad_() for leaf in (self.render, self.thermal)]
         return Case(copy.deepcopy(self.decoders).double(), *leaves, [v.double() for v in self.upstream])
 
+    def images(self, variant: Variant) -> Images:
+        """Both images."""
+        decoded = variant.decode({MODULATED: self.render[..., 3:], PRIOR: self.thermal})
+        return [decoded[MODULATED], decoded[PRIOR]]
+
     def forward(self, variant: Variant) -> Images:
         """Both images, without gradients."""
         with torch.no_grad(), variant.active():
-            return variant.both(self.render[..., 3:], self.thermal)
+            return self.images(variant)
 
     def forward_backward(self, variant: Variant) -> list[Tensor]:
         """Both images, then the gradients of features and parameters."""
         with variant.active():
-            images = variant.both(self.render[..., 3:], self.thermal)
+            images = self.images(variant)
             leaves = [self.render, self.thermal, *self.decoders.parameters()]
             gradients = torch.autograd.grad(images, leaves, self.upstream)
         return [*(image.detach() for image in images), *gradients]
@@ -93,7 +100,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--sizes", nargs="+", default=["400x300", "640x480", "1280x1024"], help="WIDTHxHEIGHT ...")
     parser.add_argument("--hidden", type=int, nargs="+", default=[64], help="channels of hidden layers")
     parser.add_argument("--features", type=int, default=8, help="channels of the features")
-    parser.add_argument("--thermal-channels", type=int, default=3)
+    parser.add_argument("--thermal-channels", type=int, choices=(1, 3), default=3)
     parser.add_argument("--repeats", type=int, default=None, help="measurements of each (50 on CUDA, 11 on the CPU)")
     parser.add_argument("--truth-pixels", type=int, default=640 * 480, help="compare with float64 up to so many")
     parser.add_argument("--json", type=Path, default=None, help="file to write")
@@ -105,7 +112,8 @@ def random_case(hidden: int, dim: int, thermal_channels: int, size: tuple[int, i
     """Networks whose modulation does something, and gradients as small as those of a mean."""
     generator = torch.Generator().manual_seed(0)
     width, height = size
-    decoders = Decoders(DecoderConfig(hidden_dim=hidden), dim, thermal_channels)
+    kinds: dict[str, ColorSpace] = {MODULATED: "photograph", PRIOR: "scalar" if thermal_channels == 1 else "color"}
+    decoders = Decoders(DecoderConfig(hidden_dim=hidden), dim, model_spectra(DEFAULT_SPECTRA, kinds))
     for parameter in decoders.parameters():
         torch.nn.init.normal_(parameter, std=0.3, generator=generator)
 
@@ -122,18 +130,18 @@ def variants(decoders: Decoders) -> dict[str, Variant]:
     on_cuda = next(decoders.parameters()).device.type == "cuda"
     found: dict[str, Variant] = {}
 
-    def swapped(visible: Tensor, thermal: Tensor) -> Images:
-        return decoders.both(visible, thermal)  # what is active now
+    def swapped(features: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        return decoders.decode(features)  # what is active now
 
     for precision in ("float32", "tf32", "bfloat16") if on_cuda else ("float32", "bfloat16"):
         eager = FastDecoders(decoders, compiled=False, precision=precision)
         found[f"torch, {precision}"] = Variant(swapped, eager.active)
     if on_cuda and can_compile():
         tf32 = FastDecoders(decoders, compiled=False, precision="tf32")
-        found["torch.compile, tf32"] = Variant(torch.compile(decoders.both, dynamic=False), tf32.active)
+        found["torch.compile, tf32"] = Variant(torch.compile(decoders.decode, dynamic=False), tf32.active)
     for team in teams(decoders):
         share = "a warp for 16 pixels" if team == 1 else f"{team} warps share 16 pixels"
-        found[f"fused, {share}"] = Variant(FusedDecoders(decoders, team).both)
+        found[f"fused, {share}"] = Variant(FusedDecoders(decoders, team).decode)
     return found
 
 
@@ -167,7 +175,7 @@ def run_case(case: Case, repeats: int, truth_pixels: int) -> dict[str, Any]:
     truth = None
     if case.render.shape[0] * case.render.shape[1] <= truth_pixels:
         exact = case.double()
-        truth = exact.forward_backward(Variant(exact.decoders.both))
+        truth = exact.forward_backward(Variant(exact.decoders.decode))
     for name, variant in variants(case.decoders).items():
         try:
             results = case.forward_backward(variant)

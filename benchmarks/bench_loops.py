@@ -26,14 +26,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from training_command import apart, failure, run_python
-
 from thermosplat.method_matrix.cell_result import write_json
 from thermosplat.method_matrix.processes import choose_devices, device_environment
-from thermosplat.run_directory import RunDirectory
+from thermosplat.runs.run_directory import RunDirectory
+from training.command import apart, failure, run_python
 
 TRAIN = "import sys; from thermosplat.cli.train import main; sys.exit(main())"
-SPECTRA = ("rgb", "thermal")
 Row = dict[str, Any]
 
 
@@ -65,7 +63,7 @@ class Trainings:
         if error := failure(done):
             raise RuntimeError(error)
         metrics = json.loads(RunDirectory(folder).metrics_json.read_text(encoding="utf-8"))
-        return {spectrum: metrics[spectrum]["psnr"] for spectrum in SPECTRA if metrics[spectrum]}
+        return {spectrum: metrics[spectrum]["psnr"] for spectrum in metrics["spectra"] if metrics[spectrum]}
 
 
 def measured(trainings: Trainings, command: Sequence[str], seed: int, branch: int, folder: Path) -> Row:
@@ -108,8 +106,7 @@ def difference(rows: Sequence[Row], loop: str, spectrum: str) -> tuple[float, fl
 def table(rows: Sequence[Row]) -> str:
     """The rows as Markdown, and below them how far the loops end from the default's mean."""
     loops = [loop for loop in ("default", "again", "plain") if loop in rows[0]]
-    spectra = [spectrum for spectrum in SPECTRA if spectrum in rows[0]["default"]]
-    columns = [(loop, spectrum) for spectrum in spectra for loop in loops]
+    columns = [(loop, spectrum) for spectrum in rows[0]["default"] for loop in loops]
     lines = ["| seed | " + " | ".join(f"{spectrum}, {loop}" for loop, spectrum in columns) + " |"]
     lines.append("|---" * (len(columns) + 1) + "|")
     for row in sorted(rows, key=lambda row: int(row["seed"])):

@@ -22,14 +22,15 @@ from typing import Any
 
 import torch
 import warp as wp
-from agreement import largest
-from benchmark_scenes import BenchmarkScene, garden_scene, huge_scene, synthetic_scene
-from device_peaks import DevicePeaks, measure_peaks
-from peers import CASES, PEERS, Peer, cpu_peers, cuda_peers
-from rasterization_case import one_line, run_case
-from rasterization_summary import summaries, summary_lines
-from rasterization_tables import markdown
-from trained_scene import trained_scene
+
+from measuring.agreement import largest
+from measuring.device_peaks import DevicePeaks, measure_peaks
+from peers.renderers import CASES, PEERS, Peer, cpu_peers, cuda_peers
+from rasterization.case import one_line, run_case
+from rasterization.summary import summaries, summary_lines
+from rasterization.tables import markdown
+from scenes.benchmark_scenes import BenchmarkScene, garden_scene, huge_scene, synthetic_scene
+from scenes.trained_scene import trained_scene
 
 CPU_CASES = ("features11", "rgbt")
 CPU_SIZE, CUDA_SIZES = "320x240", ("640x480", "1297x840", "1920x1080", "3840x2160")

@@ -22,26 +22,26 @@ from pathlib import Path
 from typing import Any
 
 import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
-from device_peaks import measure_peaks
-from frozen_training import Frames
-from training_command import apart
-from training_peers import compare_steps
-from training_sizes import capture_rows, memory_fit, profiled_row, synthetic_row
-from training_tables import markdown
-from training_whole import sample_run, whole_runs
-from warm_training import warm_training
 
-from thermosplat.checkpoint import write_atomically
+from measuring.device_peaks import measure_peaks
+from peers.training_steps import compare_steps
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.host_settings import prepare_host
-from thermosplat.cli.warp_start import start_warp
 from thermosplat.config import TrainConfig
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
-from thermosplat.devices import choose_device
 from thermosplat.errors import UserError
-from thermosplat.run_directory import RunDirectory, environment, finite_or_null
-from thermosplat.training.resuming import check_resumable, newest_checkpoint
+from thermosplat.rasterizer.warp_start import start_warp
+from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.devices import choose_device
+from thermosplat.runs.run_directory import RunDirectory, environment, finite_or_null
+from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
+from training.command import apart
+from training.frozen_training import Frames
+from training.sizes import capture_rows, memory_fit, profiled_row, synthetic_row
+from training.tables import markdown
+from training.warm_training import warm_training
+from training.whole import sample_run, whole_runs
 
 PARTS = ("whole", "peers", "step", "memory", "sample")
 SIZES, COUNTS = ("640x480", "1280x1024"), (100_000, 300_000, 1_000_000)
@@ -138,7 +138,7 @@ class Benchmark:
         """The capture, read as the command reads it."""
         config = self.config
         return load_capture(
-            config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
+            config.data, data_factor=config.data_factor, test_every=config.test_every, spectra=config.spectra
         )
 
     @functools.cached_property

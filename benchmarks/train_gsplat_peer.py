@@ -1,8 +1,8 @@
 """What does 3DGS reach when gsplat itself trains it? Its rasterizer, DefaultStrategy and published constants.
 
-    python benchmarks/train_gsplat_peer.py DATA [--modality rgb thermal] [--max-steps 7000] [--seed 42] [--json F]
+    python benchmarks/train_gsplat_peer.py DATA [--spectra rgb thermal] [--max-steps 7000] [--seed 42] [--json F]
 
-Each modality alone, on this project's loader, split and metrics, so that only renderer and training differ from
+Each spectrum alone, on this project's loader, split and metrics, so that only renderer and training differ from
 ``thermosplat-train DATA --config 3dgs``. Needs CUDA and gsplat. The schedule is gsplat's examples/simple_trainer.py.
 """
 
@@ -19,11 +19,11 @@ from gsplat.strategy import DefaultStrategy
 from torch import Tensor
 
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.frame_tensors import ViewTensors, frame_tensors
-from thermosplat.losses import image_loss
+from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
+from thermosplat.image_quality.metrics import psnr, ssim
+from thermosplat.losses.image_terms import image_loss
 from thermosplat.method_matrix.cell_result import write_text
-from thermosplat.metrics import psnr, ssim
-from thermosplat.neighbor_distances import neighbor_distances
+from thermosplat.scene.neighbor_distances import neighbor_distances
 
 SH_C0 = 0.28209479177387814
 
@@ -63,11 +63,11 @@ def render(params: torch.nn.ParameterDict, view: ViewTensors, degree: int) -> tu
     )  # fmt: skip
 
 
-def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int, device: torch.device) -> dict:
-    """Trains one modality; returns held-out PSNR, SSIM, count and seconds."""
+def train(capture, spectrum: str, max_steps: int, scene_scale: float, seed: int, device: torch.device) -> dict:
+    """Trains one spectrum; returns held-out PSNR, SSIM, count and seconds."""
     torch.manual_seed(seed)
     views = [
-        [getattr(frame_tensors(frame, capture.thermal_scale, device), modality) for frame in frames]
+        [view_tensors(frame.views[spectrum], None, device) for frame in frames if spectrum in frame.views]
         for frames in (capture.train, capture.test)
     ]
     params = initial_parameters(capture.points, capture.point_colors, device)
@@ -96,7 +96,7 @@ def train(capture, modality: str, max_steps: int, scene_scale: float, seed: int,
     with torch.no_grad():
         pairs = [(render(params, view, 3)[0][0], view.image) for view in views[1]]
     return {
-        "modality": modality,
+        "spectrum": spectrum,
         "psnr": sum(psnr(*pair) for pair in pairs) / len(pairs),
         "ssim": sum(ssim(*pair) for pair in pairs) / len(pairs),
         "num_gaussians": len(params["means"]),
@@ -111,7 +111,7 @@ def main() -> None:
     """Parses arguments, trains, prints and saves."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data")
-    parser.add_argument("--modality", nargs="+", default=["rgb", "thermal"])
+    parser.add_argument("--spectra", "--modality", nargs="+", default=["rgb", "thermal"])
     parser.add_argument("--max-steps", type=int, default=7000)
     parser.add_argument("--scene-scale", type=float, default=math.nan, help="default: as gsplat, 1.1 x camera radius")
     parser.add_argument("--seed", type=int, default=42)
@@ -120,8 +120,8 @@ def main() -> None:
     capture = load_capture(args.data)
     scale = capture.scene_extent if math.isnan(args.scene_scale) else args.scene_scale
     rows = []
-    for modality in args.modality:
-        result = train(capture, modality, args.max_steps, scale, args.seed, torch.device("cuda"))
+    for spectrum in args.spectra:
+        result = train(capture, spectrum, args.max_steps, scale, args.seed, torch.device("cuda"))
         rows.append({"capture": capture.name} | result)
         print(rows[-1], flush=True)
         if args.json:

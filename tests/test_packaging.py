@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import thermosplat
-from thermosplat.config_files import list_presets
+from thermosplat.config.files import list_presets
 from thermosplat.datasets import load_capture
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -33,11 +33,11 @@ def test_one_version_everywhere() -> None:
 
 
 def test_one_range_of_python_versions_everywhere() -> None:
-    """pyproject.toml installs on the versions that its classifiers, the README and continuous integration name."""
+    """pyproject.toml installs on the versions that its classifiers, the documents and continuous integration name."""
     classified = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if "Python :: 3." in line]
     first, last = classified[0], classified[-1]
     assert PROJECT["requires-python"] == f">={first},<3.{int(last.removeprefix('3.')) + 1}"
-    for name in ("README.md", ".ci/run"):
+    for name in ("README.md", "docs/index.md", ".ci/run"):
         assert f"Python {' or '.join(classified)}" in (REPOSITORY / name).read_text(encoding="utf-8")
 
 
@@ -71,7 +71,7 @@ def test_the_data_files_are_found() -> None:
     assert set(list_presets()) == configs
     assert len(load_capture("sample").train) == 42
     assert importlib.resources.files(thermosplat).joinpath("py.typed").is_file()
-    heads = importlib.resources.files("thermosplat").joinpath("lpips_heads")
+    heads = importlib.resources.files("thermosplat").joinpath("image_quality", "lpips_heads")
     assert {path.name for path in heads.iterdir()} >= {"alex.pth", "vgg.pth", "LICENSE.txt"}
 
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from warp_kernels.binning_step import bin_tiles
-from warp_kernels.blending_step import BlendedArrays, blend
-from warp_kernels.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
-from warp_kernels.projection_step import project
-from warp_kernels.tile_bins import TileBins
+from warp_kernels.binning.binning_step import bin_tiles
+from warp_kernels.binning.tile_bins import TileBins
+from warp_kernels.blending.blending_step import BlendedArrays, blend
+from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
+from warp_kernels.projection.projection_step import project
 
 
 @dataclass

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import warp as wp
 
-from warp_kernels.blend_layout import default_layout
-from warp_kernels.blending import blend_kernel
-from warp_kernels.blending_adjoint import blend_adjoint_kernel
-from warp_kernels.camera_positions import camera_position_kernels
+from warp_kernels.binning.pair_notes import note_pairs_kernel
+from warp_kernels.binning.tile_binning import binning_kernels
+from warp_kernels.binning.tile_ranges import tile_ranges_kernel
+from warp_kernels.blending.blend_layout import default_layout
+from warp_kernels.blending.blending import blend_kernel
+from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.blending.gradient_records import distribute_kernel
+from warp_kernels.color.camera_positions import camera_position_kernels
+from warp_kernels.color.spherical_harmonics import color_adjoint_kernel, color_kernel
 from warp_kernels.constants import CHANNELS_MAX
-from warp_kernels.gradient_records import distribute_kernel
-from warp_kernels.launching import num_threads
-from warp_kernels.pair_notes import note_pairs_kernel
-from warp_kernels.projection import projection_kernel
-from warp_kernels.projection_adjoint import projection_adjoint_kernel
-from warp_kernels.spherical_harmonics import color_adjoint_kernel, color_kernel
-from warp_kernels.tile_binning import binning_kernels
-from warp_kernels.tile_ranges import tile_ranges_kernel
+from warp_kernels.machinery.launching import num_threads
+from warp_kernels.projection.projection import projection_kernel
+from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
 
 TILE_SIZE = 16
 """The rasterizer's default [px]."""

@@ -5,30 +5,44 @@ Importing the package is quick; the renderer (torch, Warp) loads when one of its
     from thermosplat import rasterization        # gsplat's signature and meaning
     from thermosplat import rasterization_rgbt   # colours and features at two opacities in one traversal
     from thermosplat import PairCapacity         # to capture renders in CUDA graphs
+    from thermosplat import load_run             # a trained scene
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
-    from thermosplat.pair_capacity import PairCapacity
+    from thermosplat.evaluation.loaded_run import LoadedRun, load_run
     from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
+    from thermosplat.rasterizer.pair_capacity import PairCapacity
 
 __version__ = "0.1.0"
-__all__ = ["PairCapacity", "RGBTRender", "UserError", "__version__", "rasterization", "rasterization_rgbt"]
+__all__ = [
+    "LoadedRun",
+    "PairCapacity",
+    "RGBTRender",
+    "UserError",
+    "__version__",
+    "load_run",
+    "rasterization",
+    "rasterization_rgbt",
+]
+_LOADED_WHEN_USED = {
+    "LoadedRun": "thermosplat.evaluation.loaded_run",
+    "PairCapacity": "thermosplat.rasterizer.pair_capacity",
+    "RGBTRender": "thermosplat.rasterizer.api",
+    "load_run": "thermosplat.evaluation.loaded_run",
+    "rasterization": "thermosplat.rasterizer.api",
+    "rasterization_rgbt": "thermosplat.rasterizer.api",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "PairCapacity":
-        from thermosplat.pair_capacity import PairCapacity
-
-        return PairCapacity
-    if name in ("RGBTRender", "rasterization", "rasterization_rgbt"):
-        from thermosplat import rasterizer
-
-        return getattr(rasterizer, name)
-    raise AttributeError(f"module 'thermosplat' has no attribute {name!r}")
+    if name not in _LOADED_WHEN_USED:
+        raise AttributeError(f"module 'thermosplat' has no attribute {name!r}")
+    return getattr(import_module(_LOADED_WHEN_USED[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -1,6 +1,7 @@
 """The decoders are timed as training runs them."""
 
 import torch
+
 from bench_decoders import random_case, variants
 
 

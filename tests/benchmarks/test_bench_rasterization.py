@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from test_benchmarks import run_script
+from benchmark_scripts import run_script
 
 STAGES = {"projection", "binning", "blending", "blending adjoint", "projection adjoint"}
 

@@ -13,11 +13,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from benchmark_scripts import REPOSITORY, run_script
 from reference_projection import spherical_harmonics
-from test_benchmarks import REPOSITORY, run_script
 from thermosplat import rasterization
-from thermosplat.config_files import load_config
-from thermosplat.training.gaussian_ops import prune
+from thermosplat.config.files import load_config
+from thermosplat.training.density.gaussian_ops import prune
+from toy_scene import with_spectra
 
 PARTS = {"projection", "SH", "blending", "decoders", "image losses", "blending adjoint", "optimizer", "rest"}
 
@@ -111,18 +112,26 @@ def _plain_sh(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
     return torch.einsum("nk,nkc->nc", basis, coefficients[:, : basis.shape[-1]])
 
 
-@pytest.mark.parametrize("kind", ["features", "two spectra of SH", "separate sets"])
-def test_adapter_renders_what_the_model_asks_for(kind: str, tmp_path: Path) -> None:
-    """With a rasterizer of gsplat's signature called twice, losses and gradients are those of the one traversal."""
-    from frozen_training import frozen_trainer, synthetic_capture, synthetic_gaussians
-    from gsplat_rgbt import gsplat_rasterization
-    from training_peers import agreement
+@pytest.mark.parametrize(
+    ("kind", "expected"), [("features", 2), ("two spectra of SH", 2), ("separate sets", 2), ("three opacities", 3)]
+)
+def test_adapter_renders_what_the_model_asks_for(kind: str, expected: int, tmp_path: Path) -> None:
+    """With a rasterizer of gsplat's signature called twice, losses and gradients are those of the one traversal.
+
+    A third opacity is a call of its own with either rasterizer.
+    """
+    from peers.gsplat_rgbt import gsplat_rasterization
+    from peers.training_steps import agreement
+    from training.frozen_training import frozen_trainer, synthetic_capture, synthetic_gaussians
 
     config = replace(load_config("3dgs" if kind == "separate sets" else "thermosplat"), device="cpu")
     config = replace(config, background=(0.2, 0.4, 0.6))
     if kind == "two spectra of SH":
         config = replace(config, model=replace(config.model, feature_dim=0))
-    capture, gaussians = synthetic_capture(40, 30), synthetic_gaussians(200, 8, 3)
+    if kind == "three opacities":
+        config = with_spectra(config, nir={"opacity": "own"})
+    capture = synthetic_capture(40, 30, config.modelled)
+    gaussians = synthetic_gaussians(200, 8, 3, config.modelled)
     ours, other = (frozen_trainer(config, capture, tmp_path / name, gaussians=gaussians) for name in ("a", "b"))
     calls: list[int] = []
 
@@ -131,15 +140,14 @@ def test_adapter_renders_what_the_model_asks_for(kind: str, tmp_path: Path) -> N
         return rasterization(*arguments, **options)
 
     found = agreement(ours, other, lambda: gsplat_rasterization(counted, _plain_sh))
-    assert len(calls) == 2
+    assert len(calls) == expected
     assert found["largest"] < 1e-5
     assert max(found["gradients"].values()) < 1e-4
 
 
 def test_peers_take_turns_on_the_same_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is timed beside gsplat on CUDA, here with our rasterizer under gsplat's name."""
-    from frozen_training import synthetic_capture
-    from training_peers import (
+    from peers.training_steps import (
         AGREEMENT,
         GSPLAT_RGB,
         OURS,
@@ -150,7 +158,8 @@ def test_peers_take_turns_on_the_same_gaussians(monkeypatch: pytest.MonkeyPatch)
         USER,
         compare_steps,
     )
-    from warm_training import warm_training
+    from training.frozen_training import synthetic_capture
+    from training.warm_training import warm_training
 
     gsplat, strategy = ModuleType("gsplat"), ModuleType("gsplat.strategy")
     monkeypatch.setattr(gsplat, "rasterization", rasterization, raising=False)
@@ -182,8 +191,8 @@ def test_peers_take_turns_on_the_same_gaussians(monkeypatch: pytest.MonkeyPatch)
 
 def test_refinements_are_timed_beside_usual_steps() -> None:
     """A warm-up with refinements says what one adds."""
-    from frozen_training import synthetic_capture
-    from warm_training import warm_training
+    from training.frozen_training import synthetic_capture
+    from training.warm_training import warm_training
 
     config = replace(load_config("thermosplat"), device="cpu")
     config = replace(config, densification=replace(config.densification, start_step=1, every=8))
@@ -196,7 +205,7 @@ def test_refinements_are_timed_beside_usual_steps() -> None:
 
 def test_frozen_steps_repeat_the_same_work(tmp_path: Path) -> None:
     """Steps leave Gaussians, their number and the decoders as they are."""
-    from frozen_training import frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians
+    from training.frozen_training import frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians
 
     config = replace(load_config("thermosplat"), device="cpu")
     gaussians = synthetic_gaussians(150, 8, 3)
@@ -212,10 +221,10 @@ def test_frozen_steps_repeat_the_same_work(tmp_path: Path) -> None:
 
 def test_every_kernel_of_the_step_has_a_part() -> None:
     """The names in warp_kernels/ are known; a stranger's kernel is the rest."""
-    from step_parts import part_of
+    from training.step_parts import part_of
 
     names: list[str] = []
-    for path in (REPOSITORY / "warp_kernels").glob("*.py"):
+    for path in (REPOSITORY / "warp_kernels").rglob("*.py"):
         names += re.findall(r'name\s*=\s*f?"([a-z_]+)', path.read_text())
     names.append("tile_ranges_kernel")
     assert len(names) > 15
@@ -230,7 +239,7 @@ def test_every_kernel_of_the_step_has_a_part() -> None:
 
 def test_memory_fit_finds_the_slopes() -> None:
     """Bytes that are linear in Gaussians and pixels are found again; too few sizes give nothing."""
-    from training_sizes import memory_fit
+    from training.sizes import memory_fit
 
     sizes = [(n, p) for n in (100_000, 300_000) for p in (640 * 480, 1280 * 1024)]
     rows: list[dict[str, Any]] = [
@@ -261,9 +270,8 @@ def test_the_sample_is_trained_on_the_cpu(tmp_path: Path) -> None:
 def test_steps_start_from_a_run(tmp_path: Path) -> None:
     """With --run its Gaussians are taken, and a run of another model is refused."""
     from bench_training import main
-    from frozen_training import quiet_trainer, run_steps
-
     from thermosplat.datasets import load_capture
+    from training.frozen_training import quiet_trainer, run_steps
 
     capture = load_capture("sample", data_factor=8)
     trainer = quiet_trainer(replace(load_config("demo"), device="cpu", data_factor=8), capture, tmp_path / "run")

@@ -4,16 +4,16 @@ import math
 
 import pytest
 import torch
-from agreement import OTHER_CONVENTIONS, SAME_CONVENTIONS, differences, disagreement, largest
-from benchmark_scenes import BenchmarkScene, huge_scene, synthetic_scene
-from fragments import count_fragments
-from gswarp_peer import projection_matrix
-from peers import CALLABLE, CASES, GRAPH, OURS, callable_peer, float64_renderer, graph_peer, thermosplat_peer
-from rasterization_case import inputs_of, run_case
-from rasterization_passes import Passes
-from torch_renderer import torch_peer
 
 import reference_rasterizer
+from measuring.agreement import OTHER_CONVENTIONS, SAME_CONVENTIONS, differences, disagreement, largest
+from measuring.fragments import count_fragments
+from peers.gswarp import projection_matrix
+from peers.renderers import CALLABLE, CASES, GRAPH, OURS, callable_peer, float64_renderer, graph_peer, thermosplat_peer
+from peers.torch_renderer import torch_peer
+from rasterization.case import inputs_of, run_case
+from rasterization.passes import Passes
+from scenes.benchmark_scenes import BenchmarkScene, huge_scene, synthetic_scene
 from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
 WIDTH, HEIGHT = 37, 21

@@ -3,11 +3,12 @@
 from typing import Any
 
 import pytest
-from device_peaks import DevicePeaks
-from floors import BACKWARD_OPERATIONS, BACKWARD_PER_CHANNEL, FORWARD_OPERATIONS, stage_floors
-from fragments import Fragments
-from peers import GRAPH, OURS
-from rasterization_summary import summaries, summary, summary_lines
+
+from measuring.device_peaks import DevicePeaks
+from measuring.floors import BACKWARD_OPERATIONS, BACKWARD_PER_CHANNEL, FORWARD_OPERATIONS, stage_floors
+from measuring.fragments import Fragments
+from peers.renderers import GRAPH, OURS
+from rasterization.summary import summaries, summary, summary_lines
 
 
 def row(scene: str, case: str, ours_ms: float, gsplat_ms: float, memory: float = 0.4) -> dict[str, Any]:

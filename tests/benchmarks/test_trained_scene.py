@@ -5,14 +5,16 @@ from pathlib import Path
 
 import pytest
 import torch
-from trained_scene import distant_camera, read_ply, trained_scene
 
-from thermosplat.checkpoint import save_checkpoint
+from scenes.trained_scene import distant_camera, read_ply, trained_scene
 from thermosplat.config import TrainConfig
-from thermosplat.config_files import to_dict
+from thermosplat.config.files import to_dict
 from thermosplat.export.ply import PROPERTIES, Splats, write_splats
-from thermosplat.gaussians import Gaussians
-from thermosplat.model import SceneModel
+from thermosplat.runs.checkpoint import save_checkpoint
+from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.model import SceneModel
+from thermosplat.spectra import ColorSpace, model_spectra
+from thermosplat.thermal.radiometry import PixelScale
 
 
 def parameters(count: int, sh_coefficients: int) -> dict[str, torch.Tensor]:
@@ -64,10 +66,13 @@ def test_a_checkpoint_is_read_with_features_and_thermal_opacities(tmp_path: Path
     values["thermal_opacity_offsets"] = torch.ones(9)
     config = TrainConfig(data=str(tmp_path / "gone"))
     config = replace(config, model=replace(config.model, feature_dim=8))
-    model = SceneModel(config.model, config.decoder, {"shared": Gaussians(values)}, 3)
+    kinds: dict[str, ColorSpace] = {"rgb": "photograph", "thermal": "color"}
+    spectra = model_spectra(config.modelled, kinds)
+    model = SceneModel(config.model, config.decoder, spectra, {"shared": Gaussians(values)})
     state = {"step": 3, "config": to_dict(config), "sh_degree": 1, "model": model.checkpoint_state()}
     path = tmp_path / "run" / "ckpts" / "step_000003.pt"
-    save_checkpoint(path, state | {"thermal_scale": None, "training": {}})
+    scales = {name: PixelScale(kind).state_dict() for name, kind in kinds.items()}
+    save_checkpoint(path, state | {"scales": scales, "training": {}})
     for given in (path, tmp_path / "run"):
         scene = trained_scene(given)
         assert scene.name == "trained run"

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from sample_runs import QUICK, STEPS, Outcome, Run
 
+from sample_runs import QUICK, STEPS, Outcome, Run
 from thermosplat.cli import train
 
 

@@ -9,8 +9,9 @@ import pytest
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.config import TrainConfig
-from thermosplat.config_files import load_config, to_yaml
+from thermosplat.config.files import load_config, to_yaml
 from thermosplat.errors import UserError
+from toy_scene import with_spectra
 
 
 @pytest.fixture
@@ -51,19 +52,20 @@ def test_files_are_found_from_anywhere(run_folder: Path, tmp_path: Path, monkeyp
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     flags = ["--thermal.palette", "hot.csv", "--lpips-weights", "~/vgg.pth"]
     config = parse_train_arguments(["data/shed", *flags])
-    assert config.thermal.palette == str(tmp_path / "hot.csv")
+    assert config.spectra["thermal"].palette == str(tmp_path / "hot.csv")
     assert config.lpips_weights == str(tmp_path / "home" / "vgg.pth")
-    trained = replace(load_config(run_folder / "config.yaml"), thermal=config.thermal)
+    trained = replace(load_config(run_folder / "config.yaml"), spectra=config.spectra)
     (run_folder / "config.yaml").write_text(to_yaml(trained))
-    assert parse_train_arguments(["--resume", str(run_folder), *flags]).thermal == config.thermal
+    assert parse_train_arguments(["--resume", str(run_folder), *flags]).spectra == config.spectra
 
 
 @pytest.mark.parametrize(
     "flags",
     [
         "--result-dir x --max-steps 3 --data-factor 2 --test-every 4 --sh-degree 1 --device cpu --seed 1",
-        "--thermal.source raw --thermal.unit centikelvin --thermal.range-celsius 10 30 --thermal.aligned",
-        "--model.gaussian-sets separate --model.feature-dim 0 --model.no-geometric-decoupling",
+        "--thermal.source raw --thermal.unit centikelvin --thermal.range 10 30 --thermal.aligned",
+        "--spectra.thermal.source raw --spectra.thermal.no-aligned --spectra.rgb.loss 0.5",
+        "--model.gaussian-sets separate --model.feature-dim 0 --thermal.opacity shared --without thermal",
         "--densification.max-gaussians 1000 --optimizer.means-lr 1e-4 --decoder.no-modulation --overwrite",
     ],
 )
@@ -138,6 +140,28 @@ def test_resume_takes_the_runs_configuration(run_folder: Path) -> None:
     assert config == replace(load_config(run_folder / "config.yaml"), resume=str(run_folder))
 
 
+def test_resume_of_a_run_of_version_0_1(run_folder: Path) -> None:
+    """Its config.yaml has old names; today's flags are compared with what they said."""
+    old = "config: demo\ndata: data/shed\nmodel: {thermal: false}\nloss: {thermal_smoothness: 0.1}\n"
+    (run_folder / "config.yaml").write_text(old)
+    config = parse_train_arguments(["--resume", str(run_folder), "--without", "thermal", "--thermal.smoothness", "0.1"])
+    assert list(config.modelled) == ["rgb"]
+    assert config.spectra["thermal"].smoothness == 0.1
+    with pytest.raises(
+        UserError, match=r"was trained with spectra\.thermal\.smoothness=0\.1, the command asks for 0\.3"
+    ):
+        parse_train_arguments(["--resume", str(run_folder), "--thermal.smoothness", "0.3"])
+
+
+def test_resume_knows_the_runs_spectra(run_folder: Path) -> None:
+    """Flags of a spectrum that the run's configuration defines are compared with it."""
+    config = with_spectra(load_config(run_folder / "config.yaml"), nir={"loss": 0.5})
+    (run_folder / "config.yaml").write_text(to_yaml(config))
+    assert parse_train_arguments(["--resume", str(run_folder), "--nir.loss", "0.5"]).spectra == config.spectra
+    with pytest.raises(UserError, match=r"was trained with spectra\.nir\.loss=0\.5, the command asks for 1\.0"):
+        parse_train_arguments(["--resume", str(run_folder), "--nir.loss", "1"])
+
+
 def test_resume_may_go_on_longer(run_folder: Path) -> None:
     """More steps, another device and other reporting are no contradiction."""
     flags = ["--max-steps", "5000", "--device", "cpu", "--log-every", "7", "--config", "demo"]
@@ -157,7 +181,9 @@ def test_resume_takes_the_remedies_that_errors_name(run_folder: Path, flag: str)
     ("flags", "expected"),
     [
         (["--sh-degree", "3"], "was trained with sh_degree=2, the command asks for 3"),
-        (["--loss.thermal", "0.5"], "was trained with loss.thermal=1.0, the command asks for 0.5"),
+        (["--loss.features", "0.5"], "was trained with loss.features=1.0, the command asks for 0.5"),
+        (["--thermal.loss", "0.5"], "was trained with spectra.thermal.loss=1.0, the command asks for 0.5"),
+        (["--without", "thermal"], "was trained with without=(), the command asks for ('thermal',)"),
         (["--config", "3dgs"], "was trained with config=demo, the command asks for 3dgs"),
         (["--result-dir", "elsewhere"], "result_dir="),
         (["--max-steps", "10"], "the command asks for 10"),

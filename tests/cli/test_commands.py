@@ -11,11 +11,13 @@ from pathlib import Path
 import cv2
 import pytest
 import torch
-from sample_runs import QUICK, STEPS, Run
 
+from multispectral_capture import near_infrared, write_multispectral_capture
+from sample_runs import QUICK, STEPS, Run
 from thermosplat.cli import evaluate, export, render, train
-from thermosplat.config_files import load_config
-from thermosplat.run_lock import LOCK_FILE
+from thermosplat.config.files import load_config
+from thermosplat.config.spectrum_checks import RESERVED
+from thermosplat.runs.run_lock import LOCK_FILE
 from thermosplat.training.trainer import Trainer
 
 
@@ -40,14 +42,15 @@ def test_training_leaves_everything_behind(finished: Path) -> None:
 
 
 def test_size_of_the_model_is_said(run: Run, tmp_path: Path) -> None:
-    """Gaussians and bytes; with a budget also what it has left of latent channels and thermal offsets."""
+    """Gaussians and bytes; with a budget also what it has left of latent channels and opacity offsets."""
     words = ["sample", *QUICK, "--max-steps", 1, "--result-dir"]
     _, printed = run(train.main, *words, tmp_path / "fixed")
     metrics = json.loads((tmp_path / "fixed" / "metrics.json").read_text())
     assert f"Model: {metrics['num_gaussians']:,} Gaussians; {metrics['model_bytes'] / 1e6:.1f} MB." in printed
     _, printed = run(train.main, *words, tmp_path / "auto", "--budget", "auto")
     metrics = json.loads((tmp_path / "auto" / "metrics.json").read_text())
-    left = f"{metrics['feature_channels']} of 8 latent channels, {metrics['thermal_offsets_kept']:.0%} of the thermal"
+    kept = metrics["opacity_offsets_kept"]["thermal"]
+    left = f"{metrics['feature_channels']} of 8 latent channels, {kept:.0%} of the thermal"
     assert f"Model: {metrics['num_gaussians']:,} Gaussians, {left} offsets; " in printed
     _, printed = run(train.main, *words, tmp_path / "3dgs", "--budget", "auto", "--config", "3dgs")
     assert re.search(r"Model: [\d,]+ Gaussians; [\d.]+ MB\.", printed)
@@ -196,14 +199,61 @@ def test_a_capture_named_on_resume_is_found_from_anywhere(
 def test_run_of_one_spectrum(run: Run, tmp_path: Path) -> None:
     """A model of RGB alone trains, and its siblings offer RGB alone."""
     folder = tmp_path / "run"
-    words = ["sample", *QUICK, "--max-steps", 1, "--model.no-thermal", "--result-dir", folder]
+    words = ["sample", *QUICK, "--max-steps", 1, "--without", "thermal", "--result-dir", folder]
     assert run(train.main, *words)[0] == 0
-    assert json.loads((folder / "metrics.json").read_text())["thermal"] is None
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["spectra"] == ["rgb"]
+    assert "thermal" not in metrics
     assert run(render.main, folder, "--path", "test", "--format", "png")[0] == 0
     for main, asked in ((render.main, "both"), (export.main, "thermal")):
-        code, printed = run(main, folder, "--modality", asked)
-        assert code == 2
-        assert "was trained" in printed
+        for flag in ("--spectra", "--modality"):
+            code, printed = run(main, folder, flag, asked)
+            assert code == 2
+            assert f"The run was trained on RGB images, not on {asked}. Give --spectra rgb." in printed
+
+
+def test_run_of_three_spectra(run: Run, tmp_path: Path) -> None:
+    """A spectrum that a configuration file defines is trained, gone on with, measured in its unit, shown, exported."""
+    capture = write_multispectral_capture(tmp_path / "capture", {"nir": near_infrared}, thermal=True, depth=16)
+    (tmp_path / "nir.yaml").write_text("base: demo\nspectra:\n  nir: {unit: reflectance}\n")
+    folder, small = tmp_path / "run", ["--data-factor", 5, "--device", "cpu"]
+    words = [capture, "--config", tmp_path / "nir.yaml", *small, "--no-tensorboard", "--nir.factor", 1 / 65535]
+    assert run(train.main, *words, "--max-steps", 2, "--result-dir", folder)[0] == 0
+    config = load_config(folder / "config.yaml")
+    assert config.spectra["nir"].factor == pytest.approx(1 / 65535)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["spectra"] == ["rgb", "thermal", "nir"]
+    assert 0 < metrics["nir"]["mae_reflectance"] < 1
+    assert metrics["nir"].keys() - metrics["rgb"].keys() == {"mae_reflectance"}
+    for key in metrics.keys() - set(metrics["spectra"]):  # a spectrum of that name would take its place
+        assert key in RESERVED | {field.name for field in dataclasses.fields(config)}
+    rows = (folder / "stats" / "per_view.csv").read_text().splitlines()
+    assert [line.split(",")[1] for line in rows[1:4]] == ["rgb", "thermal", "nir"]
+    assert {path.name for path in (folder / "ply").iterdir()} == {f"splat_{n}.ply" for n in metrics["spectra"]}
+    assert run(train.main, "--resume", folder, "--max-steps", 3, "--nir.factor", 1 / 65535)[0] == 0
+    code, printed = run(train.main, "--resume", folder, "--nir.factor", 0.5)
+    assert code == 2
+    assert "was trained with spectra.nir.factor=" in printed
+    code, printed = run(evaluate.main, folder)
+    assert code == 0
+    assert "MAE [°C]" in printed
+    assert "MAE [reflectance]" in printed
+    assert "NIR" in printed
+    for shown, name in (([], "rgb-thermal-nir"), (["--spectra", "nir", "rgb"], "rgb-nir")):
+        assert run(render.main, folder, "--path", "test", "--format", "png", *shown)[0] == 0
+        images = sorted((folder / "videos" / f"test_{name}_000003").iterdir())
+        assert cv2.imread(str(images[0])).shape == (30, 40 * len(name.split("-")), 3)
+    assert run(export.main, folder, "--spectra", "nir", "--output", tmp_path / "out")[0] == 0
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["splat_nir.ply"]
+
+
+def test_a_spectrum_that_nobody_defined(run: Run, tmp_path: Path) -> None:
+    """Images of it in the capture are not read; its flags say how to have it."""
+    code, printed = run(train.main, "sample", *QUICK, "--nir.range", 0, 1, "--result-dir", tmp_path / "run")
+    assert code == 2
+    assert '--nir.range: there is no spectrum "nir".' in printed
+    assert "The spectra are rgb, thermal; a configuration file defines others" in printed
+    assert not (tmp_path / "run").exists()
 
 
 def test_config_of_a_run_reproduces_it(run: Run, finished: Path, tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from sample_runs import QUICK, STEPS, Run
 
+from sample_runs import QUICK, STEPS, Run
 from thermosplat.cli import evaluate, export, render, train
 
 
@@ -45,10 +45,12 @@ def test_eval_agrees_with_training(run: Run, finished: Path) -> None:
     written = json.loads((finished / "stats" / f"eval_{STEPS:06d}.json").read_text())
     assert written["data"] == "sample"
     trained = json.loads((finished / "metrics.json").read_text())
-    for modality in ("rgb", "thermal"):
-        assert written[modality]["psnr"] == pytest.approx(trained[modality]["psnr"], rel=1e-6)
-        assert f"{trained[modality]['psnr']:.2f}" in printed
+    assert written["spectra"] == trained["spectra"] == ["rgb", "thermal"]
+    for spectrum in ("rgb", "thermal"):
+        assert written[spectrum]["psnr"] == pytest.approx(trained[spectrum]["psnr"], rel=1e-6)
+        assert f"{trained[spectrum]['psnr']:.2f}" in printed
     assert "PSNR [dB]" in printed
+    assert "MAE [°C]" in printed
     assert list((finished / "renders" / f"eval_{STEPS:06d}").glob("*.png"))
 
 
@@ -72,9 +74,9 @@ def test_regions_of_a_capture_with_ground_truth(run: Run, finished: Path, tmp_pa
     assert "glass" in printed
     again = json.loads((folder / "regions.json").read_text())
     for region, numbers in trained["regions"].items():
-        for modality in ("rgb", "thermal"):
-            known = {name: number for name, number in numbers[modality].items() if number is not None}
-            found = {name: number for name, number in again["regions"][region][modality].items() if number is not None}
+        for spectrum in ("rgb", "thermal"):
+            known = {name: number for name, number in numbers[spectrum].items() if number is not None}
+            found = {name: number for name, number in again["regions"][region][spectrum].items() if number is not None}
             assert found == pytest.approx(known, rel=1e-5)
 
 
@@ -99,7 +101,7 @@ def test_another_capture_is_noticed(run: Run, finished: Path, tmp_path: Path) ->
     code, printed = run(render.main, finished, "--data", other, "--device", "cpu", "--frames", 2)
     assert code == 0
     assert f"Is this the capture of {finished}?" in printed
-    assert (finished / "videos" / f"interp_both_{name}.mp4").is_file()
+    assert (finished / "videos" / f"interp_rgb-thermal_{name}.mp4").is_file()
     assert {path: path.read_bytes() for path in before} == before  # its own results are as they were
     assert "Is this the capture" not in run(evaluate.main, finished, "--device", "cpu")[1]
 
@@ -130,7 +132,7 @@ def test_pictures_that_cannot_be_written(run: Run, main: Callable[[list[str]], i
     assert "File exists" in printed
 
 
-@pytest.mark.parametrize("words", [["--frames", "0"], ["--fps", "0"], ["--path", "zigzag"], ["--modality", "sound"]])
+@pytest.mark.parametrize("words", [["--frames", "0"], ["--fps", "0"], ["--path", "zigzag"], ["--spectra", "sound"]])
 def test_mistakes_in_render(run: Run, finished: Path, words: list[str]) -> None:
     """Impossible values of thermosplat-render's flags are refused by name."""
     code, printed = run(render.main, finished, *words)
@@ -139,12 +141,12 @@ def test_mistakes_in_render(run: Run, finished: Path, words: list[str]) -> None:
 
 
 def test_render_along_a_path(run: Run, finished: Path) -> None:
-    """Both spectra side by side as a video, one alone as PNGs."""
+    """All spectra side by side as a video, one alone as PNGs; --modality is another name of --spectra."""
     assert run(render.main, finished, "--frames", 3, "--device", "cpu")[0] == 0
-    video = cv2.VideoCapture(str(finished / "videos" / f"interp_both_{STEPS:06d}.mp4"))
+    video = cv2.VideoCapture(str(finished / "videos" / f"interp_rgb-thermal_{STEPS:06d}.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
     code, printed = run(
-        render.main, finished, "--path", "ellipse", "--frames", 2, "--modality", "rgb", "--format", "png"
+        render.main, finished, "--path", "ellipse", "--frames", 2, "--spectra", "rgb", "--format", "png"
     )
     assert code == 0
     folder = finished / "videos" / f"ellipse_rgb_{STEPS:06d}"
@@ -160,7 +162,7 @@ def test_render_along_a_path(run: Run, finished: Path) -> None:
 
 def test_export_elsewhere(run: Run, finished: Path, tmp_path: Path) -> None:
     """thermosplat-export writes the asked-for spectrum into the asked-for folder, the same as training did."""
-    code, printed = run(export.main, finished, "--modality", "thermal", "--output", tmp_path / "out")
+    code, printed = run(export.main, finished, "--spectra", "thermal", "--output", tmp_path / "out")
     assert code == 0
     assert "Gaussians" in printed
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["splat_thermal.ply"]

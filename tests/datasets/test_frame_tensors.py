@@ -5,58 +5,90 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from capture_folders import HEIGHT, WIDTH, temperatures, write_rgbt_scenes
 
-from thermosplat.config import ThermalConfig
+from capture_folders import HEIGHT, WIDTH, band16, spectra_with, temperatures, write_image, write_rgbt_scenes
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.frame_tensors import frame_tensors, packed, packed_elsewhere, place_in_frame
+from toy_scene import toy_capture
 
 
 def test_pseudo_color_frame(tmp_path):
     """Images in [0, 1], intensity by the inverse palette, degrees, camera; all float32."""
     capture = load_capture(write_rgbt_scenes(tmp_path, raw=True))
     frame = capture.train[0]
-    tensors = frame_tensors(frame, capture.thermal_scale, "cpu")
+    tensors = frame_tensors(frame, capture.scales, "cpu")
     assert tensors.name == frame.name
-    assert tensors.aligned
-    np.testing.assert_allclose(tensors.rgb.image.numpy(), frame.rgb.image / 255, atol=1e-6)
-    assert tensors.rgb.intensity is None
-    assert tensors.rgb.celsius is None
-    thermal = tensors.thermal
+    assert tensors.shared_cameras == (("rgb", "thermal"),)
+    np.testing.assert_allclose(tensors.views["rgb"].image.numpy(), frame.views["rgb"].image / 255, atol=1e-6)
+    assert tensors.views["rgb"].intensity is None
+    assert tensors.views["rgb"].values is None
+    thermal = tensors.views["thermal"]
     assert thermal.image.shape == (HEIGHT, WIDTH, 3)
     assert (thermal.width, thermal.height) == (WIDTH, HEIGHT)
     assert thermal.intensity.shape == (HEIGHT, WIDTH)
     np.testing.assert_allclose(thermal.intensity.numpy(), (temperatures(1) - 15) / 20, atol=0.01)
-    np.testing.assert_allclose(thermal.celsius.numpy(), temperatures(1), atol=0.006)
-    np.testing.assert_allclose(thermal.K.numpy(), frame.thermal.camera.K)
-    np.testing.assert_allclose(thermal.viewmat.numpy(), frame.thermal.viewmat, atol=1e-6)
-    for tensor in (thermal.image, thermal.intensity, thermal.celsius, thermal.K, thermal.viewmat):
+    np.testing.assert_allclose(thermal.values.numpy(), temperatures(1), atol=0.006)
+    np.testing.assert_allclose(thermal.K.numpy(), frame.views["thermal"].camera.K)
+    np.testing.assert_allclose(thermal.viewmat.numpy(), frame.views["thermal"].viewmat, atol=1e-6)
+    for tensor in (thermal.image, thermal.intensity, thermal.values, thermal.K, thermal.viewmat):
         assert tensor.dtype == torch.float32
 
 
 def test_scalar_frame(tmp_path):
     """The intensity of a scalar thermal image is the image."""
-    capture = load_capture(write_rgbt_scenes(tmp_path, raw=True), thermal=ThermalConfig(source="raw"))
-    thermal = frame_tensors(capture.train[0], capture.thermal_scale, "cpu").thermal
+    capture = load_capture(write_rgbt_scenes(tmp_path, raw=True), spectra=spectra_with(thermal={"source": "raw"}))
+    thermal = frame_tensors(capture.train[0], capture.scales, "cpu").views["thermal"]
     assert thermal.image.shape == (HEIGHT, WIDTH, 1)
     torch.testing.assert_close(thermal.intensity, thermal.image[..., 0])
 
 
-def test_missing_modality_is_none(tmp_path):
-    """A frame without thermal needs no scale; one with thermal does."""
+def test_missing_spectrum(tmp_path):
+    """A frame without thermal needs no scale of it; one with thermal does."""
     root = write_rgbt_scenes(tmp_path)
     (root / "thermal" / "train" / "0001.png").unlink()
     capture = load_capture(root)
-    assert frame_tensors(capture.train[0], None, "cpu").thermal is None
-    with pytest.raises(ValueError, match="thermal scale"):
-        frame_tensors(capture.train[1], None, "cpu")
+    scales = {"rgb": capture.scales["rgb"]}
+    assert list(frame_tensors(capture.train[0], scales, "cpu").views) == ["rgb"]
+    with pytest.raises(KeyError, match="thermal"):
+        frame_tensors(capture.train[1], scales, "cpu")
+
+
+def test_some_spectra_of_a_frame():
+    """The views that are asked for, in the groups that are left of those that share a camera; all: the same frame."""
+    capture = toy_capture(aligned=False, others=("nir", "uv"))
+    frame = frame_tensors(capture.train[0], capture.scales, "cpu")
+    assert frame.shared_cameras == (("rgb", "nir", "uv"), ("thermal",))
+    part = frame.only(["uv", "thermal", "rgb"])
+    assert list(part.views) == ["rgb", "thermal", "uv"]
+    assert part.shared_cameras == (("rgb", "uv"), ("thermal",))
+    assert part.views["uv"] is frame.views["uv"]
+    assert frame.only(["thermal"]).shared_cameras == (("thermal",),)
+    assert frame.only(["swir"]).views == {}
+    assert frame.only(["thermal", "uv", "nir", "rgb", "swir"]) is frame
+
+
+def test_a_frame_of_three_spectra(tmp_path):
+    """A further spectrum's intensity is its image, its values are in its unit; packed, it has a place of its own."""
+    root = write_rgbt_scenes(tmp_path)
+    for number in range(8):
+        write_image(root / "nir" / f"{number:04d}.png", band16(number))
+    capture = load_capture(root, spectra=spectra_with(nir={"unit": "reflectance", "factor": 1e-4}))
+    tensors = frame_tensors(capture.train[0], capture.scales, "cpu")
+    nir = tensors.views["nir"]
+    assert tensors.shared_cameras == (("rgb", "thermal", "nir"),)
+    torch.testing.assert_close(nir.intensity, nir.image[..., 0])
+    np.testing.assert_allclose(nir.values.numpy(), band16(1) * 1e-4, atol=1e-6)
+    frame = packed(tensors)
+    assert len(frame.packable()) == 3 * 3 + 2
+    assert len({place_in_frame(frame, tensor) for tensor in frame.packable()}) == len(frame.packable())
+    assert all(torch.equal(a, b) for a, b in zip(frame.packable(), tensors.packable(), strict=True))
 
 
 def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device) -> None:
     """The same tensors in one memory, whose copy moves all of them, also of a frame without one of its views."""
     capture = load_capture(write_rgbt_scenes(tmp_path, raw=True))
     plain, other = (
-        replace(frame_tensors(frame, capture.thermal_scale, device), index=torch.tensor(index, device=device))
+        replace(frame_tensors(frame, capture.scales, device), index=torch.tensor(index, device=device))
         for frame, index in zip(capture.train[:2], (3, 7), strict=True)
     )
     frame, next_frame = packed(plain), packed(other)
@@ -67,11 +99,10 @@ def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device) -> None:
     places = [place_in_frame(frame, tensor) for tensor in frame.packable()]
     assert places == [place_in_frame(next_frame, tensor) for tensor in next_frame.packable()]
     assert all(place % 16 == 0 for place in places)
-    for view in (frame, replace(frame, rgb=None, aligned=False)):
-        static = packed_elsewhere(view)
+    for whole_or_part, expected in ((frame, other), (frame.only(["thermal"]), other.only(["thermal"]))):
+        static = packed_elsewhere(whole_or_part)
         assert static.memory is not None
         assert static.memory.data_ptr() != frame.memory.data_ptr()
         static.memory.copy_(next_frame.memory)
-        expected = other if view.rgb is not None else replace(other, rgb=None)
         assert all(torch.equal(a, b) for a, b in zip(static.packable(), expected.packable(), strict=True))
         assert static.index == 7

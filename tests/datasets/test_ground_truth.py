@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_folders import write_rgbt_scenes
 
+from capture_folders import write_rgbt_scenes
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.ground_truth import read_ground_truth
@@ -40,6 +40,17 @@ def test_shrunk_images_take_the_nearest_pixel(tmp_path: Path) -> None:
     numbered = np.arange(9 * HEIGHT * WIDTH).reshape(3 * HEIGHT, 3 * WIDTH)
     assert np.array_equal(truth.depths["rgb"], numbered[1::3, 1::3])
     assert np.array_equal(truth.label, (numbered % 256 % 6)[1::3, 1::3])
+
+
+def test_depths_of_the_captures_spectra(tmp_path: Path) -> None:
+    """One will do; those of a further spectrum are read, others are not."""
+    root = with_truth(tmp_path, depth_nir=np.full((HEIGHT, WIDTH), 7.0), depth_uv=np.zeros((2, 2))).root
+    capture = dataclasses.replace(toy_capture(others=("nir",)), root=root)
+    truth = read_ground_truth(capture, capture.train[0])
+    assert list(truth.depths) == ["rgb", "thermal", "nir"]
+    assert (truth.depths["nir"] == 7).all()
+    np.savez(root / "ground_truth" / "a.npz", depth_thermal=np.ones((HEIGHT, WIDTH)), label=np.zeros((HEIGHT, WIDTH)))
+    assert list(read_ground_truth(capture, capture.train[0]).depths) == ["thermal"]
 
 
 def test_frames_without_ground_truth(tmp_path: Path) -> None:
@@ -84,7 +95,13 @@ def test_missing_and_misshapen_arrays(tmp_path: Path) -> None:
     capture = with_truth(tmp_path)
     path = tmp_path / "ground_truth" / "a.npz"
     np.savez(path, label=np.zeros((HEIGHT, WIDTH)))
-    with pytest.raises(UserError, match=r"does not hold depth_rgb, depth_thermal\. Expected"):
+    with pytest.raises(UserError, match=r"holds label alone\. Expected .* label and depth_rgb or depth_thermal\."):
+        read_ground_truth(capture, capture.train[0])
+    np.savez(path, depth_rgb=np.zeros((HEIGHT, WIDTH)))
+    with pytest.raises(UserError, match=r"holds depth_rgb alone\."):
+        read_ground_truth(capture, capture.train[0])
+    np.savez(path, depth_nir=np.zeros((HEIGHT, WIDTH)))
+    with pytest.raises(UserError, match=r"holds none of its arrays\. Expected"):
         read_ground_truth(capture, capture.train[0])
     for array, says in ((np.full((HEIGHT, WIDTH), "far"), "holds <U3"), (np.zeros((0, 0)), r"of shape \[0, 0\]")):
         wrong = with_truth(tmp_path, depth_rgb=array)

@@ -1,8 +1,8 @@
 """Folders that are no capture, and which layout wins."""
 
 import pytest
-from capture_folders import write_rgbt_scenes, write_transforms
 
+from capture_folders import write_rgbt_scenes, write_transforms
 from thermosplat.datasets import load_capture
 from thermosplat.errors import UserError
 

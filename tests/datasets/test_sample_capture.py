@@ -17,14 +17,14 @@ def test_sample_loads_by_name():
     assert (len(capture.train), len(capture.test)) == (42, 6)
     assert capture.notes == ()
     assert all(frame.aligned for frame in (*capture.train, *capture.test))
-    assert capture.train[0].rgb.image.shape == (150, 200, 3)
+    assert capture.train[0].views["rgb"].image.shape == (150, 200, 3)
     assert len(capture.points) == 3247
-    scale = capture.thermal_scale
-    assert scale.range_celsius == (20.0, 41.5)
+    scale = capture.scales["thermal"]
+    assert scale.range == (20.0, 41.5)
     assert len(scale.palette.colors) == 256
     for frame in capture.test:
-        shown = scale.celsius(scale.palette.to_intensity(frame.thermal.image / 255))
-        assert np.abs(shown - np.clip(frame.thermal.celsius, 20.0, 41.5)).mean() < 0.3
+        shown = scale.value(scale.palette.to_intensity(frame.views["thermal"].image / 255))
+        assert np.abs(shown - np.clip(frame.views["thermal"].values, 20.0, 41.5)).mean() < 0.3
 
 
 def test_sample_points_lie_in_view():
@@ -32,9 +32,12 @@ def test_sample_points_lie_in_view():
     capture = load_capture("sample")
     inside = []
     for frame in capture.train:
-        camera = frame.rgb.viewmat[:3, :3] @ capture.points.T.astype(np.float64) + frame.rgb.viewmat[:3, 3:]
-        pixels = (frame.rgb.camera.K @ camera)[:2] / camera[2]
-        size = np.array([[frame.rgb.camera.width], [frame.rgb.camera.height]])
+        camera = (
+            frame.views["rgb"].viewmat[:3, :3] @ capture.points.T.astype(np.float64)
+            + frame.views["rgb"].viewmat[:3, 3:]
+        )
+        pixels = (frame.views["rgb"].camera.K @ camera)[:2] / camera[2]
+        size = np.array([[frame.views["rgb"].camera.width], [frame.views["rgb"].camera.height]])
         inside.append(((camera[2] > 0) & (pixels > 0).all(0) & (pixels < size).all(0)).mean())
     assert np.mean(inside) > 0.6
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thermosplat.config import ThermalConfig
+from capture_folders import spectra_with
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.flir_metadata import read_flir_palette
-from thermosplat.datasets.image_files import read_image
-from thermosplat.datasets.msx import edge_correlation
-from thermosplat.radiometry import FLIR_IRON, load_palette
+from thermosplat.datasets.images.flir_metadata import read_flir_palette
+from thermosplat.datasets.images.image_files import read_image
+from thermosplat.datasets.images.msx import edge_correlation
+from thermosplat.thermal.radiometry import FLIR_IRON, load_palette
 
 DATA = Path(os.environ.get("THERMOSPLAT_TEST_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
@@ -28,10 +28,10 @@ def test_rendered_captures(name, span):
     capture = load_capture(shared(f"rgbt_synthetic/{name}"), data_factor=2)
     assert (len(capture.train), len(capture.test)) == (42, 6)
     assert capture.notes == ()
-    assert capture.thermal_scale.range_celsius == span
-    view = capture.test[0].thermal
-    shown = capture.thermal_scale.celsius(capture.thermal_scale.palette.to_intensity(view.image / 255))
-    assert np.abs(shown - np.clip(view.celsius, *span)).mean() < 0.02 * (span[1] - span[0])
+    assert capture.scales["thermal"].range == span
+    view = capture.test[0].views["thermal"]
+    shown = capture.scales["thermal"].value(capture.scales["thermal"].palette.to_intensity(view.image / 255))
+    assert np.abs(shown - np.clip(view.values, *span)).mean() < 0.02 * (span[1] - span[0])
 
 
 def test_real_capture_of_counts():
@@ -40,11 +40,11 @@ def test_real_capture_of_counts():
     capture = load_capture(root, data_factor=8)
     assert (len(capture.train), len(capture.test)) == (35, 5)
     assert len(capture.points) == 31172
-    assert capture.thermal_scale.range_celsius is None
-    assert all(frame.aligned and frame.thermal.celsius is None for frame in capture.train)
-    raw = load_capture(root, data_factor=8, thermal=ThermalConfig(source="raw"))
-    assert raw.thermal_scale.kind == "scalar"
-    values = np.stack([frame.thermal.image for frame in raw.train])
+    assert capture.scales["thermal"].range is None
+    assert all(frame.aligned and frame.views["thermal"].values is None for frame in capture.train)
+    raw = load_capture(root, data_factor=8, spectra=spectra_with(thermal={"source": "raw"}))
+    assert raw.scales["thermal"].kind == "scalar"
+    values = np.stack([frame.views["thermal"].image for frame in raw.train])
     assert ((values == 0) | (values == 1)).mean() < 0.01
     assert values.std() > 0.03
 
@@ -62,16 +62,16 @@ def test_real_thermoscenes_frames():
     """One train and one eval frame with bounds and distortion."""
     capture = load_capture(shared("thermoscenes_mock"))
     assert [len(capture.train), len(capture.test)] == [1, 1]
-    assert capture.thermal_scale.range_celsius == pytest.approx((-15.6815, 15.5584), abs=1e-3)
+    assert capture.scales["thermal"].range == pytest.approx((-15.6815, 15.5584), abs=1e-3)
     assert capture.train[0].aligned
-    assert capture.train[0].rgb.camera.fy > 1.5 * capture.train[0].rgb.camera.fx
+    assert capture.train[0].views["rgb"].camera.fy > 1.5 * capture.train[0].views["rgb"].camera.fx
 
 
 def test_real_flir_palette():
     """The palette in RGBT-Scenes files is the decoded one, fits the pixels, and is close to the built-in stops."""
     samples = shared("rgbt_scenes_samples")
     stored = read_flir_palette(samples / "dimsum_thermal.jpg")
-    decoded = load_palette(shared("flir_iron_palette/iron_rgb_224.csv"))
+    decoded = load_palette(shared("flir_iron_palette/iron_rgb_224.csv"), "thermal")
     np.testing.assert_allclose(stored.colors, decoded.colors, atol=1 / 255)
     pixels = read_image(samples / "dimsum_thermal.jpg") / np.float32(255)
     assert stored.residual(pixels) < 4

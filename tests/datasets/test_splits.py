@@ -8,7 +8,7 @@ from thermosplat.errors import UserError
 
 
 def frames(*splits):
-    return [FrameFiles(str(number), None, None, split) for number, split in enumerate(splits)]
+    return [FrameFiles(str(number), {}, split) for number, split in enumerate(splits)]
 
 
 def test_every_nth_from_the_first():

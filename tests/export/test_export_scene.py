@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from thermosplat.errors import UserError
-from thermosplat.export.scene import export_scene, modality_splats
-from thermosplat.gaussians import SH_C0
-from thermosplat.radiometry import FLIR_IRON, ThermalScale
+from thermosplat.export.scene import export_scene, spectrum_splats
+from thermosplat.scene.gaussians import SH_C0
+from thermosplat.thermal.radiometry import FLIR_IRON, PixelScale
 from toy_scene import toy_capture, toy_config, toy_model
 
 
@@ -23,8 +23,8 @@ def test_hybrid_rgb_adds_the_decoded_color() -> None:
     capture = toy_capture()
     model = toy_model(toy_config(), capture)
     gaussians = model.gaussians("shared")
-    splats = modality_splats(model, "rgb", capture.thermal_scale)
-    expected = constant_color(gaussians.sh0) + model.decoders.rgb(gaussians.features)
+    splats = spectrum_splats(model, "rgb", capture.scales)
+    expected = constant_color(gaussians.sh0) + model.decoders.image("rgb", gaussians.features)
     torch.testing.assert_close(constant_color(splats.sh0), expected)
     torch.testing.assert_close(splats.shN, gaussians.shN)
     torch.testing.assert_close(splats.logit_opacities, gaussians.logit_opacities)
@@ -34,9 +34,11 @@ def test_hybrid_rgb_adds_the_decoded_color() -> None:
 def test_decoded_rgb_alone_replaces_the_sh_color() -> None:
     """Without the hybrid sum the colour is the decoded one, the same from everywhere."""
     capture = toy_capture()
-    model = toy_model(toy_config(decoder={"hybrid_rgb": False}), capture)
-    splats = modality_splats(model, "rgb", capture.thermal_scale)
-    torch.testing.assert_close(constant_color(splats.sh0), model.decoders.rgb(model.gaussians("shared").features))
+    model = toy_model(toy_config(decoder={"hybrid": False}), capture)
+    splats = spectrum_splats(model, "rgb", capture.scales)
+    torch.testing.assert_close(
+        constant_color(splats.sh0), model.decoders.image("rgb", model.gaussians("shared").features)
+    )
     assert not splats.shN.any()
 
 
@@ -48,12 +50,12 @@ def test_thermal_is_decoded_at_the_thermal_opacity(kind: str) -> None:
     gaussians = model.gaussians("shared")
     with torch.no_grad():
         gaussians.logit_opacities[0] = 40.0
-    splats = modality_splats(model, "thermal", capture.thermal_scale)
-    decoded = model.decoders.thermal(gaussians.features).detach()
+    splats = spectrum_splats(model, "thermal", capture.scales)
+    decoded = model.decoders.image("thermal", gaussians.features).detach()
     if kind == "scalar":
-        decoded = torch.as_tensor(FLIR_IRON.to_color(decoded[:, 0].numpy()))
+        decoded = torch.as_tensor(FLIR_IRON.to_color(decoded[:, 0].numpy())).float()
     torch.testing.assert_close(constant_color(splats.sh0), decoded)
-    torch.testing.assert_close(torch.sigmoid(splats.logit_opacities), gaussians.thermal_opacities)
+    torch.testing.assert_close(torch.sigmoid(splats.logit_opacities), gaussians.opacities_in("thermal"))
     assert torch.isfinite(splats.logit_opacities).all()
 
 
@@ -61,8 +63,8 @@ def test_separate_sets_export_their_own_harmonics() -> None:
     """In the 3DGS configuration each spectrum is its own set, exactly as it is rendered."""
     capture = toy_capture()
     model = toy_model(toy_config(gaussian_sets="separate", feature_dim=0), capture)
-    for modality in ("rgb", "thermal"):
-        splats, gaussians = modality_splats(model, modality, capture.thermal_scale), model.gaussians(modality)
+    for name in ("rgb", "thermal"):
+        splats, gaussians = spectrum_splats(model, name, capture.scales), model.gaussians(name)
         torch.testing.assert_close(splats.sh0, gaussians.sh0)
         torch.testing.assert_close(splats.shN, gaussians.shN)
         torch.testing.assert_close(splats.logit_opacities, gaussians.logit_opacities)
@@ -73,11 +75,11 @@ def test_files_state_what_thermal_colors_mean(tmp_path: Path) -> None:
     plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install ".[test]")')
     capture = toy_capture(thermal_kind="scalar")
     model = toy_model(toy_config(), capture)
-    written = export_scene(model, tmp_path / "ply", thermal_scale=capture.thermal_scale)
+    written = export_scene(model, tmp_path / "ply", scales=capture.scales)
     assert {path.name for path in (tmp_path / "ply").iterdir()} == {"splat_rgb.ply", "splat_thermal.ply"}
-    rgb, thermal = (plyfile.PlyData.read(str(written[modality].path)) for modality in ("rgb", "thermal"))
+    rgb, thermal = (plyfile.PlyData.read(str(written[name].path)) for name in ("rgb", "thermal"))
     assert thermal["vertex"].count == written["thermal"].num_gaussians > 0
-    assert "thermal_range_celsius 10 30" in thermal.comments
+    assert "thermal_range 10 30 celsius" in thermal.comments
     palette = next(comment for comment in thermal.comments if comment.startswith("thermal_palette"))
     assert palette.split()[-1] == "#fefefe"
     assert "#000000" in palette
@@ -90,25 +92,41 @@ def test_splats_have_tensors_of_their_own(sets: dict[str, Any]) -> None:
     """None is a parameter of the model: files are written while another thread renders it (``meanwhile``)."""
     capture = toy_capture()
     model = toy_model(toy_config(**sets), capture)
-    for modality in ("rgb", "thermal"):
-        splats = modality_splats(model, modality, capture.thermal_scale)
+    for name in ("rgb", "thermal"):
+        splats = spectrum_splats(model, name, capture.scales)
         assert not any(tensor.requires_grad for tensor in vars(splats).values())
 
 
 def test_unmodelled_spectrum_is_an_error(tmp_path: Path) -> None:
     """Asking for the splats of a spectrum that was not trained says so; by default only the trained one is written."""
     capture = toy_capture(thermal=False)
-    model = toy_model(toy_config(thermal=False), capture)
+    model = toy_model(toy_config(without=("thermal",)), capture)
     with pytest.raises(UserError, match="trained without thermal images"):
-        export_scene(model, tmp_path, thermal_scale=None, modalities=["thermal"])
-    assert list(export_scene(model, tmp_path, thermal_scale=None)) == ["rgb"]
+        export_scene(model, tmp_path, scales=capture.scales, spectra=["thermal"])
+    assert list(export_scene(model, tmp_path, scales=capture.scales)) == ["rgb"]
 
 
 def test_unknown_temperatures_are_said_to_be_unknown(tmp_path: Path) -> None:
     """Without degrees the header does not invent any."""
     capture = toy_capture()
     model = toy_model(toy_config(), capture)
-    written = export_scene(model, tmp_path, thermal_scale=ThermalScale("color", FLIR_IRON, None))
+    scales = {**capture.scales, "thermal": PixelScale("color", FLIR_IRON, None, "celsius")}
+    written = export_scene(model, tmp_path, scales=scales)
     header = written["thermal"].path.read_bytes().split(b"end_header")[0]
-    assert b"comment thermal_range_celsius unknown\n" in header
+    assert b"comment thermal_range unknown\n" in header
     assert np.frombuffer(written["thermal"].path.read_bytes().split(b"end_header\n", 1)[1], "<f4").size % 62 == 0
+
+
+def test_a_third_spectrum_has_a_file_of_its_own(tmp_path: Path) -> None:
+    """Near infrared goes through its palette, grey, at its own opacity; the header says what black and white mean."""
+    capture = toy_capture(others=("nir",))
+    model = toy_model(toy_config(spectra={"nir": {"opacity": "offset"}}), capture)
+    splats = spectrum_splats(model, "nir", capture.scales)
+    gaussians = model.gaussians("shared")
+    torch.testing.assert_close(splats.logit_opacities, gaussians.logits_in("nir"))
+    decoded = model.decoders.image("nir", gaussians.features).detach()
+    torch.testing.assert_close(constant_color(splats.sh0), decoded.expand(-1, 3))
+    written = export_scene(model, tmp_path, scales=capture.scales)
+    assert list(written) == ["rgb", "thermal", "nir"]
+    header = written["nir"].path.read_bytes().split(b"end_header")[0]
+    assert b"comment nir_range 0 1 reflectance\n" in header

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from multispectral_capture import near_infrared, write_multispectral_capture
 from thermosplat.config import TrainConfig
 from thermosplat.method_matrix.cell_result import FILE_NAME, read_cell
 from thermosplat.method_matrix.cell_run import make_cell
 from thermosplat.method_matrix.cells import Cell, Scene, cell_config
 from thermosplat.method_matrix.panels import read_panels
-from thermosplat.training.interruption import TrainingInterrupted
+from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.trainer import Trainer
 
 CELL = Cell("sample", "mmone", 42)
@@ -25,18 +26,39 @@ def test_finished_cell_says_everything(tmp_path: Path) -> None:
     result = make_cell(CELL, quick_config(), tmp_path, keep_checkpoint=False)
     assert read_cell(tmp_path / FILE_NAME) == result
     assert result.cell == CELL
-    assert result.rgb is not None
-    assert result.thermal is not None
-    assert result.rgb["psnr"] > 5
-    assert result.thermal["mae_celsius"] > 0
+    assert list(result.spectra) == ["rgb", "thermal"]
+    rgb, thermal = result.spectra.values()
+    assert rgb is not None
+    assert thermal is not None
+    assert rgb["psnr"] > 5
+    assert thermal["mae_celsius"] > 0
     # the run is too short for spherical harmonics above degree 0: they are zero, and stored as a byte a set
     assert result.model_bytes == result.num_gaussians * (4 * (3 + 4 + 3 + 1 + 1 + 2 * 3) + 2)
     assert result.frames_per_second > 0
     assert result.peak_memory_bytes is None
-    rgb = [row["psnr"] for row in result.per_view if row["modality"] == "rgb"]
-    assert sum(rgb) / len(rgb) == pytest.approx(result.rgb["psnr"])
+    by_view = [row["psnr"] for row in result.per_view if row["spectrum"] == "rgb"]
+    assert sum(by_view) / len(by_view) == pytest.approx(rgb["psnr"])
     assert len(read_panels(tmp_path)) == 6
     assert not list((tmp_path / "ckpts").iterdir())
+
+
+def test_cell_of_three_spectra(tmp_path: Path) -> None:
+    """A third spectrum is read, trained and measured like the others, and has its pictures."""
+    root = write_multispectral_capture(tmp_path / "desk", {"nir": near_infrared}, thermal=True, depth=16)
+    preset = tmp_path / "three.yaml"
+    preset.write_text(
+        f"base: thermalgaussian_ommg\nspectra:\n  nir: {{unit: reflectance, factor: {1 / 65535}, opacity: own}}\n"
+    )
+    config = cell_config(str(preset), Scene("desk", str(root)), 42, max_steps=2, data_factor=4, device="cpu")
+    result = make_cell(Cell("desk", "three", 42), config, tmp_path / "cell", keep_checkpoint=False)
+    assert read_cell(tmp_path / "cell" / FILE_NAME) == result
+    assert list(result.spectra) == ["rgb", "thermal", "nir"]
+    assert result.spectra["nir"] is not None
+    assert 0 < result.spectra["nir"]["mae_reflectance"] < 1
+    assert {row["spectrum"] for row in result.per_view} == {"rgb", "thermal", "nir"}
+    nir = [row["mae_reflectance"] for row in result.per_view if row["spectrum"] == "nir"]
+    assert sum(nir) / len(nir) == pytest.approx(result.spectra["nir"]["mae_reflectance"])
+    assert {spectrum for _, spectrum in read_panels(tmp_path / "cell")} == {"rgb", "thermal", "nir"}
 
 
 def test_interrupted_cell_is_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

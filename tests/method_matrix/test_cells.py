@@ -1,10 +1,11 @@
 """Which cells there are, and what each is configured to do."""
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
-from thermosplat.config_files import load_config, preset_paths
+from thermosplat.config.files import load_config, preset_paths
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import (
     Cell,
@@ -67,7 +68,7 @@ def test_shorter_matrix_keeps_proportions() -> None:
     """A method of 60,000 steps gets twice the steps of one of 30,000, and its phases move along."""
     short = {name: cell_config(name, SAMPLE, 1, max_steps=300) for name in ("3dgs", "thermalgaussian_mftg")}
     assert [config.max_steps for config in short.values()] == [300, 600]
-    assert short["thermalgaussian_mftg"].schedule.thermal_from == 0.5
+    assert short["thermalgaussian_mftg"].spectra["thermal"].train_from == 0.5
     assert cell_config("thermalgaussian_mftg", SAMPLE, 1).max_steps == 60_000
 
 
@@ -93,7 +94,16 @@ def test_settings_are_what_is_computed() -> None:
     assert difference(settings(config), settings(elsewhere)) == ""
     longer = cell_config("mmone", SAMPLE, 7, max_steps=200)
     assert difference(settings(config), settings(longer)) == "max_steps=100, now 200"
-    assert difference(settings(config), settings(cell_config("3dgs", SAMPLE, 7, max_steps=100))).startswith("model.")
+    assert difference(settings(config), settings(cell_config("3dgs", SAMPLE, 7, max_steps=100))).startswith("spectra.")
+
+
+def test_a_spectrum_more_makes_another_cell(tmp_path: Path) -> None:
+    """The list of spectra, and what is left out of it, is a setting."""
+    (tmp_path / "nir.yaml").write_text("base: thermosplat\nspectra:\n  nir: {}\n")
+    two, three = (cell_config(name, SAMPLE, 7) for name in ("thermosplat", str(tmp_path / "nir.yaml")))
+    assert difference(settings(two), settings(three)).startswith("spectra.nir=None, now {")
+    left_out = dataclasses.replace(two, without=("thermal",))
+    assert difference(settings(two), settings(left_out)) == "without=[], now ['thermal']"
 
 
 def test_folder_of_a_cell() -> None:

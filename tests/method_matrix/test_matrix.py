@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
-from made_cells import made_cell
 
+from made_cells import made_cell
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cell_result import CellResult
 from thermosplat.method_matrix.cells import Cell, Scene, settings

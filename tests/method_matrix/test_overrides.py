@@ -1,8 +1,10 @@
 """Settings on the command line that differ from the presets."""
 
+import dataclasses
+
 import pytest
 
-from thermosplat.config_files import load_config
+from thermosplat.config.files import load_config
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import Cell
 from thermosplat.method_matrix.overrides import parse_overrides
@@ -23,6 +25,18 @@ def test_settings_of_one_method_and_of_all() -> None:
     assert small.applied(config).optimizer.eps == 1e-8
     with pytest.raises(UserError, match='--set rasterize_mode_is=x: unknown key "rasterize_mode_is"'):
         every.applied(config)
+
+
+def test_settings_of_a_spectrum() -> None:
+    """By the spectrum's name; other spectra, and its other settings, stay. Names of version 0.1 do as in YAML files."""
+    config = load_config("thermosplat")
+    words = ["spectra.thermal.loss=0.5", "loss.thermal=0.5", "spectra.nir.opacity=own", "without=[thermal]"]
+    new, old, added, left_out = (override.applied(config) for override in parse_overrides(words, SCENES, METHODS))
+    assert new == old
+    assert new.spectra["thermal"] == dataclasses.replace(config.spectra["thermal"], loss=0.5)
+    assert new.spectra["rgb"] == config.spectra["rgb"]
+    assert (list(added.spectra), added.spectra["nir"].opacity) == (["rgb", "thermal", "nir"], "own")
+    assert list(left_out.modelled) == ["rgb"]
 
 
 def test_which_cells_are_concerned() -> None:
@@ -54,7 +68,7 @@ def test_value_of_another_type_is_a_users_error() -> None:
         ("msplat:sh_degree=3", 'no cell of this matrix is called "msplat"'),
         ("seed=3", "seed is not a setting of a method"),
         ("eval_steps=[5]", "eval_steps is not a setting"),
-        ("loss.rgb={", "cannot be read"),
+        ("spectra.rgb={", "cannot be read"),
     ],
 )
 def test_mistakes(word: str, expected: str) -> None:

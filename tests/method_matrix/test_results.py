@@ -3,13 +3,16 @@
 import csv
 import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
-from made_cells import made_cell
 
+from made_cells import made_cell
+from thermosplat.config import TrainConfig
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cell_result import CellResult, write_cell
+from thermosplat.method_matrix.cells import settings
 from thermosplat.method_matrix.results import Results
 
 
@@ -48,7 +51,7 @@ def test_own_results_file_is_no_source(tmp_path: Path) -> None:
 def test_cells_with_other_settings_do_not_mix(tmp_path: Path) -> None:
     """Two cells of one name that were trained differently are an error that names the difference."""
     put(tmp_path / "a", made_cell())
-    put(tmp_path / "b", made_cell(settings={"max_steps": 60, "loss": {"rgb": 1.0}}))
+    put(tmp_path / "b", made_cell(settings={"max_steps": 60, "loss": {"features": 1.0}}))
     with pytest.raises(UserError, match=r"max_steps=30, now 60"):
         Results.collect(tmp_path / "a", [tmp_path / "b"])
     with pytest.raises(UserError, match=r"no .*nowhere to merge"):
@@ -72,7 +75,49 @@ def test_files(tmp_path: Path) -> None:
     assert [cell["seed"] for cell in cells] == [1, 2]
     with (tmp_path / "per_view.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [(row["scene"], row["seed"], row["frame"], row["lpips"]) for row in rows] == [
-        ("lab", "1", "f0", ""),
-        ("lab", "2", "f0", ""),
+    assert [(row["scene"], row["seed"], row["frame"], row["spectrum"], row["lpips"]) for row in rows] == [
+        ("lab", "1", "f0", "rgb", ""),
+        ("lab", "2", "f0", "rgb", ""),
     ]
+
+
+def test_spectra_and_their_measured_errors(tmp_path: Path) -> None:
+    """In the order of the cells that have most, with the units that cells have; per_view.csv has a column per unit."""
+    nir = {"psnr": 30.0, "ssim": 0.9, "lpips": None, "mae_reflectance": 0.02}
+    rgb = {"psnr": 20.0, "ssim": 0.9, "lpips": None}
+    thermal = rgb | {"mae_celsius": 0.5}
+    views = [{"frame": "f0", "spectrum": "nir", **nir}]
+    put(
+        tmp_path,
+        made_cell("a", "3dgs", spectra={"thermal": rgb | {"mae_celsius": None}}),
+        made_cell("b", "3dgs", spectra={"rgb": rgb, "thermal": thermal, "nir": nir}, per_view=views),
+        made_cell("c", "3dgs", spectra={"rgb": rgb, "nir": None, "thermal": thermal | {"mae_counts": 3.0}}),
+    )
+    results = Results.collect(tmp_path)
+    assert results.spectra() == ["rgb", "thermal", "nir"]
+    assert results.measured() == {"rgb": [], "thermal": ["mae_celsius", "mae_counts"], "nir": ["mae_reflectance"]}
+    results.write(tmp_path)
+    with (tmp_path / "per_view.csv").open() as file:
+        rows = {row["scene"]: row for row in csv.DictReader(file)}
+    assert (rows["b"]["spectrum"], rows["b"]["mae_reflectance"]) == ("nir", "0.02")
+    assert rows["a"]["mae_reflectance"] == ""
+    again = Results.collect(tmp_path / "elsewhere", [tmp_path / "results.json"])
+    assert again.cells == results.cells
+
+
+def test_cells_of_both_formats_come_together(tmp_path: Path) -> None:
+    """A results.json of version 0.1 merges with run folders of today's, if the settings are the same."""
+    new = made_cell("lab", "3dgs", settings=settings(TrainConfig()))
+    put(tmp_path / "new", new)
+    old = {"format": 1, **asdict(made_cell("desk", "3dgs")), "settings": {}}
+    old |= old.pop("spectra")
+    same = old | {"scene": "lab", "settings": {"loss": {"thermal": 1.0}}}
+    (tmp_path / "results.json").write_text(json.dumps({"format": 1, "cells": [old, same]}))
+    results = Results.collect(tmp_path / "new", [tmp_path / "results.json"])
+    assert results.scenes() == ["desk", "lab"]
+    assert results.cells[new.cell] == new
+    assert results.spectra() == ["rgb", "thermal"]
+    other = same | {"settings": {"loss": {"thermal": 0.5}}}
+    (tmp_path / "results.json").write_text(json.dumps({"format": 1, "cells": [other]}))
+    with pytest.raises(UserError, match=r"spectra.thermal.loss=1.0, now 0.5"):
+        Results.collect(tmp_path / "new", [tmp_path / "results.json"])

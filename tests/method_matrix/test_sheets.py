@@ -2,19 +2,20 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
-from thermosplat.image_display import Image8, read_png
 from thermosplat.method_matrix.panels import read_panels, shown_frames, write_panels
 from thermosplat.method_matrix.sheets import PANEL_WIDTH, write_sheets
-from thermosplat.model import SceneModel
+from thermosplat.pictures.image_display import Image8, read_png
+from thermosplat.scene.model import SceneModel
 from toy_scene import toy_capture, toy_config, toy_model
 
 
-def toy_panels(folder: Path, root: Path = Path("toy"), **config: bool) -> SceneModel:
-    capture = dataclasses.replace(toy_capture(), root=root)
+def toy_panels(folder: Path, root: Path = Path("toy"), others: tuple[str, ...] = (), **config: Any) -> SceneModel:
+    capture = dataclasses.replace(toy_capture(others=others), root=root)
     model = toy_model(toy_config(**config), capture)
     held_out = type(capture)(**{**capture.__dict__, "test": capture.train})
     write_panels(folder, model, held_out, sh_degree=1, device="cpu")
@@ -26,23 +27,51 @@ def columns_that_show_something(image: Image8) -> np.ndarray:
 
 
 def test_panels_come_back(tmp_path: Path) -> None:
-    """Truth, render, error and score of each modality of the kept frame."""
+    """Truth, render, error and score of each spectrum of the kept frame."""
     toy_panels(tmp_path)
     panels = read_panels(tmp_path)
     assert set(panels) == {("a", "rgb"), ("a", "thermal")}
-    truth = toy_capture().train[0].rgb
-    assert truth is not None
-    assert np.array_equal(panels["a", "rgb"].truth, truth.image)
+    assert np.array_equal(panels["a", "rgb"].truth, toy_capture().train[0].views["rgb"].image)
     assert panels["a", "rgb"].render.shape == panels["a", "rgb"].error.shape == (18, 24, 3)
     assert panels["a", "thermal"].score.endswith(" dB")
     assert read_panels(tmp_path / "nowhere") == {}
 
 
+def test_panels_of_the_first_version_are_read(tmp_path: Path) -> None:
+    """Its index says "modality"."""
+    toy_panels(tmp_path)
+    index = tmp_path / "panels" / "panels.json"
+    index.write_text(index.read_text().replace('"spectrum"', '"modality"'))
+    assert set(read_panels(tmp_path)) == {("a", "rgb"), ("a", "thermal")}
+
+
+def test_three_spectra_have_panels_in_their_order(tmp_path: Path) -> None:
+    """Values are shown by their palette; a method without the third spectrum is black there."""
+    toy_panels(tmp_path / "three", others=("nir",), spectra={"nir": {"opacity": "own"}})
+    toy_panels(tmp_path / "two")
+    panels = read_panels(tmp_path / "three")
+    assert list(panels) == [("a", "rgb"), ("a", "thermal"), ("a", "nir")]
+    nir = panels["a", "nir"]
+    assert nir.truth.shape == nir.render.shape == (18, 24, 3)
+    assert (nir.truth == nir.truth[..., :1]).all()  # grey
+    assert nir.palette_end == "0.1 reflectance"
+    (written,) = write_sheets(tmp_path, "lab", {"two": tmp_path / "two", "three": tmp_path / "three"})
+    sheet = read_png(written)
+    assert sheet is not None
+    panel_height = 20 + round(18 * PANEL_WIDTH / 24)
+    assert sheet.shape == (20 + 3 * (panel_height + 4), 6 * PANEL_WIDTH + 5 * 4, 3)
+    first_row, of_two, of_three = (sheet[24 + k * (panel_height + 4) :][:panel_height] for k in range(3))
+    third = 4 * PANEL_WIDTH + 4 * 4
+    assert columns_that_show_something(first_row)[third : third + PANEL_WIDTH].any()
+    assert not columns_that_show_something(of_two)[third:].any()
+    assert columns_that_show_something(of_three)[third:].any()
+
+
 def test_sheet_has_a_row_a_method(tmp_path: Path) -> None:
-    """Ground truth, then each method, both modalities beside each other; an absent modality stays black."""
+    """Ground truth, then each method, both spectra beside each other; an absent spectrum stays black."""
     torch.manual_seed(0)
     toy_panels(tmp_path / "full")
-    toy_panels(tmp_path / "rgb_only", thermal=False)
+    toy_panels(tmp_path / "rgb_only", without=("thermal",))
     written = write_sheets(tmp_path, "lab", {"full": tmp_path / "full", "rgb_only": tmp_path / "rgb_only"})
     assert [path.name for path in written] == ["lab_a.png"]
     sheet = read_png(written[0])
@@ -56,7 +85,7 @@ def test_sheet_has_a_row_a_method(tmp_path: Path) -> None:
 
 
 def test_depth_stands_beside_the_images_where_the_true_one_is_known(tmp_path: Path) -> None:
-    """Three pictures a modality: true depths in the first row, the rendered ones in those of the methods."""
+    """Three pictures per spectrum: true depths in the first row, the rendered ones in those of the methods."""
     depth = np.full((18, 24), 4.0, np.float32)
     depth[:, :4] = 0.0  # sky
     (tmp_path / "capture" / "ground_truth").mkdir(parents=True)
@@ -85,6 +114,6 @@ def test_depth_stands_beside_the_images_where_the_true_one_is_known(tmp_path: Pa
 def test_first_middle_and_last_frame_are_shown() -> None:
     """The choice depends on the number of frames alone."""
     (frame,) = toy_capture().train
-    frames = [type(frame)(str(index), frame.rgb, frame.thermal) for index in range(10)]
+    frames = [type(frame)(str(index), frame.views) for index in range(10)]
     assert [shown.name for shown in shown_frames(frames)] == ["0", "4", "9"]
     assert shown_frames(frames[:2]) == frames[:2]

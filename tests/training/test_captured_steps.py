@@ -6,26 +6,36 @@ from typing import Any
 
 import pytest
 import torch
-from toy_run import many_frames, state_tensors, toy_run_config, toy_trainer
 
 from thermosplat.config import AutoBudgetConfig, DensificationConfig
+from thermosplat.training.captured_steps import CapturedSteps
+from thermosplat.training.plain_steps import PlainSteps
 from thermosplat.training.trainer import Trainer
+from toy_run import many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 pytestmark = pytest.mark.cuda
-SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
+SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0}
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "shared": ({}, {}),
     "shared, two cameras": ({}, {"aligned": False}),
-    "separate, scalar thermal": (SEPARATE, {"thermal_kind": "scalar"}),
-    "shared, spherical harmonics of either spectrum": ({"feature_dim": 0, "thermal_opacity": "own"}, {}),
+    "separate, scalar thermal": ({"model": SEPARATE}, {"thermal_kind": "scalar"}),
+    "shared, spherical harmonics of either spectrum": (
+        {"model": {"feature_dim": 0}, "spectra": {"thermal": {"opacity": "own"}}},
+        {},
+    ),
+    "three spectra, three opacities": ({"spectra": {"nir": {"opacity": "offset"}}}, {"others": ("nir",)}),
+    "three spectra, spherical harmonics": (
+        {"model": {"feature_dim": 0}, "spectra": {"nir": {"opacity": "own"}}},
+        {"others": ("nir",), "aligned": False},
+    ),
 }
 
 
 def _run(path: Path, kind: str, steps: int, *, of: int | None = None, **changes: Any) -> Trainer:
     """A toy run after so many steps, ``of`` as many."""
-    model, capture = KINDS[kind]
-    config = dataclasses.replace(toy_run_config(max_steps=of or steps, model=model), device="cuda", **changes)
+    settings, capture = KINDS[kind]
+    config = dataclasses.replace(toy_run_config(max_steps=of or steps, **settings), device="cuda", **changes)
     trainer = toy_trainer(path, config, many_frames(toy_capture(**capture)))
     while trainer.step < steps:
         trainer._train_step()
@@ -38,9 +48,9 @@ def test_captured_steps_match_plain_ones(tmp_path: Path, kind: str) -> None:
     still = DensificationConfig(enabled=False)
     plain = _run(tmp_path / "plain", kind, 40, graph=False, densification=still)
     captured = _run(tmp_path / "captured", kind, 40, graph=True, densification=still)
-    assert plain.captured is None
-    assert captured.captured is not None
-    assert captured.captured._graphs
+    assert isinstance(plain.steps, PlainSteps)
+    assert isinstance(captured.steps, CapturedSteps)
+    assert captured.steps._graphs
     ours, theirs = state_tensors(captured), state_tensors(plain)
     assert ours.keys() == theirs.keys()
     for name, value in theirs.items():
@@ -54,14 +64,14 @@ def test_captured_steps_match_plain_ones(tmp_path: Path, kind: str) -> None:
 def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str) -> None:
     """Gaussians are added, removed and reset, graphs follow, and the loss falls."""
     trainer = _run(tmp_path, kind, 42)
-    assert trainer.captured is not None
-    assert trainer.captured._graphs
+    assert isinstance(trainer.steps, CapturedSteps)
+    assert trainer.steps._graphs
     assert trainer.guard.first_bad() is None
     counts = {name: len(gaussians) for name, gaussians in trainer.state.gaussian_sets.items()}
     assert all(strategy.grad_norm_sum.shape == (counts[name],) for name, strategy in trainer.state.strategies.items())
     metrics = trainer._evaluate()
-    assert metrics["rgb"]["psnr"] > 5
-    assert metrics["thermal"]["psnr"] > 5
+    assert metrics["spectra"] == list(trainer.model.spectra)
+    assert all(metrics[name]["psnr"] > 5 for name in metrics["spectra"])
 
 
 def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
@@ -72,10 +82,9 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
     mcmc = DensificationConfig(strategy="mcmc", max_gaussians=300, start_step=4, stop_step=60, every=10)
 
     def run(name: str, graph: bool) -> Trainer:
-        config = toy_run_config(max_steps=40, model={"exposures": True})
-        loss = dataclasses.replace(
-            config.loss, opacity_reg=0.01, scale_reg=0.01, thermal_charbonnier=0.02, depth_spread=0.1
-        )
+        robust = {"rgb": {"exposure": "affine"}, "thermal": {"exposure": "affine", "charbonnier": 0.02}}
+        config = toy_run_config(max_steps=40, spectra=robust)
+        loss = dataclasses.replace(config.loss, opacity_reg=0.01, scale_reg=0.01, depth_spread=0.1)
         config = dataclasses.replace(config, device="cuda", graph=graph, densification=mcmc, loss=loss)
         trainer = toy_trainer(tmp_path / name, config, many_frames(toy_capture()))
         while trainer.step < 40:
@@ -83,15 +92,15 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
         return trainer
 
     plain, captured = run("plain", False), run("captured", True)
-    assert captured.captured is not None
-    assert {kind.depth_spread for _, kind in captured.captured._graphs} == {True}
+    assert isinstance(captured.steps, CapturedSteps)
+    assert {kind.depth_spread for _, kind in captured.steps._graphs} == {True}
     assert captured.guard.first_bad() is None
     assert captured.model.num_gaussians == plain.model.num_gaussians > 60
     ours, theirs = captured.state.exposures, plain.state.exposures
     assert ours is not None
     assert theirs is not None
-    assert ours.rgb.abs().amax(dim=(1, 2)).min() > 0
-    torch.testing.assert_close(ours.rgb, theirs.rgb, rtol=0.2, atol=2e-3)
+    assert ours.maps["rgb"].abs().amax(dim=(1, 2)).min() > 0
+    torch.testing.assert_close(ours.maps["rgb"], theirs.maps["rgb"], rtol=0.2, atol=2e-3)
 
 
 @pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
@@ -103,8 +112,8 @@ def test_another_device_than_the_first(tmp_path: Path) -> None:
         before = trainer.model.gaussians("shared").means.detach().clone()
         while trainer.step < 20:
             trainer._train_step()
-        assert trainer.captured is not None
-        assert trainer.captured._graphs
+        assert isinstance(trainer.steps, CapturedSteps)
+        assert trainer.steps._graphs
         assert trainer.guard.first_bad() is None
         means = trainer.model.gaussians("shared").means
         assert means.device == torch.device("cuda:1")
@@ -117,10 +126,10 @@ def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     """Once no Gaussians are added, refinements move them in place, and the same graph goes on with them."""
     full = DensificationConfig(strategy="mcmc", max_gaussians=60, start_step=4, stop_step=60, every=10)
     trainer = _run(tmp_path, "shared", 24, of=40, densification=full)
-    assert trainer.captured is not None
+    assert isinstance(trainer.steps, CapturedSteps)
     gaussians = trainer.model.gaussians("shared")
     assert len(gaussians) == 60
-    before = dict(trainer.captured._graphs)
+    before = dict(trainer.steps._graphs)
     assert before
     with torch.no_grad():
         gaussians.logit_opacities[:5] = -9.0
@@ -128,7 +137,7 @@ def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     means = gaussians.means[:5].detach().clone()
     while trainer.step < 34:  # one refinement
         trainer._train_step()
-    assert trainer.captured._graphs == before
+    assert trainer.steps._graphs == before
     assert (gaussians.opacities[:5] > 0.005).all()
     assert ((gaussians.means[:5] - means).norm(dim=-1) > 0.01).all()
     assert trainer.guard.first_bad() is None
@@ -142,8 +151,8 @@ def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
     changes = {"densification": still, "budget": "auto", "auto_budget": budget}
     plain = _run(tmp_path / "plain", "shared", 40, graph=False, **changes)
     captured = _run(tmp_path / "captured", "shared", 40, graph=True, **changes)
-    assert captured.captured is not None
-    assert captured.captured._graphs
+    assert isinstance(captured.steps, CapturedSteps)
+    assert captured.steps._graphs
     assert captured.guard.first_bad() is None
     assert captured.model.feature_channels == plain.model.feature_channels == 1
     ours, theirs = captured.model.gaussians("shared"), plain.model.gaussians("shared")
@@ -154,8 +163,8 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     """With too little room the parameters stay; after a look there is room, and training goes on."""
     still = DensificationConfig(enabled=False)
     trainer = _run(tmp_path, "shared", 20, densification=still, log_every=1000)
-    captured = trainer.captured
-    assert captured is not None
+    captured = trainer.steps
+    assert isinstance(captured, CapturedSteps)
     captured.forget()
     _, kind = next(iter(captured._seen))
     capacity = captured.step.capacity
@@ -164,13 +173,15 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     capacity._rooms = [dataclasses.replace(room, pairs=10) for room in capacity._rooms]
     capacity.measure = lambda: None  # type: ignore[method-assign]
     before = trainer.model.gaussians("shared").means.detach().clone()
-    captured.run(frame, kind)
+    with captured.run(frame, kind):
+        pass
     assert capacity.overflow == 1
     assert torch.equal(trainer.model.gaussians("shared").means, before)
     del capacity.measure
-    captured.look()
+    captured.check_overflow()
     assert not captured._graphs
-    captured.run(frame, kind)
+    with captured.run(frame, kind):
+        pass
     assert capacity.overflow == 0
     assert not torch.equal(trainer.model.gaussians("shared").means, before)
 

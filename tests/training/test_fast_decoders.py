@@ -4,42 +4,56 @@ import pytest
 import torch
 
 from thermosplat.config import DecoderConfig
-from thermosplat.decoders import Decoders
+from thermosplat.scene.decoders import Decoders
+from thermosplat.spectra import Spectrum
 from thermosplat.training import fast_decoders
-from thermosplat.training.fast_decoders import BRANCHES, FastDecoders, can_compile
+from thermosplat.training.fast_decoders import FastDecoders, can_compile
+
+SPECTRA = (
+    Spectrum("rgb", 3, "photograph", "shared", (0, 3), "thermal"),
+    Spectrum("thermal", 3, "color", "offset", (3, 4), None),
+    Spectrum("nir", 1, "scalar", "shared", (4, 5), None),
+)
 
 
-def test_precision_and_branches_are_put_back() -> None:
-    """Inside: compiled branches and TF32; afterwards, also after an error, everything is as before."""
-    decoders = Decoders(DecoderConfig(hidden_dim=4), 4, 3)
+def named(features: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Features of each spectrum by its name."""
+    return {spectrum.name: of_one for spectrum, of_one in zip(SPECTRA, features, strict=True)}
+
+
+def test_precision_and_decoding_are_put_back() -> None:
+    """Inside: compiled decoding and TF32; afterwards, also after an error, everything is as before."""
+    decoders = Decoders(DecoderConfig(hidden_dim=4), 5, SPECTRA)
     before = torch.get_float32_matmul_precision()
     fast = FastDecoders(decoders, compiled=True, precision="tf32")
 
     def fail() -> None:
         with fast.active():
             assert torch.get_float32_matmul_precision() == "high"
-            assert all(name in vars(decoders) for name in BRANCHES)
+            assert "decode" in vars(decoders)
             raise RuntimeError("stop")
 
     with pytest.raises(RuntimeError, match="stop"):
         fail()
     assert torch.get_float32_matmul_precision() == before
-    assert not any(name in vars(decoders) for name in BRANCHES)
+    assert "decode" not in vars(decoders)
 
 
 @pytest.mark.parametrize(("precision", "bits"), [("float32", 20), ("bfloat16", 5)])
 def test_precision_of_images_and_gradients(precision: fast_decoders.Precision, bits: int) -> None:
     """The images of plain decoders, in float32, to the precision asked for; gradients reach features and weights."""
-    decoders = Decoders(DecoderConfig(hidden_dim=16), 8, 3)
-    features = torch.rand(2, 7, 9, 8, generator=torch.Generator().manual_seed(0))
+    decoders = Decoders(DecoderConfig(hidden_dim=16), 8, SPECTRA)
+    features = torch.rand(3, 7, 9, 8, generator=torch.Generator().manual_seed(0))
     leaf = features.clone().requires_grad_()
     with FastDecoders(decoders, compiled=False, precision=precision).active():
-        images = decoders.both(leaf[0], leaf[1])
-        visible = decoders.rgb(leaf[0])
-    for image, plain in zip((*images, visible), (*decoders.both(*features), decoders.rgb(features[0])), strict=True):
+        images = decoders.decode(named(leaf))
+        alone = decoders.decode({"rgb": leaf[0]})
+    plain = decoders.decode(named(features))
+    assert list(images) == ["rgb", "thermal", "nir"]
+    for name, image in (*images.items(), *alone.items()):
         assert image.dtype == torch.float32
-        assert (image - plain).abs().max() < 2.0**-bits
-    sum(image.sum() for image in images).backward()
+        assert (image - plain[name]).abs().max() < 2.0**-bits
+    sum(image.sum() for image in images.values()).backward()
     assert leaf.grad.dtype == torch.float32
     assert all(parameter.grad.abs().sum() > 0 for parameter in decoders.parameters())
 
@@ -58,17 +72,17 @@ def test_compiling_needs_triton_and_a_compiler(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.cuda
 def test_compiled_decoders_give_the_same_images() -> None:
-    """Images and gradients of compiled branches equal the plain ones' to float32 rounding."""
+    """Images and gradients of compiled decoding equal the plain ones' to float32 rounding."""
     if not can_compile():
         pytest.skip("needs Triton and a C compiler")
-    decoders = Decoders(DecoderConfig(), 8, 3).cuda()
-    features = torch.randn(2, 20, 30, 8, device="cuda")
+    decoders = Decoders(DecoderConfig(), 8, SPECTRA).cuda()
+    features = torch.randn(3, 20, 30, 8, device="cuda")
     results = []
     for compiled in (False, True):
         leaf = features.clone().requires_grad_()
         with FastDecoders(decoders, compiled=compiled, precision="float32").active():
-            images = decoders.both(leaf[0], leaf[1])
-        sum(image.square().sum() for image in images).backward()
-        results.append([*(image.detach() for image in images), leaf.grad])
+            images = decoders.decode(named(leaf))
+        sum(image.square().sum() for image in images.values()).backward()
+        results.append([*(image.detach() for image in images.values()), leaf.grad])
     for plain, fast in zip(*results, strict=True):
         torch.testing.assert_close(fast, plain, rtol=1e-4, atol=1e-5)

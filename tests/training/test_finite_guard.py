@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from thermosplat import warp_bridge
+from thermosplat.fused.finite_check import note_by_warp
+from thermosplat.torch_bridge import arrays as warp_bridge
 from thermosplat.training.finite_guard import FiniteGuard, note_by_torch
-from thermosplat.warp_finite_check import note_by_warp
 
 
 def _losses(**values: float) -> dict[str, Tensor]:

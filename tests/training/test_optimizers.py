@@ -2,9 +2,10 @@
 
 import pytest
 import torch
-from random_gaussians import random_gaussians, stepped_optimizers
 
+from random_gaussians import random_gaussians, stepped_optimizers
 from thermosplat.config import OptimizerConfig
+from thermosplat.scene.gaussians import offsets_name, own_logits_name, sh_names
 from thermosplat.training.optimizers import gaussian_optimizers, learning_rate, set_learning_rates, step_unless
 
 CONFIG = OptimizerConfig()
@@ -27,6 +28,9 @@ CONFIG = OptimizerConfig()
         ("features", 0.0, 5e-3),
         ("features", 1.0, 5e-4),
         ("thermal_opacity_offsets", 0.7, 5e-2),
+        ("logit_nir_opacities", 0.7, 5e-2),
+        ("red_edge_sh0", 0.7, 2.5e-3),
+        ("red_edge_shN", 0.7, 2.5e-3 / 20),
     ],
 )
 def test_published_rates(name: str, progress: float, expected: float) -> None:
@@ -44,9 +48,18 @@ def test_rates_may_decay() -> None:
     assert learning_rate("quats", config, 0.5, 1.0) == 0.0
 
 
+def test_opacities_of_spectra_have_rates_of_their_kind() -> None:
+    """Whatever a spectrum is called, its offsets, own logits and colours take the rate that is set for those."""
+    config = OptimizerConfig(opacities_lr=0.1, opacity_offsets_lr=0.2, own_opacities_lr=0.3, sh0_lr=0.4, shN_lr=0.5)
+    for spectrum in ("thermal", "nir", "logit", "band_1"):
+        names = (offsets_name(spectrum), own_logits_name(spectrum), *sh_names(spectrum), "logit_opacities")
+        rates = [learning_rate(name, config, 0.5, 1.0) for name in names]
+        assert rates == [0.2, 0.3, 0.4, 0.5, 0.1], spectrum
+
+
 def test_every_parameter_has_its_rate() -> None:
     """Rates are set parameter by parameter, and there is one optimizer for each."""
-    gaussians = random_gaussians(3)
+    gaussians = random_gaussians(3, others={"nir": "own", "red_edge": "offset"})
     optimizers = gaussian_optimizers(gaussians, CONFIG)
     set_learning_rates(optimizers, CONFIG, progress=1.0, scene_extent=2.0)
     assert set(optimizers) == {name for name, _ in gaussians.named_parameters()}

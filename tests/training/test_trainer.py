@@ -13,35 +13,47 @@ from typing import Any
 
 import pytest
 import torch
-from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 
-from thermosplat.checkpoint import NotWrittenError, load_checkpoint, save_checkpoint
 from thermosplat.config import DensificationConfig, LossConfig, OptimizerConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
-from thermosplat.model import SceneModel
-from thermosplat.run_directory import RunDirectory
-from thermosplat.training import checkpoint_writer, training_step
+from thermosplat.runs.checkpoint import NotWrittenError, load_checkpoint, save_checkpoint
+from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.scene.model import SceneModel
 from thermosplat.training import trainer as trainer_module
-from thermosplat.training.interruption import TrainingInterrupted, stop_signals
+from thermosplat.training import training_step
+from thermosplat.training.session import checkpoint_writer
+from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
 from thermosplat.training.trainer import Trainer
+from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture
 
 pytestmark = pytest.mark.usefixtures("stoppable")
 
-SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
+SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0}
+NIR = {"others": ("nir",)}
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "shared": ({}, {}),
     "shared, two cameras": ({}, {"aligned": False}),
-    "separate, scalar thermal": (SEPARATE, {"thermal_kind": "scalar"}),
+    "separate, scalar thermal": ({"model": SEPARATE}, {"thermal_kind": "scalar"}),
+    "three spectra, two opacities": ({"spectra": {"nir": {}}}, NIR),
+    "three spectra, three opacities, two cameras": (
+        {"spectra": {"nir": {"opacity": "own", "modulated_by": "thermal", "train_from": 0.3}}},
+        {"aligned": False} | NIR,
+    ),
+    "three spectra, spherical harmonics": (
+        {"model": {"feature_dim": 0}, "spectra": {"nir": {"opacity": "offset"}}},
+        NIR,
+    ),
+    "three spectra, separate": ({"model": SEPARATE, "spectra": {"nir": {"train_until": 0.7}}}, NIR),
 }
 
 
 @pytest.fixture(params=KINDS)
 def task(request: pytest.FixtureRequest) -> tuple[TrainConfig, Capture]:
     """Every kind of model and capture that trains differently."""
-    model, capture = KINDS[request.param]
-    return toy_run_config(model=model), many_frames(toy_capture(**capture))
+    config, capture = KINDS[request.param]
+    return toy_run_config(**config), many_frames(toy_capture(**capture))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +102,8 @@ def test_results_of_a_run(tmp_path: Path, capture: Capture) -> None:
     run = RunDirectory.open(tmp_path)
     written = json.loads(run.metrics_json.read_text())
     assert written == metrics
-    assert list(written)[:6] == ["rgb", "thermal", "num_gaussians", "steps", "train_seconds", "device"]
+    assert list(written)[:7] == ["rgb", "thermal", "spectra", "num_gaussians", "steps", "train_seconds", "device"]
+    assert written["spectra"] == ["rgb", "thermal"]
     assert list(written["rgb"]) == ["psnr", "ssim", "lpips"]
     assert list(written["thermal"]) == ["psnr", "ssim", "lpips", "mae_celsius"]
     assert written["thermal"]["mae_celsius"] > 0
@@ -101,7 +114,7 @@ def test_results_of_a_run(tmp_path: Path, capture: Capture) -> None:
     assert sorted(path.name for path in run.ply.iterdir()) == ["splat_rgb.ply", "splat_thermal.ply"]
     assert [path.name for path in run.renders.iterdir()] == ["frame0.png"]
     with (run.stats / "per_view.csv").open() as file:
-        assert [(row["frame"], row["modality"]) for row in csv.DictReader(file)] == [
+        assert [(row["frame"], row["spectrum"]) for row in csv.DictReader(file)] == [
             ("frame0", "rgb"),
             ("frame0", "thermal"),
         ]
@@ -389,17 +402,16 @@ def test_finished_run_can_be_judged_again(tmp_path: Path, capture: Capture) -> N
 
 def test_no_loss_is_an_error(tmp_path: Path, capture: Capture) -> None:
     """With all weights at zero there is nothing to learn, and the message says so."""
-    config = toy_run_config(loss=LossConfig(rgb=0.0, thermal=0.0, features=0.0, thermal_smoothness=0.0))
-    with pytest.raises(UserError, match="All loss weights are 0"):
+    weightless = {"rgb": {"loss": 0.0}, "thermal": {"loss": 0.0, "smoothness": 0.0}}
+    config = toy_run_config(spectra=weightless, loss=LossConfig(features=0.0))
+    with pytest.raises(UserError, match="All loss weights are 0") as caught:
         toy_trainer(tmp_path, config, capture).train()
+    assert caught.value.hint == "Set the loss of a spectrum, such as --rgb.loss 1."
 
 
 def test_frames_of_one_spectrum_train_what_they_show(tmp_path: Path, capture: Capture) -> None:
     """A frame without a thermal image trains the rest; both kinds of frames in one run."""
-    frames = tuple(
-        dataclasses.replace(frame, thermal=None if index % 2 else frame.thermal)
-        for index, frame in enumerate(capture.train)
-    )
+    frames = tuple(without(frame, "thermal") if index % 2 else frame for index, frame in enumerate(capture.train))
     metrics = toy_trainer(tmp_path, toy_run_config(), dataclasses.replace(capture, train=frames)).train()
     assert metrics["steps"] == 12
     assert metrics["thermal"]["psnr"] > 0

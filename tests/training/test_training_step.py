@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 import torch
-from toy_run import many_frames, toy_run_config, toy_trainer
 
-from thermosplat.config import DensificationConfig, LossConfig, ScheduleConfig
-from thermosplat.training.gaussian_ops import prune
+from thermosplat.config import DensificationConfig, LossConfig
+from thermosplat.training.density.gaussian_ops import prune
 from thermosplat.training.optimizers import gaussian_optimizers
 from thermosplat.training.training_step import StepKind, sh_degree_at
+from toy_run import many_frames, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 
@@ -36,11 +36,10 @@ def test_depths_are_drawn_together_late(tmp_path: Path) -> None:
 
 def test_penalties_leave_alone_what_a_step_does_not_train(tmp_path: Path) -> None:
     """RGB Gaussians that are kept while thermal ones are fine-tuned, and thermal ones before, do not fade or shrink."""
-    model = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
     config = toy_run_config(
         8,
-        model=model,
-        schedule=ScheduleConfig(rgb_until=0.5, thermal_from=0.5),
+        model={"gaussian_sets": "separate", "feature_dim": 0},
+        spectra={"rgb": {"train_until": 0.5}, "thermal": {"train_from": 0.5}},
         loss=LossConfig(opacity_reg=0.01, scale_reg=0.01),
         densification=DensificationConfig(enabled=False),
     )
@@ -72,7 +71,30 @@ def test_terms_have_their_weights(tmp_path: Path) -> None:
         assert once[term] > 0
         assert twice[term] == pytest.approx(2.0 * once[term])
     assert twice["rgb"] == once["rgb"]
-    separate = {"gaussian_sets": "separate", "feature_dim": 0, "geometric_decoupling": False}
+    separate = {"gaussian_sets": "separate", "feature_dim": 0}
     plain, balanced = (losses(str(on), LossConfig(balance=on), **separate) for on in (False, True))
     factors = {"rgb": 0.6, "thermal": 0.4, "thermal_smoothness": 0.4}
     assert balanced == pytest.approx({term: factors[term] * value for term, value in plain.items()})
+
+
+def test_terms_of_three_sets_have_the_others_shares(tmp_path: Path) -> None:
+    """Balanced, a spectrum's terms are multiplied by the mean share of the other sets: of 40, 60 and 60 Gaussians."""
+    capture = many_frames(toy_capture(others=("nir",)))
+    found = []
+    for balance in (False, True):
+        config = toy_run_config(
+            model={"gaussian_sets": "separate", "feature_dim": 0},
+            spectra={"nir": {"smoothness": 0.1}},
+            loss=LossConfig(balance=balance),
+        )
+        trainer = toy_trainer(tmp_path / str(balance), config, capture)
+        first = trainer.model.gaussians("rgb")
+        prune(first, gaussian_optimizers(first, config.optimizer), torch.arange(60) < 20)
+        kind = StepKind(1, densifying=False)
+        done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+        found.append({term: value.item() for term, value in done.losses.items()})
+    plain, balanced = found
+    shares = {"rgb": 120 / 160 / 2, "thermal": 100 / 160 / 2, "nir": 100 / 160 / 2}
+    assert list(plain) == ["rgb", "thermal", "nir", "thermal_smoothness", "nir_smoothness"]
+    expected = {term: shares[term.removesuffix("_smoothness")] * value for term, value in plain.items()}
+    assert balanced == pytest.approx(expected)

@@ -6,23 +6,24 @@ from types import SimpleNamespace
 import pytest
 import warp as wp
 
-from warp_kernels.activations import activation_kernels
-from warp_kernels.blend_layout import BlendLayout, default_layout
-from warp_kernels.blending import blend_kernel
-from warp_kernels.blending_adjoint import blend_adjoint_kernel
-from warp_kernels.camera_gradients import CAMERA_RECORD, camera_finish_kernel
-from warp_kernels.camera_positions import camera_position_kernels
-from warp_kernels.decoder_adjoint import decode_adjoint_kernel
-from warp_kernels.decoder_memory import TEAMS
-from warp_kernels.decoder_networks import HIDDEN, decode_kernel
-from warp_kernels.gradient_records import distribute_kernel
-from warp_kernels.list_segments import join_segments_kernel
-from warp_kernels.projection import projection_kernel
-from warp_kernels.projection_adjoint import projection_adjoint_kernel
-from warp_kernels.spherical_harmonics import color_adjoint_kernel, color_kernel
-from warp_kernels.strand_sums import strand_sum_kernel
-from warp_kernels.tile_binning import binning_kernels
-from warp_kernels.tile_ranges import tile_ranges_kernel
+from compilation_for_cuda import compile_all
+from warp_kernels.binning.tile_binning import binning_kernels
+from warp_kernels.binning.tile_ranges import tile_ranges_kernel
+from warp_kernels.blending.blend_layout import BlendLayout, default_layout
+from warp_kernels.blending.blending import blend_kernel
+from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.blending.gradient_records import distribute_kernel
+from warp_kernels.blending.list_segments import join_segments_kernel
+from warp_kernels.color.camera_positions import camera_position_kernels
+from warp_kernels.color.spherical_harmonics import color_adjoint_kernel, color_kernel
+from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
+from warp_kernels.decoding.decoder_memory import TEAMS
+from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
+from warp_kernels.machinery.strand_sums import strand_sum_kernel
+from warp_kernels.projection.camera_gradients import CAMERA_RECORD, camera_finish_kernel
+from warp_kernels.projection.projection import projection_kernel
+from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
+from warp_kernels.training.activations import activation_kernels
 
 
 def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
@@ -55,15 +56,6 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for absgrad in (False, True)
     ]
     return kernels
-
-
-def compile_all(kernels: list[wp.Kernel], arch: int, folder: Path) -> None:
-    """Compiles each kernel's module to a cubin and checks that one was written."""
-    wp.init()
-    for number, kernel in enumerate(kernels):
-        target = folder / str(number)
-        wp.compile_aot_module(kernel.module, arch=arch, module_dir=str(target), use_ptx=False)
-        assert [path for path in target.iterdir() if path.suffix == ".cubin"], kernel.key
 
 
 @pytest.mark.parametrize("arch", [75, 90])

@@ -4,18 +4,18 @@ from pathlib import Path
 
 import pytest
 import warp as wp
-from test_cuda_compilation import compile_all
 
-from warp_kernels.adam import adam_coefficients_kernel, adam_update_kernel
-from warp_kernels.covered_images import covering_kernels
-from warp_kernels.density_notes import density_kernel
-from warp_kernels.depth_spread import moment_kernels, spread_kernels
-from warp_kernels.finite_check import note_bad_kernel
-from warp_kernels.gaussian_penalties import penalty_kernels
-from warp_kernels.image_loss import image_loss_kernels
-from warp_kernels.image_loss_adjoint import image_loss_adjoint_kernel
-from warp_kernels.pair_notes import note_pairs_kernel
-from warp_kernels.position_noise import noise_kernel
+from compilation_for_cuda import compile_all
+from warp_kernels.binning.pair_notes import note_pairs_kernel
+from warp_kernels.image_loss.image_loss import image_loss_kernels
+from warp_kernels.image_loss.image_loss_adjoint import image_loss_adjoint_kernel
+from warp_kernels.training.adam import adam_coefficients_kernel, adam_update_kernel
+from warp_kernels.training.covered_images import covering_kernels
+from warp_kernels.training.density_notes import density_kernel
+from warp_kernels.training.depth_spread import moment_kernels, spread_kernels
+from warp_kernels.training.finite_check import note_bad_kernel
+from warp_kernels.training.gaussian_penalties import penalty_kernels
+from warp_kernels.training.position_noise import noise_kernel
 
 
 @pytest.mark.parametrize("arch", [75, 80, 90])

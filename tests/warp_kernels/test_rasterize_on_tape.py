@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
-from warp_scene import WarpScene, warp_scene
 
 from gaussian_scenes import gradients, leaves
 from thermosplat import rasterization, rasterization_rgbt
 from warp_kernels.rasterization import Rasterization, rasterize
+from warp_scene import WarpScene, warp_scene
 
 
 def test_imports_neither_torch_nor_thermosplat() -> None:

@@ -12,7 +12,7 @@ STEP = """
 import sys
 import torch
 import warp as wp
-from thermosplat.pair_capacity import PairCapacity
+from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.rasterizer import rasterization_rgbt
 from warp_kernels.step_kernels import compile_for_cpu, cpu_step_kernels, must_compile_for_cpu
 

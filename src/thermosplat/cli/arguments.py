@@ -9,9 +9,10 @@ import tyro
 
 from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.foreign_flags import refuse_foreign_flags
+from thermosplat.cli.spectrum_flags import named_spectra, refuse_unknown_spectra, with_groups
 from thermosplat.config import TrainConfig
-from thermosplat.config_checks import check_config
-from thermosplat.config_files import files_from_anywhere, load_config
+from thermosplat.config.checks import check_config
+from thermosplat.config.files import files_from_anywhere, load_config
 from thermosplat.errors import UserError
 
 HELP_FLAGS = ("-h", "--help")
@@ -25,7 +26,9 @@ REMEDIES_ON_RESUME = ("data_factor", "optimizer.", "densification.")
 
 @dataclasses.dataclass(frozen=True)
 class TrainArguments(TrainConfig):
-    """Train RGB + thermal 3D Gaussians on a capture, and evaluate them on its held-out views.
+    """Train 3D Gaussians of several spectra on a capture, and evaluate them on its held-out views.
+
+    Settings of one spectrum are flags with its name: --thermal.unit celsius.
 
     Examples:
       thermosplat-train sample
@@ -53,12 +56,14 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
         The configuration. With ``resume`` set it is the run's own, with the changes that a resumed run may have.
 
     Raises:
-        UserError: No capture, an unknown preset, a value out of range, another trainer's flag, or flags that contradict
-            the resumed run.
+        UserError: No capture, an unknown preset or spectrum, a value out of range, another trainer's flag, or flags
+            that contradict the resumed run.
         SystemExit: Code 0 after --help or --version, code 2 after flags that tyro cannot understand.
     """
     refuse_foreign_flags(argv)
-    first = _parse([word for word in argv if word not in HELP_FLAGS], TrainConfig(config=""))
+    start = TrainConfig(config="")
+    start = dataclasses.replace(start, spectra=named_spectra(argv, start.spectra))
+    first = _parse([word for word in argv if word not in HELP_FLAGS], start)
     if first.resume is not None:
         return _resumed(argv, first)
     name = first.config or ("demo" if first.data == "sample" else "thermosplat")
@@ -78,7 +83,7 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
 
 
 def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
-    from thermosplat.run_directory import RunDirectory
+    from thermosplat.runs.run_directory import RunDirectory
 
     folder = str(first.resume)
     run_config = RunDirectory.open(folder).read_config()
@@ -106,7 +111,9 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
 
 
 def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
+    refuse_unknown_spectra(argv, default.spectra)
     start = TrainArguments(**{field.name: getattr(default, field.name) for field in dataclasses.fields(TrainConfig)})
+    argv = with_groups(argv, default.spectra)
     arguments = parse_command_line(TrainArguments, argv, prog="thermosplat-train", default=start)
     return TrainConfig(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(TrainConfig)})
 
@@ -121,6 +128,11 @@ def _leaves(config: object, prefix: str = "") -> list[tuple[str, object]]:
     leaves: list[tuple[str, object]] = []
     for field in dataclasses.fields(config):  # type: ignore[arg-type]
         value = getattr(config, field.name)
-        is_group = dataclasses.is_dataclass(value)
-        leaves += _leaves(value, f"{prefix}{field.name}.") if is_group else [(prefix + field.name, value)]
+        if isinstance(value, dict):
+            for name, group in value.items():
+                leaves += _leaves(group, f"{prefix}{field.name}.{name}.")
+        elif dataclasses.is_dataclass(value):
+            leaves += _leaves(value, f"{prefix}{field.name}.")
+        else:
+            leaves.append((prefix + field.name, value))
     return leaves

@@ -4,6 +4,7 @@ thermosplat-benchmark data/Dimsum data/Truck --methods baselines thermosplat abl
 """
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -182,3 +183,7 @@ def _matrix(arguments: BenchmarkArguments) -> "Matrix":
         lpips_weights=arguments.lpips_weights,
         keep_checkpoints=arguments.keep_checkpoints,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

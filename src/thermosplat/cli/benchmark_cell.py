@@ -8,7 +8,7 @@ import tyro
 
 from thermosplat.cli.errors import run_command
 from thermosplat.cli.host_settings import importing
-from thermosplat.config_files import load_config
+from thermosplat.config.files import load_config
 from thermosplat.method_matrix.cells import Cell
 
 
@@ -43,9 +43,9 @@ def main(argv: list[str] | None = None) -> int:
 
 def _make(arguments: CellArguments) -> int:
     with importing():
-        from thermosplat.cli.warp_start import start_warp
         from thermosplat.method_matrix.cell_run import make_cell
-        from thermosplat.training.interruption import TrainingInterrupted, stop_signals
+        from thermosplat.rasterizer.warp_start import start_warp
+        from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
 
     start_warp()
     config = load_config(arguments.folder / "cell.yaml")

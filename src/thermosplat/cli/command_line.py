@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import inspect
 import textwrap
+import typing
 from collections.abc import Hashable
 from functools import cache
 from itertools import pairwise
@@ -51,8 +52,9 @@ def _join_lines_of_help(kind: Hashable) -> None:
             for field in dataclasses.fields(owner):
                 if field.name in described:
                     field.metadata = MappingProxyType({**field.metadata, "help": described[field.name]})
-                if isinstance(field.type, type) and dataclasses.is_dataclass(field.type):
-                    _join_lines_of_help(field.type)
+                for kind in (field.type, *typing.get_args(field.type)):  # a group, or groups by name
+                    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+                        _join_lines_of_help(kind)
 
 
 def _texts_below_fields(kind: type) -> dict[str, str]:

@@ -12,7 +12,7 @@ from rich.panel import Panel
 from rich.text import Text
 
 from thermosplat.errors import UserError
-from thermosplat.training.interruption import stop_signal, stop_signals
+from thermosplat.training.session.interruption import stop_signal, stop_signals
 
 USER_ERROR = 2
 
@@ -115,6 +115,6 @@ def _discard(stream: TextIO) -> None:
 def _is_out_of_memory(error: BaseException) -> bool:
     if "torch" not in sys.modules:
         return isinstance(error, MemoryError)
-    from thermosplat.training.out_of_memory import is_out_of_memory
+    from thermosplat.training.session.out_of_memory import is_out_of_memory
 
     return is_out_of_memory(error)

@@ -1,22 +1,22 @@
 """thermosplat-eval: a trained run against its held-out views."""
 
+import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
-from thermosplat.config_files import data_from_anywhere
+from thermosplat.config.files import data_from_anywhere
+from thermosplat.spectra import MAE, label, unit_label
 
 if TYPE_CHECKING:
-    from thermosplat.cli.loaded_run import LoadedRun
-    from thermosplat.labelled_regions import Regions
+    from thermosplat.evaluation.labelled_regions import Regions
+    from thermosplat.evaluation.loaded_run import LoadedRun
 
-_LABELS = {"rgb": "RGB", "thermal": "thermal"}
-_REGION_COLUMNS = (
-    *(("pixels", "", ""), (r"PSNR \[dB]", "psnr", ".2f"), ("MAE", "mae", ".4f"), ("MAE [°C]", "mae_celsius", ".2f")),
-    *(("depth", "depth_error", ".3f"), ("of it", "depth_error_relative", ".1%"), ("on own", "on_own_surface", ".0%")),
-)
+_DEPTH_COLUMNS = (("depth", "depth_error", ".3f"), ("of it", "depth_error_relative", ".1%"))
+_ON_OWN_COLUMN = ("on own", "on_own_surface", ".0%")
 """Heading, measure and form."""
 
 
@@ -44,10 +44,11 @@ def _evaluate(arguments: EvalArguments) -> int:
     with importing():
         from rich.console import Console
 
-        from thermosplat.cli.loaded_run import load_run
-        from thermosplat.evaluation import evaluate, file_stem
-        from thermosplat.labelled_regions import write_regions
-        from thermosplat.lpips import find_lpips
+        from thermosplat.evaluation.held_out import file_stem
+        from thermosplat.evaluation.held_out_poses import evaluate_refined, unrefined_sentences
+        from thermosplat.evaluation.labelled_regions import write_regions
+        from thermosplat.evaluation.loaded_run import load_run
+        from thermosplat.image_quality.lpips import find_lpips
 
     console = Console(highlight=False, soft_wrap=True)
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
@@ -59,15 +60,17 @@ def _evaluate(arguments: EvalArguments) -> int:
     run = loaded.directory
     name = loaded.result_name(capture)
     strips, table = run.renders / f"eval_{name}", run.stats / f"eval_{name}.csv"
-    metrics = evaluate(
+    judged = evaluate_refined(
         loaded.model,
         capture,
+        loaded.config,
         sh_degree=loaded.sh_degree,
         device=loaded.device,
         lpips=lpips,
         strips_dir=strips,
         csv_path=table,
     )
+    metrics = judged.metrics
     shown = {f"{file_stem(frame.name)}.png" for frame in capture.test}
     for earlier in strips.glob("*.png"):
         if earlier.name not in shown:  # of frames that were held out at another time
@@ -76,8 +79,12 @@ def _evaluate(arguments: EvalArguments) -> int:
     data = data_from_anywhere(arguments.data or loaded.config.data)
     run.write_json(numbers, {**metrics, "steps": loaded.step, "data": data})
     _print_metrics(console, loaded, metrics)
+    for sentence in unrefined_sentences(metrics):
+        console.print(sentence, markup=False)
     by_region = run.regions_json if loaded.is_own(capture) else run.stats / f"regions_{name}.json"
-    regions = write_regions(run, loaded.model, capture, loaded.step, loaded.sh_degree, loaded.device, path=by_region)
+    regions = write_regions(
+        run, loaded.model, judged.capture, loaded.step, loaded.sh_degree, loaded.device, path=by_region
+    )
     if regions is not None:
         _print_regions(console, regions)
         console.print(f"By region {by_region}", markup=False)
@@ -89,13 +96,25 @@ def _print_metrics(console: Any, loaded: "LoadedRun", metrics: dict[str, Any]) -
     from rich.table import Table
 
     title = f"step {loaded.step:,}, {metrics['num_gaussians']:,} Gaussians"
-    table = Table("held-out views", r"PSNR \[dB]", "SSIM", "LPIPS", "MAE [°C]", title=title, title_justify="left")
-    for modality, label in _LABELS.items():
-        numbers = metrics[modality]
-        if numbers is not None:
-            columns = (("psnr", ".2f"), ("ssim", ".4f"), ("lpips", ".4f"), ("mae_celsius", ".2f"))
-            table.add_row(label, *(_cell(numbers.get(column), form) for column, form in columns))
+    of_spectra = {name: metrics[name] for name in metrics["spectra"] if metrics[name] is not None}
+    measured = _measured_columns(of_spectra.values())
+    headings = [heading for heading, _, _ in measured]
+    table = Table("held-out views", r"PSNR \[dB]", "SSIM", "LPIPS", *headings, title=title, title_justify="left")
+    for name, numbers in of_spectra.items():
+        columns = (
+            ("psnr", ".2f"),
+            ("ssim", ".4f"),
+            ("lpips", ".4f"),
+            *((column, form) for _, column, form in measured),
+        )
+        table.add_row(label(name), *(_cell(numbers.get(column), form) for column, form in columns))
     console.print(table)
+
+
+def _measured_columns(numbers: Iterable[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
+    """Heading, measure and form of the errors of measured values that are there."""
+    found = dict.fromkeys(name for of_spectrum in numbers for name in of_spectrum if name.startswith(MAE))
+    return [(rf"MAE \[{unit_label(name.removeprefix(MAE))}]", name, ".2f") for name in found]
 
 
 def _print_regions(console: Any, regions: "Regions") -> None:
@@ -106,17 +125,26 @@ def _print_regions(console: Any, regions: "Regions") -> None:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column("region", no_wrap=True)
     table.add_column("", no_wrap=True)
-    for heading, _, _ in _REGION_COLUMNS:
+    of_spectra = {
+        region: {name: found for name, found in numbers.items() if isinstance(found, dict)}
+        for region, numbers in regions.items()
+    }
+    measured = _measured_columns(found for spectra in of_spectra.values() for found in spectra.values())
+    columns = [(r"PSNR \[dB]", "psnr", ".2f"), ("MAE", "mae", ".4f"), *measured, *_DEPTH_COLUMNS, _ON_OWN_COLUMN]
+    for heading in ("pixels", *(heading for heading, _, _ in columns)):
         table.add_column(heading, justify="right")
-    for region, numbers in regions.items():
-        shown, pixels = region, f"{numbers['pixels']:,}"
-        for modality, of_modality in ((name, numbers[name]) for name in ("rgb", "thermal")):
-            if of_modality is not None:
-                texts = [_cell(of_modality.get(measure), form) for _, measure, form in _REGION_COLUMNS[1:]]
-                table.add_row(shown, _LABELS[modality], pixels, *texts)
-                shown = pixels = ""
+    for region, spectra in of_spectra.items():
+        shown, pixels = region, f"{regions[region]['pixels']:,}"
+        for name, numbers in spectra.items():
+            texts = [_cell(numbers.get(measure), form) for _, measure, form in columns]
+            table.add_row(shown, label(name), pixels, *texts)
+            shown = pixels = ""
     console.print(table)
 
 
 def _cell(number: float | None, form: str) -> str:
     return "-" if number is None else format(number, form)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

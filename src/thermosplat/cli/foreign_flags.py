@@ -1,5 +1,9 @@
-"""Flags of gsplat, INRIA's 3DGS and nerfstudio, and what thermosplat-train has in their place (the README's table)."""
+"""Flags of gsplat, INRIA's 3DGS, nerfstudio and version 0.1, and what thermosplat-train has in their place.
 
+docs/migrating.md holds the same table for readers.
+"""
+
+from thermosplat.config.renamed import NEW_NAMES
 from thermosplat.errors import UserError
 
 _COUNTERPARTS = {
@@ -25,7 +29,19 @@ _COUNTERPARTS = {
     "--resume": "--ckpt --start-checkpoint --load-dir",
 }
 _DATA = ("-s", "--source-path", "--data", "--data-dir")
-_OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.split()}
+_OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.split()} | {
+    f"--{old.replace('_', '-')}": f"--{new.removeprefix('spectra.').replace('_', '-')}"
+    for old, new in NEW_NAMES.items()
+    if old != new.removeprefix("spectra.")
+}
+_OURS |= {
+    "--model.no-rgb": "--without rgb",
+    "--model.no-thermal": "--without thermal",
+    "--model.geometric-decoupling": "--thermal.opacity offset",
+    "--model.no-geometric-decoupling": "--thermal.opacity shared",
+    "--decoder.no-hybrid-rgb": "--decoder.no-hybrid",
+    "--densification.decompose-threshold": "--densification.strategy decomposing --densification.conflict-threshold",
+}
 
 
 def refuse_foreign_flags(argv: list[str]) -> None:

@@ -1,7 +1,7 @@
 """What a training process asks of the C library, OpenMP and Python: memory and cores for thousands of equal steps.
 
 Nothing of it changes a result. On two cores memory and spinning take a fifth off a step of ``thermosplat-train
-sample``, as benchmarks/notes.md has it.
+sample``, as benchmarks/notes/cpu.md has it.
 """
 
 import ctypes
@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from thermosplat.training.interruption import deferred_interrupts
+from thermosplat.training.session.interruption import deferred_interrupts
 
 KEPT_BYTES = 2**31 - 1
 """Freed memory that stays with the process; the largest number that ``mallopt`` takes."""

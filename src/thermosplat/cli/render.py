@@ -6,19 +6,17 @@ from typing import Literal
 
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
-from thermosplat.cli.run_arguments import RunOnCaptureArguments
+from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
 from thermosplat.errors import UserError
 
 
 @dataclass(frozen=True)
-class RenderArguments(RunOnCaptureArguments):
-    """Render a trained run along a camera path: a video or PNGs of one spectrum, or of both side by side."""
+class RenderArguments(SpectraArguments, RunOnCaptureArguments):
+    """Render a trained run along a camera path: a video or PNGs of one spectrum, or of several side by side."""
 
     path: Literal["interp", "ellipse", "spiral", "train", "test"] = "interp"
     """Smoothly through the training views; an ellipse around the scene; a spiral in front of it; or the views of the
     training or the held-out split themselves."""
-    modality: Literal["rgb", "thermal", "both"] | None = None
-    """Which spectrum. None: both side by side, or the one that was trained."""
     format: Literal["mp4", "png"] = "mp4"
     """A video (H.264 with the extra "video" installed: pip install ".[video]"), or a folder of PNGs, named
     by the frames on the train and test paths and numbered on the others."""
@@ -48,27 +46,21 @@ def _render(arguments: RenderArguments) -> int:
     with importing():
         from rich.progress import track
 
-        from thermosplat.cli.loaded_run import load_run
-        from thermosplat.evaluation import file_stem
-        from thermosplat.export.scene import modelled
-        from thermosplat.rendering import rendered_images, viewpoints
-        from thermosplat.video import write_images
+        from thermosplat.evaluation.held_out import file_stem
+        from thermosplat.evaluation.loaded_run import load_run
+        from thermosplat.novel_views.viewpoints import rendered_images, viewpoints
+        from thermosplat.pictures.video import write_images
 
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
-    available = modelled(loaded.model)
-    shown = arguments.modality or ("both" if len(available) == 2 else available[0])
-    if shown not in (*available, "both") or (shown == "both" and len(available) < 2):
-        raise UserError(
-            f"{arguments.run} was trained on {available[0]} images only.", f"Give --modality {available[0]}."
-        )
+    shown = arguments.chosen(list(loaded.model.spectra))
     capture = loaded.capture(arguments.data)
     for note in capture.notes:
         print(note)
     points = viewpoints(capture, arguments.path, shown, num_frames=arguments.frames, device=loaded.device)
-    images = rendered_images(loaded.model, points, sh_degree=loaded.sh_degree, thermal_scale=loaded.thermal_scale)
+    images = rendered_images(loaded.model, points, sh_degree=loaded.sh_degree, scales=loaded.scales)
     written = write_images(
         track(images, f"Rendering {arguments.path}", len(points), transient=True, disable=not sys.stdout.isatty()),
-        loaded.directory.videos / f"{arguments.path}_{shown}_{loaded.result_name(capture)}",
+        loaded.directory.videos / f"{arguments.path}_{'-'.join(shown)}_{loaded.result_name(capture)}",
         format=arguments.format,
         fps=arguments.fps,
         names=[file_stem(point.frame) for point in points] if arguments.path in ("train", "test") else None,
@@ -77,3 +69,7 @@ def _render(arguments: RenderArguments) -> int:
         print("No video encoder here, so PNGs were written.")
     print(f"{len(points)} images: {written}")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

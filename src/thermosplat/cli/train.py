@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import print_last, run_command
 from thermosplat.cli.host_settings import importing, prepare_host, without_garbage_collection
-from thermosplat.config_files import data_from_anywhere
+from thermosplat.config.files import data_from_anywhere
 from thermosplat.errors import UserError
+from thermosplat.spectra import label
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
@@ -42,7 +43,7 @@ def _train(argv: list[str]) -> int:
     prepare_host()
     with without_garbage_collection():
         with importing():
-            from thermosplat.cli.warp_start import started_meanwhile
+            from thermosplat.rasterizer.warp_start import started_meanwhile
 
         with started_meanwhile(config):
             if config.resume is not None:
@@ -50,7 +51,7 @@ def _train(argv: list[str]) -> int:
             capture, trainer_class = _capture_and_trainer(config)
         make = _new_trainer if config.resume is None else _resumed_trainer
         trainer = make(config, capture, trainer_class)
-    from thermosplat.training.interruption import TrainingInterrupted, stop_signals
+    from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
 
     try:
         with stop_signals(), trainer.run.locked():  # the signals again: pycolmap has been imported
@@ -68,7 +69,7 @@ def _train(argv: list[str]) -> int:
 
 def _check_capture_to_go_on_with(config: "TrainConfig") -> None:
     """Say how to name the capture of a resumed run that is no longer where it was."""
-    from thermosplat.run_directory import RunDirectory
+    from thermosplat.runs.run_directory import RunDirectory
 
     run = RunDirectory.open(str(config.resume))
     if config.data != "sample" and not Path(config.data).exists():
@@ -89,7 +90,7 @@ def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Traine
             config.data,
             data_factor=config.data_factor,
             test_every=config.test_every,
-            thermal=config.thermal,
+            spectra=config.spectra,
         )
         with importing():
             from thermosplat.training.trainer import Trainer
@@ -98,7 +99,7 @@ def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Traine
 
 
 def _new_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type["Trainer"]) -> "Trainer":
-    from thermosplat.run_directory import RunDirectory
+    from thermosplat.runs.run_directory import RunDirectory
 
     folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
     config = replace(config, data=data_from_anywhere(config.data), result_dir=folder, overwrite=False)
@@ -106,7 +107,7 @@ def _new_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type[
 
 
 def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type["Trainer"]) -> "Trainer":
-    from thermosplat.run_directory import RunDirectory
+    from thermosplat.runs.run_directory import RunDirectory
 
     run = RunDirectory.open(str(config.resume))
     return trainer_class.resume(replace(config, data=data_from_anywhere(config.data), resume=None), capture, run)
@@ -114,17 +115,28 @@ def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: t
 
 def _say_what_and_where(trainer: "Trainer", metrics: dict[str, Any]) -> None:
     """How large the model is, with what a budget has left of it, and what the run left behind."""
+    from thermosplat.evaluation.held_out_poses import unrefined_sentences
+    from thermosplat.refinement.camera_report import correction_sentences
+
     size = [f"{metrics['num_gaussians']:,} Gaussians"]
     if trainer.budget is not None and metrics["feature_channels"] is not None:
         size.append(f"{metrics['feature_channels']} of {trainer.config.model.feature_dim} latent channels")
-    if trainer.budget is not None and metrics["thermal_offsets_kept"] is not None:
-        size.append(f"{metrics['thermal_offsets_kept']:.0%} of the thermal offsets")
+    for name, kept in metrics["opacity_offsets_kept"].items() if trainer.budget is not None else ():
+        size.append(f"{kept:.0%} of the {label(name)} offsets")
     print(f"Model: {', '.join(size)}; {metrics['model_bytes'] / 1e6:.1f} MB.")
+    for sentence in (*unrefined_sentences(metrics), *correction_sentences(metrics.get("refined", {}))):
+        print(sentence)
     run = trainer.run
     pictures = len(list(run.renders.glob("*.png")))
     print(f"Results in {run.path}:")
     print(f"  {run.metrics_json.name:<14} the numbers; config.yaml reproduces the run")
     print(f"  {'renders/':<14} {pictures} held-out frames: ground truth | render | error")
+    if "refined" in metrics:
+        print(f"  {'refined/':<14} the refined cameras, as a COLMAP model of the undistorted images")
     for ply in sorted(run.ply.glob("*.ply")):
         print(f"  ply/{ply.name:<18} opens in third-party splat viewers")
     print(f"A video of it: thermosplat-render {shlex.quote(str(run.path))}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,27 +1,29 @@
 """Captures from folders. `load_capture` looks at a folder, tells its layout and reads it into memory."""
 
 import os
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
-from thermosplat.config import ThermalConfig
 from thermosplat.datasets.assemble import assemble
-from thermosplat.datasets.capture import Capture, Frame, Modality, View
+from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.ground_truth import check_ground_truth
 from thermosplat.datasets.layouts import list_capture
 from thermosplat.errors import UserError
+from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
-__all__ = ["SAMPLE", "Capture", "Frame", "Modality", "View", "load_capture"]
+__all__ = ["SAMPLE", "Capture", "Frame", "View", "load_capture"]
 
 SAMPLE = "sample"
 """Name by which `load_capture` finds the small capture that comes with the package."""
 
 
-_DEFAULT_THERMAL = ThermalConfig()
-
-
 def load_capture(
-    data: str | Path, *, data_factor: int = 1, test_every: int = 8, thermal: ThermalConfig = _DEFAULT_THERMAL
+    data: str | Path,
+    *,
+    data_factor: int = 1,
+    test_every: int = 8,
+    spectra: Mapping[str, SpectrumConfig] = DEFAULT_SPECTRA,
 ) -> Capture:
     """Read a capture, whatever its layout (docs/data-layouts.md).
 
@@ -29,7 +31,7 @@ def load_capture(
         data: Folder of the capture, or "sample" for the one in the package (a folder of that name is "./sample").
         data_factor: Divide the images' width and height by this.
         test_every: Every n-th frame is held out, where the folders do not say which are.
-        thermal: How thermal images are read.
+        spectra: The spectra to look for, and how the images of each are read. RGB and thermal by default.
 
     Raises:
         UserError: The folder is missing, no known layout, or something in it cannot be used.
@@ -47,7 +49,7 @@ def load_capture(
             f"The capture {root} {what}.",
             "Give the folder that holds rgb/ or images/; for a first try: thermosplat-train sample",
         )
-    listing = list_capture(root)
-    capture = assemble(root, name, listing, data_factor=data_factor, test_every=test_every, thermal=thermal)
+    listing = list_capture(root, spectra)
+    capture = assemble(root, name, listing, data_factor=data_factor, test_every=test_every, spectra=spectra)
     check_ground_truth(capture)
     return capture

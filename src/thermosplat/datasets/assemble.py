@@ -1,5 +1,6 @@
 """From a listing of files to a capture in memory: read, interpret, rectify, shrink, divide."""
 
+from collections.abc import Mapping
 from itertools import compress
 from numbers import Integral
 from pathlib import Path
@@ -8,24 +9,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.config import ThermalConfig
-from thermosplat.datasets.capture import Capture, Frame, Modality, View
+from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.capture_notes import distortion_notes, pairing_notes
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
-from thermosplat.datasets.image_files import resize
+from thermosplat.datasets.images.image_files import resize
+from thermosplat.datasets.images.msx import msx_notes
+from thermosplat.datasets.images.spectrum_files import read_spectrum
+from thermosplat.datasets.images.spectrum_images import SpectrumPixels, SpectrumReading
 from thermosplat.datasets.lens import rectification, shrunk
-from thermosplat.datasets.msx import msx_notes
 from thermosplat.datasets.splits import divide, hold_out_mask
-from thermosplat.datasets.thermal_files import interpret_thermal, read_each, read_thermal, require_8bit
-from thermosplat.datasets.thermal_images import ThermalPixels
 from thermosplat.errors import UserError
+from thermosplat.spectra import CELSIUS, SpectrumConfig, label
 
 LEAST_SIDE = 6
 """Least width and height of an image [px]: SSIM's window of 11 px is reflected by 5 at the borders (ssim.py)."""
 
 
 def assemble(
-    root: Path, name: str, listing: Listing, *, data_factor: int, test_every: int, thermal: ThermalConfig
+    root: Path,
+    name: str,
+    listing: Listing,
+    *,
+    data_factor: int,
+    test_every: int,
+    spectra: Mapping[str, SpectrumConfig],
 ) -> Capture:
     """Read all images of a listing.
 
@@ -35,10 +42,10 @@ def assemble(
         listing: Its files, cameras and points.
         data_factor: Divide the images' sides by this.
         test_every: Period of the hold-out rule, where the folders do not divide the frames.
-        thermal: How thermal images are read.
+        spectra: The spectra, and how the images of each are read.
 
     Raises:
-        UserError: Files are unreadable, of the wrong size, or not what `thermal` asks for.
+        UserError: Files are unreadable, of the wrong size, or not what `spectra` asks for.
     """
     if not isinstance(data_factor, Integral) or data_factor < 1:
         raise UserError(
@@ -49,55 +56,82 @@ def assemble(
     if not frames:
         message = " ".join([f"No image of {root} has a camera in its model.", *listing.notes])
         raise UserError(message, "Are images and model of the same capture, under the same names?")
-    for shot in (shot for frame in frames for shot in (frame.rgb, frame.thermal) if shot is not None):
-        _check_camera(shot, root)
+    for frame in frames:
+        for shot in frame.shots.values():
+            _check_camera(shot, root)
     mask = hold_out_mask(frames, test_every)
-    rgb_images = read_each([frame.rgb for frame in frames])
-    thermal_files = read_thermal(frames)
-    reading = interpret_thermal(root, thermal_files, listing, thermal)
+    readings = {
+        spectrum: reading
+        for spectrum, settings in spectra.items()
+        if (reading := read_spectrum(root, spectrum, settings, frames, listing)) is not None
+    }
     views = []
     for index, frame in enumerate(frames):
-        pixels = None if reading is None else reading.pixels[index]
-        views.append(_frame(frame, rgb_images[index], pixels, listing, root, data_factor, thermal.aligned))
-    shown = [frame.rgb is not None or frame.thermal is not None for frame in views]  # a lone file may be of no use
+        pixels = {spectrum: reading.pixels[index] for spectrum, reading in readings.items()}
+        views.append(_frame(frame, pixels, listing, root, data_factor, spectra))
+    shown = [bool(frame.views) for frame in views]  # a lone file may be of no use
     views, mask = list(compress(views, shown)), list(compress(mask, shown))
     train, test = divide(views, mask)
-    notes = [*listing.notes, *pairing_notes(views), *distortion_notes(frames)]
-    notes += [] if reading is None else reading.notes
-    notes += msx_notes(
-        [(image, file.display) for image, file in zip(rgb_images, thermal_files, strict=True) if file is not None]
-    )
-    scale = None if reading is None else reading.scale
+    notes = [*listing.notes, *pairing_notes(views, spectra), *distortion_notes(frames)]
+    for reading in readings.values():
+        notes += reading.notes
+    notes += _edge_notes(readings)
     usable = np.isfinite(listing.points).all(axis=-1)
     if not usable.all():
         notes.append(
             f"{np.sum(~usable):,} of {len(listing.points):,} starting points are not finite and were left out."
         )
     points, colors = listing.points[usable], listing.point_colors[usable]
-    return Capture(name, root, listing.layout, train, test, points, colors, scale, tuple(notes), listing.not_found)
+    scales = {spectrum: reading.scale for spectrum, reading in readings.items()}
+    return Capture(
+        name,
+        root,
+        listing.layout,
+        train,
+        test,
+        points,
+        colors,
+        scales,
+        tuple(notes),
+        listing.not_found,
+        dict(spectra),
+    )
+
+
+def _edge_notes(readings: Mapping[str, SpectrumReading]) -> list[str]:
+    """A warning where pseudo-coloured temperatures carry the edges of the photographs."""
+    photographs = next((reading for reading in readings.values() if reading.scale.kind == "photograph"), None)
+    if photographs is None:
+        return []
+    return [
+        note
+        for reading in readings.values()
+        if reading.scale.kind == "color" and reading.scale.unit == CELSIUS
+        for note in msx_notes(list(zip(photographs.displays, reading.displays, strict=True)))
+    ]
 
 
 def _frame(
     files: FrameFiles,
-    rgb: NDArray[Any] | None,
-    thermal: ThermalPixels | None,
+    pixels: Mapping[str, SpectrumPixels | None],
     listing: Listing,
     root: Path,
     data_factor: int,
-    aligned: bool,
+    spectra: Mapping[str, SpectrumConfig],
 ) -> Frame:
     """A frame from its files' pixels."""
-    rgb_view = thermal_view = None
-    if files.rgb is not None and rgb is not None:
-        _check_size(files.rgb, rgb, root)
-        rgb_view = _view("rgb", files.rgb, _as_rgb(files.rgb.path, rgb), None, data_factor)
-    if files.thermal is not None and thermal is not None:
-        if files.thermal_has_camera:
-            _check_size(files.thermal, thermal.image, root)
-        elif not aligned:
-            _check_borrowed_camera(files.thermal, thermal.image, rgb, listing.registered, root)
-        thermal_view = _view("thermal", files.thermal, thermal.image, thermal.celsius, data_factor)
-    return Frame(files.name, rgb_view, thermal_view)
+    views = {}
+    lender = pixels[files.leading] if next(iter(spectra)) == files.leading else None
+    for spectrum, exposure in pixels.items():
+        if exposure is None:
+            continue
+        shot = files.shots[spectrum]
+        if spectrum == next(iter(spectra)) or spectrum in files.own_cameras:
+            _check_size(shot, exposure.image, root)
+        elif not spectra[spectrum].aligned:
+            _check_borrowed_camera(spectrum, files.leading, shot, exposure.image, lender, listing.registered, root)
+        views[spectrum] = _view(spectrum, shot, exposure, data_factor)
+    return Frame(files.name, views)
 
 
 def _check_camera(shot: Shot, root: Path) -> None:
@@ -126,25 +160,30 @@ def _check_size(shot: Shot, image: NDArray[Any], root: Path) -> None:
 
 
 def _check_borrowed_camera(
-    shot: Shot, image: NDArray[Any], rgb: NDArray[Any] | None, registered: bool, root: Path
+    spectrum: str,
+    leading: str,
+    shot: Shot,
+    image: NDArray[Any],
+    lender: SpectrumPixels | None,
+    registered: bool,
+    root: Path,
 ) -> None:
-    """A thermal image without a camera of its own has to show signs that it shows what the RGB image shows."""
+    """An image without a camera of its own has to show signs that it shows what the image whose camera it has shows."""
     height, width = image.shape[:2]
-    same_size = rgb is not None and rgb.shape[:2] == image.shape[:2]
-    if same_size or (shot.lens.fits(width, height) and (registered or rgb is None)):
+    same_size = lender is not None and lender.image.shape[:2] == image.shape[:2]
+    if same_size or (shot.lens.fits(width, height) and (registered or lender is None)):
         return
     raise UserError(
         f"{shot.path.relative_to(root)} is {width}x{height}"
-        + ("" if rgb is None else f", its RGB image {rgb.shape[1]}x{rgb.shape[0]},")
-        + " and no thermal camera is in the model or its rig.",
-        "If the thermal images are registered to the RGB ones: --thermal.aligned. "
+        + ("" if lender is None else f", its {label(leading)} image {lender.image.shape[1]}x{lender.image.shape[0]},")
+        + f" and no {label(spectrum)} camera is in the model or its rig.",
+        f"If the {label(spectrum)} images are registered to the {label(leading)} ones: --{spectrum}.aligned. "
         "Else register them in the COLMAP model (colmap rig_configurator).",
     )
 
 
-def _view(
-    modality: Modality, shot: Shot, image: NDArray[Any], celsius: NDArray[np.float32] | None, data_factor: int
-) -> View:
+def _view(spectrum: str, shot: Shot, exposure: SpectrumPixels, data_factor: int) -> View:
+    image, values = exposure.image, exposure.values
     height, width = image.shape[:2]
     ideal = rectification(shot.lens, width, height)
     camera = shrunk(ideal.camera, data_factor)
@@ -156,14 +195,6 @@ def _view(
         )
     channels = image.shape[2]
     image = resize(ideal.apply(image), camera.width, camera.height).reshape(camera.height, camera.width, channels)
-    if celsius is not None:
-        celsius = resize(ideal.apply(celsius), camera.width, camera.height)
-    return View(modality, shot.path.stem, shot.path, camera, shot.viewmat, image, celsius)
-
-
-def _as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
-    """8-bit RGB of an RGB file: 16 bits are reduced, grey is repeated."""
-    if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
-    image = require_8bit(path, image)
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=-1)
+    if values is not None:
+        values = resize(ideal.apply(values), camera.width, camera.height)
+    return View(spectrum, shot.path.stem, shot.path, camera, shot.viewmat, image, values)

@@ -1,20 +1,18 @@
-"""A capture in memory: frames of an RGB and a thermal view each, sparse points, and what thermal values mean."""
+"""A capture in memory: frames with one view per spectrum, sparse points, and what pixel values mean."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.cameras import Camera, camera_center
-from thermosplat.datasets.image_folders import looked_for_rgb, looked_for_thermal
+from thermosplat.datasets.cameras import Camera, camera_center
+from thermosplat.datasets.images.image_folders import looked_for
 from thermosplat.errors import UserError
-from thermosplat.radiometry import ThermalScale
-
-Modality = Literal["rgb", "thermal"]
+from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig, label, listed
+from thermosplat.thermal.radiometry import PixelScale
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -22,47 +20,59 @@ class View:
     """One image with its camera.
 
     Args:
-        modality: "rgb" or "thermal".
+        spectrum: Name of the spectrum.
         name: File name without its ending.
         path: The image file.
         camera: Pinhole intrinsics at the size of `image`.
         viewmat: [4, 4] float64, world to camera, OpenCV axes.
-        image: uint8 [H, W, 3] for RGB and pseudo-coloured thermal; float32 [H, W, 1] in [0, 1] for scalar thermal.
-        celsius: float32 [H, W], measured temperature [°C], where the data has it; thermal views only.
+        image: uint8 [H, W, 3] for photographs and pseudo-colours; float32 [H, W, 1] in [0, 1] for one value per pixel.
+        values: float32 [H, W], measured values in the unit of the spectrum's scale, such as °C, where the data has
+        them.
     """
 
-    modality: Modality
+    spectrum: str
     name: str
     path: Path
     camera: Camera
     viewmat: NDArray[np.float64]
     image: NDArray[np.uint8] | NDArray[np.float32]
-    celsius: NDArray[np.float32] | None = None
+    values: NDArray[np.float32] | None = None
 
     def __repr__(self) -> str:
         channels = "1 channel" if self.image.shape[2] == 1 else f"{self.image.shape[2]} channels"
-        celsius = "" if self.celsius is None else ", with °C"
+        values = "" if self.values is None else ", with values"
         size = f"{self.camera.width}x{self.camera.height} px"
-        return f"View({self.modality} {self.name!r}, {size}, {channels}{celsius})"
+        return f"View({self.spectrum} {self.name!r}, {size}, {channels}{values})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Frame:
-    """One exposure: the RGB and the thermal view that were taken together, or the one there is."""
+    """One exposure: the views that were taken together, by spectrum, in the order of the spectra."""
 
     name: str
-    rgb: View | None
-    thermal: View | None
+    views: Mapping[str, View]
 
     def __repr__(self) -> str:
-        return f"Frame({self.name!r}, {', '.join(map(repr, _views(self))) or 'no views'})"
+        return f"Frame({self.name!r}, {', '.join(map(repr, self.views.values())) or 'no views'})"
+
+    @cached_property
+    def shared_cameras(self) -> tuple[tuple[str, ...], ...]:
+        """Spectra in groups whose views share camera, size and pose, so that one traversal renders a group."""
+        groups: list[list[str]] = []
+        for name, view in self.views.items():
+            for group in groups:
+                other = self.views[group[0]]
+                if other.camera == view.camera and np.array_equal(other.viewmat, view.viewmat):
+                    group.append(name)
+                    break
+            else:
+                groups.append([name])
+        return tuple(map(tuple, groups))
 
     @property
     def aligned(self) -> bool:
-        """Both views exist and share camera, size and pose, so that one traversal renders both."""
-        if self.rgb is None or self.thermal is None:
-            return False
-        return self.rgb.camera == self.thermal.camera and np.array_equal(self.rgb.viewmat, self.thermal.viewmat)
+        """Whether there are several views, and all share camera, size and pose."""
+        return len(self.views) > 1 and len(self.shared_cameras) == 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,9 +87,10 @@ class Capture:
         test: Held-out frames, by name.
         points: [M, 3] float32 sparse points [world units].
         point_colors: [M, 3] uint8.
-        thermal_scale: Meaning of the thermal pixel values; None without thermal images.
+        scales: Meaning of the pixel values by spectrum; of those that have images only.
         notes: What the user should be told once, a line each.
-        not_found: By modality, the first of the image files that the capture names and that do not exist.
+        not_found: By spectrum, the first of the image files that the capture names and that do not exist.
+        spectra: The spectra that were looked for.
     """
 
     name: str
@@ -89,19 +100,14 @@ class Capture:
     test: tuple[Frame, ...]
     points: NDArray[np.float32]
     point_colors: NDArray[np.uint8]
-    thermal_scale: ThermalScale | None
+    scales: Mapping[str, PixelScale]
     notes: tuple[str, ...] = field(default=())
     not_found: Mapping[str, Path] = field(default_factory=dict)
+    spectra: Mapping[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))
 
     def __repr__(self) -> str:
         frames = (*self.train, *self.test)
-        views = " + ".join(
-            f"{count} {name}"
-            for name, count in (
-                ("RGB", sum(frame.rgb is not None for frame in frames)),
-                ("thermal", sum(frame.thermal is not None for frame in frames)),
-            )
-        )
+        views = " + ".join(f"{sum(name in frame.views for frame in frames)} {label(name)}" for name in self.spectra)
         return (
             f"Capture({self.name!r}, {self.layout}, {len(self.train)} train + {len(self.test)} test frames, "
             f"{views} views, {len(self.points):,} points, {len(self.notes)} notes)"
@@ -113,41 +119,48 @@ class Capture:
 
         A single camera position has no such radius; then the median distance of the points from it stands in.
         """
-        return scene_extent([view for frame in self.train for view in _views(frame)], self.points)
+        return scene_extent([view for frame in self.train for view in frame.views.values()], self.points)
 
-    def require(self, *, rgb: bool, thermal: bool) -> None:
+    def training_frames(self, spectra: Collection[str]) -> list[Frame]:
+        """The training frames with the views of some spectra alone; those without any are left out.
+
+        Args:
+            spectra: Names of the spectra.
+        """
+        frames = (
+            replace(frame, views={name: view for name, view in frame.views.items() if name in spectra})
+            for frame in self.train
+        )
+        return [frame for frame in frames if frame.views]
+
+    def require(self, spectra: Collection[str]) -> None:
         """Check that the capture has what a model is to be made of.
 
         Args:
-            rgb: RGB images are needed.
-            thermal: Thermal images are needed.
+            spectra: Names of the spectra that are needed.
 
         Raises:
-            UserError: There are no training views of a needed modality.
+            UserError: There are no training views of a needed spectrum.
         """
-        wanted: tuple[tuple[Modality, bool], ...] = (("rgb", rgb), ("thermal", thermal))
-        for modality, needed in wanted:
-            if needed and all(getattr(frame, modality) is None for frame in self.train):
-                raise self._lacking(modality)
+        for name in spectra:
+            if all(name not in frame.views for frame in self.train):
+                raise self._lacking(name, [other for other in spectra if other != name])
 
-    def _lacking(self, modality: Modality) -> UserError:
-        """The error for a capture without training views of a modality: what was found in their place."""
-        name, other = ("RGB", "thermal") if modality == "rgb" else ("thermal", "RGB")
-        held_out = sum(getattr(frame, modality) is not None for frame in self.test)
-        present = [view.path for frame in (*self.train, *self.test) for view in _views(frame)]
-        example = present[0] if present else None
+    def _lacking(self, name: str, others: list[str]) -> UserError:
+        """The error for a capture without training views of a spectrum: what was found in their place."""
+        held_out = sum(name in frame.views for frame in self.test)
+        present = [view for frame in (*self.train, *self.test) for view in frame.views.values()]
         if held_out:
             found, remedy = f"{held_out} held-out frames have one.", "train on frames that have one"
-        elif modality in self.not_found:
-            found = f"The files that it names for them do not exist (first looked for: {self.not_found[modality]})."
+        elif name in self.not_found:
+            found = f"The files that it names for them do not exist (first looked for: {self.not_found[name]})."
             remedy = "correct the paths (relative to the capture's folder, or absolute)"
-        elif modality == "rgb":
-            found, remedy = looked_for_rgb(self.root, example)
         else:
-            found, remedy = looked_for_thermal(self.root, example)
+            found, remedy = looked_for(self.root, name, self.spectra, present[0].path if present else None)
+        alone = f", or train on {listed(others)} alone: --without {name}" if others else ""
         return UserError(
-            f"{self.root} has no {name} images with a camera to train on, and the model asks for them. {found}",
-            f"{remedy[0].upper()}{remedy[1:]}, or train on {other} alone: --model.no-{modality}.",
+            f"{self.root} has no {label(name)} images with a camera to train on, and the model asks for them. {found}",
+            f"{remedy[0].upper()}{remedy[1:]}{alone}.",
         )
 
 
@@ -159,7 +172,3 @@ def scene_extent(views: list[View], points: NDArray[np.float32]) -> float:
     if radius < 1e-6 and len(points):
         radius = float(np.median(np.linalg.norm(points - mean, axis=1)))
     return 1.1 * radius
-
-
-def _views(frame: Frame) -> list[View]:
-    return [view for view in (frame.rgb, frame.thermal) if view is not None]

@@ -18,10 +18,10 @@ class Shot:
     """One image file with its camera and pose.
 
     Args:
-        path: The file that is seen: RGB, pseudo-colour, grey, or radiometric where there is nothing else.
+        path: The file that is seen: a photograph, pseudo-colour, grey, or values where there is nothing else.
         lens: Its calibrated camera.
         viewmat: [4, 4] float64, world to camera.
-        raw: Radiometric values of the same exposure, where there are any (thermal only; may be `path` itself).
+        raw: Values of the same exposure, where there are any (may be `path` itself).
     """
 
     path: Path
@@ -36,17 +36,20 @@ class FrameFiles:
 
     Args:
         name: The frame's name; sorting by it gives the order of the hold-out rule.
-        rgb: The RGB image, if there is one.
-        thermal: The thermal image, if there is one.
+        shots: Its images by spectrum, in the order of the spectra; at least one.
         split: What the folder says; None where it says nothing.
-        thermal_has_camera: The data states a camera for the thermal image; else it borrows the RGB image's.
+        own_cameras: Spectra whose camera the data states; another borrows that of the first image.
     """
 
     name: str
-    rgb: Shot | None
-    thermal: Shot | None
+    shots: Mapping[str, Shot]
     split: Split | None = None
-    thermal_has_camera: bool = False
+    own_cameras: frozenset[str] = frozenset()
+
+    @property
+    def leading(self) -> str:
+        """The spectrum of the first image, whose camera others may borrow."""
+        return next(iter(self.shots))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +61,10 @@ class Listing:
         frames: The frames, in any order.
         points: [M, 3] float32 [world units].
         point_colors: [M, 3] uint8.
-        registered: The layout promises that thermal images without a camera of their own are registered to the RGB
-            ones at whatever resolution; else equal size is taken for the sign.
+        registered: The layout promises that images without a camera of their own are registered to the first ones at
+            whatever resolution; else equal size is taken for the sign.
         celsius_range: Temperatures [°C] of black and white in 8-bit grey thermal images, where stated.
-        not_found: By modality, the first of the files that the layout names and that do not exist.
+        not_found: By spectrum, the first of the files that the layout names and that do not exist.
         notes: What the user should be told.
     """
 

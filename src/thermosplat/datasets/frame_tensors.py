@@ -1,6 +1,6 @@
 """Frames as torch tensors: what the model renders from and the losses compare with."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
@@ -10,9 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Frame, View
-from thermosplat.radiometry import ThermalScale
-from thermosplat.thermal_intensity import thermal_intensity
+from thermosplat.thermal.intensity import pixel_intensity
+from thermosplat.thermal.radiometry import PixelScale
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +26,9 @@ class ViewTensors:
         width: Image width [px].
         height: Image height [px].
         image: [H, W, C] float32 in [0, 1]; None for a camera without an image (novel views).
-        intensity: [H, W] float32 thermal intensity in [0, 1]; thermal views only.
-        celsius: [H, W] float32 measured temperature [°C]; thermal views that have it only.
+        intensity: [H, W] float32 scalar intensity in [0, 1]; None of photographs.
+        values: [H, W] float32 measured values in the unit of the spectrum's scale; of views that have them only.
+        distortion: [2] float32, k1 and k2 of a lens that is no pinhole (``scene.lens_distortion``).
     """
 
     viewmat: Tensor
@@ -35,29 +37,37 @@ class ViewTensors:
     height: int
     image: Tensor | None = None
     intensity: Tensor | None = None
-    celsius: Tensor | None = None
+    values: Tensor | None = None
+    distortion: Tensor | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class FrameTensors:
-    """A frame on a device; `aligned` as `Frame.aligned`.
+    """A frame on a device: views by spectrum, and `shared_cameras` as ``Frame.shared_cameras``.
 
     Training frames know their place among them: `index`, int64 scalar on the device. Of a frame that is ``packed``, all
-    tensors but the temperatures lie in `memory`, float32 [n].
+    tensors but measured values lie in `memory`, float32 [n].
     """
 
     name: str
-    rgb: ViewTensors | None
-    thermal: ViewTensors | None
-    aligned: bool
+    views: Mapping[str, ViewTensors]
+    shared_cameras: tuple[tuple[str, ...], ...]
     index: Tensor | None = None
     memory: Tensor | None = None
 
     def packable(self) -> list[Tensor]:
         """The tensors that ``memory`` holds where there is one."""
-        views = [view for view in (self.rgb, self.thermal) if view is not None]
+        views = self.views.values()
         tensors = [tensor for view in views for tensor in (view.viewmat, view.K, view.image, view.intensity)]
         return [tensor for tensor in (*tensors, self.index) if tensor is not None]
+
+    def only(self, spectra: Collection[str]) -> "FrameTensors":
+        """The frame with the views of some spectra alone."""
+        if set(self.views) <= set(spectra):
+            return self
+        groups = (tuple(name for name in group if name in spectra) for group in self.shared_cameras)
+        views = {name: view for name, view in self.views.items() if name in spectra}
+        return replace(self, views=views, shared_cameras=tuple(filter(None, groups)))
 
 
 ALIGNED = 16
@@ -99,14 +109,12 @@ def packed_memory(frame: FrameTensors) -> Tensor:
 def _placed(frame: FrameTensors, memory: Tensor, place: Callable[[Tensor], Tensor]) -> FrameTensors:
     """The frame with other tensors for those that can be packed."""
 
-    def placed(view: ViewTensors | None) -> ViewTensors | None:
-        if view is None:
-            return None
+    def placed(view: ViewTensors) -> ViewTensors:
         image, intensity = (None if tensor is None else place(tensor) for tensor in (view.image, view.intensity))
         return replace(view, viewmat=place(view.viewmat), K=place(view.K), image=image, intensity=intensity)
 
     index = None if frame.index is None else place(frame.index)
-    return replace(frame, rgb=placed(frame.rgb), thermal=placed(frame.thermal), index=index, memory=memory)
+    return replace(frame, views={name: placed(v) for name, v in frame.views.items()}, index=index, memory=memory)
 
 
 def _part(memory: Tensor, start: int, like: Tensor) -> Tensor:
@@ -119,45 +127,43 @@ def _numbers(tensor: Tensor) -> int:
     return tensor.numel() * tensor.element_size() // 4
 
 
-def frame_tensors(frame: Frame, scale: ThermalScale | None, device: torch.device | str) -> FrameTensors:
+def frame_tensors(frame: Frame, scales: Mapping[str, PixelScale], device: torch.device | str) -> FrameTensors:
     """Put a frame on a device.
 
     Args:
         frame: The frame.
-        scale: The capture's thermal scale; None where there is no thermal view.
+        scales: The capture's, by spectrum.
         device: Where the tensors go.
-
-    Raises:
-        ValueError: A thermal view without a scale.
     """
-    rgb = None if frame.rgb is None else view_tensors(frame.rgb, None, device)
-    if frame.thermal is not None and scale is None:
-        raise ValueError(f"Frame {frame.name} has a thermal view, so its capture's thermal scale is needed.")
-    thermal = None if frame.thermal is None else view_tensors(frame.thermal, scale, device)
-    return FrameTensors(frame.name, rgb, thermal, frame.aligned)
+    views = {name: view_tensors(view, scales[name], device) for name, view in frame.views.items()}
+    return FrameTensors(frame.name, views, frame.shared_cameras)
 
 
-def view_tensors(view: View, scale: ThermalScale | None, device: torch.device | str) -> ViewTensors:
-    """Put a view on a device; with a scale also its thermal intensity (inverse palette, or the scalar itself)."""
+def view_tensors(view: View, scale: PixelScale | None, device: torch.device | str) -> ViewTensors:
+    """Put a view on a device; with a scale also its scalar intensity (inverse palette, or the scalar itself)."""
     image = view.image
     unit = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
     pixels = torch.tensor(unit, device=device)
-    intensity = None
-    if view.modality == "thermal" and scale is not None:
-        intensity = _intensity(image, pixels, scale)
+    is_scalar = scale is not None and scale.kind != "photograph"
     return ViewTensors(
         torch.tensor(view.viewmat, dtype=torch.float32, device=device),
         torch.tensor(view.camera.K, dtype=torch.float32, device=device),
         view.camera.width,
         view.camera.height,
         pixels,
-        intensity,
-        None if view.celsius is None else torch.tensor(view.celsius, device=device),
+        _intensity(image, pixels, scale) if scale is not None and is_scalar else None,
+        None if view.values is None else torch.tensor(view.values, device=device),
+        distortion_tensor(view.camera, device),
     )
 
 
-def _intensity(image: NDArray[Any], pixels: Tensor, scale: ThermalScale) -> Tensor:
-    """Thermal intensity [H, W] of an image as it is stored and as the tensor made of it, on the tensor's device."""
+def distortion_tensor(camera: Camera, device: torch.device | str) -> Tensor | None:
+    """k1 and k2 of a camera on a device, [2] float32; None of a pinhole."""
+    return None if camera.distortion is None else torch.tensor(camera.distortion, dtype=torch.float32, device=device)
+
+
+def _intensity(image: NDArray[Any], pixels: Tensor, scale: PixelScale) -> Tensor:
+    """Scalar intensity [H, W] of an image as it is stored and as the tensor made of it, on the tensor's device."""
     if scale.kind == "color" and pixels.device.type == "cpu":
         return torch.from_numpy(scale.palette.to_intensity(image))  # each 8-bit colour that occurs is looked up once
-    return thermal_intensity(pixels, scale)
+    return pixel_intensity(pixels, scale)

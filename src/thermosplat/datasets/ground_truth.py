@@ -1,14 +1,15 @@
 """What a rendered capture knows of its held-out views beyond their images: depth per spectrum, and labelled regions.
 
-``ground_truth/<stem>.npz`` beside the images, each array [H, W] in the pixels of the frame's images (RGB and thermal
-share a camera there, without lens distortion):
+``ground_truth/<stem>.npz`` beside the images, each array [H, W] in the pixels of the frame's images (all spectra share
+a camera there, without lens distortion):
 
-    depth_rgb, depth_thermal   z-depth of the surface that each spectrum sees [world units]; 0: none (sky)
-    label                      which kind of hard case the pixel belongs to, a key of ``LABELS``
+    depth_<spectrum>   z-depth of the surface that a spectrum sees [world units]; 0: none (sky). At least one.
+    label              which kind of hard case the pixel belongs to, a key of ``LABELS``
 """
 
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from thermosplat.errors import UserError
 
 FOLDER = "ground_truth"
 LABELS = {0: "unlabelled", 1: "glass", 2: "poster", 3: "hidden heat", 4: "plastic", 5: "specular"}
-_NAMES = ("depth_rgb", "depth_thermal", "label")
+_DEPTH, _LABEL = "depth_", "label"
 _REMEDY = f"Make it anew, or move {FOLDER}/ away to evaluate without it."
 
 
@@ -30,7 +31,7 @@ class GroundTruth:
     """Depths and labels at the size of a frame's images.
 
     Args:
-        depths: Depth by modality, float32 [H, W] [world units]; 0 where there is no surface.
+        depths: Depth by spectrum, float32 [H, W] [world units]; 0 where there is no surface.
         label: [H, W] integers, keys of ``LABELS``.
     """
 
@@ -46,18 +47,18 @@ def read_ground_truth(capture: Capture, frame: Frame) -> GroundTruth | None:
         frame: The frame.
 
     Returns:
-        None where the capture has none for it, or where its two views do not share a camera.
+        None where the capture has none for it, or where its views do not share a camera.
 
     Raises:
         UserError: The file is damaged, lacks an array, or has another aspect than the images or an unknown label.
     """
-    view = frame.rgb or frame.thermal
-    if view is None or (frame.rgb is not None and frame.thermal is not None and not frame.aligned):
+    if len(frame.shared_cameras) != 1:
         return None
+    view = next(iter(frame.views.values()))
     path = capture.root / FOLDER / f"{view.name}.npz"
     if not path.is_file():
         return None
-    arrays = _arrays(path)
+    arrays = _arrays(path, [f"{_DEPTH}{name}" for name in capture.spectra])
     size = view.camera.height, view.camera.width
     for name, array in arrays.items():
         # a size divided by --data-factor is rounded to whole pixels
@@ -68,8 +69,8 @@ def read_ground_truth(capture: Capture, frame: Frame) -> GroundTruth | None:
             )
     if unknown := set(np.unique(arrays["label"]).tolist()) - LABELS.keys():
         raise UserError(f"{path}: label has {sorted(unknown)}, known are {sorted(LABELS)}.", _REMEDY)
-    depth_rgb, depth_thermal, label = (_nearest(arrays[name], *size) for name in _NAMES)
-    depths = {"rgb": depth_rgb.astype(np.float32), "thermal": depth_thermal.astype(np.float32)}
+    label = _nearest(arrays.pop(_LABEL), *size)
+    depths = {name.removeprefix(_DEPTH): _nearest(array, *size).astype(np.float32) for name, array in arrays.items()}
     return GroundTruth(depths, label)
 
 
@@ -83,20 +84,20 @@ def check_ground_truth(capture: Capture) -> None:
         read_ground_truth(capture, frame)
 
 
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a file, whatever their sizes."""
-    wanted = f"Expected a NumPy archive (.npz) with the arrays {', '.join(_NAMES)}"
+def _arrays(path: Path, depths: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """The labels and those of the depths that a file has, whatever their sizes."""
+    wanted = f"Expected a NumPy archive (.npz) with the arrays {_LABEL} and {' or '.join(depths)}"
     try:
         with zipfile.ZipFile(path):  # numpy takes other files too, and says of the rest that they could be pickled
             pass
         with np.load(path) as file:
-            held = {name: file[name] for name in file.files if name in _NAMES}
+            held = {name: file[name] for name in (*depths, _LABEL) if name in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         size = f"{path.stat().st_size:,} bytes"
         raise UserError(f"{path} is damaged or of another kind ({size}). {wanted}.", _REMEDY) from error
-    missing = [name for name in _NAMES if name not in held]
-    if missing:
-        raise UserError(f"{path} does not hold {', '.join(missing)}. {wanted}.", _REMEDY)
+    if _LABEL not in held or len(held) < 2:
+        found = f"{', '.join(held)} alone" if held else "none of its arrays"
+        raise UserError(f"{path} holds {found}. {wanted}.", _REMEDY)
     for name, array in held.items():
         if array.dtype.kind not in "biuf" or array.ndim != 2 or array.size == 0:
             found = f"{array.dtype} of shape {list(array.shape)}"

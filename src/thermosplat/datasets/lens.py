@@ -13,7 +13,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from thermosplat.cameras import Camera
+from thermosplat.datasets.cameras import Camera
 
 PINHOLE_MODELS = frozenset({"PINHOLE", "SIMPLE_PINHOLE"})
 _ASPECT_TOLERANCE = 0.01

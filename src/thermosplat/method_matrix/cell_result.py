@@ -5,15 +5,19 @@ from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thermosplat.checkpoint import write_atomically
+from thermosplat.config import TrainConfig
+from thermosplat.config.renamed import with_todays_names
 from thermosplat.errors import UserError
-from thermosplat.method_matrix.cells import Cell
+from thermosplat.method_matrix.cells import Cell, settings
+from thermosplat.runs.checkpoint import write_atomically
 
 if TYPE_CHECKING:
-    from thermosplat.labelled_regions import Regions
+    from thermosplat.evaluation.labelled_regions import Regions
 
 FILE_NAME = "cell.json"
-FORMAT = 1
+FORMAT = 2
+OLD_FORMAT = 1
+"""Of version 0.1, which knew two spectra by name."""
 
 Metrics = dict[str, float | None]
 
@@ -30,10 +34,8 @@ class CellResult:
     """Seed of the training."""
     steps: int
     """Training steps."""
-    rgb: Metrics | None
-    """"psnr" [dB], "ssim" and "lpips", means over the held-out views; None where RGB was not modelled."""
-    thermal: Metrics | None
-    """The same of the thermal images, and "mae_celsius" [°C]."""
+    spectra: dict[str, Metrics | None]
+    """By spectrum "psnr" [dB], "ssim", "lpips" and, of measured values, "mae_<unit>", means over the held-out views."""
     num_gaussians: int
     """Gaussians in all sets."""
     model_bytes: int
@@ -51,7 +53,7 @@ class CellResult:
     settings: dict[str, Any]
     """What was computed (``cells.settings``)."""
     per_view: list[dict[str, Any]]
-    """Metrics of every held-out view: "frame", "modality" and the metrics."""
+    """Metrics of every held-out view: "frame", "spectrum" and the metrics."""
     regions: "Regions | None" = None
     """Errors by region (``labelled_regions.region_errors``); None where the capture has no ground truth."""
 
@@ -102,6 +104,8 @@ def result_from(values: Any, path: Path) -> CellResult:
     Raises:
         UserError: Something is missing, or it is of another version.
     """
+    if isinstance(values, dict) and values.get("format") == OLD_FORMAT:
+        values = _as_today(values)
     names = {field.name for field in fields(CellResult)}
     required = {field.name for field in fields(CellResult) if field.default is MISSING}
     if not isinstance(values, dict) or values.get("format") != FORMAT or not required <= values.keys():
@@ -110,6 +114,27 @@ def result_from(values: Any, path: Path) -> CellResult:
             "Delete it; thermosplat-benchmark then makes that cell again.",
         )
     return CellResult(**{name: values[name] for name in names & values.keys()})
+
+
+def _as_today(values: dict[str, Any]) -> dict[str, Any]:
+    """A cell of format 1 in today's format."""
+    spectra = {name: values[name] for name in ("rgb", "thermal") if values.get(name) is not None}
+    per_view = [
+        {"spectrum" if key == "modality" else key: value for key, value in row.items()}
+        for row in values.get("per_view", [])
+    ]
+    # Settings that 0.1 did not have get their defaults, so that its matrices can be gone on with.
+    made_with = _filled(settings(TrainConfig()), with_todays_names(values.get("settings", {})))
+    return values | {"format": FORMAT, "spectra": spectra, "per_view": per_view, "settings": made_with}
+
+
+def _filled(defaults: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
+    """Nested values, with those of ``defaults`` where there are none."""
+    filled = defaults | values
+    for name, default in defaults.items():
+        if isinstance(default, dict) and isinstance(filled[name], dict):
+            filled[name] = _filled(default, filled[name])
+    return filled
 
 
 def read_json(path: Path) -> Any:

@@ -8,13 +8,13 @@ from typing import Any
 import torch
 
 from thermosplat.config import TrainConfig
-from thermosplat.config_files import load_config
+from thermosplat.config.files import load_config
 from thermosplat.datasets import load_capture
 from thermosplat.method_matrix.cell_result import CellResult, read_regions, write_cell
 from thermosplat.method_matrix.cells import Cell, difference, settings
 from thermosplat.method_matrix.panels import write_panels
 from thermosplat.method_matrix.render_speed import frames_per_second
-from thermosplat.run_directory import RunDirectory
+from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.trainer import Trainer
 
 
@@ -46,19 +46,20 @@ def _made(cell: Cell, config: TrainConfig, folder: Path, keep_checkpoint: bool) 
     on_cuda = trainer.device.type == "cuda"
     peak = torch.cuda.max_memory_allocated(trainer.device) if on_cuda else None
     model, sh_degree = trainer.model.eval(), trainer.sh_degree
-    write_panels(folder, model, trainer.capture, sh_degree=sh_degree, device=trainer.device)
+    write_panels(folder, model, trainer.corrected_capture(), sh_degree=sh_degree, device=trainer.device)
     result = CellResult(
         scene=cell.scene,
         method=cell.method,
         seed=cell.seed,
         steps=metrics["steps"],
-        rgb=metrics["rgb"],
-        thermal=metrics["thermal"],
+        spectra={name: metrics[name] for name in metrics["spectra"]},
         num_gaussians=metrics["num_gaussians"],
         model_bytes=metrics["model_bytes"],
         train_minutes=metrics["train_seconds"] / 60.0,
         peak_memory_bytes=peak,
-        frames_per_second=frames_per_second(model, trainer.capture, sh_degree=sh_degree, device=trainer.device),
+        frames_per_second=frames_per_second(
+            model, trainer.corrected_capture(), sh_degree=sh_degree, device=trainer.device
+        ),
         device=metrics["device"],
         lpips_net=metrics["lpips_net"],
         settings=settings(config),
@@ -72,7 +73,7 @@ def _made(cell: Cell, config: TrainConfig, folder: Path, keep_checkpoint: bool) 
 
 def _trainer(config: TrainConfig, folder: Path) -> Trainer:
     capture = load_capture(
-        config.data, data_factor=config.data_factor, test_every=config.test_every, thermal=config.thermal
+        config.data, data_factor=config.data_factor, test_every=config.test_every, spectra=config.spectra
     )
     config, run = replace(config, result_dir=str(folder), overwrite=False), RunDirectory(folder)
     if run.latest_checkpoint() is not None and run.config_yaml.is_file():
@@ -88,7 +89,7 @@ def _per_view(path: Path) -> list[dict[str, Any]]:
     """The rows of per_view.csv with numbers as numbers, empty cells as None."""
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    texts = ("frame", "modality")
+    texts = ("frame", "spectrum")
     return [{key: text if key in texts else float(text) if text else None for key, text in row.items()} for row in rows]
 
 

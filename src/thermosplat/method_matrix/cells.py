@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from thermosplat.config import TrainConfig
-from thermosplat.config_files import data_from_anywhere, load_config, preset_paths, to_dict
+from thermosplat.config.files import data_from_anywhere, load_config, preset_paths, to_dict
 from thermosplat.errors import UserError
 
 REFERENCE_STEPS = 30_000

@@ -7,7 +7,7 @@ from itertools import chain
 from pathlib import Path
 
 from thermosplat.config import TrainConfig
-from thermosplat.config_files import to_yaml
+from thermosplat.config.files import to_yaml
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cell_result import CellResult, write_text
 from thermosplat.method_matrix.cells import Cell, Scene, cell_config, difference, settings

@@ -12,8 +12,9 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from thermosplat.config import TrainConfig
-from thermosplat.config_checks import check_config
-from thermosplat.config_values import fill, nearest
+from thermosplat.config.checks import check_config
+from thermosplat.config.renamed import with_todays_names
+from thermosplat.config.values import fill, nearest
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import Cell
 
@@ -50,7 +51,7 @@ class Override:
             UserError: There is no such field, or the value does not fit it, or not to the other settings.
         """
         source = f"--set {self.word}"
-        changed = fill(config, self.values, source=source)
+        changed = fill(config, with_todays_names(self.values), source=source)
         check_config(changed, source=source)
         return changed
 

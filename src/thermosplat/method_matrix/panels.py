@@ -1,6 +1,6 @@
 """The pictures that a cell keeps for the comparison sheets: truth, render and error of a few held-out frames.
 
-Where the capture brings ground truth, also the true and the rendered depth of each modality.
+Where the capture brings ground truth, also the true and the rendered depth of each spectrum.
 """
 
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from thermosplat.datasets.capture import Capture, Frame, Modality
-from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
+from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.datasets.frame_tensors import view_tensors
 from thermosplat.datasets.ground_truth import GroundTruth, read_ground_truth
 from thermosplat.errors import UserError
-from thermosplat.evaluation import file_stem, frame_comparisons
-from thermosplat.image_display import Image8, depth_bytes, error_bytes, read_png, write_png
+from thermosplat.evaluation.held_out import file_stem, frame_comparisons
 from thermosplat.method_matrix.cell_result import read_json, write_json
-from thermosplat.model import SceneModel
+from thermosplat.pictures.image_display import Image8, depth_bytes, error_bytes, read_png, write_png
+from thermosplat.scene.model import SceneModel
 
 FOLDER = "panels"
 INDEX = "panels.json"
@@ -28,7 +28,7 @@ FRAMES = 3
 
 @dataclass(frozen=True)
 class Panels:
-    """Pictures of one modality of one frame, 8-bit RGB [H, W, 3]."""
+    """Pictures of one spectrum of one frame, 8-bit RGB [H, W, 3]."""
 
     truth: Image8
     """Ground truth."""
@@ -41,7 +41,7 @@ class Panels:
     palette_end: str
     """What the bright end of the error map stands for."""
     true_depth: Image8 | None = None
-    """Depth of the surface that the modality sees; None without ground truth."""
+    """Depth of the surface that the spectrum sees; None without ground truth."""
     depth: Image8 | None = None
     """Rendered depth."""
     depth_range: str = ""
@@ -71,29 +71,31 @@ def write_panels(
     index: list[dict[str, Any]] = []
     for frame in shown_frames(capture.test):
         truth = read_ground_truth(capture, frame)
-        comparisons = frame_comparisons(model, frame, capture.thermal_scale, sh_degree=sh_degree, device=device)
-        for modality, comparison in comparisons.items():
-            stem = f"{file_stem(frame.name)}_{modality}"
+        comparisons = frame_comparisons(model, frame, capture.scales, sh_degree=sh_degree, device=device)
+        for spectrum, comparison in comparisons.items():
+            stem = f"{file_stem(frame.name)}_{spectrum}"
             write_png(folder / FOLDER / f"{stem}_truth.png", comparison.truth)
             write_png(folder / FOLDER / f"{stem}_render.png", comparison.render)
             error = error_bytes(comparison.error, comparison.largest_error)
             write_png(folder / FOLDER / f"{stem}_error.png", error)
             end = f"{comparison.largest_error:.2g} {comparison.unit}".rstrip()
             entry = {
-                **{"frame": frame.name, "modality": modality, "score": comparison.score, "palette_end": end},
+                **{"frame": frame.name, "spectrum": spectrum, "score": comparison.score, "palette_end": end},
                 **{"stem": stem, "depth_range": ""},
             }
-            if truth is not None and (span := _depth_span(truth)) is not None:
-                depth = model.render_depth(modality, _view(frame, modality, capture, device)).cpu().numpy()
-                write_png(folder / FOLDER / f"{stem}_true_depth.png", depth_bytes(truth.depths[modality], *span))
+            span = None if truth is None or spectrum not in truth.depths else _depth_span(truth)
+            if truth is not None and span is not None:
+                camera = view_tensors(frame.views[spectrum], None, device)
+                depth = model.render_depth(spectrum, camera).cpu().numpy()
+                write_png(folder / FOLDER / f"{stem}_true_depth.png", depth_bytes(truth.depths[spectrum], *span))
                 write_png(folder / FOLDER / f"{stem}_depth.png", depth_bytes(depth, *span))
                 entry["depth_range"] = f"{span[0]:.2g} to {span[1]:.2g}"
             index.append(entry)
     write_json(folder / FOLDER / INDEX, {"panels": index})
 
 
-def read_panels(folder: Path) -> dict[tuple[str, Modality], Panels]:
-    """The pictures of a cell by frame and modality; none where it has none.
+def read_panels(folder: Path) -> dict[tuple[str, str], Panels]:
+    """The pictures of a cell by frame and spectrum; none where it has none.
 
     Args:
         folder: The cell's run folder.
@@ -104,12 +106,12 @@ def read_panels(folder: Path) -> dict[tuple[str, Modality], Panels]:
     path = folder / FOLDER / INDEX
     if not path.is_file():
         return {}
-    panels: dict[tuple[str, Modality], Panels] = {}
+    panels: dict[tuple[str, str], Panels] = {}
     for entry in read_json(path)["panels"]:
         truth, render, error = (
             _read(folder / FOLDER / f"{entry['stem']}_{kind}.png") for kind in ("truth", "render", "error")
         )
-        key = entry["frame"], entry["modality"]
+        key = entry["frame"], entry.get("spectrum") or entry["modality"]  # the word of version 0.1
         panels[key] = Panels(truth, render, error, entry["score"], entry["palette_end"])
         if entry.get("depth_range"):
             panels[key] = replace(
@@ -122,16 +124,9 @@ def read_panels(folder: Path) -> dict[tuple[str, Modality], Panels]:
 
 
 def _depth_span(truth: GroundTruth) -> tuple[float, float] | None:
-    """Nearest and farthest true depth of both modalities; None where nothing, or only a single depth, is seen."""
+    """Nearest and farthest true depth of all spectra; None where nothing, or only a single depth, is seen."""
     depths = np.concatenate([depth[depth > 0] for depth in truth.depths.values()])
     return (float(depths.min()), float(depths.max())) if depths.size and depths.min() < depths.max() else None
-
-
-def _view(frame: Frame, modality: Modality, capture: Capture, device: torch.device | str) -> ViewTensors:
-    view = frame.rgb if modality == "rgb" else frame.thermal
-    if view is None:
-        raise ValueError(f"Frame {frame.name} has no {modality} view.")
-    return view_tensors(view, capture.thermal_scale if modality == "thermal" else None, device)
 
 
 def _read(path: Path) -> Image8:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thermosplat.errors import UserError
-from thermosplat.training.interruption import stop_signals
+from thermosplat.training.session.interruption import stop_signals
 
 POLL_SECONDS = 0.2
 
@@ -74,7 +74,7 @@ def choose_devices(asked: Sequence[str], gpus: int | None = None) -> list[str]:
                 raise UserError(f"--gpus {gpus}, but this process sees {seen} CUDA devices.", "Or leave --gpus out.")
             return [f"cuda:{index}" for index in range(gpus)]
         return [f"cuda:{index}" for index in range(torch.cuda.device_count())] or ["cpu"]
-    from thermosplat.devices import choose_device
+    from thermosplat.runs.devices import choose_device
 
     devices = [str(choose_device(name)) for name in asked]
     if len(set(devices)) < len(devices):

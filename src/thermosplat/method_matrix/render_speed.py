@@ -6,7 +6,7 @@ import torch
 
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import frame_tensors
-from thermosplat.model import SceneModel
+from thermosplat.scene.model import SceneModel
 
 LEAST_SECONDS = 1.0
 """A GPU is timed at least this long [s]."""
@@ -24,11 +24,11 @@ def frames_per_second(model: SceneModel, capture: Capture, *, sh_degree: int, de
         sh_degree: Highest SH degree in use.
         device: Where the model is.
     """
-    frames = [frame_tensors(frame, capture.thermal_scale, device) for frame in capture.test]
+    frames = [frame_tensors(frame, capture.scales, device) for frame in capture.test]
 
     def render_all() -> None:
         for frame in frames:
-            model.render(frame.rgb, frame.thermal, sh_degree=sh_degree, aligned=frame.aligned)
+            model.render(frame.views, sh_degree=sh_degree, shared_cameras=frame.shared_cameras)
         if device.type == "cuda":
             torch.cuda.synchronize(device)
 

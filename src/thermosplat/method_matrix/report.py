@@ -4,13 +4,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from thermosplat.errors import UserError
-from thermosplat.method_matrix.margins_table import margins_table
-from thermosplat.method_matrix.paired_table import paired_table
-from thermosplat.method_matrix.paper_tables import all_tables
-from thermosplat.method_matrix.region_table import region_table
 from thermosplat.method_matrix.results import Results
 from thermosplat.method_matrix.sheets import write_sheets
-from thermosplat.method_matrix.tables import Table, write_own_table, write_tables
+from thermosplat.method_matrix.tables.margins import margins_table
+from thermosplat.method_matrix.tables.paired import paired_table
+from thermosplat.method_matrix.tables.paper import all_tables
+from thermosplat.method_matrix.tables.regions import region_table
+from thermosplat.method_matrix.tables.table import Table, write_own_table, write_tables
 
 
 def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from thermosplat.checkpoint import write_atomically
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cell_result import (
     FILE_NAME,
@@ -17,7 +16,9 @@ from thermosplat.method_matrix.cell_result import (
     write_json,
 )
 from thermosplat.method_matrix.cells import Cell, difference
-from thermosplat.method_matrix.paper_numbers import METHODS, SCENES, paper_scene
+from thermosplat.method_matrix.tables.paper_numbers import METHODS, SCENES, paper_scene
+from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.spectra import MAE
 
 RESULTS = "results.json"
 PER_VIEW = "per_view.csv"
@@ -109,6 +110,25 @@ class Results:
         ranks = {method: rank for rank, method in enumerate(METHODS)}
         return sorted({cell.method for cell in self.cells}, key=lambda name: (ranks.get(name, len(ranks)), name))
 
+    def spectra(self) -> list[str]:
+        """Names of the spectra of all cells, in the order of the cells that have most of them."""
+        by_number = sorted(self.cells.values(), key=lambda result: -len(result.spectra))
+        return list(dict.fromkeys(name for result in by_number for name in result.spectra))
+
+    def measured(self) -> dict[str, list[str]]:
+        """By spectrum, the names of the errors of measured values that some cell has: "mae_<unit>"."""
+        return {
+            spectrum: list(
+                dict.fromkeys(
+                    name
+                    for result in self.cells.values()
+                    for name, value in (result.spectra.get(spectrum) or {}).items()
+                    if name.startswith(MAE) and value is not None
+                )
+            )
+            for spectrum in self.spectra()
+        }
+
     def of(self, scene: str, method: str) -> list[CellResult]:
         """The cells of a scene and a method, one a seed."""
         found = [cell for cell in self.cells if (cell.scene, cell.method) == (scene, method)]
@@ -124,7 +144,8 @@ def _cells_of(path: Path) -> list[object]:
 
 
 def _write_per_view(path: Path, results: Sequence[CellResult]) -> None:
-    columns = ["scene", "method", "seed", "frame", "modality", "psnr", "ssim", "lpips", "mae_celsius"]
+    metrics = dict.fromkeys(key for result in results for row in result.per_view for key in row)
+    columns = list(dict.fromkeys(["scene", "method", "seed", "frame", "spectrum", *metrics]))
 
     def write(temporary: Path) -> None:
         with temporary.open("w", newline="", encoding="utf-8") as file:

@@ -1,18 +1,17 @@
-"""Comparison sheets: a picture a frame, a row a method, both modalities with their error maps, and depths if known."""
+"""Comparison sheets: one picture per frame, a row per method, all spectra with error maps, and depths if known."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from thermosplat.comparison_strips import GAP, HEADER_HEIGHT, titled
-from thermosplat.datasets.capture import Modality
-from thermosplat.evaluation import file_stem
-from thermosplat.image_display import Image8, write_png
+from thermosplat.evaluation.held_out import file_stem
 from thermosplat.method_matrix.panels import Panels, read_panels
+from thermosplat.pictures.comparison_strips import GAP, HEADER_HEIGHT, titled
+from thermosplat.pictures.image_display import Image8, write_png
+from thermosplat.spectra import label
 
 PANEL_WIDTH = 320  # [px]
-LABELS: dict[Modality, str] = {"rgb": "RGB", "thermal": "thermal"}
 
 
 def write_sheets(out: Path, scene: str, cells: Mapping[str, Path]) -> list[Path]:
@@ -30,9 +29,11 @@ def write_sheets(out: Path, scene: str, cells: Mapping[str, Path]) -> list[Path]
     frames = sorted({frame for of_method in panels.values() for frame, _ in of_method})
     written = []
     for frame in frames:
+        spectra = dict.fromkeys(
+            name for of_method in panels.values() for of_frame, name in of_method if of_frame == frame
+        )
         rows = {
-            method: {modality: of_method.get((frame, modality)) for modality in LABELS}
-            for method, of_method in panels.items()
+            method: {name: of_method.get((frame, name)) for name in spectra} for method, of_method in panels.items()
         }
         shown = {method: row for method, row in rows.items() if any(row.values())}
         path = out / "sheets" / f"{scene}_{file_stem(frame)}.png"
@@ -41,34 +42,33 @@ def write_sheets(out: Path, scene: str, cells: Mapping[str, Path]) -> list[Path]
     return written
 
 
-def sheet(rows: Mapping[str, Mapping[Modality, Panels | None]], title: str = "") -> Image8:
+def sheet(rows: Mapping[str, Mapping[str, Panels | None]], title: str = "") -> Image8:
     """The picture of one frame.
 
     Args:
-        rows: Pictures by method and modality, at least one; None where a method has no such modality.
+        rows: Pictures by method and spectrum, at least one; None where a method has no such spectrum.
         title: What the sheet shows; stands above it.
 
     Returns:
-        8-bit RGB. First row: ground truth of both modalities; then a row a method: render and error of each, and its
+        8-bit RGB. First row: ground truth of all spectra; then a row per method: render and error of each, and its
         depth where the true one is known.
     """
-    first = {modality: _first(rows, modality) for modality in LABELS}
-    lines = [[_truth(panels, modality) for modality, panels in first.items() if panels is not None]]
+    spectra = dict.fromkeys(name for row in rows.values() for name in row)
+    first = {name: _first(rows, name) for name in spectra}
+    lines = [[_truth(panels, name) for name, panels in first.items() if panels is not None]]
     for method, row in rows.items():
-        lines.append(
-            [_group(method, row[modality], panels) for modality, panels in first.items() if panels is not None]
-        )
+        lines.append([_group(method, row.get(name), panels) for name, panels in first.items() if panels is not None])
     pictures = [_beside(line) for line in lines]
     header = titled(title, np.zeros((1, 1, 3), np.uint8), pictures[0].shape[1])[:HEADER_HEIGHT]
     return _stacked([header, *pictures])
 
 
-def _first(rows: Mapping[str, Mapping[Modality, Panels | None]], modality: Modality) -> Panels | None:
-    return next((row[modality] for row in rows.values() if row[modality] is not None), None)
+def _first(rows: Mapping[str, Mapping[str, Panels | None]], spectrum: str) -> Panels | None:
+    return next((row[spectrum] for row in rows.values() if row.get(spectrum) is not None), None)
 
 
-def _truth(panels: Panels, modality: Modality) -> Image8:
-    image = titled(f"{LABELS[modality]} ground truth", panels.truth, PANEL_WIDTH)
+def _truth(panels: Panels, spectrum: str) -> Image8:
+    image = titled(f"{label(spectrum)} ground truth", panels.truth, PANEL_WIDTH)
     if panels.true_depth is None:
         return _beside([image, np.zeros_like(image)])
     depth = titled(f"true depth {panels.depth_range}", panels.true_depth, PANEL_WIDTH)

@@ -5,14 +5,17 @@ graph is good as long as the tensors it works on are the same ones: until Gaussi
 the spherical harmonics changes, or frames have another size. Frames are copied into tensors that stay.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
 
 from thermosplat.datasets.frame_tensors import FrameTensors, packed_elsewhere, packed_memory, place_in_frame
-from thermosplat.pair_capacity import SPARE
+from thermosplat.rasterizer.pair_capacity import SPARE
+from thermosplat.torch_bridge.streams import captured_in
+from thermosplat.training.session.interruption import deferred_interrupts
 from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
-from thermosplat.warp_streams import captured_in
 
 MEASURED = 16
 """Steps that run line by line at first, to see how many pairs frames have."""
@@ -29,9 +32,8 @@ class _Shape:
     """Where they lie, and their shapes."""
     numbers: int
     """Of all the memory."""
-    has_rgb: bool
-    has_thermal: bool
-    aligned: bool
+    shared_cameras: tuple[tuple[str, ...], ...]
+    """The spectra, in groups of one camera."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +61,20 @@ class CapturedSteps:
         self._graphs: dict[tuple[_Shape, StepKind], _Captured] = {}
         self._pool = torch.cuda.MemPool()  # outlives the graphs, which take their memory from it one after the other
 
-    def run(self, frame: FrameTensors, kind: StepKind) -> StepValues:
-        """Do one step.
+    @contextmanager
+    def run(self, frame: FrameTensors, kind: StepKind) -> Iterator[StepValues]:
+        """Do one step; the block goes on with it, and ends before an interrupt is heard.
+
+        The next step overwrites the values.
 
         Args:
             frame: The frame.
             kind: What is done with it.
-
-        Returns:
-            The step's values; the next step overwrites them.
         """
+        with deferred_interrupts():
+            yield self._run(frame, kind)
+
+    def _run(self, frame: FrameTensors, kind: StepKind) -> StepValues:
         shape = _shape(frame)
         if self._to_measure > 0 or (shape, kind) not in self._seen:
             # also loads kernels, picks algorithms and makes the optimizers' state, none of which can be captured
@@ -93,7 +99,7 @@ class CapturedSteps:
         if kernels:
             self._seen.clear()
 
-    def look(self) -> None:
+    def check_overflow(self) -> None:
         """See whether all pairs had room; if not, those steps changed nothing, and the next ones get more room."""
         if self._graphs and self.step.capacity.is_short():
             self.forget()
@@ -121,5 +127,4 @@ class CapturedSteps:
 
 def _shape(frame: FrameTensors) -> _Shape:
     tensors = tuple((place_in_frame(frame, tensor), tuple(tensor.shape)) for tensor in frame.packable())
-    has_rgb, has_thermal = frame.rgb is not None, frame.thermal is not None
-    return _Shape(tensors, len(packed_memory(frame)), has_rgb, has_thermal, frame.aligned)
+    return _Shape(tensors, len(packed_memory(frame)), frame.shared_cameras)

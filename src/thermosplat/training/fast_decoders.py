@@ -6,30 +6,30 @@ Only training steps see them like this; evaluation and rendering use the plain d
 import importlib.util
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from thermosplat.decoders import Decoders
-from thermosplat.spectrum_decoders import SpectrumDecoders
-from thermosplat.warp_decoders import FusedDecoders, teams
+from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.spectrum_decoders import SpectrumDecoders
+from thermosplat.training.fused_decoders import FusedDecoders, teams
 
 Precision = Literal["float32", "tf32", "bfloat16"]
 
-BRANCHES = ("rgb", "thermal", "both")
-"""Methods of Decoders that turn features into images."""
+Decode = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
+"""``Decoders.decode``."""
 
 
 class FastDecoders:
-    """Swaps compiled branches in and out of decoders.
+    """Swaps a compiled ``decode`` in and out of decoders.
 
     Args:
         decoders: The decoders.
         compiled: On CUDA, let fused kernels decode where there are some for the decoders and the precision
-            (warp_decoders.py); otherwise let torch.compile, where it works, join element-wise work into few kernels,
+            (fused_decoders.py); otherwise let torch.compile, where it works, join element-wise work into few kernels,
             which takes some seconds once a size.
         precision: Of activations and matrix products: "float32"; "tf32", whose products round their inputs to 10 bits
             of mantissa; "bfloat16", which also keeps activations in 16 bits, 7 of them mantissa, and halves the
@@ -39,29 +39,24 @@ class FastDecoders:
     def __init__(self, decoders: Decoders | SpectrumDecoders, *, compiled: bool, precision: Precision) -> None:
         self.decoders = decoders
         self._matmul = "highest" if precision == "float32" else "high"
-        self._branches: dict[str, Callable[..., Any]] = {}
         fused = _fused(decoders) if compiled and precision == "tf32" else None
-        for name in BRANCHES:
-            if fused is not None:
-                self._branches[name] = getattr(fused, name)
-                continue
-            branch = getattr(decoders, name)
+        self._decode: Decode = decoders.decode if fused is None else fused.decode
+        if fused is None:
             if precision == "bfloat16":
-                branch = _in_bfloat16(branch)
-            self._branches[name] = torch.compile(branch, dynamic=False) if compiled and can_compile() else branch
+                self._decode = _in_bfloat16(self._decode)
+            if compiled and can_compile():
+                self._decode = torch.compile(self._decode, dynamic=False)
 
     @contextmanager
     def active(self) -> Iterator[None]:
         """Around a step's rendering and backward pass."""
         precision = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision(self._matmul)
-        for name, branch in self._branches.items():
-            setattr(self.decoders, name, branch)
+        self.decoders.decode = self._decode  # type: ignore[method-assign, assignment]
         try:
             yield
         finally:
-            for name in self._branches:
-                delattr(self.decoders, name)
+            del self.decoders.decode
             torch.set_float32_matmul_precision(precision)
 
 
@@ -70,13 +65,14 @@ def _fused(decoders: Decoders | SpectrumDecoders) -> FusedDecoders | None:
     return FusedDecoders(decoders) if isinstance(decoders, Decoders) and teams(decoders) else None
 
 
-def _in_bfloat16(branch: Callable[..., Any]) -> Callable[..., Any]:
-    """A branch under autocast, with float32 images."""
+def _in_bfloat16(decode: Decode) -> Decode:
+    """``decode`` under autocast, with float32 images."""
 
-    def run(*features: Tensor) -> Tensor | tuple[Tensor, ...]:
-        with torch.autocast(features[0].device.type, torch.bfloat16):
-            images = branch(*features)
-        return images.float() if isinstance(images, Tensor) else tuple(image.float() for image in images)
+    def run(features: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        device = next(iter(features.values())).device.type
+        with torch.autocast(device, torch.bfloat16):
+            images = decode(features)
+        return {name: image.float() for name, image in images.items()}
 
     return run
 

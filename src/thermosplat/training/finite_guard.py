@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from thermosplat.warp_finite_check import note_by_warp
+from thermosplat.fused.finite_check import note_by_warp
 
 
 class FiniteGuard:

@@ -1,9 +1,10 @@
 """Adam for every parameter, and its learning rate at every step.
 
 A learning rate is a function of the step, so there is no scheduler with a state of its own. Parameters named
-``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``; where
-the configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else to ``final_share``
-of itself.
+``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``, those of
+one spectrum, such as ``thermal_opacity_offsets``, the rate of their kind, ``opacity_offsets_lr``. Where the
+configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else to ``final_share`` of
+itself.
 """
 
 from collections.abc import Mapping
@@ -13,20 +14,21 @@ import torch
 from torch import Tensor, nn
 
 from thermosplat.config import OptimizerConfig
-from thermosplat.training.gaussian_ops import Optimizers
-from thermosplat.warp_adam import WarpAdam, step_together
+from thermosplat.fused.adam import WarpAdam, step_together
+from thermosplat.scene.gaussians import OFFSETS
+from thermosplat.training.density.gaussian_ops import Optimizers
 
 
 def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_extent: float) -> float:
     """Learning rate of a parameter.
 
     Args:
-        name: Parameter name of a set of Gaussians, "decoders" or "exposures".
+        name: Parameter name of a set of Gaussians, "decoders", "exposures", or of the cameras' corrections.
         config: The rates.
         progress: Share of the run that is done, 0 to 1.
         scene_extent: Radius of the cameras [world units]; scales the rate of the means. 3DGS.
     """
-    field = name.removeprefix("log_").removeprefix("logit_") + "_lr"
+    field = f"{_kind(name)}_lr"
     rate = getattr(config, field)
     final = getattr(config, f"{field}_final", rate * config.final_share)
     if rate > 0 and final != rate:
@@ -34,9 +36,25 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_ext
     return rate * scene_extent if name == "means" else rate
 
 
+def _kind(name: str) -> str:
+    """Which rate a parameter takes, without "_lr"."""
+    if name.endswith(OFFSETS):
+        return "opacity_offsets"
+    if name.endswith(("_sh0", "_shN")):
+        return name.rpartition("_")[2]
+    if name.startswith("logit_") and name != "logit_opacities":
+        return "own_opacities"
+    return name.removeprefix("log_").removeprefix("logit_")
+
+
 def gaussian_optimizers(gaussians: nn.Module, config: OptimizerConfig) -> Optimizers:
     """One Adam for each parameter of a set of Gaussians, by name."""
-    return {name: _adam([parameter], config) for name, parameter in gaussians.named_parameters()}
+    return parameter_optimizers(dict(gaussians.named_parameters()), config)
+
+
+def parameter_optimizers(parameters: Mapping[str, nn.Parameter], config: OptimizerConfig) -> Optimizers:
+    """One Adam for each of some parameters, by the name that its learning rate goes by."""
+    return {name: _adam([parameter], config) for name, parameter in parameters.items()}
 
 
 def network_optimizer(network: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:

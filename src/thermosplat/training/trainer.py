@@ -1,4 +1,4 @@
-"""The training loop: one frame a step, both spectra at once.
+"""The training loop: one frame per step, all its spectra at once.
 
     thermosplat-train data/shed                       on the GPU where there is one
     thermosplat-train sample                          a few minutes on two CPU cores
@@ -19,31 +19,38 @@ import torch
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
-from thermosplat.devices import choose_device
 from thermosplat.errors import UserError
-from thermosplat.evaluation import evaluate
+from thermosplat.evaluation.held_out_poses import Judged, evaluate_refined
+from thermosplat.evaluation.labelled_regions import write_regions
 from thermosplat.export.scene import scene_splats, write_scene
-from thermosplat.labelled_regions import write_regions
-from thermosplat.lpips import Lpips, find_lpips
-from thermosplat.model import SceneModel
-from thermosplat.pair_capacity import PairCapacity
-from thermosplat.run_directory import RunDirectory
-from thermosplat.training.auto_budget import AutoBudget
+from thermosplat.image_quality.lpips import Lpips, find_lpips
+from thermosplat.rasterizer.pair_capacity import PairCapacity
+from thermosplat.refinement.camera_report import write_cameras
+from thermosplat.refinement.corrected_capture import corrected_capture
+from thermosplat.runs.devices import choose_device
+from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.scene.model import SceneModel
+from thermosplat.training.budget.auto_budget import AutoBudget
 from thermosplat.training.captured_steps import CapturedSteps
-from thermosplat.training.checkpoint_writer import CheckpointWriter, going_on_without, naming_the_newest_checkpoint
+from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.finite_guard import FiniteGuard
-from thermosplat.training.gaussian_ops import become_copy
-from thermosplat.training.greeting import greeting
-from thermosplat.training.interruption import TrainingInterrupted, deferred_interrupts, meanwhile, stop_signal
-from thermosplat.training.modality_schedule import ModalitySchedule, Span
-from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
-from thermosplat.training.random_streams import random_stream
-from thermosplat.training.resuming import check_resumable, newest_checkpoint
-from thermosplat.training.run_logger import RunLogger, StepRecord
-from thermosplat.training.run_metrics import run_metrics
-from thermosplat.training.thermal_noise import with_measured_smoothness
-from thermosplat.training.train_frames import TrainFrames
+from thermosplat.training.frames.random_streams import random_stream
+from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
+from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
+from thermosplat.training.image_noise import with_measured_smoothness
+from thermosplat.training.plain_steps import PlainSteps
+from thermosplat.training.session.checkpoint_writer import (
+    CheckpointWriter,
+    going_on_without,
+    naming_the_newest_checkpoint,
+)
+from thermosplat.training.session.greeting import greeting
+from thermosplat.training.session.interruption import TrainingInterrupted, deferred_interrupts, meanwhile, stop_signal
+from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
+from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
+from thermosplat.training.session.run_logger import RunLogger, StepRecord
+from thermosplat.training.session.run_metrics import run_metrics
 from thermosplat.training.training_state import TrainingState
 from thermosplat.training.training_step import StepKind, TrainingStep, sh_degree_at
 
@@ -78,20 +85,22 @@ class Trainer:
             device=self.device,
             tensorboard=config.tensorboard,
         )
-        self.frames = TrainFrames(capture, config.model, self.device)
-        self.schedule = ModalitySchedule(config, self.frames)
+        self.frames = TrainFrames(capture, config.modelled, self.device)
+        self.schedule = SpectrumSchedule(config, self.frames)
         if checkpoint is None:
             self.model = SceneModel.from_capture(config, capture, self.device)
         else:
             self.model = SceneModel.from_checkpoint(checkpoint, self.device)
-        self.state = TrainingState(self.model, config, capture.scene_extent, self.device, len(self.frames))
+        self.state = TrainingState(self.model, config, capture, self.device)
         if checkpoint is not None:
             self.state.load(checkpoint)
-        self.budget = AutoBudget(config, self.state, self.frames, self.schedule) if config.budget == "auto" else None
+        self.budget: AutoBudget | None = None
+        if config.budget == "auto":
+            frames = CorrectedFrames(self.frames, self.state.corrections)
+            self.budget = AutoBudget(config, self.state, frames, self.schedule)
         self.guard = FiniteGuard(self.device)
         measured, self.noise_notes = with_measured_smoothness(config, self.frames)
         self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device))
-        self.captured: CapturedSteps | None = None
         on_cuda = self.device.type == "cuda"
         if on_cuda:
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
@@ -100,8 +109,9 @@ class Trainer:
                 self.model.decoders, compiled=on_cuda and config.compile, precision=config.decoder_precision
             )
             self.device_step.decoding = fast.active
+        self.steps: PlainSteps | CapturedSteps = PlainSteps(self.device_step)
         if on_cuda and config.graph:
-            self.captured = CapturedSteps(self.device_step, len(self.frames))
+            self.steps = CapturedSteps(self.device_step, len(self.frames))
         self.checkpoints = CheckpointWriter(self.logger.say)
         self.lpips: Lpips | None = None
         self._warm = False
@@ -174,10 +184,10 @@ class Trainer:
             with naming_the_newest_checkpoint(self.run):
                 # whatever goes wrong in here, what was trained is kept
                 with meanwhile(partial(self.checkpoints.write, *self._checkpoint())), meanwhile(self._exporting()):
-                    metrics = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+                    judged = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
                 state.seconds.wall = time.perf_counter() - started
-                write_regions(self.run, self.model, self.capture, state.step, self.sh_degree, self.device)
-                return self._finish(metrics)
+                write_regions(self.run, self.model, judged.capture, state.step, self.sh_degree, self.device)
+                return self._finish(judged)
         except (KeyboardInterrupt, Exception) as error:
             if (number := stop_signal(error)) is not None:
                 with deferred_interrupts(redeliver=False):
@@ -199,43 +209,34 @@ class Trainer:
         kind = StepKind.at(config, step, densifying=densifying)
         state.begin_step(step, config.optimizer, self.capture.scene_extent)
 
-        if self.captured is None:
-            with self._first_step():
-                differentiated = self.device_step.gradients(frame, kind, fixed_capacity=False)
-        with deferred_interrupts():  # from here on the step is done as a whole
-            if self.captured is None:
-                values = self.device_step.update(kind, differentiated)
-            else:
-                with self._first_step():
-                    values = self.captured.run(frame, kind)
+        with self._first_step(), self.steps.run(frame, kind) as values:
             if self._looks_at_guard(step):
                 self._stop_if_not_finite()
-                if self.captured is not None:
-                    self.captured.look()
+                self.steps.check_overflow()
             refining = {n: s for n, s in state.strategies.items() if s.refines_at(step) or s.resets_at(step)}
             pruning = self.budget is not None and self.budget.prunes_at(step)
             replacing = any(strategy.replaces_tensors(state.gaussian_sets[n]) for n, strategy in refining.items())
-            if self.captured is not None and (replacing or pruning):
-                self.captured.forget(kernels=pruning)
+            if replacing or pruning:
+                self.steps.forget(kernels=pruning)
             for name, strategy in refining.items():
                 random = random_stream(config.seed, "split", step)
                 strategy.refine(state.gaussian_sets[name], state.optimizers[name], step, random)
             if self.budget is not None and self.budget.acts_at(step):
                 self.budget.after_step(step, kind.sh_degree)
-            if config.model.thermal_start == "rgb" and step == state.spans["thermal"].start:
-                self._start_thermal_from_rgb()
+            for name, spectrum in config.modelled.items():
+                if spectrum.start != "points" and step == state.spans[name].start:
+                    self._start_from_other_set(name, spectrum.start)
             state.seconds.train += time.perf_counter() - started
 
         losses, errors, number = values.losses, values.squared_errors, self.model.num_gaussians
         self.logger.step(StepRecord(step, losses, errors, number, kind.sh_degree, state.seconds.train))
 
-    def _start_thermal_from_rgb(self) -> None:
-        """Make the thermal set a copy of the trained RGB set, to be trained anew from it."""
+    def _start_from_other_set(self, name: str, source: str) -> None:
+        """Make a spectrum's set a copy of another one's trained set, to be trained anew from it."""
         state = self.state
-        if self.captured is not None:
-            self.captured.forget()
-        become_copy(state.gaussian_sets["thermal"], state.optimizers["thermal"], state.gaussian_sets["rgb"])
-        state.strategies["thermal"].forget(len(state.gaussian_sets["thermal"]))
+        self.steps.forget()
+        become_copy(state.gaussian_sets[name], state.optimizers[name], state.gaussian_sets[source])
+        state.strategies[name].forget(len(state.gaussian_sets[name]))
 
     @contextmanager
     def _first_step(self) -> Iterator[None]:
@@ -257,35 +258,43 @@ class Trainer:
 
     # ---- evaluation and what is left behind --------------------------------------------------------------------------
 
-    def _evaluate(self, strips: Path | None = None, per_view: Path | None = None) -> dict[str, Any]:
+    def _evaluate(self, strips: Path | None = None, per_view: Path | None = None) -> Judged:
         """Judge the model by the held-out views; at the end with strips and numbers for every view."""
         step = self.state.step
-        metrics = evaluate(
+        judged = evaluate_refined(
             self.model,
-            self.capture,
+            self.corrected_capture(),
+            self.config,
             sh_degree=self.sh_degree,
             device=self.device,
             lpips=self.lpips,
             strips_dir=strips,
             csv_path=per_view,
         )
-        self.logger.evaluation(step, metrics)
-        self.run.write_json(self.run.stats / f"step_{step:06d}.json", metrics)
-        return metrics
+        self.logger.evaluation(step, judged.metrics)
+        self.run.write_json(self.run.stats / f"step_{step:06d}.json", judged.metrics)
+        return judged
 
-    def _finish(self, evaluated: dict[str, Any]) -> dict[str, Any]:
+    def corrected_capture(self) -> Capture:
+        """The capture with its cameras as they are believed to be now."""
+        corrections = self.state.corrections
+        return self.capture if corrections is None else corrected_capture(self.capture, corrections)
+
+    def _finish(self, judged: Judged) -> dict[str, Any]:
         """Write metrics.json, last of all: where it is, everything is."""
-        metrics = run_metrics(evaluated, self.state, self.device, self.lpips)
+        if self.state.corrections is not None:
+            write_cameras(judged.capture, self.run.refined)
+        metrics = run_metrics(judged.metrics, self.state, self.device, self.lpips)
         self.run.write_json(self.run.metrics_json, metrics)
         return metrics
 
     def _exporting(self) -> Callable[[], object]:
         """What writes the scene for other viewers; in any thread, as it has tensors of its own."""
-        return partial(write_scene, scene_splats(self.model, self.capture.thermal_scale), self.run.ply)
+        return partial(write_scene, scene_splats(self.model, self.capture.scales), self.run.ply)
 
     def _checkpoint(self) -> tuple[Path, dict[str, Any]]:
         """File and content of a checkpoint of the steps done; callers have made sure that the state is finite."""
-        state = self.state.checkpoint(self.config, self.sh_degree, self.capture.thermal_scale)
+        state = self.state.checkpoint(self.config, self.sh_degree, self.capture.scales)
         for split in ("train", "test"):
             state[f"{split}_frames"] = [frame.name for frame in getattr(self.capture, split)]
         return self.run.checkpoint(self.state.step), state
@@ -308,7 +317,7 @@ class Trainer:
             self.device.type == "cpu"  # nothing to wait for
             or step % config.log_every == 0
             or step in (*config.eval_steps, *config.save_steps, config.max_steps)
-            or step == self.state.spans.get("thermal", Span(0, 0)).start
+            or any(step == span.start for span in self.state.spans.values())
             or any(strategy.refines_at(step) or strategy.resets_at(step) for strategy in self.state.strategies.values())
             or (self.budget is not None and self.budget.acts_at(step))
         )
@@ -332,17 +341,16 @@ class Trainer:
         """Save what there is; the error says what would need less memory."""
         failed, num_gaussians = self.state.step + 1, self.model.num_gaussians
         self.state.clear_gradients()
-        if self.captured is not None:
-            self.captured.forget()
+        self.steps.forget()
         if self.device.type == "cuda":
             torch.cuda.empty_cache()
         self._stop_if_not_finite()
         frame = self.schedule.frame(self.state.step)
-        view = frame.rgb or frame.thermal
+        camera = next(iter(frame.views.values())).camera
         return out_of_memory_error(
             failed,
             num_gaussians,
-            f"{view.camera.width}x{view.camera.height}" if view is not None else "no image",
+            f"{camera.width}x{camera.height}",
             self.device,
             f"Checkpoint saved to {self._save()}.",
             self.run.resume_command(),

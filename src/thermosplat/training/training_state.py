@@ -1,26 +1,34 @@
 """Everything that changes while training, and that a checkpoint must hold to go on exactly."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from thermosplat.checkpoint import damage_explained
-from thermosplat.config import DensificationConfig, OptimizerConfig, TrainConfig
-from thermosplat.config_files import to_dict
-from thermosplat.gaussians import Gaussians
-from thermosplat.model import SceneModel
-from thermosplat.radiometry import ThermalScale
-from thermosplat.training.decomposition import DecomposingStrategy
-from thermosplat.training.densification import DefaultStrategy
+from thermosplat.config import OptimizerConfig, TrainConfig
+from thermosplat.config.files import to_dict
+from thermosplat.datasets.capture import Capture
+from thermosplat.refinement.camera_corrections import CameraCorrections
+from thermosplat.runs.checkpoint import damage_explained
+from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.model import SceneModel
+from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.training.density.gaussian_ops import Optimizers
+from thermosplat.training.density.strategies import STRATEGIES
+from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
-from thermosplat.training.gaussian_ops import Optimizers
-from thermosplat.training.mcmc import McmcStrategy
-from thermosplat.training.modality_schedule import set_span
-from thermosplat.training.optimizers import gaussian_optimizers, load_optimizer, network_optimizer, set_learning_rates
-from thermosplat.training.random_streams import start_stream
+from thermosplat.training.frames.random_streams import start_stream
+from thermosplat.training.frames.spectrum_schedule import set_span
+from thermosplat.training.optimizers import (
+    gaussian_optimizers,
+    load_optimizer,
+    network_optimizer,
+    parameter_optimizers,
+    set_learning_rates,
+)
 
 
 @dataclass
@@ -44,14 +52,15 @@ class TrainingState:
     Attributes:
         model: The scene.
         gaussian_sets: The model's sets of Gaussians by name.
-        exposures: Colour changes of the training views; None where the model has none.
-        optimizers: By name of the set, "decoders" and "exposures", the optimizers by parameter name.
+        exposures: Colour changes of the training views; None where no spectrum has them.
+        corrections: What is wrong with the cameras; None where nothing of them is refined.
+        optimizers: By name of the set, "decoders", "exposures" and "corrections", the optimizers by parameter name.
         spans: The steps that train each owner of optimizers.
         strategies: Density control by name of the set.
         step: Steps done.
         step_on_device: int64 scalar, the number of the step that is being done.
         growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
-        offsets_dropped: Whether thermal opacity offsets that are zero stay zero.
+        offsets_dropped: Whether opacity offsets that are zero stay zero.
         trimmed: Whether what the training images do not miss was dropped after the last step (``AutoBudget.finish``).
         best_validation: Best PSNR of withheld training views so far [dB], and its step.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
@@ -60,14 +69,11 @@ class TrainingState:
     Args:
         model: The scene, on its device.
         config: The whole configuration.
-        scene_extent: Radius of the cameras [world units].
+        capture: What it is trained on; the exposures and cameras of the training frames are part of the state.
         device: The model's device.
-        num_frames: Training frames; their exposures are part of the state.
     """
 
-    def __init__(
-        self, model: SceneModel, config: TrainConfig, scene_extent: float, device: torch.device, num_frames: int = 0
-    ) -> None:
+    def __init__(self, model: SceneModel, config: TrainConfig, capture: Capture, device: torch.device) -> None:
         self.model = model
         self.gaussian_sets: dict[str, Gaussians] = {name: model.gaussians(name) for name in model.gaussian_sets}
         self.optimizers: dict[str, Optimizers] = {
@@ -76,13 +82,26 @@ class TrainingState:
         if model.decoders is not None:
             self.optimizers["decoders"] = {"decoders": network_optimizer(model.decoders, config.optimizer)}
         self.exposures: Exposures | None = None
-        if config.model.exposures:
-            self.exposures = Exposures(num_frames, model.thermal_channels).to(device)
+        exposed = [spectrum for name, spectrum in model.spectra.items() if config.spectra[name].exposure != "fixed"]
+        if exposed:
+            levels = [name for name, spectrum in config.modelled.items() if spectrum.exposure == "level"]
+            self.exposures = Exposures(len(capture.training_frames(model.spectra)), exposed, levels).to(device)
             self.optimizers["exposures"] = {"exposures": network_optimizer(self.exposures, config.optimizer)}
+        self.corrections: CameraCorrections | None = None
+        if config.refine:
+            self.corrections = CameraCorrections(config.refine, capture, list(model.spectra)).to(device)
+            self.optimizers["corrections"] = parameter_optimizers(self.corrections.learnt(), config.optimizer)
         self.spans = {owner: set_span(owner, config) for owner in self.optimizers}
-        strategy = _strategy(config.densification)
-        self.strategies: dict[str, DefaultStrategy] = {
-            name: strategy(config.densification, scene_extent, len(gaussians), device, self.spans[name])
+        strategy = STRATEGIES[config.densification.strategy]
+        self.strategies: dict[str, Strategy] = {
+            name: strategy(
+                config.densification,
+                capture.scene_extent,
+                len(gaussians),
+                device,
+                self.spans[name],
+                tuple(spectrum for spectrum in model.spectra if model.set_of(spectrum) == name),
+            )
             for name, gaussians in self.gaussian_sets.items()
         }
         self.step = 0
@@ -91,7 +110,7 @@ class TrainingState:
         self.trimmed = False
         self.best_validation = (-math.inf, 0)
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
-        self.seed, self.scene_extent = config.seed, scene_extent
+        self.seed, self.scene_extent = config.seed, capture.scene_extent
         self.noise = torch.Generator(device)
         self.seconds = Seconds()
 
@@ -132,23 +151,23 @@ class TrainingState:
             ]
             for owner, optimizers in self.optimizers.items()
             for name, optimizer in optimizers.items()
-            if name not in ("shN", "thermal_shN")
+            if name != "shN" and not name.endswith("_shN")
         }
 
-    def checkpoint(self, config: TrainConfig, sh_degree: int, thermal_scale: ThermalScale | None) -> dict[str, Any]:
+    def checkpoint(self, config: TrainConfig, sh_degree: int, scales: Mapping[str, PixelScale]) -> dict[str, Any]:
         """What ``checkpoint.save_checkpoint`` writes; of a trimmed model without Adam's moments, twice its size.
 
         Args:
             config: The whole configuration.
             sh_degree: Degree of the spherical harmonics in use.
-            thermal_scale: What thermal pixel values mean.
+            scales: What pixel values mean, by spectrum.
         """
         return {
             "step": self.step,
             "config": to_dict(config),
             "sh_degree": sh_degree,
             "model": self.model.checkpoint_state(),
-            "thermal_scale": thermal_scale.state_dict() if thermal_scale is not None else None,
+            "scales": {name: scale.state_dict() for name, scale in scales.items()},
             "training": {
                 "optimizers": {
                     owner: {name: optimizer.state_dict() for name, optimizer in optimizers.items()}
@@ -158,6 +177,7 @@ class TrainingState:
                 else None,
                 "strategies": {name: strategy.state_dict() for name, strategy in self.strategies.items()},
                 "exposures": self.exposures.state_dict() if self.exposures is not None else None,
+                "corrections": self.corrections.state_dict() if self.corrections is not None else None,
                 "growing": self.growing,
                 "offsets_dropped": self.offsets_dropped,
                 "trimmed": self.trimmed,
@@ -188,16 +208,11 @@ class TrainingState:
             strategy.load_state_dict(training["strategies"][name])
         if self.exposures is not None:
             self.exposures.load_state_dict(training["exposures"])
+        if self.corrections is not None:
+            self.corrections.load_state_dict(training["corrections"])
         self.growing = training.get("growing", True)  # checkpoints of 0.1.0 have none of these four
         self.offsets_dropped = training.get("offsets_dropped", False)
         self.trimmed = training.get("trimmed", False)
         self.best_validation = training.get("best_validation", self.best_validation)
         self.step = checkpoint["step"]
         self.seconds = Seconds(**training["seconds"])
-
-
-def _strategy(config: DensificationConfig) -> type[DefaultStrategy]:
-    """The density control that a configuration asks for."""
-    if config.strategy == "mcmc":
-        return McmcStrategy
-    return DefaultStrategy if config.decompose_threshold is None else DecomposingStrategy

@@ -14,14 +14,15 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
-from thermosplat.feature_norm import feature_norm_loss
-from thermosplat.gaussian_penalties import gaussian_penalties
-from thermosplat.losses import compare_frame
-from thermosplat.model import RenderedFrame
-from thermosplat.pair_capacity import PairCapacity
+from thermosplat.losses.feature_norm import feature_norm_loss
+from thermosplat.losses.gaussian_penalties import gaussian_penalties
+from thermosplat.losses.image_terms import compare_frame
+from thermosplat.losses.spectrum_balance import balanced_losses
+from thermosplat.rasterizer.pair_capacity import PairCapacity
+from thermosplat.scene.initial_gaussians import SHARED
+from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.finite_guard import FiniteGuard
-from thermosplat.training.modality_balance import balanced_losses
-from thermosplat.training.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.training_state import TrainingState
 
@@ -33,7 +34,7 @@ class StepValues:
     losses: dict[str, Tensor]
     """Weighted loss terms by name."""
     squared_errors: dict[str, Tensor]
-    """Mean squared error of the step's own images, clamped to [0, 1], by modality."""
+    """Mean squared error of the step's own images, clamped to [0, 1], by spectrum."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,15 @@ class StepKind:
     """Note gradients for the next refinement."""
     depth_spread: bool = False
     """Penalise the spread of depths along rays."""
+    refining: bool = False
+    """Correct the cameras."""
 
     @classmethod
     def at(cls, config: TrainConfig, step: int, *, densifying: bool) -> "StepKind":
         """What is done in a step, from 1."""
         late = step > config.loss.depth_spread_from * config.max_steps
-        return cls(sh_degree_at(config, step), densifying, config.loss.depth_spread > 0 and late)
+        refining = bool(config.refine) and step > config.refine_from
+        return cls(sh_degree_at(config, step), densifying, config.loss.depth_spread > 0 and late, refining)
 
 
 def sh_degree_at(config: TrainConfig, step: int) -> int:
@@ -97,33 +101,39 @@ class TrainingStep:
             UserError: If no loss has a weight.
         """
         config, state = self.config, self.state
+        if state.corrections is not None:
+            with torch.set_grad_enabled(kind.refining):
+                frame = state.corrections(frame)
         with self.decoding():
             with self.capacity.step(fixed=fixed_capacity):
+                apart = any(strategy.separates_spectra for strategy in state.strategies.values())
                 rendered = state.model.render(
-                    frame.rgb,
-                    frame.thermal,
+                    frame.views,
                     sh_degree=kind.sh_degree,
                     absgrad=config.densification.absgrad,
-                    aligned=frame.aligned and not any(s.separates_modalities for s in state.strategies.values()),
+                    shared_cameras=[[name] for name in frame.views] if apart else frame.shared_cameras,
                     deterministic=config.deterministic,
                     depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread else None,
                 )
             if state.exposures is not None and frame.index is not None:
                 rendered = state.exposures(rendered, frame.index)
-            compared = compare_frame(rendered, frame, config.loss)
+            compared = compare_frame(rendered, frame, config)
             losses = compared.losses
             if config.loss.feature_norm > 0 and state.model.decoders is not None:
-                features = state.gaussian_sets["shared"].features
+                features = state.gaussian_sets[SHARED].features
                 losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
             if rendered.depth_spreads:
                 losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
             if config.loss.balance:
-                losses = balanced_losses(losses, {name: len(owned) for name, owned in state.gaussian_sets.items()})
+                numbers = {name: len(owned) for name, owned in state.gaussian_sets.items()}
+                losses = balanced_losses(losses, compared.spectra, numbers)
             # of sets that this step renders: nothing would hold others against their penalties
             rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
             losses |= gaussian_penalties(rendered_sets, config.loss, state.scene_extent)
             if not losses:
-                raise UserError("All loss weights are 0: nothing to learn.", "Set --loss.rgb or --loss.thermal.")
+                raise UserError(
+                    "All loss weights are 0: nothing to learn.", "Set the loss of a spectrum, such as --rgb.loss 1."
+                )
             if kind.densifying:
                 for name, strategy in state.strategies.items():
                     strategy.step_pre_backward(rendered.infos.get(name, []))

@@ -1,0 +1,1 @@
+"""The renderers and training steps that ours are compared with."""

@@ -1,0 +1,1 @@
+"""What bench_rasterization.py is made of."""

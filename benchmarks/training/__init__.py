@@ -1,0 +1,1 @@
+"""What bench_training.py and its siblings are made of."""

@@ -1,0 +1,38 @@
+"""``python -m thermosplat train DATA`` does what ``thermosplat-train DATA`` does; so for every command."""
+
+import sys
+from importlib import import_module
+
+COMMANDS = {
+    "train": "thermosplat.cli.train",
+    "eval": "thermosplat.cli.evaluate",
+    "render": "thermosplat.cli.render",
+    "export": "thermosplat.cli.export",
+    "benchmark": "thermosplat.cli.benchmark",
+}
+"""Module of each command, whose ``main`` takes the other words."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        argv: The command and its words. None: the process's.
+
+    Returns:
+        The command's exit code; 2 where there is no such command.
+    """
+    words = sys.argv[1:] if argv is None else argv
+    if words and words[0] in COMMANDS:
+        return import_module(COMMANDS[words[0]]).main(words[1:])
+    usage = f"python -m thermosplat {'|'.join(COMMANDS)} ...    (each has --help)"
+    if words in (["--help"], ["-h"]):
+        print(usage)
+        return 0
+    problem = f"There is no command {words[0]!r}." if words else "No command given."
+    print(f"{problem}\n{usage}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,23 @@
+"""What a run can be told: the schema, presets in YAML, and checks. Nothing here imports torch."""
+
+from thermosplat.config.schema import (
+    AutoBudgetConfig,
+    DecoderConfig,
+    DensificationConfig,
+    LossConfig,
+    ModelConfig,
+    OptimizerConfig,
+    Refined,
+    TrainConfig,
+)
+
+__all__ = [
+    "AutoBudgetConfig",
+    "DecoderConfig",
+    "DensificationConfig",
+    "LossConfig",
+    "ModelConfig",
+    "OptimizerConfig",
+    "Refined",
+    "TrainConfig",
+]

@@ -1,0 +1,208 @@
+"""What a configuration must satisfy beyond its types: ranges, and settings that exclude each other."""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from thermosplat.config import TrainConfig
+from thermosplat.config.spectrum_checks import check_spectra
+from thermosplat.errors import UserError
+from thermosplat.spectra import label, latent_channels
+
+_AT_LEAST: dict[str, float] = {
+    "max_steps": 1,
+    "data_factor": 1,
+    "test_every": 2,
+    "sh_degree": 0,
+    "sh_degree_interval": 1,
+    "log_every": 1,
+    "refine_from": 0,
+    "seed": 0,
+    "model.feature_dim": 0,
+    "model.feature_noise": 0,
+    "decoder.hidden_dim": 1,
+    "decoder.hidden_layers": 1,
+    "densification.every": 1,
+    "densification.reset_every": 1,
+    "densification.max_gaussians": 1,
+    "densification.growth": 0,
+    "auto_budget.offset_shrinkage": 0,
+    "auto_budget.prune_change": 0,
+    "auto_budget.offset_change": 0,
+    "auto_budget.feature_change": 0,
+    "auto_budget.sh_change": 0,
+    "auto_budget.rounding_change": 0,
+    "auto_budget.measured_views": 1,
+    "auto_budget.validation_views": 0,
+    "auto_budget.validate_every": 1,
+    "auto_budget.patience": 1,
+    "auto_budget.least_gain": 0,
+    "densification.position_noise": 0,
+    "densification.grad_threshold": 0,
+    "densification.prune_large_from": 0,
+    "densification.conflict_threshold": 0,
+    "densification.start_step": 0,
+    "densification.stop_step": 0,
+}
+_AT_MOST: dict[str, float] = {
+    "seed": 2**63 - 1,  # what torch's generators take
+    "sh_degree": 3,  # what the renderer's kernels evaluate
+}
+_SHARES = (
+    "loss.ssim_lambda",
+    "loss.depth_spread_from",
+    "densification.prune_opacity",
+    "densification.keep_opacity",
+)
+_POSITIVE = (
+    "model.init_scale",
+    "optimizer.eps",
+    "optimizer.means_lr_final",
+    "optimizer.features_lr_final",
+    "optimizer.decoders_lr_final",
+    "optimizer.exposures_lr_final",
+    "optimizer.poses_lr_final",
+    "optimizer.cameras_lr_final",
+    "optimizer.final_share",
+    "densification.grow_scale3d",
+    "densification.prune_scale3d",
+)
+
+
+def check_config(config: TrainConfig, *, source: str = "") -> None:
+    """Look for values that no run can work with.
+
+    Args:
+        config: The configuration.
+        source: File it was read from; empty for the command line, whose flags are then named.
+
+    Raises:
+        UserError: A value out of range, or two settings that exclude each other; names it, its value and the bound.
+    """
+    values = dict(_flattened(config))
+
+    def name(key: str) -> str:
+        return f"{source}: {key}" if source else "--" + key.removeprefix("spectra.").replace("_", "-")
+
+    for key, value in values.items():
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float) and not math.isfinite(number):
+                raise UserError(f"{name(key)} must be finite, found {number}.")
+    for key, least in _AT_LEAST.items():
+        if values[key] is not None and values[key] < least:
+            raise UserError(f"{name(key)} must be at least {least}, found {values[key]}.")
+    for key, most in _AT_MOST.items():
+        if values[key] > most:
+            raise UserError(f"{name(key)} must be at most {most}, found {values[key]}.")
+    for key in _SHARES:
+        if not 0 <= values[key] <= 1:
+            raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
+    for key in _POSITIVE:
+        if not values[key] > 0:
+            raise UserError(f"{name(key)} must be positive, found {values[key]}.")
+    for key, value in values.items():
+        if key.startswith(("loss.", "optimizer.")) and value < 0:
+            raise UserError(f"{name(key)} must be zero or positive, found {value}.")
+    for key in ("eval_steps", "save_steps"):
+        if any(step < 1 for step in values[key]):
+            raise UserError(f"{name(key)} must be steps from 1 on, found {list(values[key])}.")
+    for key in ("model.init_opacity", "densification.reset_opacity"):  # stored as logits
+        if not 0 < values[key] < 1:
+            raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
+    if not all(0 <= channel <= 1 for channel in config.background):
+        raise UserError(f"{name('background')} must be three values between 0 and 1, found {config.background}.")
+    check_spectra(config, name)
+    _check_model(config, name)
+    if config.decoder.branches == "separate" and config.decoder.modulation:
+        raise UserError(
+            f"{name('decoder.branches')} separate leaves nothing to modulate one spectrum by the other with.",
+            f"Switch {name('decoder.modulation')} off too.",
+        )
+    if "rig" in config.refine and len(config.modelled) < 2:
+        raise UserError(f"{name('refine')} rig corrects how cameras stand to each other, and one spectrum is modelled.")
+    _check_decomposition(config, name)
+    _check_mcmc(config, name)
+    if not all(0 < share < 1 for share in config.auto_budget.prune_at):
+        shares = config.auto_budget.prune_at
+        raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
+
+
+def _check_model(config: TrainConfig, name: Any) -> None:
+    model = config.model
+    latent = latent_channels(config.modelled)
+    needed = max(last for _, last in latent.values())
+    if 0 < model.feature_dim < needed:
+        channels = ", ".join(
+            f"{_channels(*ends)} with {label(spectrum)}" for spectrum, ends in latent.items() if ends[0] < ends[1]
+        )
+        raise UserError(
+            f"{name('model.feature_dim')} must be 0 or at least {needed}, found {model.feature_dim}: "
+            f"losses supervise {channels}.",
+            "More channels make room; a spectrum with features: null needs none.",
+        )
+    if model.gaussian_sets == "separate" and model.feature_dim:
+        raise UserError(
+            f"Separate Gaussians have no shared features, but {name('model.feature_dim')} is {model.feature_dim}.",
+            "Set it to 0, as --config 3dgs does.",
+        )
+    if config.loss.depth_spread > 0 and not model.feature_dim:
+        raise UserError(
+            f"{name('loss.depth_spread')} is {config.loss.depth_spread}, but depths are blended with features, and "
+            f"{name('model.feature_dim')} is 0.",
+            "Leave it at 0.",
+        )
+    separate = model.gaussian_sets == "separate" and len(config.modelled) > 1
+    if config.loss.balance and not separate:
+        raise UserError(f"{name('loss.balance')} is about separate sets of Gaussians, one per spectrum.")
+
+
+def _channels(first: int, beyond: int) -> str:
+    return f"channel {first}" if beyond == first + 1 else f"channels {first} to {beyond - 1}"
+
+
+def _check_decomposition(config: TrainConfig, name: Any) -> None:
+    model, densification = config.model, config.densification
+    if not 0 < densification.off_opacity < 1 / 255:
+        raise UserError(
+            f"{name('densification.off_opacity')} must lie between 0 and 1/255, so that it is not drawn, found "
+            f"{densification.off_opacity}."
+        )
+    if densification.strategy != "decomposing":
+        return
+    modelled = list(config.modelled.values())
+    if not (model.gaussian_sets == "shared" and len(modelled) == 2 and modelled[1].opacity == "own"):
+        raise UserError(
+            f"{name('densification.strategy')} decomposing divides Gaussians between two spectra, which needs a shared "
+            "set whose second spectrum has an opacity of its own.",
+            "Start from --config mmone, or take another strategy.",
+        )
+    if densification.absgrad:
+        raise UserError(
+            f"{name('densification.strategy')} decomposing compares directions, which "
+            f"{name('densification.absgrad')} does not keep.",
+            "Leave one of them out.",
+        )
+
+
+def _check_mcmc(config: TrainConfig, name: Any) -> None:
+    densification = config.densification
+    if densification.strategy != "mcmc":
+        return
+    if densification.max_gaussians is None:
+        raise UserError(
+            f"{name('densification.strategy')} mcmc grows to a budget, and there is none.",
+            f"Give {name('densification.max_gaussians')}, such as 1000000.",
+        )
+
+
+def _flattened(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from _flattened(value, f"{prefix}{field.name}.")
+        elif isinstance(value, dict):
+            for name, group in value.items():
+                yield from _flattened(group, f"{prefix}{field.name}.{name}.")
+        else:
+            yield f"{prefix}{field.name}", value

@@ -1,0 +1,312 @@
+"""What a run can be told: frozen dataclasses are the schema, YAML presets fill it, flags override.
+
+This file imports nothing heavy, so that ``thermosplat-train --help`` answers at once. Every number states its source:
+"3DGS" is Kerbl et al. 2023 as its reference code and gsplat 1.5.3's trainer set it; "ThermoSplat" is Su et al., the
+method this package implements; "open choice" marks what that paper leaves open.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
+
+Refined = Literal["poses", "rig", "intrinsics", "distortion"]
+
+
+@dataclass(frozen=True)
+class DecoderConfig:
+    """The pixel-wise networks between rendered features and images (ThermoSplat, section on feature modulation)."""
+
+    hidden_dim: int = 64
+    """Width of the shared encoder and of the prior heads. Open choice: MS-Splatting 16 to 32, FeatSplat 64."""
+    hidden_layers: int = 2
+    """Layers of the shared encoder, each followed by SiLU. Open choice ("multiple pixel-wise linear layers")."""
+    modulation: bool = True
+    """Feature-wise modulation of one spectrum by another one's prior. Off: plain heads (ablation "MLP-based")."""
+    branches: Literal["joined", "separate"] = "joined"
+    """One network whose first layers all spectra share (ThermoSplat), or a plain one per spectrum, which have nothing
+    in common but their input (MS-Splatting); those have no modulation."""
+    view_direction: bool = False
+    """The decoders also see the direction in which a pixel looks. MS-Splatting."""
+    hybrid: bool = True
+    """A photograph that comes first in the list of spectra is the SH render plus the decoded part. Off: the decoded
+    part alone (ablation "w/o hybrid RGB")."""
+    covered_only: bool = True
+    """Multiply decoded images by the accumulated opacity, so that the background shows where no Gaussian is, as in
+    3DGS. Off: there the networks' answer to zero features shows, which nothing has taught them where the training
+    views did not look. Open choice."""
+    hybrid_bias: float = -4.0
+    """Initial bias of that spectrum's head, so that the hybrid sum starts at the SH colour: sigmoid(-4) = 0.018. Open
+    choice. Ignored (0) without the hybrid sum."""
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """What a Gaussian holds and which Gaussians there are."""
+
+    gaussian_sets: Literal["shared", "separate"] = "shared"
+    """One set of Gaussians for all spectra, or one set each, trained alone (the "3DGS" rows of the paper's table)."""
+    feature_dim: int = 8
+    """Latent channels d per Gaussian, decoded per pixel. 0: none, each spectrum is rendered from its SH colours; a
+    shared set then holds those of every spectrum (ThermalGaussian OMMG, MMOne)."""
+    rasterize_mode: Literal["classic", "antialiased"] = "classic"
+    """As gsplat's rasterization. ThermoSplat and 3DGS use classic; antialiased is Mip-Splatting's 2D filter."""
+    feature_noise: float = 0.2
+    """Standard deviation of the initial features that have no colour to start from. Open choice: MS-Splatting 0.2."""
+    init_opacity: float = 0.1
+    """Opacity of the first Gaussians. 3DGS."""
+    init_scale: float = 1.0
+    """First scales, as a multiple of the root mean square distance to the 3 nearest points. 3DGS."""
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Weights of the loss terms that are not one spectrum's (ThermoSplat; method equations 9 to 13)."""
+
+    ssim_lambda: float = 0.2
+    """λ_s: share of 1 - SSIM in every image loss; the rest is L1. ThermoSplat, 3DGS."""
+    features: float = 1.0
+    """λ_rf: weight of the loss on rendered features. ThermoSplat. Without features it has no effect."""
+    feature_norm: float = 0.0
+    """Weight of the mean of (|f| - 1)² over the Gaussians. MS-Splatting: 0.1."""
+    opacity_reg: float = 0.0
+    """Weight of the mean opacity, of every opacity that the Gaussians have. 3DGS-MCMC: 0.01."""
+    scale_reg: float = 0.0
+    """Weight of the mean scale, in units of the scene's extent. 3DGS-MCMC: 0.01."""
+    depth_spread: float = 0.0
+    """Weight of the spread of log-depth along rays, of every spectrum. 2DGS's depth distortion, with squares."""
+    depth_spread_limit: float = 0.02
+    """v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet
+    in a pixel, hardly count: half of one and half of another 1.33 times as far is 0.02. 0: v itself. Open choice."""
+    depth_spread_from: float = 0.5
+    """Share of the steps before the spread counts. Open choice."""
+    balance: bool = False
+    """Multiply the losses of a separate set by the other sets' share of all Gaussians. ThermalGaussian MSMG."""
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """Adam's learning rates, each a constant unless it or ``final_share`` says otherwise."""
+
+    means_lr: float = 1.6e-4
+    """Means, times the scene's extent. 3DGS."""
+    means_lr_final: float = 1.6e-6
+    """Means at the last step (exponential decay), times the scene's extent. 3DGS."""
+    scales_lr: float = 5e-3
+    """Log-scales. 3DGS."""
+    quats_lr: float = 1e-3
+    """Quaternions. 3DGS."""
+    opacities_lr: float = 5e-2
+    """Logit-opacities. 3DGS (gsplat and the original code: 0.05)."""
+    sh0_lr: float = 2.5e-3
+    """SH degree 0, of every spectrum that has SH colours. 3DGS."""
+    shN_lr: float = 2.5e-3 / 20
+    """SH degrees 1 to 3, of every spectrum that has SH colours. 3DGS."""
+    features_lr: float = 5e-3
+    """Latent features. Open choice: MS-Splatting's."""
+    features_lr_final: float = 5e-4
+    """Latent features at the last step (exponential decay). Open choice: as the decoders'; at a constant rate features
+    go on fitting the noise of the training views (benchmarks/records/thermosplat-preset.md)."""
+    opacity_offsets_lr: float = 5e-2
+    """Offsets of a spectrum's opacity. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
+    own_opacities_lr: float = 5e-2
+    """Logits of a spectrum's own opacity. MMOne: the opacity's rate."""
+    decoders_lr: float = 5e-3
+    """Decoder networks. Open choice: MS-Splatting's."""
+    decoders_lr_final: float = 5e-4
+    """Decoder networks at the last step (exponential decay). Open choice."""
+    exposures_lr: float = 1e-3
+    """Exposures of the training views (a spectrum's ``exposure``). Open choice: a tenth of 3DGS's."""
+    exposures_lr_final: float = 1e-4
+    """Exposures at the last step (exponential decay). Open choice: a tenth of 3DGS's."""
+    poses_lr: float = 0.02
+    """Poses of the training frames (``refine``), in the images' pixels. Open choice."""
+    poses_lr_final: float = 0.0005
+    """Poses at the last step (exponential decay). Open choice."""
+    cameras_lr: float = 0.1
+    """Rig, focal lengths and distortion (``refine``), in the images' pixels. Open choice: more than poses, which few
+    steps look at."""
+    cameras_lr_final: float = 0.001
+    """Rig, focal lengths and distortion at the last step (exponential decay). Open choice."""
+    final_share: float = 1.0
+    """Share of every other rate that is left at the last step (exponential decay). 3DGS: 1, all of it."""
+    eps: float = 1e-15
+    """Adam's ε. 3DGS."""
+
+
+@dataclass(frozen=True)
+class DensificationConfig:
+    """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control), or relocated (MCMC)."""
+
+    enabled: bool = True
+    """Off: the number of Gaussians stays what it is."""
+    strategy: Literal["default", "mcmc", "decomposing"] = "default"
+    """"default": 3DGS's adaptive density control. "mcmc": 3DGS-MCMC (Kheradmand et al. 2024). Gaussians that every
+    spectrum sees fainter than ``prune_opacity`` move onto others, their number grows by ``growth`` up to
+    ``max_gaussians``, and noise moves faint ones. It needs no thresholds and no resets; its opacities are held down by
+    ``loss.opacity_reg``. "decomposing": as default, and Gaussians that two spectra pull apart become one of each
+    (MMOne)."""
+    growth: float = 0.05
+    """MCMC: share of the Gaussians that a refinement adds. 3DGS-MCMC."""
+    position_noise: float = 5e5
+    """MCMC: standard deviation of the noise on the means, times their learning rate and covariance, in scene extents.
+    3DGS-MCMC, there in the capture's own units."""
+    sample_by: Literal["opacity", "gradient"] = "opacity"
+    """MCMC: Gaussians are doubled with a probability proportional to their larger opacity (3DGS-MCMC), or to the mean
+    gradient of means2d, of all spectra, that the default strategy compares with its threshold (open choice)."""
+    start_step: int = 500
+    """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
+    stop_step: int = 15_000
+    """No growth from this step on. 3DGS."""
+    every: int = 100
+    """Steps between refinements. 3DGS."""
+    grad_threshold: float = 4e-4
+    """Mean norm of the means2d gradient, in units of half the image, above which a Gaussian grows. 3DGS: 2e-4 for one
+    image loss. In a shared set the gradients of both passes are summed (open choice: MMOne adds them as vectors), and
+    the loss sums two terms on the RGB image (render and features) where 3DGS has one: twice the gradient, so twice the
+    threshold. Open choice; with 2e-4 the same views get several times 3DGS's Gaussians."""
+    absgrad: bool = False
+    """Use the sum of absolute per-pixel gradients (AbsGS); its usual threshold is 8e-4."""
+    grow_scale3d: float = 0.01
+    """Gaussians smaller than this share of the scene's extent are cloned, larger ones split. 3DGS (percent_dense)."""
+    prune_opacity: float = 0.005
+    """Gaussians fainter than this go; with several opacities all must be. 3DGS (open choice: the maximum)."""
+    conflict_threshold: float = 2e-4
+    """Decomposing: difference of two spectra's mean means2d gradients, in units of half the image, above which a
+    Gaussian becomes one of each. MMOne."""
+    keep_opacity: float = 0.5
+    """Decomposing: a Gaussian fainter than ``prune_opacity`` in one spectrum goes unless its opacity in the
+    other is above this. MMOne."""
+    off_opacity: float = 0.003
+    """Decomposing: opacity of a Gaussian of one spectrum in the other, below the 1/255 that is drawn. MMOne."""
+    prune_scale3d: float = 0.1
+    """Gaussians larger than this share of the scene's extent go, from ``prune_large_from`` on. 3DGS."""
+    prune_large_from: int = 3000
+    """Gaussians that are too large are only removed after this step. 3DGS: after the first opacity reset."""
+    reset_every: int = 3000
+    """Steps between opacity resets. 3DGS."""
+    reset_opacity: float = 0.01
+    """Opacity after a reset, at most, of every spectrum. 3DGS (open choice: MMOne resets both)."""
+    max_gaussians: int | None = None
+    """Growth stops at this count. None: no limit, as in 3DGS. The budget of the MCMC strategy, which needs one."""
+
+
+@dataclass(frozen=True)
+class AutoBudgetConfig:
+    """How ``--budget auto`` finds the size of the model; without it nothing of this happens."""
+
+    prune_at: tuple[float, ...] = (0.5, 0.6, 0.7, 0.8)
+    """Shares of the run after which the Gaussians that matter least are removed, where growth has ended; it ends with
+    the last. Several small cuts with training between them take away more than one, as what is left makes up for what
+    is gone (open choice); the last leaves a fifth of the run to do so."""
+    prune_by: Literal["removal", "weights"] = "removal"
+    """What a Gaussian matters: the squared change of the images where it alone is left out, or its share of all
+    blending weights, which does not see that it may have the colour of what it hides. Open choice;
+    benchmarks/bench_budget.py compares them."""
+    prune_change: float = 0.02
+    """Largest change of training images by one removal, before anything is fine-tuned: their squared change, as a share
+    of their squared error, in the spectrum where that is larger. 0.02 is 0.09 dB of the training views' PSNR if no
+    step followed. Held-out views have larger errors, so that the same change costs them less. Open choice."""
+    offset_shrinkage: float = 0.02
+    """λ: soft threshold of opacity offsets after a step, as a multiple of their learning rate."""
+    offset_change: float = 0.02
+    """Largest such change by the opacity offsets that become zero for good at the last pruning; the others
+    shrink no further. Open choice: offsets are a hundredth of the model, so little is risked for them."""
+    feature_change: float = 0.01
+    """Largest such change, also of channels that losses see, by the latent channels that go then. Open choice."""
+    sh_change: float = 0.01
+    """Largest such change by spherical harmonics that go at the end, untuned afterwards: 0.04 dB. Open choice."""
+    rounding_change: float = 0.002
+    """Largest such change by parameters that are rounded to float16 at the end: 0.01 dB. 0: none are. Open choice."""
+    measured_views: int = 12
+    """Training views, spread over all, whose change is looked at: a bisection renders them ten times. Open choice."""
+    validation_views: int = 2
+    """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
+    ends with ``densification.stop_step`` or the first pruning. None where that would be over a tenth. Open choice."""
+    validate_every: int = 250
+    """Steps between looks at the validation views."""
+    least_gain: float = 0.02
+    """Rise of the validation views' PSNR [dB], mean over views and spectra, that justifies more Gaussians."""
+    patience: int = 3000
+    """Growth stops when there was no such rise for this many steps: as long as from one opacity reset to the next. Too
+    many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Train 3D Gaussians of several spectra on a capture and evaluate them on its held-out views."""
+
+    data: str = ""
+    """Folder of the capture, or "sample" for the small one that comes with the package."""
+    config: str = "thermosplat"
+    """Preset (thermosplat, demo, a baseline's or an ablation's name) or YAML file that the other values start from."""
+    result_dir: str | None = None
+    """Where everything the run makes goes. None: results/<capture's name>/<config's name>."""
+    max_steps: int = 30_000
+    """Training steps, one frame (all its spectra) each. Other schedules (densification, SH degree) are not rescaled
+    when this changes, as in gsplat. ThermoSplat, 3DGS."""
+    data_factor: int = 1
+    """Divide the images' width and height by this."""
+    test_every: int = 8
+    """Every n-th frame is held out, unless the capture's folders say which are. 3DGS, RGBT-Scenes."""
+    sh_degree: int = 3
+    """Highest degree of the spherical harmonics. 3DGS."""
+    sh_degree_interval: int = 1000
+    """Steps after which one more SH degree is used. 3DGS."""
+    device: str = "auto"
+    """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    graph: bool = True
+    """On CUDA, record the work of a step once and replay it as a CUDA graph (--no-graph: launch it line by line)."""
+    compile: bool = True
+    """On CUDA, decode by fused kernels, or where there are none for the decoders, their precision or the device let
+    torch.compile fuse them (half a minute at the first step, kept for later runs; left out where Triton or a C compiler
+    is missing). --no-compile: plain PyTorch."""
+    decoder_precision: Literal["float32", "tf32", "bfloat16"] = "tf32"
+    """Precision of the decoders in training steps; parameters and evaluation are always float32. With "tf32" matrix
+    products round their inputs to 10 bits of mantissa (TensorFloat-32, or float16 in the fused kernels); on the CPU it
+    is float32. "bfloat16" costs about 1 dB of thermal PSNR (benchmarks/records/thermosplat-preset.md)."""
+    seed: int = 42
+    """Seed of everything random. gsplat."""
+    deterministic: bool = False
+    """On CUDA, train to the same bits every time on one machine: gradients are summed in a fixed order, at a cost in
+    time and memory that benchmarks/bench_training.py measures. On the CPU that is always so."""
+    eval_steps: tuple[int, ...] = (7_000, 30_000)
+    """Steps at which the held-out views are evaluated; the last step always is. 3DGS."""
+    save_steps: tuple[int, ...] = (7_000, 30_000)
+    """Steps at which a checkpoint is written; the last step always is. 3DGS."""
+    log_every: int = 100
+    """Steps between lines of metrics.jsonl (and of the console, where it is not a terminal)."""
+    tensorboard: bool = True
+    """Write TensorBoard event files where tensorboard is installed."""
+    lpips_weights: str | None = None
+    """Folder or file with LPIPS backbone weights (torchvision state_dict) for the LPIPS columns. None: torchvision's
+    cache; LPIPS is null where there is none."""
+    budget: Literal["fixed", "auto"] = "fixed"
+    """"auto" finds the number of Gaussians, opacity offsets and SH bands that the training views support (the
+    auto_budget settings) and leaves the rest out; "fixed" is what the densification settings give."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Colour behind the SH render of a photograph, 0 to 1. 3DGS: black."""
+    resume: str | None = None
+    """Result folder of an interrupted run to go on with."""
+    overwrite: bool = False
+    """Delete what an earlier run left in the result folder."""
+    refine: tuple[Refined, ...] = ()
+    """What of the cameras is corrected while training: the "poses" of the frames; the "rig", how the cameras of the
+    spectra stand to the first one; "intrinsics", the focal length of every camera; "distortion", what undistorting the
+    images has left. Held-out frames take over what all have in common; their poses are found on the finished scene."""
+    refine_from: int = 500
+    """Steps before cameras are corrected: as long as there is no scene, images say little of them. Open choice."""
+    without: tuple[str, ...] = ()
+    """Spectra that are left out: --without thermal trains on the others alone."""
+    spectra: dict[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))
+    model: ModelConfig = field(default_factory=ModelConfig)
+    decoder: DecoderConfig = field(default_factory=DecoderConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
+    densification: DensificationConfig = field(default_factory=DensificationConfig)
+    auto_budget: AutoBudgetConfig = field(default_factory=AutoBudgetConfig)
+
+    @property
+    def modelled(self) -> dict[str, SpectrumConfig]:
+        """The spectra that are trained and rendered, by name, in order."""
+        return {name: spectrum for name, spectrum in self.spectra.items() if name not in self.without}

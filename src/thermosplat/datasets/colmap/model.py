@@ -1,0 +1,162 @@
+"""COLMAP sparse models: where they lie in a capture, and what is read from them."""
+
+import shlex
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import cv2  # noqa: F401  before pycolmap, see lens.py
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from thermosplat.datasets.cameras import camera_center
+from thermosplat.datasets.colmap.damage import damage_after_failure, damage_before_reading
+from thermosplat.datasets.images.image_folders import describe_folder
+from thermosplat.datasets.lens import Lens
+from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points
+from thermosplat.errors import UserError
+
+MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse")
+"""Where a model is looked for; RGBT-Scenes is downloaded with the second and documented with the first."""
+_MIN_REGISTERED_SHARE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredImage:
+    """An image with a pose in a COLMAP model.
+
+    Args:
+        name: Path of the image relative to the folder COLMAP was run on.
+        lens: Its calibrated camera.
+        viewmat: [4, 4] float64, world to camera.
+        frame_id: COLMAP's rig frame: images of one exposure of a camera rig share it.
+    """
+
+    name: PurePosixPath
+    lens: Lens
+    viewmat: NDArray[np.float64]
+    frame_id: int
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapModel:
+    """Registered images by name, and sparse points: [M, 3] float32 with colours [M, 3] uint8."""
+
+    folder: Path
+    images: tuple[RegisteredImage, ...]
+    points: NDArray[np.float32]
+    point_colors: NDArray[np.uint8]
+
+
+def find_model(root: Path) -> Path | None:
+    """Folder of the capture's COLMAP model, or None."""
+    for folder in MODEL_FOLDERS:
+        if any((root / folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt")):
+            return root / folder
+    return None
+
+
+def read_model(folder: Path) -> ColmapModel:
+    """Read a COLMAP model, binary or text.
+
+    Raises:
+        UserError: Files are missing or damaged.
+    """
+    hint = "Make the model again (colmap mapper), or copy all its files."
+    damage = damage_before_reading(folder)
+    if damage is not None:
+        raise UserError(f"The COLMAP model in {folder} is incomplete or damaged: {damage}.", hint)
+    try:
+        model = pycolmap.Reconstruction(folder)
+    except (ValueError, IndexError, RuntimeError, OSError) as error:
+        damage = damage_after_failure(folder, error)
+        raise UserError(f"The COLMAP model in {folder} is incomplete or damaged: {damage}.", hint) from error
+    lenses = {camera_id: Lens.from_colmap(camera) for camera_id, camera in model.cameras.items()}
+    images = [
+        RegisteredImage(_name(image, folder), lenses[image.camera_id], _viewmat(image), image.frame_id)
+        for image in model.images.values()
+        if image.has_pose
+    ]
+    points = list(model.points3D.values())
+    return ColmapModel(
+        folder,
+        tuple(sorted(images, key=lambda image: image.name)),
+        np.array([point.xyz for point in points], np.float32).reshape(-1, 3),
+        np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+    )
+
+
+def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
+    """Refuse a model that covers next to nothing of the capture, or whose points are better in another one beside it.
+
+    Args:
+        model: The model.
+        files: Image files in the capture that could be in the model.
+        root: The capture's folder.
+
+    Raises:
+        UserError: Too few registered images, or no points where a sibling model has more images; the hint names the
+            largest sibling model, if that is better.
+    """
+    registered, points = len(model.images), len(model.points)
+    enough = registered >= max(2, _MIN_REGISTERED_SHARE * files)
+    if enough and points >= MIN_POINTS:
+        return
+    where = model.folder.relative_to(root)
+    message = f"The model in {where} of {root} has {registered} registered of {files} images and {points:,} points."
+    siblings = {
+        folder: len(pycolmap.Reconstruction(folder).images)
+        for folder in sorted(model.folder.parent.iterdir())
+        if folder != model.folder and any((folder / f"images.{kind}").is_file() for kind in ("bin", "txt"))
+    }
+    best = max(siblings, key=lambda folder: siblings[folder], default=None)
+    if best is not None and siblings[best] > registered:
+        raise UserError(
+            message, f"{best.relative_to(root)} has {siblings[best]} images: put its files into {where} instead."
+        )
+    if not enough:
+        raise UserError(message, "Photographs need more overlap, or run colmap mapper again with all of them.")
+
+
+def with_points(model: ColmapModel) -> tuple[ColmapModel, list[str]]:
+    """The model, with random points and a note if it has none to start from: poses may come from elsewhere."""
+    centers = np.array([camera_center(image.viewmat) for image in model.images])
+    centers = centers[np.isfinite(centers).all(axis=-1)]
+    if len(model.points) >= MIN_POINTS or not len(centers):
+        return model, []
+    points, colors = random_points(centers)
+    note = f"The COLMAP model in {model.folder} has {len(model.points)} points: {STARTING_RANDOM}"
+    return replace(model, points=points, point_colors=colors), [note]
+
+
+def missing_model(root: Path, images: Path) -> UserError:
+    """The error for a capture with images and without a model.
+
+    Args:
+        root: The capture's folder.
+        images: Its folder of images.
+    """
+    found = ", ".join(describe_folder(folder) for folder in sorted(root.iterdir()) if folder.is_dir()) or "no folders"
+    return UserError(
+        f"No COLMAP model in {root}. Looked for cameras.bin or cameras.txt in: {', '.join(MODEL_FOLDERS)}. "
+        f"Found: {found}.",
+        f"Make one: colmap automatic_reconstructor --workspace_path {shlex.quote(str(root))} "
+        f"--image_path {shlex.quote(str(images))} --dense 0",
+    )
+
+
+def _name(image: pycolmap.Image, folder: Path) -> PurePosixPath:
+    """The name of a registered image, also of one that was registered on Windows."""
+    try:
+        return PurePosixPath(image.name.replace("\\", "/"))
+    except UnicodeDecodeError as error:  # the bytes of whatever encoding COLMAP was run in
+        raise UserError(
+            f"The COLMAP model in {folder} calls an image {error.object!r}, which is not UTF-8.",
+            "Give the images names without accents and umlauts, in the folders and before colmap is run.",
+        ) from error
+
+
+def _viewmat(image: pycolmap.Image) -> NDArray[np.float64]:
+    viewmat = np.eye(4)
+    viewmat[:3] = image.cam_from_world().matrix()
+    return viewmat

@@ -1,0 +1,99 @@
+"""Image files that share the cameras of a COLMAP model's images."""
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
+from thermosplat.datasets.colmap.model import RegisteredImage
+from thermosplat.datasets.frame_files import FrameFiles, Shot
+from thermosplat.datasets.images.image_folders import spectrum_folder, values_folder
+from thermosplat.datasets.images.image_names import (
+    NamedImages,
+    exposures,
+    files_in,
+    folders_of,
+    frame_names,
+    stated_split,
+)
+from thermosplat.spectra import SpectrumConfig
+
+
+def named_images(images: Sequence[RegisteredImage], folders: Collection[str]) -> NamedImages[RegisteredImage]:
+    """Registered images, to be found by the names of files, or by bare file stem where that is unambiguous.
+
+    RGBT-Scenes needs the second: its model may name images of a folder that no longer exists.
+
+    Args:
+        images: The images.
+        folders: As ``folders_of`` has them.
+    """
+    named = [(image.name, image) for image in images]
+    return NamedImages("the COLMAP model", named, same_files=True, by_stem=True, folders=folders)
+
+
+def frames_with_borrowed_cameras(
+    root: Path, folder: Path, images: Sequence[RegisteredImage], spectra: Mapping[str, SpectrumConfig]
+) -> tuple[list[FrameFiles], list[str]]:
+    """Frames whose images of all spectra share the pose and camera of one registered image.
+
+    Args:
+        root: The capture's folder.
+        folder: Images of the first spectrum; may be absent.
+        images: The registered images.
+        spectra: The spectra to look for; images of the others have the same stems, in folders of their own.
+
+    Returns:
+        The frames, and notes on images without a pose and poses without an image.
+
+    Raises:
+        UserError: Several images have one stem, and nothing tells which of them belong together.
+    """
+    files, values = files_of_spectra(root, folder, spectra)
+    registered = named_images(images, folders_of(spectra))
+    found, without_pose = [], []
+    for exposure in exposures(files):
+        name = registered.find(exposure.name, files[exposure.leading])
+        if name is None:
+            without_pose.append(files[exposure.leading][exposure.name])
+        else:
+            found.append((exposure, registered[name]))
+    frames = []
+    where = next((named.where for named in files.values() if len(named)), folder.name)
+    called = frame_names([exposure.name for exposure, _ in found], where, folders_of(spectra))
+    for (exposure, image), frame in zip(found, called, strict=True):
+        shots = {}
+        for spectrum, name in exposure.names.items():
+            raw = values[spectrum].get(name, files[spectrum])
+            shots[spectrum] = Shot(files[spectrum][name], image.lens, image.viewmat, raw)
+        stated = [stated_split(name) for name in exposure.names.values()]
+        frames.append(FrameFiles(frame, shots, next(filter(None, stated), None)))
+    return frames, registration_notes(without_pose, len(registered) - len({image.name for _, image in found}))
+
+
+def files_of_spectra(
+    root: Path, folder: Path, spectra: Mapping[str, SpectrumConfig]
+) -> tuple[dict[str, NamedImages[Path]], dict[str, NamedImages[Path]]]:
+    """Displayable images, and values of more bits beside them, by spectrum; the values where there is nothing else.
+
+    Args:
+        root: The capture's folder.
+        folder: Images of the first spectrum.
+        spectra: The spectra to look for.
+    """
+    files, values, folders = {}, {}, folders_of(spectra)
+    for place, (name, spectrum) in enumerate(spectra.items()):
+        files[name] = files_in(folder if place == 0 else spectrum_folder(root, name, spectrum), folders=folders)
+        values[name] = files_in(values_folder(root, name, spectrum), folders=folders)
+        if place > 0 and not files[name]:
+            files[name] = values[name]
+    return files, values
+
+
+def registration_notes(without_pose: Sequence[Path], without_file: int) -> list[str]:
+    """Say what was left out because file and model do not meet."""
+    notes = []
+    if without_pose:
+        names = f"first: {without_pose[0].name}"
+        notes.append(f"{len(without_pose)} images are not in the COLMAP model and were left out ({names}).")
+    if without_file:
+        notes.append(f"{without_file} images of the COLMAP model have no file and were left out.")
+    return notes

@@ -1,0 +1,1 @@
+"""Captures with a transforms file: ThermoScenes and nerfstudio."""

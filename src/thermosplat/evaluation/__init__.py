@@ -1,0 +1,1 @@
+"""A trained model judged by views that it was not trained on."""

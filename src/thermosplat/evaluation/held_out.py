@@ -1,0 +1,212 @@
+"""A model against the views it was not trained on: numbers per view and their means, and pictures to look at."""
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
+from thermosplat.image_quality.metrics import mean_absolute_error, psnr, ssim
+from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
+from thermosplat.pictures.image_display import spectrum_bytes, write_png
+from thermosplat.runs.background_writes import background_writes
+from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.scene.model import SceneModel
+from thermosplat.spectra import MAE, ascii_unit, label
+from thermosplat.thermal.intensity import pixel_intensity
+from thermosplat.thermal.radiometry import PixelScale
+
+Lpips = Callable[[Tensor, Tensor], float | None]
+
+COLUMNS = ("psnr", "ssim", "lpips")
+"""Metrics of every spectrum; measured ones have "mae_<unit>" as well."""
+LARGEST_ERROR = 0.25  # of the value range 0 to 1, at the bright end of error maps
+LARGEST_MEASURED_ERROR = 0.1  # of the range of values, where they are measured
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedView:
+    """One spectrum of one frame: its render, clamped to [0, 1], and what it should have been."""
+
+    spectrum: str
+    """The spectrum's name."""
+    camera: ViewTensors
+    """From where it was rendered."""
+    image: Tensor
+    """[H, W, C]."""
+    target: Tensor
+    """[H, W, C]."""
+    scale: PixelScale
+    """What pixel values mean."""
+    values: Tensor | None
+    """[H, W]; where there are measured values."""
+
+    @cached_property
+    def intensity(self) -> Tensor:
+        """Scalar intensity of the render in [0, 1], [H, W], of an image that is no photograph.
+
+        To invert a palette takes a while.
+        """
+        return pixel_intensity(self.image, self.scale)
+
+
+def rendered_views(
+    model: SceneModel, frame: Frame, scales: Mapping[str, PixelScale], sh_degree: int, device: torch.device | str
+) -> Iterator[RenderedView]:
+    """Render a frame; yields its spectra that are both modelled and photographed.
+
+    Args:
+        model: The scene.
+        frame: The frame.
+        scales: The capture's scales.
+        sh_degree: Highest SH degree in use.
+        device: Where the model is.
+    """
+    # without the scale, so that no palette is inverted for the photographs: only renders are asked for intensities
+    views = {name: view_tensors(view, None, device) for name, view in frame.views.items() if name in model.spectra}
+    groups = [[name for name in group if name in views] for group in frame.shared_cameras]
+    rendered = model.render(views, sh_degree=sh_degree, shared_cameras=groups)
+    for name, image in sorted(rendered.images.items(), key=lambda item: list(model.spectra).index(item[0])):
+        view = views[name]
+        if view.image is not None:
+            measured = scales[name].measured_unit is not None
+            values = view.values if measured else None
+            yield RenderedView(name, view, image.clamp(0, 1), view.image, scales[name], values)
+
+
+@torch.no_grad()
+def evaluate(
+    model: SceneModel,
+    capture: Capture,
+    *,
+    sh_degree: int,
+    device: torch.device | str,
+    lpips: Lpips | None = None,
+    strips_dir: Path | None = None,
+    csv_path: Path | None = None,
+) -> dict[str, Any]:
+    """Render every held-out view, clamped to [0, 1], and compare it with its image.
+
+    Args:
+        model: The scene.
+        capture: Its capture; ``capture.test`` is rendered.
+        sh_degree: Highest SH degree in use.
+        device: Where the model is.
+        lpips: LPIPS of two images [H, W, 3] in [0, 1]; None leaves the LPIPS numbers null.
+        strips_dir: Folder for one PNG per frame: ground truth, render and error of its spectra.
+        csv_path: File for the numbers of every view.
+
+    Returns:
+        By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>"}``, the last where its values are
+        measured, each the mean over the views that have it, None where none has; None as a whole for a spectrum without
+        held-out views. "spectra" lists their names; "num_gaussians" counts the Gaussians.
+    """
+    rows: list[dict[str, Any]] = []
+    with background_writes() as write:
+        for frame in capture.test:
+            results = list(rendered_views(model, frame, capture.scales, sh_degree, device))
+            numbers = [_numbers(result, lpips) for result in results]
+            rows += [{"frame": frame.name, "spectrum": r.spectrum, **values} for r, values in zip(results, numbers)]
+            if strips_dir is not None and results:
+                comparisons = [_comparison(result, values["psnr"]) for result, values in zip(results, numbers)]
+                strip = strips_dir / f"{file_stem(frame.name)}.png"
+                write(partial(write_png, strip, comparison_strip(comparisons)))
+    if csv_path is not None:
+        _write_csv(csv_path, rows)
+    means = {name: _means(rows, name) for name in model.spectra}
+    return {**means, "spectra": list(model.spectra), "num_gaussians": model.num_gaussians}
+
+
+@torch.no_grad()
+def frame_comparisons(
+    model: SceneModel, frame: Frame, scales: Mapping[str, PixelScale], *, sh_degree: int, device: torch.device | str
+) -> dict[str, Comparison]:
+    """Ground truth, render and error of one frame, by spectrum.
+
+    Args:
+        model: The scene.
+        frame: The frame.
+        scales: The capture's scales.
+        sh_degree: Highest SH degree in use.
+        device: Where the model is.
+    """
+    return {
+        result.spectrum: _comparison(result, _finite(psnr(result.image, result.target)))
+        for result in rendered_views(model, frame, scales, sh_degree, device)
+    }
+
+
+def file_stem(frame_name: str) -> str:
+    """A frame's name as part of a file name."""
+    return frame_name.replace("/", "_")
+
+
+def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | None]:
+    numbers: dict[str, float | None] = {
+        "psnr": psnr(result.image, result.target),
+        "ssim": ssim(result.image, result.target),
+        "lpips": None if lpips is None else lpips(result.image, result.target),
+    }
+    if result.scale.unit is not None:
+        numbers[f"{MAE}{result.scale.unit}"] = None
+        if result.values is not None:
+            error = mean_absolute_error(result.intensity, result.values, result.scale)
+            numbers[f"{MAE}{result.scale.unit}"] = error
+    return {name: _finite(number) for name, number in numbers.items()}
+
+
+def _finite(number: float | None) -> float | None:
+    """The number, or None in place of an infinite PSNR (equal images), which would swallow the mean."""
+    return number if number is not None and math.isfinite(number) else None
+
+
+def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
+    render, truth = result.image.cpu().numpy(), result.target.cpu().numpy()
+    error = np.abs(render - truth).mean(axis=-1)
+    without = "not finite" if np.isnan(error).any() else "exact"
+    score = without if decibels is None else f"{decibels:.2f} dB"
+    shown = spectrum_bytes(truth, result.scale), spectrum_bytes(render, result.scale)
+    called = label(result.spectrum)
+    unit = result.scale.measured_unit
+    if unit is None or result.values is None or result.scale.range is None:
+        return Comparison(called, score, *shown, error, LARGEST_ERROR)
+    low, high = result.scale.range
+    missed = (result.scale.value(result.intensity) - result.values).abs().nan_to_num()  # unmeasured: no error
+    largest = LARGEST_MEASURED_ERROR * (high - low)
+    return Comparison(called, score, *shown, missed.cpu().numpy(), largest, unit=ascii_unit(unit))
+
+
+def _means(rows: list[dict[str, Any]], spectrum: str) -> dict[str, float | None] | None:
+    of_spectrum = [row for row in rows if row["spectrum"] == spectrum]
+    if not of_spectrum:
+        return None
+    means: dict[str, float | None] = {}
+    for column in of_spectrum[0].keys() - {"frame", "spectrum"}:
+        values = [row[column] for row in of_spectrum if row[column] is not None]
+        means[column] = float(np.mean(values)) if values else None
+    return {column: means[column] for column in _ordered(means)}
+
+
+def _ordered(columns: Iterable[str]) -> list[str]:
+    """The metrics of every spectrum first, then the others by name."""
+    return [*COLUMNS, *sorted(set(columns) - set(COLUMNS))]
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    columns = _ordered({column for row in rows for column in row} - {"frame", "spectrum"})
+
+    def write(temporary: Path) -> None:
+        with temporary.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, ["frame", "spectrum", *columns])
+            writer.writeheader()
+            writer.writerows(rows)  # None becomes an empty cell
+
+    write_atomically(path, write)

@@ -1,0 +1,162 @@
+"""A finished or interrupted run, read back for evaluation, rendering and export."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from thermosplat.config import TrainConfig
+from thermosplat.config.files import from_dict
+from thermosplat.datasets import load_capture
+from thermosplat.datasets.capture import Capture
+from thermosplat.errors import UserError
+from thermosplat.rasterizer.warp_start import start_warp
+from thermosplat.refinement.camera_corrections import CameraCorrections
+from thermosplat.refinement.corrected_capture import corrected_capture
+from thermosplat.runs.checkpoint import damage_explained, load_checkpoint
+from thermosplat.runs.devices import choose_device
+from thermosplat.runs.run_directory import RunDirectory, checkpoint_step
+from thermosplat.scene.model import SceneModel
+from thermosplat.thermal.radiometry import PixelScale
+
+
+@dataclass(frozen=True)
+class LoadedRun:
+    """What a checkpoint holds, ready to render."""
+
+    directory: RunDirectory
+    """The result folder."""
+    config: TrainConfig
+    """The configuration it was trained with."""
+    step: int
+    """Training steps done."""
+    sh_degree: int
+    """Highest SH degree in use at that step."""
+    model: SceneModel
+    """The scene, on ``device``."""
+    scales: dict[str, PixelScale]
+    """What pixel values mean, by spectrum."""
+    device: torch.device
+    """Where the model is."""
+    train_frames: list[str] | None
+    """Names of the frames it was trained on; None where the checkpoint does not say."""
+    test_frames: list[str] | None
+    """Names of the frames it was to be judged by; None where the checkpoint does not say."""
+    corrections: dict[str, Any] | None = None
+    """What training found wrong with the cameras (``CameraCorrections``); None: nothing of them was refined."""
+
+    def capture(self, data: str | None) -> Capture:
+        """The capture it was trained on, with the cameras that training has corrected.
+
+        Args:
+            data: Where it lies now; None: where it lay.
+
+        Returns:
+            The capture; a note of it says so if its frames are not those of the run.
+
+        Raises:
+            UserError: It cannot be read there.
+        """
+        if data is None and self.config.data != "sample" and not Path(self.config.data).exists():
+            raise UserError(
+                f"{self.directory.path} was trained on {self.config.data}, which is not there.",
+                "Say where it lies now: --data FOLDER.",
+            )
+        config = self.config
+        capture = load_capture(
+            data or config.data, data_factor=config.data_factor, test_every=config.test_every, spectra=config.spectra
+        )
+        difference = other_frames(self.train_frames, capture)
+        if not difference and not self.is_own(capture):
+            difference = f"{capture.root} has other held-out frames."
+        if difference:
+            name = self.result_name(capture)
+            note = f"Is this the capture of {self.directory.path}? {difference} Results are named {name}."
+            return replace(capture, notes=(*capture.notes, note))
+        if self.corrections is None:
+            return capture
+        return corrected_capture(capture, self._corrections(capture, self.corrections))
+
+    def _corrections(self, capture: Capture, learnt: dict[str, Any]) -> CameraCorrections:
+        """What training found wrong with the cameras of its capture."""
+        spectra = list(self.model.spectra)
+        corrections = CameraCorrections(self.config.refine, capture, spectra)
+        with damage_explained("corrections"):
+            corrections.load_state_dict(learnt)
+        return corrections
+
+    def is_own(self, capture: Capture) -> bool:
+        """Whether a capture has the frames that the run was trained on and is judged by, as far as it says."""
+        splits = ((self.train_frames, capture.train), (self.test_frames, capture.test))
+        return all(then is None or then == [frame.name for frame in now] for then, now in splits)
+
+    def result_name(self, capture: Capture) -> str:
+        """What results on a capture are called: by the step; on another one than the run's, by its name too."""
+        return f"{self.step:06d}" if self.is_own(capture) else f"{self.step:06d}_{capture.name}"
+
+
+def other_frames(then: list[str] | None, capture: Capture) -> str:
+    """How a capture's training frames differ from those of a run.
+
+    Args:
+        then: Names of the frames that the run was trained on; None: it does not say, and they count as the same.
+        capture: The capture.
+
+    Returns:
+        A sentence, or "" if they are the same by number and name.
+    """
+    now = [frame.name for frame in capture.train]
+    if then is None or then == now:
+        return ""
+    strange = [name for name in now if name not in set(then)] or [name for name in then if name not in set(now)] or now
+    return (
+        f"It was trained on {len(then)} frames, and {capture.root} has {len(now)} training frames "
+        f"that are not the same (first difference: {strange[0]})."
+    )
+
+
+def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> LoadedRun:
+    """Read a run's checkpoint.
+
+    Args:
+        folder: The result folder.
+        step: Which checkpoint. None: the one with the most steps.
+        device: As ``--device``.
+
+    Raises:
+        UserError: No run, no such checkpoint, a damaged one, or no such device.
+    """
+    chosen = choose_device(device)
+    directory = RunDirectory.open(folder)
+    start_warp()
+    state = load_checkpoint(_checkpoint(directory, step), chosen)
+    with damage_explained("scales"):
+        scales = {name: PixelScale.from_state_dict(scale) for name, scale in state["scales"].items()}
+    return LoadedRun(
+        directory=directory,
+        config=from_dict(state["config"], source=f"the configuration stored in {folder}"),
+        step=state["step"],
+        sh_degree=state["sh_degree"],
+        model=SceneModel.from_checkpoint(state, chosen).eval(),
+        scales=scales,
+        device=chosen,
+        train_frames=state.get("train_frames"),
+        test_frames=state.get("test_frames"),
+        corrections=state["training"].get("corrections"),
+    )
+
+
+def _checkpoint(directory: RunDirectory, step: int | None) -> Path:
+    latest = directory.latest_checkpoint()
+    if latest is None:
+        raise UserError(f"{directory.path} has no checkpoint yet.", "Train it: see config.yaml there for its settings.")
+    if step is None:
+        return latest
+    path = directory.checkpoint(step)
+    if not path.is_file():
+        steps = [checkpoint_step(file) for file in directory.checkpoints()]
+        raise UserError(
+            f"{directory.path} has no checkpoint of step {step}.", f"It has: {', '.join(f'--step {n}' for n in steps)}."
+        )
+    return path

@@ -1,0 +1,70 @@
+"""Adam whose updates of CUDA parameters are one Warp kernel; elsewhere torch's own."""
+
+import inspect
+from collections.abc import Iterable
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from thermosplat.torch_bridge.arrays import numbered_parts, view
+from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.machinery.array_views import ArrayView
+from warp_kernels.training.adam import AdamArrays, adam_update
+
+
+class WarpAdam(torch.optim.Adam):
+    """``torch.optim.Adam`` with the same state and, to rounding, the same update. Never waits for the device.
+
+    Its rate ``lr`` must be a tensor on the parameters' device, so that a captured step sees it change.
+    """
+
+    # Torch's own, without what imports torch's compiler to hide them from it: a second of every start.
+    add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
+    state_dict = inspect.unwrap(torch.optim.Adam.state_dict)
+    load_state_dict = inspect.unwrap(torch.optim.Adam.load_state_dict)
+
+    @torch.no_grad()
+    def step(self, closure: Any = None) -> None:  # type: ignore[override]
+        """Apply the gradients, unless ``found_inf`` (set from outside, as by torch.amp.GradScaler) is not 0.
+
+        Args:
+            closure: Not supported; torch's signature has it.
+        """
+        step_together([self], self.found_inf)  # type: ignore[attr-defined]
+
+
+@torch.no_grad()
+def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
+    """Apply the gradients of several optimizers by the same launches.
+
+    Args:
+        optimizers: Of parameters on one device.
+        blocked: float32 scalar on it; not 0: leave everything as it is.
+    """
+    tensors: dict[tuple[tuple[float, float], float], list[tuple[Tensor, ...]]] = {}
+    for optimizer in optimizers:
+        for group in optimizer.param_groups:
+            members = tensors.setdefault((tuple(group["betas"]), group["eps"]), [])
+            for parameter in group["params"]:
+                if parameter.grad is None or parameter.numel() == 0:
+                    continue
+                state = optimizer.state[parameter]
+                if not state:
+                    state["step"] = torch.zeros((), device=parameter.device)
+                    state["exp_avg"] = torch.zeros_like(parameter)
+                    state["exp_avg_sq"] = torch.zeros_like(parameter)
+                whole = parameter, parameter.grad.contiguous(), state["exp_avg"], state["exp_avg_sq"]
+                for number, part in enumerate(zip(*map(numbered_parts, whole), strict=True)):
+                    # An update counts its step: parts after the first count copies.
+                    steps = state["step"] if number == 0 else state["step"].clone()
+                    members.append((*part, steps, group["lr"]))
+    with launches_on_torch_stream(blocked.device):
+        for (betas, eps), members in tensors.items():
+            adam_update([AdamArrays(*map(_flat, member)) for member in members], _flat(blocked), betas, eps)
+
+
+def _flat(tensor: Tensor) -> ArrayView:
+    """A float32 tensor's numbers as an array."""
+    return view(tensor, wp.float32)

@@ -1,0 +1,37 @@
+"""The gradients that density control notes, by one Warp kernel."""
+
+import warp as wp
+from torch import Tensor
+
+from thermosplat.torch_bridge.arrays import given_view, vector_of, view
+from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.training.density_notes import note_density
+
+
+def note_gradients(
+    gradient: Tensor,
+    radii: Tensor,
+    half_size: tuple[float, float],
+    blocked: Tensor,
+    norm_sums: Tensor,
+    observations: Tensor,
+) -> None:
+    """Add a step's gradients to the sums, in place. Never waits for the device.
+
+    Args:
+        gradient: Of the means in the image [1 / px], shape [C, N, 2].
+        radii: int32, shape [C, N, 2]; a camera sees a Gaussian where both are above 0.
+        half_size: Multiplied with the components of the gradient [px].
+        blocked: float32 scalar; not 0: add nothing.
+        norm_sums: float32 [N]; gets the norms where a camera sees a Gaussian.
+        observations: float32 [N]; gets the number of those cameras.
+    """
+    with launches_on_torch_stream(gradient.device):
+        note_density(
+            given_view(gradient, vector_of(2, gradient.dtype)),
+            given_view(radii, wp.vec2i),
+            half_size,
+            view(blocked, wp.float32),
+            view(norm_sums, wp.float32),
+            view(observations, wp.float32),
+        )

@@ -1,0 +1,178 @@
+"""Image losses in Warp as a torch function: the fast path of losses.py on CUDA."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from thermosplat.image_quality.ssim import C1, C2, EPSILON, SSIM_SIGMA
+from thermosplat.torch_bridge.arrays import SCALARS, strided_view
+from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.image_loss.image_loss import TERMS
+from warp_kernels.image_loss.image_loss_step import (
+    ImageLossSettings,
+    image_loss_totals,
+    image_losses,
+    image_losses_adjoint,
+)
+from warp_kernels.image_loss.image_tiles import tiles_of
+from warp_kernels.machinery.array_views import ArrayView
+
+
+@dataclass(frozen=True, eq=False)
+class ImageTerm:
+    """One weighted image loss: some channels of an image against a target.
+
+    Attributes:
+        name: Of the loss.
+        weight: Of the loss.
+        image: [H, W, X], H and W > 5.
+        target: Ground truth in [0, 1], [H, W, C].
+        first: The channels from this one on, C of them, are compared.
+        charbonnier: ε of sqrt(d² + ε²) - ε in place of |d|; 0: |d|.
+    """
+
+    name: str
+    weight: float
+    image: Tensor
+    target: Tensor
+    first: int = 0
+    charbonnier: float = 0.0
+
+    @property
+    def render(self) -> Tensor:
+        """The channels that are compared, [H, W, C]."""
+        channels = self.target.shape[-1]
+        return self.image if channels == self.image.shape[-1] else self.image[..., self.first : self.first + channels]
+
+
+class ImageLosses(NamedTuple):
+    """What ``warp_image_losses`` returns."""
+
+    losses: tuple[Tensor, ...]
+    """Weighted losses, scalars, one for each term."""
+    smoothness: Tensor
+    """Weighted |∂x| + |∂y|; 0 where no term is smoothed."""
+    squared_errors: tuple[Tensor, ...]
+    """Mean squared error of each term's image, clamped to [0, 1]; without weights and gradients."""
+
+
+def warp_image_loss(render: Tensor, target: Tensor, ssim_lambda: float) -> Tensor:
+    """(1 - λ_s) |render - target|_1 + λ_s (1 - SSIM), each the mean over pixels and channels (equation 9).
+
+    The same number and gradient as ``ssim_map`` gives in ``losses.image_loss``, to rounding.
+
+    Args:
+        render: Rendered image, shape [H, W, C], H and W > 5; a view with strides is fine. Receives a gradient.
+        target: Ground truth in [0, 1], shape [H, W, C].
+        ssim_lambda: λ_s, the share of the SSIM term, 0 to 1.
+
+    Returns:
+        The loss, a scalar.
+    """
+    return warp_image_losses([ImageTerm("image", 1.0, render, target)], ssim_lambda).losses[0]
+
+
+def warp_image_losses(
+    terms: Sequence[ImageTerm], ssim_lambda: float, *, smoothed: int | None = None, smoothness: float = 0.0
+) -> ImageLosses:
+    """Image losses of several images of one size, by the same few kernels.
+
+    Args:
+        terms: 1 to 4. Their images receive gradients.
+        ssim_lambda: λ_s, the share of the SSIM term, 0 to 1.
+        smoothed: The term whose image's mean |∂x| + |∂y| is a loss too (``losses.smoothness``).
+        smoothness: The weight of that loss.
+    """
+    settings = ImageLossSettings(
+        ssim_lambda,
+        SSIM_SIGMA,
+        C1,
+        C2,
+        EPSILON,
+        tuple(term.weight for term in terms),
+        tuple(term.charbonnier for term in terms),
+        smoothed,
+        smoothness,
+    )
+    results = _ImageLosses.apply(terms, settings, *(term.image for term in terms))
+    count = len(terms)
+    return ImageLosses(results[:count], results[count], results[count + 1 :])
+
+
+class _ImageLosses(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, terms: Sequence[ImageTerm], settings: ImageLossSettings, *images: Tensor
+    ) -> tuple[Tensor, ...]:
+        ctx.firsts = [term.first for term in terms]
+        ctx.settings = settings
+        targets = [term.target for term in terms]
+        renders = _compared(images, targets, ctx.firsts)
+        height, width, _ = images[0].shape
+        channels = sum(target.shape[-1] for target in targets)
+        wanted = any(ctx.needs_input_grad)
+        made = images[0].new_empty
+        sums = made(3 * channels, tiles_of(height, width, SCALARS[images[0].dtype]))
+        derivatives = made(*((3 * channels, height, width) if wanted else (0, 0, 0)))
+        losses, squared_errors = made(TERMS + 1), made(TERMS)
+        with launches_on_torch_stream(images[0].device):
+            arrays = _arrays(renders)
+            image_losses(arrays, _arrays(targets), settings, strided_view(sums), strided_view(derivatives))
+            totals = sums.sum(1)
+            image_loss_totals(arrays, settings, *_arrays([totals, losses, squared_errors]))
+        ctx.save_for_backward(*images, *targets, derivatives)
+        errors = squared_errors.unbind()[: len(terms)]
+        ctx.mark_non_differentiable(*errors)
+        ctx.set_materialize_grads(False)
+        each = losses.unbind()
+        return *each[: len(terms)], each[TERMS], *errors
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        count = len(ctx.firsts)
+        if all(gradient is None for gradient in gradients):
+            return (None,) * (2 + count)
+        images, targets = ctx.saved_tensors[:count], ctx.saved_tensors[count : 2 * count]
+        derivatives = ctx.saved_tensors[-1]
+        v_losses = _side_by_side([*gradients[:count], *[gradients[count]] * (TERMS + 1 - count)])
+        v_images = [
+            torch.empty_like(image, memory_format=torch.contiguous_format)
+            if image.shape[-1] == target.shape[-1]
+            else torch.zeros_like(image, memory_format=torch.contiguous_format)
+            for image, target in zip(images, targets, strict=True)
+        ]
+        with launches_on_torch_stream(derivatives.device):
+            image_losses_adjoint(
+                _arrays(_compared(images, targets, ctx.firsts)),
+                _arrays(targets),
+                ctx.settings,
+                strided_view(derivatives),
+                strided_view(v_losses),
+                _arrays(_compared(v_images, targets, ctx.firsts)),
+            )
+        return None, None, *v_images
+
+
+def _side_by_side(gradients: Sequence[Tensor | None]) -> Tensor:
+    """Gradients of scalars, of which at least one is there, as one tensor."""
+    if any(gradient is None for gradient in gradients):
+        zero = torch.zeros_like(next(gradient for gradient in gradients if gradient is not None))
+        gradients = [zero if gradient is None else gradient for gradient in gradients]
+    return torch.stack([gradient for gradient in gradients if gradient is not None])
+
+
+def _compared(images: Sequence[Tensor], targets: Sequence[Tensor], firsts: Sequence[int]) -> list[Tensor]:
+    """The channels of images that are compared with the targets."""
+    return [
+        image[..., first : first + target.shape[-1]]
+        for image, target, first in zip(images, targets, firsts, strict=True)
+    ]
+
+
+def _arrays(tensors: Sequence[Tensor]) -> list[ArrayView]:
+    return [strided_view(tensor) for tensor in tensors]

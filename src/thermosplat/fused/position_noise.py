@@ -1,0 +1,66 @@
+"""3DGS-MCMC's noise on the means of Gaussians, by one Warp kernel."""
+
+from typing import NamedTuple
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from thermosplat.torch_bridge.arrays import kinds_of, view
+from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.training.position_noise import add_position_noise
+
+
+class StoredGaussians(NamedTuple):
+    """Parameters of a set of Gaussians as they are stored; the noise is added to the means."""
+
+    means: Tensor
+    """[N, 3]."""
+    quats: Tensor
+    """[N, 4] wxyz."""
+    log_scales: Tensor
+    """[N, 3]."""
+    logit_opacities: Tensor
+    """[N], of α."""
+    second_opacities: Tensor | None
+    """[N]: offsets of those logits, or logits of their own; None: α is all there is."""
+    second_is_offset: bool
+    """Which of the two."""
+
+
+@torch.no_grad()
+def add_noise_to_means(
+    gaussians: StoredGaussians,
+    normals: Tensor,
+    strength: float,
+    rate: Tensor,
+    gate: tuple[float, float],
+    blocked: Tensor,
+) -> None:
+    """μ += strength · rate · sigmoid(k (t - o)) Σ η, in place, o being the larger opacity. Never waits for the device.
+
+    Args:
+        gaussians: The set.
+        normals: η, shape [N, 3].
+        strength: A factor.
+        rate: Another, float32 scalar on the device.
+        gate: k and t.
+        blocked: float32 scalar; not 0: add nothing.
+    """
+    logits, kinds = gaussians.logit_opacities, kinds_of(gaussians.means.dtype)
+    second = gaussians.second_opacities
+    seconds = logits[:0] if second is None else second
+    with launches_on_torch_stream(logits.device):
+        add_position_noise(
+            view(gaussians.quats, kinds.vec4),
+            view(gaussians.log_scales, kinds.vec3),
+            view(logits, kinds.scalar),
+            view(seconds, kinds.scalar),
+            gaussians.second_is_offset,
+            view(normals, kinds.vec3),
+            strength,
+            view(rate, wp.float32),
+            gate,
+            view(blocked, wp.float32),
+            view(gaussians.means, kinds.vec3),
+        )

@@ -1,0 +1,57 @@
+"""Image metrics of one view, as the field reports them.
+
+Convention: images are [H, W, C] in [0, 1]; renders are clamped to that range and otherwise kept in floating point, as
+gsplat's trainer does, not rounded to the 8 bits of the ground truth. (Rounding adds an error of 1/(12·255²): PSNR falls
+by 0.006 dB at 30 dB, by 0.06 dB at 40 dB.) Averages over views are means of per-view values, made by the evaluation.
+"""
+
+import math
+
+from torch import Tensor
+
+from thermosplat.image_quality.ssim import ssim_map
+from thermosplat.thermal.radiometry import PixelScale
+
+
+def psnr(render: Tensor, target: Tensor) -> float:
+    """Peak signal-to-noise ratio over all pixels and channels.
+
+    Args:
+        render: Rendered image, shape [H, W, C]; clamped to [0, 1] here.
+        target: Ground truth in [0, 1], shape [H, W, C].
+
+    Returns:
+        -10 log10(mean squared error) [dB]; infinity for equal images, NaN if a pixel is NaN.
+    """
+    squared_error = (render.clamp(0, 1) - target).square().mean().item()
+    return math.inf if squared_error == 0 else -10.0 * math.log10(squared_error)
+
+
+def ssim(render: Tensor, target: Tensor) -> float:
+    """Mean structural similarity: 11x11 Gaussian window, σ = 1.5, borders reflected (see ``ssim_map``).
+
+    Args:
+        render: Rendered image, shape [H, W, C], H and W > 5; clamped to [0, 1] here.
+        target: Ground truth in [0, 1], shape [H, W, C].
+
+    Returns:
+        SSIM, at most 1.
+    """
+    return ssim_map(render.clamp(0, 1).permute(2, 0, 1), target.permute(2, 0, 1)).mean().item()
+
+
+def mean_absolute_error(intensity: Tensor, values: Tensor, scale: PixelScale) -> float | None:
+    """Mean absolute error of measured values, such as temperatures.
+
+    Args:
+        intensity: Intensity of the render in [0, 1], shape [H, W] (``pixel_intensity``).
+        values: Measured values in the scale's unit, shape [H, W]; pixels that are not finite are left out.
+        scale: What pixel values mean.
+
+    Returns:
+        The error in the scale's unit; None where it has none or no pixel was measured.
+    """
+    if scale.measured_unit is None:
+        return None
+    errors = (scale.value(intensity).double() - values.double()).abs()[values.isfinite()]
+    return errors.mean().item() if len(errors) else None

@@ -1,0 +1,1 @@
+"""Views of a scene from cameras that no photograph was taken with."""

@@ -1,0 +1,1 @@
+"""Arrays as pictures that people look at: PNGs, strips, videos."""

@@ -1,0 +1,338 @@
+"""Checks of the rasterizer's arguments: each failure says what was expected, what was found and what is supported."""
+
+import math
+import operator
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from thermosplat.errors import UserError
+from warp_kernels.constants import TILE_SIZES
+from warp_kernels.projection.projection import ProjectionSettings
+
+RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
+RasterizeMode = Literal["classic", "antialiased"]
+CameraModel = Literal["pinhole", "ortho"]
+
+SH_DEGREE_MAX = 3
+INDEX_MAX = 2**31
+"""Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
+
+CHOICES: dict[str, tuple[Any, ...]] = {
+    "render_mode": get_args(RenderMode),
+    "rasterize_mode": get_args(RasterizeMode),
+    "camera_model": get_args(CameraModel),
+    "tile_size": TILE_SIZES,
+    "sh_degree": (None, *range(SH_DEGREE_MAX + 1)),
+}
+"""Arguments of which there are few, and what they may be."""
+
+SUPPORTED = "pinhole and ortho cameras without distortion, dense gradients, one process"
+
+
+def refuse_unsupported(**arguments: Any) -> None:
+    """Raises for arguments of gsplat that only have their default here.
+
+    Args:
+        **arguments: by name; anything but None, False or a global shutter is refused.
+
+    Raises:
+        UserError: naming the argument and what is supported.
+    """
+    for name, value in arguments.items():
+        is_global_shutter = name == "rolling_shutter" and getattr(value, "name", None) == "GLOBAL"
+        if value is None or value is False or is_global_shutter:
+            continue
+        raise UserError(f"rasterization() does not support {name}; supported: {SUPPORTED}.", f"Leave {name} out.")
+
+
+def as_whole(number: Any) -> Any:
+    """A whole number of any kind (NumPy's, torch's) as Python's own, which the kernels' arguments are packed from.
+
+    Args:
+        number: anything; what is no whole number, as a bool or a float, stays as it is, to be refused.
+    """
+    if isinstance(number, bool) or getattr(number, "dtype", None) is torch.bool:
+        return number
+    try:
+        return operator.index(number)
+    except TypeError:
+        return number
+
+
+def check_choice(name: str, value: Any) -> None:
+    """Checks an argument of ``CHOICES``.
+
+    Args:
+        name: of the argument; the features' has that of the colours behind ``features_``.
+        value: what was given, a whole number ``as_whole``.
+
+    Raises:
+        UserError: naming the argument, what is supported, and what was given.
+    """
+    allowed = CHOICES[name.removeprefix("features_")]
+    # 16.0 and True equal whole numbers and are none
+    if not (value is None or isinstance(value, str) or type(value) is int) or value not in allowed:
+        raise UserError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}.")
+
+
+def checked_sizes(**sizes: Any) -> list[int]:
+    """The image's width and height.
+
+    Args:
+        **sizes: by name [px]; NumPy's integers will do.
+
+    Returns:
+        The same as Python's integers.
+
+    Raises:
+        UserError: naming the argument, what is allowed, and what was given.
+    """
+    pixels = [as_whole(size) for size in sizes.values()]
+    for name, whole in zip(sizes, pixels, strict=True):
+        if type(whole) is not int or whole < 1:
+            raise UserError(f"{name} must be a positive whole number of pixels, got {whole!r}.")
+    return pixels
+
+
+def checked_limits(**limits: Any) -> dict[str, float]:
+    """near_plane, far_plane, radius_clip and eps2d.
+
+    Args:
+        **limits: by name; NumPy's numbers will do.
+
+    Returns:
+        The same as Python's numbers.
+
+    Raises:
+        UserError: naming the argument, what is allowed, and what was given.
+    """
+    numbers = {}
+    for name, value in limits.items():
+        try:
+            numbers[name] = math.nan if isinstance(value, str) else float(value)
+        except (TypeError, ValueError, RuntimeError):  # what torch raises of several numbers
+            numbers[name] = math.nan
+        if math.isnan(numbers[name]):
+            raise UserError(f"{name} must be a number, got {value}.")
+    if numbers["eps2d"] < 0:
+        raise UserError(f"eps2d must be at least 0 px², got {numbers['eps2d']}.")
+    return numbers
+
+
+def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, meaning: str = "") -> None:
+    """Checks a tensor's type, shape, dtype and device against the means'.
+
+    Args:
+        name: of the argument.
+        tensor: what was given.
+        shape: what it must have.
+        means: the tensor that fixes dtype and device.
+        meaning: the shape in letters, for the message.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    if not isinstance(tensor, Tensor):
+        raise UserError(f"{name} must be a torch.Tensor, got {type(tensor).__name__}.")
+    if tensor.shape != shape:
+        letters = f" = {meaning}" if meaning else ""
+        raise UserError(f"{name} must have shape {list(shape)}{letters}, got {list(tensor.shape)}.")
+    if tensor.dtype != means.dtype:
+        raise UserError(f"{name} must have the dtype of means, {means.dtype}, got {tensor.dtype}.")
+    if tensor.device != means.device:
+        raise UserError(f"{name} must be on the device of means, {means.device}, got {tensor.device}.")
+
+
+def check_scene(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    covars: Tensor | None,
+    opacities: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+) -> tuple[int, int]:
+    """Checks Gaussians and cameras.
+
+    Args:
+        means: [..., N, 3].
+        quats: [..., N, 4], or None with covars.
+        scales: [..., N, 3], or None with covars.
+        covars: [..., N, 3, 3] or None.
+        opacities: [..., N].
+        viewmats: [..., C, 4, 4].
+        Ks: [..., C, 3, 3].
+
+    Returns:
+        The number of cameras per scene and of Gaussians per scene.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    if not isinstance(means, Tensor):
+        raise UserError(f"means must be a torch.Tensor, got {type(means).__name__}.")
+    if means.dim() < 2 or means.shape[-1] != 3:
+        raise UserError(f"means must have shape [..., N, 3], got {list(means.shape)}.")
+    if means.dtype not in (torch.float32, torch.float64):
+        raise UserError(f"means must be float32 or float64, got {means.dtype}.")
+    batch, count = tuple(means.shape[:-2]), means.shape[-2]
+    if covars is None:
+        for name, value, width, meaning in (
+            ("quats", quats, 4, "[..., N, 4] with N from means"),
+            ("scales", scales, 3, "[..., N, 3] with N from means"),
+        ):
+            if value is None:
+                raise UserError(f"{name} must be given unless covars is, got None.")
+            check_shape(name, value, (*batch, count, width), means, meaning)
+    else:
+        check_shape("covars", covars, (*batch, count, 3, 3), means, "[..., N, 3, 3] with N from means")
+    check_shape("opacities", opacities, (*batch, count), means, "[..., N] with N from means")
+    if not isinstance(viewmats, Tensor) or viewmats.dim() != len(batch) + 3:
+        found = list(viewmats.shape) if isinstance(viewmats, Tensor) else type(viewmats).__name__
+        raise UserError(f"viewmats must have shape {[*batch, 'C', 4, 4]}, got {found}.")
+    cameras = viewmats.shape[-3]
+    check_shape("viewmats", viewmats, (*batch, cameras, 4, 4), means, "[..., C, 4, 4]")
+    check_shape("Ks", Ks, (*batch, cameras, 3, 3), means, "[..., C, 3, 3] with C from viewmats")
+    if cameras == 0:
+        raise UserError("viewmats must hold at least one camera, got 0.")
+    return cameras, count
+
+
+def check_colors(
+    name: str, colors: Tensor | tuple[Tensor, Tensor], means: Tensor, cameras: int, sh_degree: int | None
+) -> bool:
+    """Checks colours or features.
+
+    Args:
+        name: of the argument.
+        colors: [..., (C,) N, D], or with ``sh_degree`` [..., (C,) N, K, 3] or the pair of its first coefficient
+            [..., (C,) N, 1, 3] and the others [..., (C,) N, K - 1, 3].
+        means: [..., N, 3].
+        cameras: C.
+        sh_degree: active degree or None.
+
+    Returns:
+        Whether there are values of their own for each camera.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    if isinstance(colors, tuple) and len(colors) == 2 and sh_degree is not None:
+        return _check_pair(name, *colors, means, cameras, sh_degree)
+    if not isinstance(colors, Tensor):
+        raise UserError(f"{name} must be a torch.Tensor, got {type(colors).__name__}.")
+    batch, count = tuple(means.shape[:-2]), means.shape[-2]
+    tail = 1 if sh_degree is None else 2
+    per_camera = colors.dim() == len(batch) + 2 + tail
+    lead = (*batch, cameras, count) if per_camera else (*batch, count)
+    letters = "[..., (C,) N, D]" if sh_degree is None else "[..., (C,) N, K, 3]"
+    if colors.dim() != len(lead) + tail or tuple(colors.shape[: len(lead)]) != lead:
+        expected = f"{letters} with N = {count} (from means) and C = {cameras} (from viewmats)"
+        mode = "without sh_degree" if sh_degree is None else f"with sh_degree={sh_degree}"
+        raise UserError(f"{name} {mode} must have shape {expected}, got {list(colors.shape)}.")
+    check_shape(name, colors, tuple(colors.shape), means)
+    if sh_degree is None:
+        if colors.shape[-1] < 1:
+            raise UserError(f"{name} must have at least one channel, got {list(colors.shape)}.")
+        return per_camera
+    needed = (sh_degree + 1) ** 2
+    if colors.shape[-1] != 3 or colors.shape[-2] < needed:
+        raise UserError(
+            f"{name} must hold at least {needed} coefficients of 3 channels for sh_degree={sh_degree} "
+            f"({letters}), got {list(colors.shape)}."
+        )
+    return per_camera
+
+
+def _check_pair(name: str, sh0: Tensor, shN: Tensor, means: Tensor, cameras: int, sh_degree: int) -> bool:
+    """``check_colors`` of coefficients in two tensors."""
+    per_camera = check_colors(f"{name}[0]", sh0, means, cameras, 0)
+    check_shape(f"{name}[0]", sh0, (*sh0.shape[:-2], 1, 3), means)
+    needed = (sh_degree + 1) ** 2 - 1
+    given = shN.shape[-2] if isinstance(shN, Tensor) and shN.dim() > 1 else 0
+    check_shape(f"{name}[1]", shN, (*sh0.shape[:-2], max(given, needed), 3), means)
+    return per_camera
+
+
+def check_backgrounds(
+    backgrounds: Tensor | None,
+    colors: Tensor | tuple[Tensor, Tensor],
+    sh_degree: int | None,
+    means: Tensor,
+    cameras: int,
+) -> None:
+    """Checks the colours behind everything.
+
+    Args:
+        backgrounds: [..., C, D] or None.
+        colors: checked colours or, with ``sh_degree``, coefficients; they fix D.
+        sh_degree: active degree or None.
+        means: [..., N, 3].
+        cameras: C.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    if backgrounds is not None:
+        channels = 3 if sh_degree is not None or isinstance(colors, tuple) else colors.shape[-1]
+        check_shape("backgrounds", backgrounds, (*means.shape[:-2], cameras, channels), means)
+
+
+def checked_settings(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    covars: Tensor | None,
+    opacities: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    *,
+    width: int,
+    height: int,
+    near_plane: float,
+    far_plane: float,
+    radius_clip: float,
+    eps2d: float,
+    sh_degree: int | None,
+    tile_size: int,
+    render_mode: str,
+    rasterize_mode: str,
+    camera_model: CameraModel,
+) -> ProjectionSettings:
+    """Checks the arguments that both rasterizations take, in their meaning there, and gives the projection's settings.
+
+    ``tile_size`` and ``sh_degree``, which are not among them, are to be given ``as_whole``.
+
+    Returns:
+        The settings in Python's own numbers, with the numbers of Gaussians, cameras and images.
+
+    Raises:
+        UserError: naming the argument, what was expected and what was found.
+    """
+    check_choice("render_mode", render_mode)
+    check_choice("rasterize_mode", rasterize_mode)
+    check_choice("camera_model", camera_model)
+    check_choice("tile_size", tile_size)
+    check_choice("sh_degree", sh_degree)
+    width, height = checked_sizes(width=width, height=height)
+    limits = checked_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
+    cameras, count = check_scene(means, quats, scales, covars, opacities, viewmats, Ks)
+    images = math.prod(means.shape[:-2]) * cameras
+    if images * count >= INDEX_MAX or images * height >= INDEX_MAX:
+        raise UserError(
+            f"{count:,} Gaussians in each of {images:,} images of {width} x {height} px are more than the kernels can "
+            f"number ({INDEX_MAX - 1:,} Gaussians, and as many rows, over all images).",
+            "Render fewer cameras per call.",
+        )
+    return ProjectionSettings(
+        width=width,
+        height=height,
+        num_gaussians=count,
+        num_cameras=cameras,
+        num_images=images,
+        **limits,
+        antialiased=rasterize_mode == "antialiased",
+        camera_model=camera_model,
+    )

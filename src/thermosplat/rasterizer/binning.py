@@ -1,0 +1,87 @@
+"""The lists of Gaussians a tile, made in torch's memory, and who keeps that memory alive."""
+
+from typing import Any, NamedTuple
+
+from torch import Tensor
+
+from thermosplat.errors import UserError
+from thermosplat.torch_bridge.arrays import kinds_of, view
+from thermosplat.torch_bridge.streams import joined_capture, on_torch_stream
+from warp_kernels.binning import binning_step
+from warp_kernels.binning.tile_bins import Room, TileBins
+from warp_kernels.machinery.array_views import ArrayView
+from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
+
+
+class TileLists(NamedTuple):
+    """The lists, and the memory they lie in."""
+
+    bins: TileBins
+    """Arrays that do not keep their memory alive, so that whoever saves the tensors decides how long it lives."""
+    tensors: dict[str, Tensor]
+    """By the name of the array in it."""
+
+    def read_by_adjoint(self) -> list[tuple[Any, Tensor]]:
+        """Arrays that the blending's adjoint reads, with the tensors they lie in."""
+        names = ["gaussian_ids", "tile_offsets", "tiles_per_gaussian"]
+        if len(self.bins.masks) > 0:
+            names.append("masks")
+        if self.bins.slots is not None:
+            names += ["slots", "order", "pair_ends"]
+        return [(getattr(self.bins, name), self.tensors[name]) for name in names]
+
+
+def bin_tiles(
+    projected: ProjectedArrays,
+    opacities: Tensor,
+    thermal_opacities: Tensor,
+    features: Tensor,
+    settings: ProjectionSettings,
+    tile_size: int,
+    rest: Tensor | None = None,
+    room: Room | None = None,
+    *,
+    deterministic: bool = False,
+) -> TileLists:
+    """Lists the Gaussians of each tile.
+
+    Args:
+        projected: what ``Project`` returned; radii of Gaussians with non-finite features become zero, in place.
+        opacities: [images · N], compensation included.
+        thermal_opacities: [images · N]; the same tensor where there is one opacity.
+        features: [images · N, D].
+        settings: image size.
+        tile_size: edge of a tile [px].
+        rest: [images · N, D'], channels that lie apart from those; None: there are no others.
+        room: of the lists; None: the number of pairs is read back from the device.
+        deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
+
+    Returns:
+        The lists.
+
+    Raises:
+        UserError: if a CUDA graph is captured without a ``room``, or there are too many pairs to number.
+    """
+    scalar = kinds_of(opacities.dtype).scalar
+    with on_torch_stream(opacities.device) as device, joined_capture(opacities.device) as captured:
+        if captured and room is None:
+            raise UserError(
+                "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs back.",
+                "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
+            )
+        try:
+            bins = binning_step.bin_tiles(
+                projected,
+                view(opacities, scalar),
+                view(thermal_opacities, scalar),
+                view(features, scalar, *features.shape),
+                settings,
+                tile_size,
+                by_slot=deterministic or not device.is_cuda,
+                rest=None if rest is None else view(rest, scalar, *rest.shape),
+                room=room,
+            )
+        except binning_step.TooManyPairsError as error:
+            raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
+    tensors = {name: array.release() for name, array in vars(bins).items() if isinstance(array, ArrayView)}
+    return TileLists(bins, tensors)

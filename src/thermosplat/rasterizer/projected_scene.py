@@ -1,0 +1,259 @@
+"""A scene projected once, and the tensors everything blended from it shares. Flat index: image · N + Gaussian."""
+
+import math
+import threading
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, cast
+
+import torch
+from torch import Tensor
+
+from thermosplat.rasterizer.binning import TileLists, bin_tiles
+from thermosplat.rasterizer.blending import Blend, BlendedTensors, BlendInputs
+from thermosplat.rasterizer.info import RasterizationInfo, conics, isect_ids, num_nonfinite
+from thermosplat.rasterizer.pair_capacity import active_pair_capacity
+from thermosplat.rasterizer.projection import Harmonics, Project, ProjectedTensors, ProjectInputs
+from warp_kernels.color.color_step import ColorSettings
+from warp_kernels.projection.projection import ProjectionSettings
+
+
+class Drawn(NamedTuple):
+    """Colours or features, which are blended."""
+
+    values: Tensor | tuple[Tensor, Tensor]
+    """[..., (C,) N, X]; with ``sh_degree`` [..., (C,) N, K, 3], or the first coefficient and the others apart."""
+    sh_degree: int | None
+    per_camera: bool
+
+
+class ProjectedScene:
+    """Gaussians projected to the cameras of their scenes; arguments are checked by the caller.
+
+    Args:
+        means: [..., N, 3].
+        quats: [..., N, 4], or None with ``covars``.
+        scales: [..., N, 3], or None with ``covars``.
+        covars: [..., N, 3, 3] in place of ``quats`` and ``scales``, or None.
+        opacities: [..., N].
+        thermal_opacities: [..., N], or None where there is one opacity.
+        viewmats: [..., C, 4, 4].
+        Ks: [..., C, 3, 3], px.
+        settings: image size, counts, planes and mode.
+        tile_size: edge of a tile [px].
+        drawn: what is to be blended, of which ``features`` holds the final values, each flat [images · N, X].
+        deterministic: sum gradients in the same order every time, on CUDA at a cost (on the CPU that is always so).
+    """
+
+    def __init__(
+        self,
+        means: Tensor,
+        quats: Tensor | None,
+        scales: Tensor | None,
+        covars: Tensor | None,
+        opacities: Tensor,
+        thermal_opacities: Tensor | None,
+        viewmats: Tensor,
+        Ks: Tensor,
+        settings: ProjectionSettings,
+        tile_size: int,
+        *,
+        drawn: Sequence[Drawn] = (),
+        deterministic: bool = False,
+    ) -> None:
+        self.tile_size = tile_size
+        self.deterministic = deterministic
+        self._turns = threading.Lock()
+        self.settings = settings
+        self.images_shape = (*means.shape[:-2], settings.num_cameras)
+        means = means.contiguous()
+        upper = None
+        if covars is not None or quats is None or scales is None:
+            quats = scales = None
+            if covars is not None:
+                upper = torch.cat([covars[..., 0, :], covars[..., 1, 1:], covars[..., 2, 2:]], -1)
+        else:
+            quats, scales = quats.contiguous(), scales.contiguous()
+        shape = [(quats, 4), (scales, 3), (upper, 6)]
+        # and what is drawn as it is; detached when they are counted
+        self._inputs = [(means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
+        self._cameras = viewmats, Ks
+        harmonics = [_harmonics(one, settings) for one in drawn]
+        self._harmonics = [one for one in harmonics if one is not None]
+        bound = opacities.detach().contiguous()
+        *projected, self._arrays = Project.apply(
+            means,
+            quats,
+            scales,
+            upper,
+            bound,
+            bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
+            viewmats.contiguous(),
+            Ks.contiguous(),
+            ProjectInputs(settings, tuple(one.settings for one in self._harmonics), self.images_shape, self._turns),
+            *(coefficients for one in self._harmonics for coefficients in one[:2]),
+        )
+        count = len(ProjectedTensors._fields)
+        self.projected = ProjectedTensors(*projected[:count])
+        evaluated = iter(projected[count:])
+        self.features = [
+            self._per_image(one) if sh is None else next(evaluated) for one, sh in zip(drawn, harmonics, strict=True)
+        ]
+        # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
+        self.means2d, self.depths = self.projected.means2d, self.projected.depths
+        self.opacities = self._per_image_opacities(opacities)
+        self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
+        self._lists: TileLists | None = None
+
+    def _per_image_opacities(self, opacities: Tensor) -> Tensor:
+        self._inputs.append((opacities, 1))
+        per_image = opacities.unsqueeze(-2)
+        if self.settings.num_cameras != 1:
+            per_image = per_image.expand(*self.images_shape, -1)
+        if self.projected.compensations is not None:
+            per_image = per_image * self.projected.compensations
+        return per_image.contiguous()
+
+    def _per_image(self, drawn: Drawn) -> Tensor:
+        """Final values repeated for each camera where they are shared."""
+        values = cast("Tensor", drawn.values)  # only coefficients come in pairs
+        self._inputs.append((values, values.shape[-1]))
+        if not drawn.per_camera and self.settings.num_cameras != 1:
+            values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
+        return _flat(values)
+
+    def blend(
+        self,
+        features: Tensor,
+        absgrad: bool,
+        *,
+        rest: Tensor | None = None,
+        thermal_channels: int = 0,
+        thermal_opacity: bool = False,
+    ) -> BlendedTensors:
+        """Blends flat features; with ``thermal_channels``, the last of them a second time at the thermal opacity.
+
+        ``rest``: flat features to blend beside the others, to an image of their own.
+        """
+        opacities = self.opacities
+        if thermal_opacity and self.thermal_opacities is not None:
+            opacities = self.thermal_opacities
+        second = self.thermal_opacities if thermal_channels > 0 else None
+        inputs = BlendInputs(
+            self._arrays,
+            self.projected.extents,
+            self.projected.packed_roots,
+            self._bin(features, rest),
+            self.settings,
+            thermal_channels,
+            self.means2d if absgrad else None,
+            self._turns,
+        )
+        tensors = (self.means2d, self.projected.roots, opacities, second, features, rest)
+        return BlendedTensors(*Blend.apply(*tensors, inputs))
+
+    def blend_in_chunks(
+        self, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
+    ) -> BlendedTensors:
+        """Blends flat features of any width, ``chunk`` channels a traversal, at one opacity.
+
+        The opacity is the first traversal's.
+        """
+        if features.shape[-1] <= chunk:
+            return self.blend(features, absgrad, thermal_opacity=thermal_opacity)
+        self._bin(features)  # all of them are checked for being finite, not only the first chunk
+        parts = [
+            self.blend(part.contiguous(), absgrad, thermal_opacity=thermal_opacity)
+            for part in features.split(chunk, dim=-1)
+        ]
+        return parts[0]._replace(render=torch.cat([part.render for part in parts], -1))
+
+    def _bin(self, features: Tensor, rest: Tensor | None = None) -> TileLists:
+        """The lists of Gaussians, made once; the features of the first call are checked for being finite."""
+        if self._lists is None:
+            capacity = active_pair_capacity()
+            self._lists = bin_tiles(
+                self._arrays,
+                self.opacities,
+                self.opacities if self.thermal_opacities is None else self.thermal_opacities,
+                features,
+                self.settings,
+                self.tile_size,
+                rest,
+                capacity.room() if capacity is not None else None,
+                deterministic=self.deterministic,
+            )
+            if capacity is not None:
+                tensors = self._lists.tensors
+                capacity.note(tensors["totals"][-1] if "totals" in tensors else tensors["pair_ends"][-1:])
+        return self._lists
+
+    def info(self) -> RasterizationInfo:
+        """gsplat's ``meta`` dictionary, once something has been blended."""
+        settings = self.settings
+        if self._lists is None:
+            raise RuntimeError("info() comes after blend().")
+        bins, tensors = self._lists
+        shape = self.images_shape
+        flatten_ids, tile_offsets = tensors["gaussian_ids"], tensors["tile_offsets"]
+        values = {
+            "batch_ids": None,
+            "camera_ids": None,
+            "gaussian_ids": None,
+            "radii": self.projected.radii,
+            "means2d": self.means2d,
+            "depths": self.depths,
+            "opacities": self.opacities,
+            "tile_width": bins.tiles_x,
+            "tile_height": bins.tiles_y,
+            "flatten_ids": flatten_ids,
+            "width": settings.width,
+            "height": settings.height,
+            "tile_size": bins.tile_size,
+            "n_batches": math.prod(shape[:-1]),
+            "n_cameras": settings.num_cameras,
+        }
+        if self.thermal_opacities is not None:
+            values["thermal_opacities"] = self.thermal_opacities
+        # What is computed later holds the tensors that it reads and not this scene.
+        depths, tiles_of_gaussians = self.depths, tensors["tiles_per_gaussian"]
+        tiles_y, tiles_x = bins.tiles_y, bins.tiles_x
+        roots, radii = self.projected.roots, self.projected.radii
+        inputs, harmonics, cameras = self._inputs, self._harmonics, self._cameras
+        scenes, num_gaussians = math.prod(shape[:-1]), settings.num_gaussians
+        return RasterizationInfo(
+            values,
+            {
+                "conics": lambda: conics(roots, radii),
+                "tiles_per_gauss": lambda: tiles_of_gaussians.reshape(*shape, num_gaussians),
+                "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
+                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
+                "num_nonfinite": lambda: num_nonfinite([*inputs, *_used(harmonics)], cameras, scenes, num_gaussians),
+            },
+        )
+
+
+def _harmonics(drawn: Drawn, settings: ProjectionSettings) -> Harmonics | None:
+    """Coefficients as ``Project`` takes them; None of final values."""
+    if drawn.sh_degree is None:
+        return None
+    sh0, shN = drawn.values if isinstance(drawn.values, tuple) else (drawn.values, None)
+    shN = None if shN is None or shN.shape[-2] == 0 else shN.contiguous()
+    counts = (settings.num_gaussians, settings.num_cameras)
+    return Harmonics(sh0.contiguous(), shN, ColorSettings(drawn.sh_degree, *counts, drawn.per_camera))
+
+
+def _used(harmonics: Sequence[Harmonics]) -> Iterator[tuple[Tensor, int]]:
+    """The coefficients of active degrees, each tensor with its number of values a Gaussian."""
+    for sh0, shN, settings in harmonics:
+        active = (settings.degree + 1) ** 2
+        first = min(active, sh0.shape[-2])
+        yield sh0[..., :first, :], 3 * first
+        if shN is not None:
+            yield shN[..., : active - 1, :], 3 * (active - 1)
+
+
+def _flat(values: Tensor) -> Tensor:
+    """Values of all images (or scenes) side by side, [images · N, X]."""
+    if values.dim() != 2:
+        values = values.reshape(-1, values.shape[-1])
+    return values.contiguous()

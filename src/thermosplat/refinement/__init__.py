@@ -1,0 +1,1 @@
+"""Cameras that improve while training: poses, the rig, focal lengths, what distortion is left."""

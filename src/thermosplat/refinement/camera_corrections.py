@@ -1,0 +1,222 @@
+"""What is wrong with a capture's cameras, learnt from its images.
+
+Four things may be corrected (``--refine``), each from zero:
+
+- poses: every frame moves as a whole about the centre of its first camera. The mean over all frames is taken off, so
+  that the scene stays where it is.
+- rig: every camera of a spectrum beyond the first moves in its own axes, the same way in all frames.
+- intrinsics: one factor per camera on its focal lengths.
+- distortion: k1 and k2 of COLMAP's RADIAL model per camera, of what undistorting left (scene/lens_distortion.py).
+
+What is learnt are coordinates in which all of it moves the images equally far (preconditioning.py).
+
+Notation: F frames, L cameras, each a spectrum with intrinsics. A camera's correction θ, shape [9], is (r, t) of the
+rig [rad, scene extents], the logarithm of the focal factor, k1 and k2.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from thermosplat.config import Refined
+from thermosplat.datasets.cameras import Camera, camera_center
+from thermosplat.datasets.capture import Capture, Frame, View
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
+from thermosplat.refinement.camera_motion import moved_camera, moved_frame, with_focal_factor
+from thermosplat.refinement.preconditioning import normal_matrix, points_in_view, preconditioner
+
+POSES: Refined = "poses"
+RIG: Refined = "rig"
+INTRINSICS: Refined = "intrinsics"
+DISTORTION: Refined = "distortion"
+
+MOTION, FOCAL, COEFFICIENTS, SIZE = slice(0, 6), 6, slice(7, 9), 9
+"""Where in a camera's correction its parts are, and how many numbers it has."""
+LOOKED_AT = 32
+"""Frames, spread over all, that say how a camera's numbers move its images."""
+
+
+@dataclass(frozen=True)
+class SharedCamera:
+    """A camera that took many frames."""
+
+    spectrum: str
+    """Its spectrum."""
+    camera: Camera
+    """Its intrinsics, as the capture has them."""
+
+
+class CameraCorrections(nn.Module):
+    """Corrections of all cameras of a capture.
+
+    Attributes:
+        poses: z of each frame [px], shape [F, 6].
+        cameras: z of each camera [px], shape [L, 9].
+        refined: What is learnt.
+        spectra: Names of the spectra, in order; the first one leads.
+        shared: The cameras.
+        scene_extent: Radius of the scene [world units].
+
+    Args:
+        refined: What is learnt.
+        capture: The capture; its training frames are corrected, and its points seen.
+        spectra: Names of the modelled spectra, in order.
+    """
+
+    def __init__(self, refined: Collection[Refined], capture: Capture, spectra: Sequence[str]) -> None:
+        super().__init__()
+        frames = capture.training_frames(spectra)
+        self.refined = frozenset(refined)
+        self.spectra = tuple(spectra)
+        self.scene_extent = capture.scene_extent
+        found = (SharedCamera(name, f.views[name].camera) for name in spectra for f in frames if name in f.views)
+        self.shared: tuple[SharedCamera, ...] = tuple(dict.fromkeys(found))
+        self.poses = nn.Parameter(torch.zeros(len(frames), 6))
+        self.cameras = nn.Parameter(torch.zeros(len(self.shared), SIZE))
+        self._pose_basis: Tensor
+        self._camera_basis: Tensor
+        self._centers: Tensor
+        self._cameras_of: Tensor
+        self.register_buffer("_pose_basis", self._pose_bases(frames, capture.points), persistent=False)
+        self.register_buffer("_camera_basis", self._camera_bases(frames, capture.points), persistent=False)
+        centers = np.stack([_center(frame) for frame in frames])
+        self.register_buffer("_centers", torch.tensor(centers, dtype=torch.float32), persistent=False)
+        number = {camera: k for k, camera in enumerate(self.shared)}
+        cameras_of = [
+            [number[SharedCamera(name, f.views[name].camera)] if name in f.views else 0 for f in frames]
+            for name in spectra
+        ]
+        self.register_buffer("_cameras_of", torch.tensor(cameras_of), persistent=False)
+
+    def learnt(self) -> dict[str, nn.Parameter]:
+        """The parameters that are learnt, by the name of their learning rate."""
+        learnt = {"poses": self.poses} if POSES in self.refined else {}
+        return learnt | ({"cameras": self.cameras} if self.refined - {POSES} else {})
+
+    def pose_motions(self) -> Tensor:
+        """(r, t) of every frame, shape [F, 6]; their mean is zero."""
+        motions = (self._pose_basis @ self.poses[:, :, None])[:, :, 0]
+        return motions - motions.mean(dim=0)
+
+    def camera_corrections(self) -> Tensor:
+        """θ of every camera, shape [L, 9]."""
+        return (self._camera_basis @ self.cameras[:, :, None])[:, :, 0]
+
+    def forward(self, frame: FrameTensors) -> FrameTensors:
+        """A training frame with its cameras corrected; no value is read back.
+
+        Args:
+            frame: The frame; it knows its index.
+
+        Returns:
+            The frame, through whose cameras gradients reach the corrections.
+
+        Raises:
+            ValueError: The frame knows no index.
+        """
+        if frame.index is None:
+            raise ValueError(f"Frame {frame.name} is not one of those that train.")
+        index, corrections = frame.index.reshape(1), self.camera_corrections()
+        views = {}
+        for name, view in frame.views.items():
+            number = self._cameras_of[self.spectra.index(name)].index_select(0, index)
+            views[name] = self._corrected(name, view, corrections.index_select(0, number).squeeze(0))
+        if POSES in self.refined:
+            motion = self.pose_motions().index_select(0, index).squeeze(0)
+            center = self._centers.index_select(0, index).squeeze(0)
+            views = moved_frame(views, motion, center, self.scene_extent)
+        groups = frame.shared_cameras if self.refined <= {POSES} else tuple((name,) for name in frame.views)
+        return replace(frame, views=views, shared_cameras=groups)
+
+    def of_camera(self, spectrum: str, view: ViewTensors, camera: Camera) -> ViewTensors:
+        """A view of any frame, held out or new, with what all views of its camera have in common corrected.
+
+        Args:
+            spectrum: Its spectrum.
+            view: The view.
+            camera: Its camera as the capture has it. One that no training frame has takes the corrections of the only
+                camera of its spectrum, or none where there are several.
+        """
+        of_spectrum = [k for k, shared in enumerate(self.shared) if shared.spectrum == spectrum]
+        known = [k for k in of_spectrum if self.shared[k].camera == camera]
+        found = known or (of_spectrum if len(of_spectrum) == 1 else [])
+        return self._corrected(spectrum, view, self.camera_corrections()[found[0]]) if found else view
+
+    def _corrected(self, spectrum: str, view: ViewTensors, correction: Tensor) -> ViewTensors:
+        """A view with rig, focal lengths and distortion corrected by θ, shape [9]."""
+        if self._moves(spectrum):
+            view = moved_camera(view, correction[MOTION], self.scene_extent)
+        if INTRINSICS in self.refined:
+            view = with_focal_factor(view, correction[FOCAL])
+        if DISTORTION in self.refined:
+            view = replace(view, distortion=correction[COEFFICIENTS])
+        return view
+
+    def _moves(self, spectrum: str) -> bool:
+        """Whether the rig moves the cameras of a spectrum."""
+        return RIG in self.refined and spectrum != self.spectra[0]
+
+    def _pose_bases(self, frames: Sequence[Frame], points: NDArray[np.float32]) -> Tensor:
+        """P of every frame's pose, shape [F, 6, 6]."""
+        if POSES not in self.refined:
+            return torch.zeros(len(frames), 6, 6)
+        return torch.stack([pose_basis(frame, points, self.scene_extent) for frame in frames])
+
+    def _camera_bases(self, frames: Sequence[Frame], points: NDArray[np.float32]) -> Tensor:
+        """P of every camera, shape [L, 9, 9]; zero where nothing is refined."""
+        bases = torch.zeros(len(self.shared), SIZE, SIZE)
+        known = torch.from_numpy(points).double()
+        for place, shared in enumerate(self.shared if self.refined - {POSES} else ()):
+            name = shared.spectrum
+            taken = [f.views[name] for f in frames if name in f.views and f.views[name].camera == shared.camera]
+            views = [camera_tensors(shown) for shown in taken[:: -(-len(taken) // LOOKED_AT)]]
+            normals = [
+                normal_matrix(
+                    partial(self._corrected, name, view), SIZE, points_in_view(view, known, self.scene_extent)
+                )
+                for view in views
+            ]
+            bases[place] = preconditioner(torch.stack(normals).mean(dim=0)).float()
+        return bases
+
+
+def pose_basis(frame: Frame, points: NDArray[np.float32], scene_extent: float) -> Tensor:
+    """P of a frame's motion as a whole, float32 [6, 6]: from z [px] to (r, t) [rad, scene extents].
+
+    Args:
+        frame: The frame.
+        points: The capture's points [world units], shape [M, 3].
+        scene_extent: Radius of the scene [world units].
+    """
+    known, center = torch.from_numpy(points).double(), torch.from_numpy(_center(frame))
+    normal = torch.zeros(6, 6, dtype=torch.float64)
+    for name, shown in frame.views.items():
+        view = camera_tensors(shown)
+
+        def moved(motion: Tensor, name: str = name, view: ViewTensors = view) -> ViewTensors:
+            return moved_frame({name: view}, motion, center, scene_extent)[name]
+
+        normal += normal_matrix(moved, 6, points_in_view(view, known, scene_extent))
+    return preconditioner(normal / len(frame.views)).float()
+
+
+def camera_tensors(view: View) -> ViewTensors:
+    """Pose and intrinsics of a view in double precision, without its image."""
+    camera = view.camera
+    distortion = None if camera.distortion is None else torch.tensor(camera.distortion, dtype=torch.float64)
+    pose, K = torch.from_numpy(view.viewmat), torch.from_numpy(camera.K)
+    return ViewTensors(pose, K, camera.width, camera.height, distortion=distortion)
+
+
+def frame_center(frame: Frame) -> Tensor:
+    """Where a frame's first camera stands [world units], float64 [3]: about it the frame turns."""
+    return torch.from_numpy(_center(frame))
+
+
+def _center(frame: Frame) -> NDArray[np.float64]:
+    return camera_center(next(iter(frame.views.values())).viewmat)

@@ -1,0 +1,333 @@
+"""The folder a training run writes, and what lies where in it.
+
+ckpts/step_030000.pt   checkpoints           config.yaml       the resolved configuration; reproduces the run
+stats/                 metrics per step      environment.json  versions, device and threads
+renders/               PNG strips            metrics.jsonl     one line per log interval and evaluation
+ply/                   exported Gaussians    metrics.json      the final numbers
+videos/                camera paths          regions.json      errors by region, where there is ground truth
+refined/               refined cameras, as a COLMAP model
+tb/                    TensorBoard events     training.lock     the process that trains here, as long as it does
+"""
+
+import contextlib
+import csv
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import re
+import shlex
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from thermosplat import __version__
+from thermosplat.errors import UserError
+from thermosplat.runs.checkpoint import NotWrittenError, load_checkpoint, write_atomically
+from thermosplat.runs.devices import device_name
+from thermosplat.runs.run_lock import run_lock
+
+if TYPE_CHECKING:
+    from thermosplat.config import TrainConfig
+
+TENSORBOARD_SUFFIX = ".thermosplat"
+"""At the end of our event files' names, by which they are told from those of other trainers."""
+
+_FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "regions.json", "environment.json")
+_CHECKPOINT_NAME = re.compile(r"step_(\d+)\.pt")
+_ON_CAPTURE = r"\d+(_.+)?"  # a step, and the name of another capture than the run's own
+_WRITTEN = {
+    "ckpts": _CHECKPOINT_NAME.pattern,
+    "stats": rf"step_\d+\.json|per_view\.csv|(eval|regions)_{_ON_CAPTURE}\.(json|csv)",
+    "renders": rf"eval_{_ON_CAPTURE}",
+    "ply": r"splat_(rgb|thermal)\.ply",
+    "videos": rf"(interp|ellipse|spiral|train|test)_(rgb|thermal|both)_{_ON_CAPTURE}",
+    "refined": r"(cameras|images|points3D)\.txt",
+    "tb": rf"events\.out\.tfevents\..*{re.escape(TENSORBOARD_SUFFIX)}",
+}
+"""Names of what a run's commands write into each folder, strips in renders/ apart: those have the frames' names. Other
+trainers have folders of the same names."""
+_TEMPORARY = re.compile(r"\..+\.\d+(\.tmp\..+|\.mp4)")
+_PACKAGES = ("torch", "warp-lang", "numpy", "kornia", "pycolmap", "opencv-contrib-python-headless")
+
+
+class RunDirectory:
+    """Paths of one run. The folders are made when they are first asked for.
+
+    Args:
+        path: The result folder, as the user gave it.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(os.path.expanduser(path))  # as a shell leaves it in --result-dir=~/run, and YAML
+
+    @classmethod
+    def create(cls, path: str | Path, overwrite: bool = False) -> "RunDirectory":
+        """Start a run in a folder.
+
+        Args:
+            path: The result folder; made where there is none. Files that no run wrote are left alone.
+            overwrite: Delete what an earlier run left there.
+
+        Raises:
+            UserError: If the folder already holds a run, or is a file.
+        """
+        run = cls(path)
+        run._check_is_no_file()
+        if run.holds_a_run():
+            if not overwrite:
+                latest = run.latest_checkpoint()
+                steps = f"{checkpoint_step(latest):,} steps" if latest else "no checkpoint yet"
+                resume = f"Go on with it: --resume {shlex.quote(str(run.path))}. Or start" if latest else "Start"
+                raise UserError(
+                    f"{run.path} already holds a run ({steps}).",
+                    f"Keep it and start another: --result-dir NEW. {resume} again in its place: --overwrite.",
+                )
+            run._delete()
+        run._make()
+        return run
+
+    @classmethod
+    def open(cls, path: str | Path) -> "RunDirectory":
+        """An existing run.
+
+        Raises:
+            UserError: If there is none at ``path``.
+        """
+        run = cls(path)
+        if not run.holds_a_run():
+            there = "that is a file" if run.path.exists() else "there is no such folder"
+            what = "the folder holds no run" if run.path.is_dir() else there
+            raise UserError(
+                f"No training run in {run.path}: {what}.", "Give the --result-dir of a thermosplat-train run."
+            )
+        return run
+
+    def locked(self) -> AbstractContextManager[None]:
+        """Around what trains here: no other process does meanwhile. The result folder is made.
+
+        Raises:
+            UserError: If another process trains here, or the folder cannot be made.
+        """
+        self._check_is_no_file()
+        self._make()
+        return run_lock(self.path)
+
+    def holds_a_run(self) -> bool:
+        """Whether a training run has written here."""
+        return any((self.path / name).is_file() for name in _FILES) or self.latest_checkpoint() is not None
+
+    def _check_is_no_file(self) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise UserError(f"{self.path} is a file; the result folder cannot go there.", "Give another --result-dir.")
+
+    def _make(self) -> None:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(
+                f"Could not make the result folder {self.path}: {error.strerror}.", "Give another --result-dir."
+            ) from error
+
+    def _delete(self) -> None:
+        strips = self._strips()
+        for name, written in _WRITTEN.items():
+            folder = self.path / name
+            for entry in folder.iterdir() if folder.is_dir() else ():
+                is_ours = re.fullmatch(written, entry.stem if entry.suffix == ".mp4" else entry.name)
+                if is_ours and entry.is_dir():
+                    for picture in entry.glob("*.png"):
+                        picture.unlink()
+                    _remove_if_empty(entry)
+                elif is_ours or entry in strips or _TEMPORARY.fullmatch(entry.name):
+                    entry.unlink()
+            _remove_if_empty(folder)
+        for name in _FILES:
+            (self.path / name).unlink(missing_ok=True)
+
+    def _strips(self) -> set[Path]:
+        """The strips of the held-out frames, by the table of their numbers."""
+        try:
+            with (self.path / "stats" / "per_view.csv").open(newline="", encoding="utf-8") as file:
+                frames = {row.get("frame") or "" for row in csv.DictReader(file)}
+        except (OSError, ValueError, csv.Error):
+            return set()
+        return {self.path / "renders" / f"{frame.replace('/', '_')}.png" for frame in frames}
+
+    def _folder(self, name: str) -> Path:
+        folder = self.path / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise NotWrittenError(
+                f"Could not make the folder {folder}: {error.strerror}.",
+                "Move what is in its way, or see to it that the result folder can be written to.",
+            ) from error
+        return folder
+
+    @property
+    def ckpts(self) -> Path:
+        """Folder of the checkpoints."""
+        return self._folder("ckpts")
+
+    @property
+    def stats(self) -> Path:
+        """Folder of the evaluations' numbers."""
+        return self._folder("stats")
+
+    @property
+    def renders(self) -> Path:
+        """Folder of the PNG strips."""
+        return self._folder("renders")
+
+    @property
+    def ply(self) -> Path:
+        """Folder of the exported Gaussians."""
+        return self._folder("ply")
+
+    @property
+    def videos(self) -> Path:
+        """Folder of the rendered camera paths."""
+        return self._folder("videos")
+
+    @property
+    def refined(self) -> Path:
+        """Folder of the refined cameras."""
+        return self._folder("refined")
+
+    @property
+    def tb(self) -> Path:
+        """Folder of the TensorBoard events."""
+        return self._folder("tb")
+
+    @property
+    def config_yaml(self) -> Path:
+        """The resolved configuration."""
+        return self.path / "config.yaml"
+
+    @property
+    def metrics_json(self) -> Path:
+        """The final numbers."""
+        return self.path / "metrics.json"
+
+    @property
+    def regions_json(self) -> Path:
+        """The errors by region; not there where the capture has no ground truth."""
+        return self.path / "regions.json"
+
+    @property
+    def metrics_jsonl(self) -> Path:
+        """The numbers over the steps."""
+        return self.path / "metrics.jsonl"
+
+    @property
+    def environment_json(self) -> Path:
+        """What the run ran on."""
+        return self.path / "environment.json"
+
+    def checkpoint(self, step: int) -> Path:
+        """Path of the checkpoint of a step."""
+        return self.ckpts / f"step_{step:06d}.pt"
+
+    def latest_checkpoint(self) -> Path | None:
+        """The checkpoint with the most steps, or None where there is none."""
+        return next(reversed(self.checkpoints()), None)
+
+    def checkpoints(self) -> list[Path]:
+        """All checkpoints, by their steps. Files that the user named otherwise (step_best.pt) are not among them."""
+        found = [file for file in (self.path / "ckpts").glob("step_*.pt") if _CHECKPOINT_NAME.fullmatch(file.name)]
+        return sorted(found, key=checkpoint_step)
+
+    def resume_command(self) -> str:
+        """The command line that goes on with this run."""
+        return f"thermosplat-train --resume {shlex.quote(str(self.path))}"
+
+    def read_config(self) -> "TrainConfig":
+        """The configuration of the run: its config.yaml, or what its newest checkpoint says where that is gone.
+
+        Raises:
+            UserError: There is neither, or it cannot be read.
+        """
+        from thermosplat.config.files import from_dict, load_config
+
+        if self.config_yaml.is_file():
+            return load_config(self.config_yaml)
+        path = self.latest_checkpoint()
+        if path is None:
+            raise UserError(
+                f"{self.path} has neither a config.yaml nor a checkpoint to go on from.",
+                "Start again with --overwrite.",
+            )
+        return from_dict(load_checkpoint(path)["config"], source=str(path))
+
+    def write_config(self, config: "TrainConfig") -> None:
+        """Write ``config.yaml``."""
+        from thermosplat.config.files import to_yaml
+
+        text = to_yaml(config)
+        write_atomically(self.config_yaml, lambda path: _write_text(path, text))
+
+    def write_environment(self, device: torch.device) -> None:
+        """Write ``environment.json``: versions, device and threads, so that numbers can be traced to a machine."""
+        self.write_json(self.environment_json, environment(device))
+
+    def write_json(self, path: Path, value: dict[str, Any]) -> None:
+        """Write a JSON file, atomically.
+
+        Args:
+            path: Where in the run folder.
+            value: Plain types. Numbers that are not finite become null: JSON has none.
+        """
+        text = json.dumps(finite_or_null(value), indent=2, allow_nan=False) + "\n"
+        write_atomically(path, lambda temporary: _write_text(temporary, text))
+
+
+def checkpoint_step(path: Path) -> int:
+    """The step in a checkpoint's file name, ``step_000411.pt``."""
+    match = _CHECKPOINT_NAME.fullmatch(path.name)
+    if match is None:
+        raise ValueError(f"expected a checkpoint named step_<number>.pt, got {path.name}")
+    return int(match[1])
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):  # not there, or something else is in it
+        folder.rmdir()
+
+
+def finite_or_null(value: Any) -> Any:
+    """A JSON value with None in place of every number that is not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: finite_or_null(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_null(item) for item in value]
+    return value
+
+
+def environment(device: torch.device) -> dict[str, Any]:
+    """Versions, device and threads of this process; no paths."""
+    versions: dict[str, str | None] = {"thermosplat": __version__}
+    for package in _PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            versions[package] = None
+    versions["torch"] = str(torch.__version__)  # names the build too (+cu124), which the metadata may not
+    return {
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "packages": versions,
+        "device": device_name(device),
+        "cuda": torch.version.cuda if device.type == "cuda" else None,
+        "cpu_cores": os.cpu_count(),
+        "torch_threads": torch.get_num_threads(),
+    }
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")

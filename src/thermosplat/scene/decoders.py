@@ -1,0 +1,105 @@
+"""The pixel-wise networks between rendered features and images (ThermoSplat's spectrum-aware modulation).
+
+Notation, as in docs/method.md: A_f are features rendered with a spectrum's opacities, h the shared encoding, h_p the
+prior of a spectrum p, (γ, β) the modulation. Every layer is a linear map of one pixel's channels, with no spatial
+context, so any leading shape works; [H, W, ...] is written for it.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from thermosplat.config import DecoderConfig
+from thermosplat.spectra import Spectrum
+
+
+class Decoders(nn.Module):
+    """Shared encoder, and for every spectrum a prior or a modulation by another one's prior, and a head.
+
+    Attributes:
+        shared_encoder: Φ_shared, d -> hidden -> ... -> hidden, SiLU after every layer.
+        priors: By spectrum, Φ_p, hidden -> hidden, SiLU. In ThermoSplat the thermal prior is the only one.
+        modulations: By the spectrum that is modulated, Φ_mod, h_p -> [γ, β], linear; starts as the identity, γ = 1 and
+            β = 0. Empty without modulation.
+        heads: By spectrum, hidden -> channels, linear; a sigmoid follows.
+
+    Args:
+        config: Widths and ablation switches.
+        feature_dim: Channels d of the rendered features, >= 1.
+        spectra: What is decoded, in order.
+    """
+
+    def __init__(self, config: DecoderConfig, feature_dim: int, spectra: Sequence[Spectrum]) -> None:
+        super().__init__()
+        hidden = config.hidden_dim
+        widths = [feature_dim] + [hidden] * config.hidden_layers
+        layers: list[nn.Module] = []
+        for width_in, width_out in itertools.pairwise(widths):
+            layers += [nn.Linear(width_in, width_out), nn.SiLU()]
+        self.shared_encoder = nn.Sequential(*layers)
+        self.priors = nn.ModuleDict()
+        self.modulations = nn.ModuleDict()
+        self.heads = nn.ModuleDict()
+        self.modulated_by = {spectrum.name: spectrum.modulated_by for spectrum in spectra}
+        for spectrum in spectra:
+            prior = spectrum.modulated_by or spectrum.name
+            if prior not in self.priors:
+                self.priors[prior] = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU())
+            if spectrum.modulated_by is not None and config.modulation:
+                self.modulations[spectrum.name] = _identity_modulation(hidden)
+            self.heads[spectrum.name] = head = nn.Linear(hidden, spectrum.channels)
+            if may_be_hybrid(spectrum, spectra):
+                # With the hybrid sum the decoded part starts near black, so that the sum starts at the SH colour.
+                nn.init.constant_(head.bias, config.hybrid_bias if config.hybrid else 0.0)
+
+    def decode(self, features: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The decoded images of some spectra.
+
+        Args:
+            features: A_f by spectrum, shape [H, W, d].
+
+        Returns:
+            Colours or intensities in (0, 1) by spectrum, shape [H, W, channels].
+        """
+        # One pass of all through the layers they share would copy the gradients of every hidden channel together.
+        return {name: self.image(name, rendered) for name, rendered in features.items()}
+
+    def image(self, spectrum: str, features: Tensor) -> Tensor:
+        """The decoded image of one spectrum; arguments and result as of ``decode``.
+
+        Raises:
+            KeyError: The decoders were made without that spectrum.
+        """
+        head, encoded = self.heads[spectrum], self.shared_encoder(features)
+        prior = self.modulated_by[spectrum]
+        if prior is None:
+            encoded = self.priors[spectrum](encoded)
+        elif spectrum in self.modulations:
+            modulation, h_p = self.modulations[spectrum], self.priors[prior](encoded)
+            # a product each in place of one cut in two, whose gradients would be copied together again
+            (w_gamma, w_beta), (b_gamma, b_beta) = (p.chunk(2) for p in (modulation.weight, modulation.bias))  # type: ignore[operator]
+            encoded = F.linear(h_p, w_gamma, b_gamma) * encoded + F.linear(h_p, w_beta, b_beta)
+        return torch.sigmoid(head(encoded))
+
+
+def may_be_hybrid(spectrum: Spectrum, spectra: Sequence[Spectrum]) -> bool:
+    """Whether a spectrum's image may be the SH render plus the decoded part: of a photograph that comes first.
+
+    Args:
+        spectrum: One of the spectra.
+        spectra: All of the set, in order.
+    """
+    return spectrum.is_photograph and spectrum.name == spectra[0].name
+
+
+def _identity_modulation(hidden: int) -> nn.Linear:
+    """A linear map h_p -> [γ, β] whose output is γ = 1, β = 0 until it is trained."""
+    layer = nn.Linear(hidden, 2 * hidden)
+    nn.init.zeros_(layer.weight)
+    with torch.no_grad():
+        layer.bias[:hidden] = 1.0
+        layer.bias[hidden:] = 0.0
+    return layer

@@ -1,0 +1,408 @@
+"""The scene model: sets of Gaussians, decoders, and how a frame is rendered from them.
+
+Three kinds of model, by ``ModelConfig.gaussian_sets`` and ``ModelConfig.feature_dim``:
+
+- "shared": one set for all spectra. The opacity α blends SH colours and features, another opacity α_s of a spectrum
+  blends the same features; decoders turn the features of each pixel into images (ThermoSplat).
+- "shared" with ``feature_dim`` 0: one set with spherical harmonics for every spectrum, each blended by its opacity
+  (ThermalGaussian's OMMG, MMOne); of RGB alone it is plain 3DGS.
+- "separate": one set per spectrum, each rendered from its spherical harmonics, without features (independent 3DGS).
+
+One traversal blends SH colours and features at α, and features at one more opacity. That is all that RGB and thermal
+need. A third opacity takes a traversal of its own; spectra that share α take none.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
+from thermosplat.config.checks import check_config
+from thermosplat.config.files import from_dict
+from thermosplat.fused.covered_images import warp_covered
+from thermosplat.runs.checkpoint import damage_explained
+from thermosplat.scene.decoders import Decoders, may_be_hybrid
+from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians
+from thermosplat.scene.lens_distortion import distorted, nearest_distorted
+from thermosplat.scene.packed_parameters import num_bytes, pack, unpack
+from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
+from thermosplat.scene.view_directions import view_directions
+from thermosplat.scene.views import (
+    Rendering,
+    blended_features,
+    render_two_opacities,
+    render_view,
+    render_view_depth,
+    split_features,
+)
+from thermosplat.spectra import Spectrum, model_spectra
+
+if TYPE_CHECKING:
+    from thermosplat.datasets.capture import Capture
+    from thermosplat.datasets.frame_tensors import ViewTensors
+
+__all__ = ["RenderedFrame", "SceneModel"]
+
+Views = Mapping[str, "ViewTensors"]
+Groups = Sequence[Sequence[str]]
+
+
+class SceneModel(nn.Module):
+    """Gaussians and decoders of one scene.
+
+    Attributes:
+        spectra: What is rendered, by name, in order.
+        gaussian_sets: The sets by name: "shared", or one by the name of each spectrum.
+        decoders: The pixel-wise networks; None where the Gaussians have no features.
+        background: Colour behind the SH colours of photographs, shape [3].
+
+    Args:
+        config: What is modelled, and how.
+        decoder: Widths and switches of the decoders.
+        spectra: What is rendered, in order.
+        gaussian_sets: The Gaussians by set name, as ``config.gaussian_sets`` asks for.
+        background: RGB background colour in [0, 1].
+    """
+
+    background: Tensor
+
+    def __init__(
+        self,
+        config: ModelConfig,
+        decoder: DecoderConfig,
+        spectra: Sequence[Spectrum],
+        gaussian_sets: dict[str, Gaussians],
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.decoder_config = decoder
+        self.spectra = {spectrum.name: spectrum for spectrum in spectra}
+        self.gaussian_sets = nn.ModuleDict(gaussian_sets)
+        self.decoders: Decoders | SpectrumDecoders | None = None
+        if config.gaussian_sets == SHARED and config.feature_dim > 0:
+            self.decoders = make_decoders(decoder, config.feature_dim, spectra)
+        self.register_buffer("background", torch.tensor(background, dtype=torch.float32), persistent=False)
+        self._has_background = any(channel != 0.0 for channel in background)
+        first = spectra[0]
+        self.photograph = first.name if may_be_hybrid(first, spectra) else None
+        """The spectrum whose image has SH colours in it; None where the first one is no photograph."""
+
+    def gaussians(self, name: str) -> Gaussians:
+        """The set of Gaussians of that name.
+
+        Args:
+            name: "shared", or a spectrum's name.
+
+        Raises:
+            KeyError: The model has no such set.
+        """
+        gaussians = self.gaussian_sets[name]
+        if not isinstance(gaussians, Gaussians):
+            raise TypeError(f"gaussian_sets[{name!r}] is {type(gaussians).__name__}, not Gaussians.")
+        return gaussians
+
+    def set_of(self, spectrum: str) -> str:
+        """Name of the set of Gaussians that renders a spectrum."""
+        return spectrum if spectrum in self.gaussian_sets else SHARED
+
+    @property
+    def num_gaussians(self) -> int:
+        """Gaussians in all sets together."""
+        return sum(len(self.gaussians(name)) for name in self.gaussian_sets)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all parameters as a checkpoint stores them: without zeros of SH bands and opacity offsets."""
+        stored = self.checkpoint_state()
+        return sum(num_bytes(values) for values in [*stored["gaussian_sets"].values(), stored["decoders"] or {}])
+
+    @property
+    def feature_channels(self) -> int | None:
+        """Latent channels that are blended; None where there are no features."""
+        return self.gaussians(SHARED).features.shape[1] if self.decoders is not None else None
+
+    @property
+    def offsets_kept(self) -> dict[str, float]:
+        """By spectrum with opacity offsets, the share of the Gaussians whose offset is not zero."""
+        stored = {
+            spectrum: self.gaussians(name).stored_opacity(spectrum)
+            for name in self.gaussian_sets
+            for spectrum in self.gaussians(name).second_opacities
+        }
+        return {
+            spectrum: (values != 0).float().mean().item()
+            for spectrum, (values, is_offset) in stored.items()
+            if values is not None and is_offset
+        }
+
+    # ---- rendering ---------------------------------------------------------------------------------------------------
+
+    def render(
+        self,
+        views: Views,
+        *,
+        sh_degree: int,
+        absgrad: bool = False,
+        shared_cameras: Groups | None = None,
+        deterministic: bool = False,
+        depth_spread_limit: float | None = None,
+    ) -> RenderedFrame:
+        """Render one frame: the spectra whose views are given.
+
+        A shared set renders views of one camera together, different cameras by calls of their own.
+
+        Args:
+            views: Camera of the image by spectrum. Spectra that are not modelled are left out.
+            sh_degree: Highest degree of the spherical harmonics to use now.
+            absgrad: Also accumulate absolute means2d gradients (``info["means2d"].absgrad``).
+            shared_cameras: Spectra in groups whose views share camera, pose and size. None: compare them. A group for
+                each is always right, and keeps the spectra's gradients of means2d apart.
+            deterministic: As the rasterizer's.
+            depth_spread_limit: Also measure how far depths spread along rays, counting hardly more than this
+                (``LossConfig.depth_spread_limit``); None: do not. A model without features never does.
+
+        Returns:
+            The images.
+        """
+        views = {name: views[name] for name in self.spectra if name in views}
+        backgrounds = self.background[None] if self._has_background else None
+        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds, deterministic, depth_spread_limit)
+        if SHARED not in self.gaussian_sets:
+            shared_cameras = [[name] for name in views]
+        elif shared_cameras is None:
+            shared_cameras = _groups(views)
+        rendered = RenderedFrame()
+        for group in shared_cameras:
+            names = [name for name in self.spectra if name in group and name in views]
+            if names and self.decoders is not None:
+                self._render_features(self.decoders, names, views[names[0]], how, rendered)
+            elif names:
+                self._render_sh(names, views[names[0]], how, rendered)
+        for name, view in views.items():
+            if view.distortion is not None:
+                _bend(rendered, name, view.K, view.distortion)
+        return rendered
+
+    def render_depth(self, spectrum: str, view: "ViewTensors") -> Tensor:
+        """What a spectrum sees as far away: expected depth along z [world units], [H, W]; 0 where it sees nothing.
+
+        Args:
+            spectrum: Its opacity weighs the Gaussians; with separate sets, its own set.
+            view: Camera and pose.
+        """
+        gaussians = self.gaussians(self.set_of(spectrum))
+        how = Rendering(0, False, self.config.rasterize_mode, None)
+        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), view, how)
+        if view.distortion is None:
+            return depth
+        return nearest_distorted(depth, view.K, view.distortion)
+
+    def _render_features(
+        self,
+        decoders: Decoders | SpectrumDecoders,
+        names: Sequence[str],
+        view: "ViewTensors",
+        how: Rendering,
+        rendered: RenderedFrame,
+    ) -> None:
+        """Spectra of one camera: features blended at each opacity, then decoded."""
+        gaussians = self.gaussians(SHARED)
+        blended = blended_features(gaussians, view, how)
+        waiting = dict.fromkeys(name for name in names if name in gaussians.second_opacities)
+        at_alpha = [name for name in names if name not in waiting]
+        colors: Tensor | None = None
+        features: dict[str, Tensor] = {}
+
+        def keep(called: Sequence[str], image: Tensor, alpha: Tensor) -> None:
+            split, spreads = split_features(gaussians, image, alpha, how)
+            for name in called:
+                features[name], rendered.alphas[name] = split, alpha
+            rendered.depth_spreads += spreads
+
+        if self.photograph in at_alpha:
+            second = next(iter(waiting), None)
+            output = render_two_opacities(gaussians, second, blended, view, how)
+            # squeeze, not [0], whose gradient would be copied into zeros
+            colors = output.render_colors.squeeze(0)
+            keep(at_alpha, output.render_features.squeeze(0), output.render_alphas.squeeze(0))
+            called = list(at_alpha)
+            if second is not None:
+                waiting.pop(second)
+                called.append(second)
+                keep([second], output.render_thermal_features.squeeze(0), output.render_thermal_alphas.squeeze(0))  # type: ignore[union-attr]
+            _note_call(rendered, SHARED, called, output.info)
+        elif at_alpha:
+            image, alpha, info = render_view(gaussians, blended, gaussians.logit_opacities, view, how)
+            keep(at_alpha, image, alpha)
+            _note_call(rendered, SHARED, at_alpha, info)
+        for name in waiting:
+            image, alpha, info = render_view(gaussians, blended, gaussians.logits_in(name), view, how)
+            keep([name], image, alpha)
+            _note_call(rendered, SHARED, [name], info)
+
+        decoded = decoders.decode({name: self.decoder_input(view, features[name]) for name in names})
+        for name in sorted(names, key=lambda name: name == self.photograph):  # the photograph last
+            base = None
+            if name == self.photograph and self.decoder_config.hybrid:
+                base = colors
+            elif name == self.photograph and self.decoder_config.covered_only:
+                base = (1.0 - rendered.alphas[name]) * self.background
+            rendered.images[name] = self._covered(decoded[name], rendered.alphas[name], base)
+            rendered.features[name] = features[name]
+
+    def _covered(self, decoded: Tensor, alpha: Tensor, base: Tensor | None) -> Tensor:
+        """A decoded image as far as Gaussians cover it, added to ``base``, or black, the lowest value."""
+        if not self.decoder_config.covered_only:
+            return decoded if base is None else base + decoded
+        if decoded.is_cuda:
+            return warp_covered(decoded, alpha, base)
+        covered = alpha * decoded
+        return covered if base is None else base + covered
+
+    def decoder_input(self, view: "ViewTensors", features: Tensor) -> Tensor:
+        """Rendered features [H, W, d] as the decoders take them: with the viewing directions, where they see those."""
+        if not self.decoder_config.view_direction:
+            return features
+        return torch.cat([features, view_directions(view)], dim=-1)
+
+    def _render_sh(self, names: Sequence[str], view: "ViewTensors", how: Rendering, rendered: RenderedFrame) -> None:
+        """Spectra of one camera from their spherical harmonics: the first two by one traversal of a shared set."""
+        rest = list(names)
+        if len(names) > 1 and names[0] == next(iter(self.spectra)):
+            first, second, *rest = names
+            gaussians = self.gaussians(SHARED)
+            has_own = second in gaussians.second_opacities
+            sh_coeffs = gaussians.sh_coeffs_of(second)
+            output = render_two_opacities(gaussians, second if has_own else None, sh_coeffs, view, how)
+            colors, alphas = output.render_thermal_features, output.render_thermal_alphas
+            if colors is None or alphas is None:
+                colors, alphas = output.render_features, output.render_alphas
+            rendered.images[first] = self._sh_image(first, output.render_colors.squeeze(0))
+            rendered.images[second] = self._sh_image(second, colors.squeeze(0))
+            rendered.alphas[first], rendered.alphas[second] = output.render_alphas.squeeze(0), alphas.squeeze(0)
+            _note_call(rendered, SHARED, [first, second], output.info)
+        for name in rest:
+            gaussians = self.gaussians(self.set_of(name))
+            backgrounds = how.backgrounds if self.spectra[name].is_photograph else None
+            image, rendered.alphas[name], info = render_view(
+                gaussians,
+                gaussians.sh_coeffs_of(name),
+                gaussians.logits_in(name),
+                view,
+                how,
+                backgrounds=backgrounds,
+            )
+            rendered.images[name] = self._sh_image(name, image)
+            _note_call(rendered, self.set_of(name), [name], info)
+
+    def _sh_image(self, name: str, colors: Tensor) -> Tensor:
+        """A spectrum's image [H, W, channels] of its blended SH colours [H, W, 3].
+
+        A one-channel image is the mean of three channels that start equal and get equal gradients: they stay grey, and
+        so does the exported PLY.
+        """
+        return colors if self.spectra[name].channels == 3 else colors.mean(dim=-1, keepdim=True)
+
+    # ---- making and restoring ----------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_capture(cls, config: TrainConfig, capture: "Capture", device: torch.device | str) -> "SceneModel":
+        """A model at the start of training; the same for the same seed, whatever was drawn before.
+
+        Args:
+            config: The whole configuration: spectra, model, decoders, SH degree, background and seed.
+            capture: The capture, for its sparse points and for what its images are.
+            device: Where the model shall live.
+
+        Raises:
+            UserError: If the configuration contradicts itself, or the capture lacks images of a spectrum that is to be
+                modelled, or points to start from.
+        """
+        check_config(config)
+        capture.require(list(config.modelled))
+        spectra = model_spectra(config.modelled, {name: capture.scales[name].kind for name in config.modelled})
+        gaussian_sets = initial_gaussians(config, capture, spectra)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            model = cls(config.model, config.decoder, spectra, gaussian_sets, config.background)
+        return model.to(device)
+
+    def checkpoint_state(self) -> dict[str, Any]:
+        """What ``from_checkpoint`` needs under the checkpoint's key "model"."""
+        return {
+            "gaussian_sets": {name: pack(self.gaussians(name).state_dict()) for name in self.gaussian_sets},
+            "decoders": self.decoders.state_dict() if self.decoders is not None else None,
+            "color_spaces": {name: spectrum.color_space for name, spectrum in self.spectra.items()},
+        }
+
+    @classmethod
+    def from_checkpoint(cls, state: dict[str, Any], device: torch.device | str) -> "SceneModel":
+        """The model of a checkpoint.
+
+        Args:
+            state: The checkpoint: its "config" (plain) and its "model" (``checkpoint_state``).
+            device: Where the model shall live.
+
+        Raises:
+            UserError: It is incomplete.
+        """
+        config = from_dict(state["config"])
+        saved = state["model"]
+        num_bases = (config.sh_degree + 1) ** 2 - 1
+        with damage_explained("model"):
+            gaussian_sets = {
+                name: Gaussians.from_state_dict(unpack(values, num_bases))
+                for name, values in saved["gaussian_sets"].items()
+            }
+            spectra = model_spectra(config.modelled, saved["color_spaces"])
+            model = cls(config.model, config.decoder, spectra, gaussian_sets, config.background)
+            if model.decoders is not None:
+                model.decoders.load_state_dict(saved["decoders"])
+        return model.to(device)
+
+
+def _note_call(rendered: RenderedFrame, name: str, spectra: Sequence[str], info: dict[str, Any]) -> None:
+    """Keep what the rasterization says about a call, under the name of the Gaussian set."""
+    info["spectra"] = tuple(spectra)
+    rendered.infos.setdefault(name, []).append(info)
+
+
+def _groups(views: Views) -> Groups:
+    """Spectra in groups whose views have one camera, pose and size."""
+    groups: list[list[str]] = []
+    for name, view in views.items():
+        for group in groups:
+            if _same_camera(views[group[0]], view):
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return groups
+
+
+def _same_camera(one: "ViewTensors", other: "ViewTensors") -> bool:
+    return (
+        (one.width, one.height) == (other.width, other.height)
+        and torch.equal(one.K, other.K)
+        and torch.equal(one.viewmat, other.viewmat)
+        and _same_lens(one.distortion, other.distortion)
+    )
+
+
+def _same_lens(one: Tensor | None, other: Tensor | None) -> bool:
+    return one is other or (one is not None and other is not None and torch.equal(one, other))
+
+
+def _bend(rendered: RenderedFrame, name: str, K: Tensor, coefficients: Tensor) -> None:
+    """Resample all that was rendered of a spectrum as its lens shows it."""
+    parts = [images[name] for images in (rendered.images, rendered.features, rendered.alphas) if name in images]
+    bent = distorted(torch.cat(parts, dim=-1), K, coefficients).split([part.shape[-1] for part in parts], dim=-1)
+    found = iter(bent)
+    for images in (rendered.images, rendered.features, rendered.alphas):
+        if name in images:
+            images[name] = next(found)

@@ -1,0 +1,25 @@
+"""What a model renders of one frame: the tensors that losses, metrics and densification read."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from torch import Tensor
+
+
+@dataclass
+class RenderedFrame:
+    """The images of one exposure, and what they were decoded from, by spectrum; of those that were rendered."""
+
+    images: dict[str, Tensor] = field(default_factory=dict)
+    """Images, shape [H, W, channels]. Decoded ones lie in (0, 1). SH renders, and the raw sum of SH colour and decoded
+    part, may exceed 1: the image losses see them as they are, so that saturated pixels keep their gradient; metrics and
+    8-bit images clamp them to [0, 1]."""
+    features: dict[str, Tensor] = field(default_factory=dict)
+    """A_f, features rendered with the spectrum's opacities, shape [H, W, d]; empty for a model without features."""
+    alphas: dict[str, Tensor] = field(default_factory=dict)
+    """Accumulated opacity in [0, 1], shape [H, W, 1]."""
+    depth_spreads: list[Tensor] = field(default_factory=list)
+    """How far depths spread along the rays of each opacity that was rendered, scalars; empty where not asked for."""
+    infos: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    """What the rasterization says about every call (means2d, radii, ...), by the name of the Gaussian set. Under
+    "spectra" an info names the spectra that the call was for. Densification reads it."""

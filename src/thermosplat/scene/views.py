@@ -1,0 +1,204 @@
+"""A set of Gaussians seen from one view: the renderer's functions for ``Gaussians`` and ``ViewTensors``."""
+
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from thermosplat.fused.activations import activated
+from thermosplat.fused.depth_spread import features_and_spread, with_depth_moments
+from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
+from thermosplat.scene.gaussians import Gaussians
+
+if TYPE_CHECKING:
+    from thermosplat.datasets.frame_tensors import ViewTensors
+
+Coefficients = tuple[Tensor, Tensor]
+"""Spherical harmonics of degree 0 and of the others, [N, 1, 3] and [N, K-1, 3]."""
+
+
+class Rendering(NamedTuple):
+    """How a model renders now."""
+
+    sh_degree: int
+    """Highest degree of the spherical harmonics in use."""
+    absgrad: bool
+    """Also accumulate absolute means2d gradients."""
+    rasterize_mode: Literal["classic", "antialiased"]
+    """As gsplat's."""
+    backgrounds: Tensor | None
+    """Colour behind the SH colours of photographs, [1, 3]."""
+    deterministic: bool = False
+    """As the rasterizer's."""
+    depth_spread_limit: float | None = None
+    """Also tell how far depths spread along rays, with this limit (``warp_depth_spread``); None: do not."""
+
+
+def render_view(
+    gaussians: Gaussians,
+    colors: Tensor | Coefficients,
+    logit_opacities: Tensor,
+    view: "ViewTensors",
+    rendering: Rendering,
+    *,
+    backgrounds: Tensor | None = None,
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """One image by one plain rasterization.
+
+    Args:
+        gaussians: The set.
+        colors: Features [N, X], or spherical harmonics (X = 3).
+        logit_opacities: Logits of either opacity of the set, [N].
+        view: Camera and pose.
+        rendering: How; its background is not used.
+        backgrounds: Colour behind the Gaussians, [1, X].
+
+    Returns:
+        Image [H, W, X], accumulated opacity [H, W, 1], and what the rasterization says about the call.
+    """
+    scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
+    image, alpha, info = rasterization(
+        gaussians.means,
+        gaussians.quats,
+        scales,
+        opacities,
+        colors,
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        sh_degree=None if isinstance(colors, Tensor) else rendering.sh_degree,
+        packed=False,
+        backgrounds=backgrounds,
+        absgrad=rendering.absgrad,
+        rasterize_mode=rendering.rasterize_mode,
+        deterministic=rendering.deterministic,
+    )
+    return image.squeeze(0), alpha.squeeze(0), info  # [0] would have its gradient copied into zeros
+
+
+def render_view_depth(
+    gaussians: Gaussians, logit_opacities: Tensor, view: "ViewTensors", rendering: Rendering
+) -> Tensor:
+    """Expected z-depth Σ w z / Σ w [world units], [H, W]; 0 where nothing is drawn.
+
+    Args:
+        gaussians: The set.
+        logit_opacities: Logits of either opacity of the set, [N].
+        view: Camera and pose.
+        rendering: How.
+    """
+    scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
+    depth, _, _ = rasterization(
+        gaussians.means,
+        gaussians.quats,
+        scales,
+        opacities,
+        opacities[:, None],  # not drawn
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        packed=False,
+        render_mode="ED",
+        rasterize_mode=rendering.rasterize_mode,
+        deterministic=rendering.deterministic,
+    )
+    return depth[0, ..., 0]
+
+
+def render_two_opacities(
+    gaussians: Gaussians,
+    second: str | None,
+    features: Tensor | Coefficients,
+    view: "ViewTensors",
+    rendering: Rendering,
+) -> RGBTRender:
+    """SH colours and features at α, and the features at a second opacity where asked, in one traversal.
+
+    Args:
+        gaussians: The set.
+        second: Spectrum at whose opacity the features are rendered too; None: at α alone.
+        features: Features [N, d], or a second spectrum's spherical harmonics (d = 3).
+        view: Camera and pose.
+        rendering: How.
+    """
+    second_opacities: Tensor | None = None
+    if second is not None:
+        scales, opacities, second_opacities = _scales_and_both_opacities(gaussians, second)
+    else:
+        scales, opacities = _scales_and_opacities(gaussians, gaussians.logit_opacities)
+    return rasterization_rgbt(
+        gaussians.means,
+        gaussians.quats,
+        scales,
+        opacities,
+        second_opacities,
+        gaussians.sh_coeffs,
+        features,
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        sh_degree=rendering.sh_degree,
+        features_sh_degree=None if isinstance(features, Tensor) else rendering.sh_degree,
+        backgrounds=rendering.backgrounds,
+        absgrad=rendering.absgrad,
+        rasterize_mode=rendering.rasterize_mode,
+        deterministic=rendering.deterministic,
+    )
+
+
+def blended_features(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:
+    """What is blended: features [N, d] or their coordinates [N, r], and log-depth where its spread is asked for.
+
+    Args:
+        gaussians: The set.
+        view: Camera and pose.
+        rendering: Whether the spread is asked for.
+    """
+    if rendering.depth_spread_limit is None:
+        return gaussians.features
+    return with_depth_moments(gaussians.features, gaussians.means, view.viewmat)
+
+
+def split_features(
+    gaussians: Gaussians, image: Tensor, alpha: Tensor, rendering: Rendering
+) -> tuple[Tensor, list[Tensor]]:
+    """What was blended of ``blended_features``.
+
+    Args:
+        gaussians: The set.
+        image: The image.
+        alpha: Its accumulated opacity, [H, W, 1].
+        rendering: Whether the spread is asked for.
+
+    Returns:
+        Features [H, W, d], and the spread of depths, a scalar, where it was asked for.
+    """
+    if rendering.depth_spread_limit is None:
+        return gaussians.expanded(image), []
+    blended, spread = features_and_spread(image, alpha, rendering.depth_spread_limit)
+    return gaussians.expanded(blended), [spread]
+
+
+def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tuple[Tensor, Tensor]:
+    """Scales [N, 3], and the opacities [N] of those logits."""
+    if not _activated_by_one_kernel(gaussians):
+        return gaussians.scales, torch.sigmoid(logit_opacities)
+    scales, opacities, _ = activated(gaussians.log_scales, logit_opacities)
+    return scales, opacities
+
+
+def _scales_and_both_opacities(gaussians: Gaussians, second: str) -> tuple[Tensor, Tensor, Tensor]:
+    """Scales [N, 3], α [N] and the opacities [N] in a spectrum."""
+    if not _activated_by_one_kernel(gaussians):
+        return gaussians.scales, gaussians.opacities, gaussians.opacities_in(second)
+    stored = gaussians.log_scales, gaussians.logit_opacities, *gaussians.stored_opacity(second)
+    scales, opacities, second_opacities = activated(*stored)
+    return scales, opacities, opacities if second_opacities is None else second_opacities
+
+
+def _activated_by_one_kernel(gaussians: Gaussians) -> bool:
+    """On CUDA, where each of torch's kernels takes longer to start than to run; on the CPU torch's are vectorised."""
+    return gaussians.means.is_cuda

@@ -1,0 +1,201 @@
+"""What a spectrum is: where its images come from, how the Gaussians hold it, and what its losses weigh.
+
+A model has a list of spectra. ``DEFAULT_SPECTRA`` is the list of ThermoSplat, RGB and thermal infrared. A YAML file
+adds others in a few lines (docs/spectra.md). Nothing in the package asks for a spectrum by its name.
+
+This file imports nothing heavy, so that ``thermosplat-train --help`` answers at once.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Source = Literal["photograph", "auto", "color", "raw"]
+Opacity = Literal["shared", "offset", "own"]
+Exposure = Literal["fixed", "level", "affine"]
+ColorSpace = Literal["photograph", "color", "scalar"]
+
+CELSIUS = "celsius"
+"""The unit in which temperatures are kept and reported."""
+TEMPERATURE_UNITS = ("kelvin", "centikelvin", CELSIUS, "centicelsius")
+"""Units of radiometric files that are turned into °C."""
+BUILT_IN_PALETTES = ("grey", "iron")
+"""Names of palettes that need no file."""
+MAE = "mae_"
+"""Begin of the name of a mean absolute error of measured values; the unit follows: mae_celsius."""
+COUNTS = "counts"
+"""The unit of raw sensor values: none."""
+
+
+@dataclass(frozen=True)
+class SpectrumConfig:
+    """One spectrum of the capture and of the model. The flags may be written without "spectra."."""
+
+    folders: tuple[str, ...] = ()
+    """Names of the folder with its images, in any case, the usual one first. None: the spectrum's own name. Values of
+    more than 8 bits beside displayable images lie in <the usual name>_raw."""
+    source: Source = "raw"
+    """What its images are. "photograph": colours. "color": pseudo-colours, whose palette gives a scalar. "raw": one
+    value per pixel. "auto": pseudo-colours where the capture has them, else values."""
+    unit: str = COUNTS
+    """Unit of its values. kelvin, centikelvin, celsius, centicelsius: temperatures, reported in °C. "auto": the
+    capture's own statement (units.json), else judged by the values. "counts": none. Any other word is the unit's name,
+    such as reflectance."""
+    factor: float = 1.0
+    """What values of its files are multiplied by to be in that unit; not for temperatures."""
+    range: tuple[float, float] | None = None
+    """Values, of temperatures in °C, that the palette's ends, or pixel values 0 and 1, stand for. None: from the
+    capture."""
+    palette: str | None = "grey"
+    """Palette of its pseudo-colours, or of the pictures made of its values: grey, iron, or a file (JSON {"lut": [[r, g,
+    b], ...]} or CSV of r,g,b rows, 0-255). None: the capture's ironbow_lut.json, else the palette stored in the first
+    image by FLIR, else FLIR Iron."""
+    aligned: bool = False
+    """Its images are registered to the first spectrum's views although their size or folder does not say so."""
+    opacity: Opacity = "shared"
+    """Opacity of the Gaussians in this spectrum, where they also render another: the first spectrum's; that one moved
+    by an offset, α_s = sigmoid(logit α + Δ), so that both move together until images say otherwise (ThermoSplat); or a
+    logit of its own (MMOne). The first spectrum has α itself."""
+    modulated_by: str | None = None
+    """Spectrum whose prior modulates the decoded image (ThermoSplat, feature modulation). Where that one is not
+    modelled, the first other spectrum takes its place. None: the image is decoded from a prior of its own."""
+    start: str = "points"
+    """What a set of Gaussians of its own starts from: the sparse points, or the set of the spectrum named here as it is
+    when training of this one begins (ThermalGaussian MFTG, with ``train_from``)."""
+    loss: float = 1.0
+    """Weight of its image loss. ThermoSplat."""
+    features: float | None = 0.5
+    """Factor of the loss on the latent channels that are supervised with its images; ``loss.features`` multiplies it.
+    null: no channel is supervised with it. ThermoSplat: 1 for RGB, η = 0.5 for thermal."""
+    smoothness: float = 0.0
+    """Weight of the mean absolute gradient of its image. ThermoSplat: λ_sm = 0.3 for thermal."""
+    smoothness_noise: float = 0.0
+    """Noise of the training images (standard deviation, of the range 0 to 1, Immerkaer 1996 with stripes) from which on
+    that weight is taken in full; with less it falls in proportion. 0: it is taken as it is. Open choice."""
+    smoothness_least: float = 0.05
+    """With ``smoothness_noise``, the weight where there is no noise. Open choice."""
+    charbonnier: float = 0.0
+    """ε of sqrt(d² + ε²) - ε in place of |d| in the losses on its images, in their units (0 to 1): differences within
+    the sensor's noise count by their square, larger ones as before. Charbonnier et al. 1994. 0: plain L1."""
+    exposure: Exposure = "fixed"
+    """What differs between its training images though the scene does not; held-out images are rendered without.
+    "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of
+    photographs a matrix of colours (3DGS's exposure compensation). The mean over all training images is held. "fixed":
+    nothing."""
+    train_from: float = 0.0
+    """Share of the steps before the first that trains on its images. ThermalGaussian MFTG 0.5, MS-Splatting 0.4 for
+    thermal."""
+    train_until: float = 1.0
+    """Share of the steps after the last that trains on its images. ThermalGaussian MFTG 0.5 for RGB."""
+
+
+RGB = SpectrumConfig(
+    folders=("rgb", "images", "visible", "vis", "color"), source="photograph", modulated_by="thermal", features=1.0
+)
+THERMAL = SpectrumConfig(
+    folders=("thermal", "ir", "tir", "lwir", "infrared"),
+    source="auto",
+    unit="auto",
+    palette=None,
+    opacity="offset",
+    smoothness=0.3,
+)
+DEFAULT_SPECTRA: Mapping[str, SpectrumConfig] = {"rgb": RGB, "thermal": THERMAL}
+"""The spectra of ThermoSplat."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """A spectrum as a model renders it."""
+
+    name: str
+    """Its name in files and flags."""
+    channels: int
+    """Channels of its images: 3 for photographs and pseudo-colours, 1 for values."""
+    color_space: ColorSpace
+    """What they are: "photograph", "color" (pseudo-colours) or "scalar"."""
+    opacity: Opacity
+    """Which opacity the Gaussians have in it; "shared" for the first spectrum of a set."""
+    latent: tuple[int, int]
+    """First latent channel that is supervised with its images, and one beyond the last; equal: none is."""
+    modulated_by: str | None
+    """Spectrum whose prior modulates its decoded image; None: it has a prior of its own."""
+
+    @property
+    def is_photograph(self) -> bool:
+        """Whether its images are colours, not values."""
+        return self.color_space == "photograph"
+
+
+def folder_names(name: str, spectrum: SpectrumConfig) -> tuple[str, ...]:
+    """Names of the folder with a spectrum's images, in lower case, the usual one first."""
+    return tuple(folder.lower() for folder in spectrum.folders) or (name,)
+
+
+def latent_channels(spectra: Mapping[str, SpectrumConfig]) -> dict[str, tuple[int, int]]:
+    """The latent channels that losses supervise with each spectrum: three per photograph, one per scalar, in order.
+
+    Args:
+        spectra: The modelled spectra by name.
+
+    Returns:
+        First channel and one beyond the last by name; equal where ``features`` is None.
+    """
+    found, first = {}, 0
+    for name, spectrum in spectra.items():
+        count = 0 if spectrum.features is None else 3 if spectrum.source == "photograph" else 1
+        found[name] = first, first + count
+        first += count
+    return found
+
+
+def model_spectra(
+    spectra: Mapping[str, SpectrumConfig], color_spaces: Mapping[str, ColorSpace]
+) -> tuple[Spectrum, ...]:
+    """The spectra of a model.
+
+    Args:
+        spectra: The modelled ones by name, in order.
+        color_spaces: What the capture's images of each are.
+    """
+    latent = latent_channels(spectra)
+    return tuple(
+        Spectrum(
+            name=name,
+            channels=1 if color_spaces[name] == "scalar" else 3,
+            color_space=color_spaces[name],
+            opacity="shared" if place == 0 else spectrum.opacity,
+            latent=latent[name],
+            modulated_by=_modulating(name, spectra),
+        )
+        for place, (name, spectrum) in enumerate(spectra.items())
+    )
+
+
+def _modulating(name: str, spectra: Mapping[str, SpectrumConfig]) -> str | None:
+    """The spectrum whose prior modulates another; one that is not modelled where there is no other at all."""
+    wanted = spectra[name].modulated_by
+    if wanted is None or wanted in spectra:
+        return wanted
+    return next((other for other in spectra if other != name and spectra[other].modulated_by is None), wanted)
+
+
+def label(name: str) -> str:
+    """A spectrum's name for people: "RGB", "NIR", "thermal", "red edge"."""
+    return name.upper() if len(name) <= 3 else name.replace("_", " ")
+
+
+def listed(names: Sequence[str], conjunction: str = "and") -> str:
+    """Names in a sentence: "RGB, NIR and thermal"."""
+    labels = [label(name) for name in names]
+    return labels[0] if len(labels) == 1 else f"{', '.join(labels[:-1])} {conjunction} {labels[-1]}"
+
+
+def unit_label(unit: str) -> str:
+    """A unit for people: "°C", "reflectance"."""
+    return "°C" if unit == CELSIUS else unit
+
+
+def ascii_unit(unit: str) -> str:
+    """A unit in the letters that OpenCV's fonts have: "C", "reflectance"."""
+    return "C" if unit == CELSIUS else unit

@@ -1,0 +1,1 @@
+"""Thermal values: palettes and their inverse, intensities, units."""

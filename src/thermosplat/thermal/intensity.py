@@ -1,0 +1,46 @@
+"""The scalar intensity of images that are tensors."""
+
+import functools
+
+import torch
+from torch import Tensor
+
+from thermosplat.thermal.palette_inverse import Curve, nearest_points
+from thermosplat.thermal.radiometry import Palette, PixelScale
+
+
+def pixel_intensity(image: Tensor, scale: PixelScale) -> Tensor:
+    """Scalar intensity of an image.
+
+    Args:
+        image: Image, shape [H, W, C]: pseudo-colours for a "color" scale, one channel for a "scalar" one; clamped to
+            [0, 1] here.
+        scale: What its pixel values mean.
+
+    Returns:
+        Intensity in [0, 1], on the image's device, shape [H, W]. For pseudo-colours: of the palette's nearest colour.
+
+    Raises:
+        ValueError: The image is a photograph.
+    """
+    if scale.kind == "photograph":
+        raise ValueError("A photograph has colours, not an intensity.")
+    pixels = image.detach().clamp(0, 1)
+    if scale.kind == "scalar":
+        return pixels[..., 0]
+    if pixels.device.type == "cpu":
+        return torch.from_numpy(scale.palette.to_intensity(pixels.numpy()))
+    return _inverted(pixels, scale.palette)
+
+
+def _inverted(colors: Tensor, palette: Palette) -> Tensor:
+    """As ``Palette.to_intensity``, on the colours' device, which takes all pixels at once."""
+    curve = _curve_on(palette, colors.device)
+    intensity, _ = nearest_points(colors.float().reshape(-1, 3).T.contiguous(), curve, torch)
+    return intensity.reshape(colors.shape[:-1])
+
+
+@functools.lru_cache(maxsize=8)
+def _curve_on(palette: Palette, device: torch.device) -> Curve:
+    """The palette's curve on a device, to which it is brought once and not for every image."""
+    return Curve(*(torch.tensor(part, device=device) for part in palette.curve))

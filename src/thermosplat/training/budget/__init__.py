@@ -1,0 +1,1 @@
+"""``--budget auto``: a model no larger than the scene needs."""

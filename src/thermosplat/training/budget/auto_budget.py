@@ -1,0 +1,241 @@
+"""A model no larger than the scene needs: ``--budget auto``.
+
+- Some training views are withheld while the number of Gaussians grows; when their PSNR has not risen for a while,
+  growth stops and they are trained on like the others. Held-out test views steer nothing.
+- At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
+  many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
+  Nothing is removed while it still grows, which ends with the last share at the latest.
+- Opacity offsets shrink, and at the last removal those that do next to nothing go (offset_shrinkage.py).
+- At the last removal latent channels become as few as are needed (feature_channels.py).
+- At the end spherical harmonics are dropped (sh_bands.py) and parameters rounded (rounding.py) as far as those images
+  do not show it, and the checkpoint stores only what is left (packed_parameters.py).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from thermosplat.config import TrainConfig
+from thermosplat.image_quality.metrics import psnr
+from thermosplat.scene.initial_gaussians import SHARED
+from thermosplat.training.budget.contributions import contributions
+from thermosplat.training.budget.feature_channels import reduce_features
+from thermosplat.training.budget.image_change import ImageChange
+from thermosplat.training.budget.offset_shrinkage import drop_offsets, idle_offsets, offset_spectra
+from thermosplat.training.budget.opacity_sensitivities import offset_effects, opacity_sensitivities, removal_effects
+from thermosplat.training.budget.pruning import dispensable, prune_sets
+from thermosplat.training.budget.rounding import round_to_half
+from thermosplat.training.budget.sh_bands import drop_bands
+from thermosplat.training.density.gaussian_ops import kept_on_failure
+from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
+from thermosplat.training.frames.train_frames import CorrectedFrames
+from thermosplat.training.training_state import TrainingState
+
+
+class AutoBudget:
+    """What ``--budget auto`` does between the steps of a run.
+
+    Args:
+        config: The whole configuration.
+        state: Model, optimizers and density control.
+        frames: The training frames.
+        schedule: Which of them the steps take.
+    """
+
+    def __init__(
+        self, config: TrainConfig, state: TrainingState, frames: CorrectedFrames, schedule: SpectrumSchedule
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.frames = frames
+        self.schedule = schedule
+        self.settings = config.auto_budget
+        self._having = [
+            [index for index, frame in enumerate(frames.frames) if name in frame.views] for name in state.model.spectra
+        ]
+        self.validation = _validation_views(self._having, self.settings.validation_views)
+        self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
+        if state.growing:
+            schedule.withhold(self.validation)
+        else:  # a resumed run whose growth has ended
+            self._stop_growing()
+
+    def acts_at(self, step: int) -> bool:
+        """Whether something may change after this step."""
+        return self.prunes_at(step) or self._validates_at(step) or self._growth_is_over(step)
+
+    def prunes_at(self, step: int) -> bool:
+        """Whether Gaussians may be removed after this step, and captured steps no longer fit."""
+        return step in self._prune_steps
+
+    def after_step(self, step: int, sh_degree: int) -> None:
+        """Validate, stop growth or prune, where this step is the one to do so.
+
+        Args:
+            step: The step done.
+            sh_degree: Degree of the spherical harmonics in use.
+        """
+        if self._validates_at(step):
+            self._validate(step, sh_degree)
+        if self._growth_is_over(step):
+            self._stop_growing()
+        is_last = step == max(self._prune_steps, default=0)
+        if is_last:
+            self._stop_growing()
+        if self.prunes_at(step) and not self.state.growing:  # a short run may have far to grow after its first share
+            self._prune(sh_degree)
+        if is_last:
+            self.drop_offsets(sh_degree)
+            self.reduce_features(sh_degree)
+
+    def finish(self, sh_degree: int) -> None:
+        """Drop what is not needed once training is over, all of it or nothing; again only after further steps.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+        """
+        if self.state.trimmed:
+            return
+        model, settings = self.state.model, self.settings
+        with kept_on_failure(model.gaussian_sets.parameters()):
+            drop_bands(model, self.frames, sh_degree, self.images(sh_degree), settings.sh_change)
+            round_to_half(model, self.images(sh_degree), settings.rounding_change)
+        self.state.trimmed = True
+
+    def _validates_at(self, step: int) -> bool:
+        if not (self.validation and self.state.growing and step % self.settings.validate_every == 0):
+            return False
+        return all(strategy.has_started(step) for strategy in self.state.strategies.values())
+
+    def _growth_is_over(self, step: int) -> bool:
+        """Whether density control adds nothing any more although nobody has stopped it."""
+        state = self.state
+        if not state.growing:
+            return False
+        return all(
+            strategy.has_ended(step) or strategy.is_full(state.gaussian_sets[name])
+            for name, strategy in state.strategies.items()
+        )
+
+    @torch.no_grad()
+    def _validate(self, step: int, sh_degree: int) -> None:
+        state, found = self.state, []
+        for index in self.validation:
+            frame = self.frames[index]
+            rendered = state.model.render(frame.views, sh_degree=sh_degree, shared_cameras=frame.shared_cameras)
+            for name in state.model.spectra:
+                if name in rendered.images and (target := frame.views[name].image) is not None:
+                    found.append(psnr(rendered.images[name], target))
+        value = sum(found) / max(len(found), 1)
+        best, best_step = state.best_validation
+        if value > best + self.settings.least_gain or not math.isfinite(best):
+            state.best_validation = (value, step)
+        elif step - best_step >= self.settings.patience:
+            self._stop_growing()
+
+    def _stop_growing(self) -> None:
+        self.state.growing = False
+        for strategy in self.state.strategies.values():
+            strategy.growing = False
+        self.schedule.withhold(())
+
+    def scores(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
+        """What each Gaussian is worth to the training images, [N] by name of the set.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+            change: Some of the images as they are now.
+        """
+        model = self.state.model
+        if self.settings.prune_by == "weights":
+            return contributions(model, self.frames)
+        sensitivities = self._sensitivities(sh_degree, change)
+        return {name: removal_effects(model.gaussians(name), found) for name, found in sensitivities.items()}
+
+    def remove(self, removed: Mapping[str, Tensor]) -> None:
+        """Remove Gaussians, by masks [N] by name of the set."""
+        state = self.state
+        prune_sets(state.gaussian_sets, state.optimizers, removed)
+        for name, strategy in state.strategies.items():
+            strategy.forget(len(state.gaussian_sets[name]))
+
+    def drop_offsets(self, sh_degree: int) -> None:
+        """Make those opacity offsets zero, for good, that the training images do not miss.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+        """
+        state = self.state
+        state.offsets_dropped = True
+        if not any(map(offset_spectra, state.gaussian_sets.values())):
+            return
+        change = self.images(sh_degree)
+        for name, sensitivities in self._sensitivities(sh_degree, change).items():
+            gaussians = state.gaussian_sets[name]
+            for spectrum in offset_spectra(gaussians):
+                effects = offset_effects(gaussians, spectrum, sensitivities)
+                dropped = idle_offsets(gaussians, spectrum, effects, change, self.settings.offset_change)
+                drop_offsets(gaussians, spectrum, state.optimizers[name], dropped)
+
+    def reduce_features(self, sh_degree: int) -> None:
+        """Leave as few latent channels as the training images, and the losses on channels, need.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+        """
+        state = self.state
+        if state.model.decoders is None:
+            return
+        change = self.images(sh_degree, self.config)
+        reduce_features(state.model, state.optimizers[SHARED], change, self.settings.feature_change)
+
+    def images(self, sh_degree: int, losses: TrainConfig | None = None) -> ImageChange:
+        """Some training images as they are now.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+            losses: As ``ImageChange``'s.
+        """
+        looked_at = _spread(self._having, self.settings.measured_views)
+        return ImageChange(self.state.model, [self.frames[index] for index in looked_at], sh_degree, losses)
+
+    def _prune(self, sh_degree: int) -> None:
+        change = self.images(sh_degree)
+        self.remove(
+            {
+                name: dispensable(self.state.gaussian_sets[name], values, change, self.settings.prune_change)
+                for name, values in self.scores(sh_degree, change).items()
+            }
+        )
+
+    def _sensitivities(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
+        """Of the images to opacities; summed over pixels, changes are shares of a spectrum's error as in ``change``."""
+        weights = {}
+        for spectrum, error in change.errors.items():
+            views = [frame.views[spectrum] for frame in self.frames.frames if spectrum in frame.views]
+            weights[spectrum] = 1.0 / (error * sum(view.image.size for view in views))
+        deterministic = self.config.deterministic
+        return opacity_sensitivities(self.state.model, self.frames, sh_degree, weights, deterministic=deterministic)
+
+
+def _validation_views(having: Sequence[Sequence[int]], count: int) -> tuple[int, ...]:
+    """As ``_spread``, frames to withhold; none where that would be more than a tenth of those of a spectrum."""
+    chosen = _spread(having, count)
+    too_many = any(10 * len(set(chosen).intersection(indices)) > len(indices) for indices in having)
+    return () if too_many else chosen
+
+
+def _spread(having: Sequence[Sequence[int]], count: int) -> tuple[int, ...]:
+    """Indices of ``count`` frames of each spectrum, spread over all that have it; one frame may serve several.
+
+    Args:
+        having: Indices of the frames that have each spectrum. Captures whose cameras take turns have no frame of two.
+        count: At most.
+    """
+    chosen: set[int] = set()
+    for indices in having:
+        number = min(count, len(indices))
+        chosen.update(indices[round((i + 0.5) * len(indices) / number - 0.5)] for i in range(number))
+    return tuple(sorted(chosen))

@@ -1,0 +1,155 @@
+"""How much each Gaussian contributes to the training images.
+
+A render is A = Σ_i a_i w_i with blending weights w_i (equation 1), so the gradient of the sum of all pixels with
+respect to a_i is the sum of the Gaussian's weights over the image: one backward pass per view gives those of all
+Gaussians, exactly. With several opacities every Gaussian has a weight in each spectrum.
+
+The sum of squared weights says how much the squared error grows where a Gaussian is missing: a few pixels that are its
+own count for more than a trace in many. With random signs s_p = ±1 on the pixels the gradient of Σ s_p A_p is
+Σ s_p w_p, whose square has the expected value Σ w_p² (Hutchinson 1990); each colour channel of each view is a sample.
+"""
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor
+
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
+from thermosplat.rasterizer import rasterization, rasterization_rgbt
+from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.initial_gaussians import SHARED
+from thermosplat.scene.model import SceneModel
+
+
+def contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
+    """Each Gaussian's share of all blending weights of its spectra.
+
+    Args:
+        model: The scene.
+        frames: The training frames.
+
+    Returns:
+        By name of the set, shape [N]: the sum of its weights over all pixels of all frames, divided by that of all
+        Gaussians; in a set that renders several spectra the mean of their shares. They add up to 1.
+    """
+    found = {name: _shares(weights) for name, weights in _blending_weights(model, frames, None).items()}
+    return {name: shares.sum(dim=0) / (shares > 0).any(dim=1).sum().clamp(min=1) for name, shares in found.items()}
+
+
+def squared_contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
+    """Each Gaussian's share of all squared blending weights of a spectrum, estimated with the same signs at every call.
+
+    Args:
+        model: The scene.
+        frames: The training frames.
+
+    Returns:
+        By name of the set, shape [S, N], a row per spectrum of the model; it adds up to 1, or is 0 where the set does
+        not render that spectrum.
+    """
+    signs = torch.Generator().manual_seed(0)
+    return {name: _shares(weights) for name, weights in _blending_weights(model, frames, signs).items()}
+
+
+def _blending_weights(
+    model: SceneModel, frames: Iterable[FrameTensors], signs: torch.Generator | None
+) -> dict[str, Tensor]:
+    """Sums of blending weights in the images of each spectrum [S, N] by name of the set; with signs, of their
+    squares."""
+    rows = {spectrum: row for row, spectrum in enumerate(model.spectra)}
+    weights = {
+        name: torch.zeros(len(rows), len(model.gaussians(name)), device=_device(model)) for name in model.gaussian_sets
+    }
+    for frame in frames:
+        for group in frame.shared_cameras:
+            names = [spectrum for spectrum in rows if spectrum in group]
+            if len(names) > 1 and SHARED in model.gaussian_sets and rows[names[0]] == 0:
+                first, second, *names = names
+                both = _weights_of_two(model, second, frame.views[first], signs)
+                weights[SHARED][[rows[first], rows[second]]] += both
+            for spectrum in names:
+                name = model.set_of(spectrum)
+                weights[name][rows[spectrum]] += _weights(model, spectrum, frame.views[spectrum], signs)
+    return weights
+
+
+@torch.enable_grad()
+def _weights_of_two(model: SceneModel, second: str, view: ViewTensors, signs: torch.Generator | None) -> Tensor:
+    """Summed weights at α and in a second spectrum, shape [2, N], by one traversal.
+
+    Deterministic, for they decide who goes.
+    """
+    gaussians = model.gaussians(SHARED)
+    # as many channels as training blends, so that its compiled kernels serve
+    blended = gaussians.features.shape[1] if gaussians.has_features else 3
+    colors, features = _ones(gaussians, 3), _ones(gaussians, blended)
+    output = rasterization_rgbt(
+        gaussians.means.detach(),
+        gaussians.quats.detach(),
+        gaussians.scales.detach(),
+        gaussians.opacities.detach(),
+        gaussians.opacities_in(second).detach() if second in gaussians.second_opacities else None,
+        colors,
+        features,
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        rasterize_mode=model.config.rasterize_mode,
+        deterministic=True,
+    )
+    thermal = output.render_thermal_features
+    if thermal is None:
+        thermal = output.render_features
+    total = _sum(output.render_colors, signs) + _sum(thermal, signs)
+    gradients = torch.autograd.grad(total, (colors, features))
+    return torch.stack([_summed_weights(gradient, squared=signs is not None) for gradient in gradients])
+
+
+@torch.enable_grad()
+def _weights(model: SceneModel, spectrum: str, view: ViewTensors, signs: torch.Generator | None) -> Tensor:
+    """Summed weights of one spectrum in one view, shape [N]."""
+    gaussians = model.gaussians(model.set_of(spectrum))
+    colors = _ones(gaussians, 3)
+    image, _, _ = rasterization(
+        gaussians.means.detach(),
+        gaussians.quats.detach(),
+        gaussians.scales.detach(),
+        gaussians.opacities_in(spectrum).detach(),
+        colors,
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        packed=False,
+        rasterize_mode=model.config.rasterize_mode,
+        deterministic=True,
+    )
+    return _summed_weights(torch.autograd.grad(_sum(image, signs), colors)[0], squared=signs is not None)
+
+
+def _sum(image: Tensor, signs: torch.Generator | None) -> Tensor:
+    """Sum over the first three channels of an image [1, H, W, C], with random signs where they are asked for."""
+    image = image[..., :3]
+    if signs is None:
+        return image.sum()
+    return (image * (2 * torch.randint(2, image.shape, generator=signs, dtype=torch.int8) - 1).to(image)).sum()
+
+
+def _summed_weights(gradient: Tensor, *, squared: bool) -> Tensor:
+    """Sums of weights or of their squares [N], of the gradient of ``_sum`` [N, C]."""
+    gradient = gradient[:, :3]
+    return (gradient.square() if squared else gradient).mean(dim=1)
+
+
+def _ones(gaussians: Gaussians, channels: int) -> Tensor:
+    return gaussians.means.new_ones(len(gaussians), channels).requires_grad_()
+
+
+def _shares(weights: Tensor) -> Tensor:
+    """Each Gaussian's share of a spectrum's weights, of weights [S, N]."""
+    return weights / weights.sum(dim=1, keepdim=True).clamp(min=torch.finfo(weights.dtype).tiny)
+
+
+def _device(model: SceneModel) -> torch.device:
+    return model.background.device

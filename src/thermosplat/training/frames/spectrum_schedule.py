@@ -1,0 +1,108 @@
+"""Which spectra a step trains, and which steps train a set of Gaussians.
+
+Notation: steps count from 1; a span (start, end) holds the steps start + 1 to end.
+"""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from thermosplat.config import TrainConfig
+from thermosplat.datasets.capture import Frame
+from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.errors import UserError
+from thermosplat.training.frames.random_streams import FrameOrder
+from thermosplat.training.frames.train_frames import TrainFrames
+
+
+class Span(NamedTuple):
+    """The steps in which something is trained."""
+
+    start: int
+    """Steps before it."""
+    end: int
+    """Its last step."""
+
+    def __contains__(self, step: object) -> bool:
+        return isinstance(step, int) and self.start < step <= self.end
+
+    def progress(self, steps_done: int) -> float:
+        """Share of the span that is done, 0 to 1."""
+        return min(max((steps_done - self.start) / max(self.end - self.start, 1), 0.0), 1.0)
+
+
+def spectrum_spans(config: TrainConfig) -> dict[str, Span]:
+    """The steps that train on the images of each modelled spectrum."""
+    steps = config.max_steps
+    return {
+        name: Span(round(spectrum.train_from * steps), round(spectrum.train_until * steps))
+        for name, spectrum in config.modelled.items()
+    }
+
+
+def set_span(name: str, config: TrainConfig) -> Span:
+    """The steps that train a set of Gaussians, or the decoders.
+
+    Args:
+        name: A spectrum's name for its own set; anything else is trained by every step.
+        config: The whole configuration.
+    """
+    return spectrum_spans(config).get(name, Span(0, config.max_steps))
+
+
+class SpectrumSchedule:
+    """The frame of every step, with the views that the step trains on.
+
+    Args:
+        config: The whole configuration.
+        frames: The training frames.
+
+    Raises:
+        UserError: If some step would have no frame to learn from.
+    """
+
+    def __init__(self, config: TrainConfig, frames: TrainFrames) -> None:
+        self._spans = spectrum_spans(config)
+        self._frames = frames
+        self._seed = config.seed
+        self._starts = {0, *(boundary for span in self._spans.values() for boundary in span)} - {config.max_steps}
+        self._trained: dict[frozenset[str], tuple[list[int], FrameOrder]] = {}
+        self.withhold(())
+
+    def withhold(self, indices: Collection[int]) -> None:
+        """Train on all frames but these from now on.
+
+        Args:
+            indices: Training frames, by index.
+
+        Raises:
+            UserError: If some step would have no frame to learn from.
+        """
+        for start in self._starts:
+            shown = self._shown(start)
+            having = [
+                index
+                for index, frame in enumerate(self._frames.frames)
+                if shown & frame.views.keys() and index not in indices
+            ]
+            if not having:
+                raise UserError(
+                    f"No training frame has what step {start + 1:,} is to learn from.",
+                    "Look at train_from and train_until of the spectra, and at the capture's images.",
+                )
+            self._trained[shown] = having, FrameOrder(len(having), self._seed)
+
+    def frame(self, steps_done: int) -> Frame:
+        """The frame of the step that follows ``steps_done`` steps."""
+        return self._frames.frames[self._index(steps_done)]
+
+    def tensors(self, steps_done: int) -> FrameTensors:
+        """The same frame on the device, with the views alone that the step trains on."""
+        return self._frames[self._index(steps_done)].only(self._shown(steps_done))
+
+    def _index(self, steps_done: int) -> int:
+        having, order = self._trained[self._shown(steps_done)]
+        return having[order[steps_done]]
+
+    def _shown(self, steps_done: int) -> frozenset[str]:
+        """Spectra that the step after so many trains on."""
+        return frozenset(name for name, span in self._spans.items() if steps_done + 1 in span)

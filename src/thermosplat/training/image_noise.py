@@ -1,0 +1,110 @@
+"""How noisy the images of a spectrum are, and the smoothness that much noise asks for.
+
+The noise of an image is estimated from the image alone (Immerkær 1996): the mask [1 -2 1]ᵀ [1 -2 1] leaves noise and
+little of the scene, and a mean |response| r of Gaussian noise stands for σ = √(π/2) r / 6. It does not see what is
+constant along a row or column, as the stripes of uncooled sensors are, so those are estimated by themselves: second
+differences across the stripes, averaged along them without their outer quarters, which edges of the scene fill.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from statistics import median
+
+from torch import Tensor
+
+from thermosplat.config import TrainConfig
+from thermosplat.spectra import SpectrumConfig, label
+from thermosplat.training.frames.train_frames import TrainFrames
+
+_FROM_MEAN = math.sqrt(math.pi / 2.0)
+"""Standard deviation over mean absolute value of a normal distribution."""
+_VIEWS = 16
+"""Most images that are looked at, spread over all."""
+
+
+@dataclass(frozen=True)
+class ImageNoise:
+    """Standard deviations of the noise of images, of the range 0 to 1."""
+
+    pixels: float
+    """That differs from pixel to pixel."""
+    stripes: float
+    """Of rows and columns."""
+
+    @property
+    def total(self) -> float:
+        """Of both together."""
+        return math.hypot(self.pixels, self.stripes)
+
+
+def image_noise(image: Tensor) -> ImageNoise:
+    """The noise of one image, mean over its channels.
+
+    Args:
+        image: [H, W, C] in 0 to 1, H and W at least 3.
+    """
+    across, down = image.diff(n=2, dim=1), image.diff(n=2, dim=0)
+    response = across.diff(n=2, dim=0)
+    stripes = math.hypot(_stripes(across, along=0), _stripes(down, along=1))
+    return ImageNoise(_FROM_MEAN * response.abs().mean().item() / 6.0, stripes)
+
+
+def training_noise(frames: TrainFrames, spectrum: str) -> ImageNoise | None:
+    """The median over training images of a spectrum; None where there are none.
+
+    Args:
+        frames: The training frames.
+        spectrum: Which spectrum.
+    """
+    having = [index for index, frame in enumerate(frames.frames) if spectrum in frame.views]
+    chosen = having[:: math.ceil(len(having) / _VIEWS)] if having else []
+    images = (frames[index].views[spectrum].image for index in chosen)
+    found = [image_noise(image) for image in images if image is not None]
+    if not found:
+        return None
+    return ImageNoise(median(noise.pixels for noise in found), median(noise.stripes for noise in found))
+
+
+def smoothness_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
+    """The weight of a spectrum's smoothness that this noise asks for.
+
+    Args:
+        spectrum: Its settings; ``smoothness_noise`` is more than 0.
+        noise: Standard deviation, of the range 0 to 1.
+    """
+    share = min(noise / spectrum.smoothness_noise, 1.0)
+    least = min(spectrum.smoothness_least, spectrum.smoothness)
+    return max(share * spectrum.smoothness, least)
+
+
+def with_measured_smoothness(config: TrainConfig, frames: TrainFrames) -> tuple[TrainConfig, tuple[str, ...]]:
+    """The configuration with the smoothness that the training images ask for, where it wants that measured.
+
+    Args:
+        config: The whole configuration.
+        frames: The training frames.
+
+    Returns:
+        The configuration to train with, and what to tell the user about it.
+    """
+    spectra, notes = dict(config.spectra), []
+    for name, spectrum in config.modelled.items():
+        if spectrum.smoothness_noise == 0 or spectrum.smoothness == 0:
+            continue
+        noise = training_noise(frames, name)
+        if noise is None:
+            continue
+        weight = smoothness_for_noise(spectrum, noise.total)
+        spectra[name] = replace(spectrum, smoothness=weight)
+        notes.append(
+            f"Noise of the {label(name)} images {noise.total:.4f} of the range (pixels {noise.pixels:.4f}, stripes "
+            f"{noise.stripes:.4f}): smoothness weight {weight:.3f}."
+        )
+    return replace(config, spectra=spectra), tuple(notes)
+
+
+def _stripes(differences: Tensor, *, along: int) -> float:
+    """σ of stripes along a dimension, of second differences across it."""
+    length = differences.shape[along]
+    middle = differences.sort(dim=along).values.narrow(along, length // 4, length - 2 * (length // 4))
+    return _FROM_MEAN * middle.mean(dim=along).abs().mean().item() / math.sqrt(6.0)

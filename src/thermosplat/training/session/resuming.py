@@ -1,0 +1,108 @@
+"""Whether a checkpoint is of the model that a configuration describes, and of the capture at hand."""
+
+from dataclasses import fields
+from typing import Any
+
+from thermosplat.config import ModelConfig, TrainConfig
+from thermosplat.config.files import from_dict
+from thermosplat.datasets.capture import Capture
+from thermosplat.errors import UserError
+from thermosplat.evaluation.loaded_run import other_frames
+from thermosplat.runs.checkpoint import damage_explained, load_checkpoint
+from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.spectra import label, latent_channels
+
+_START_ONLY = ("feature_noise", "init_opacity", "init_scale")
+"""Fields of ModelConfig that matter before the first step only."""
+_IMAGES = {
+    "photograph": "photographs as {} images",
+    "color": "pseudo-coloured {} images",
+    "scalar": "{} images of one channel",
+    None: "no {} images",
+}
+"""By the kind of their scale."""
+_SPECTRUM_STRUCTURE = ("opacity", "modulated_by", "start", "exposure")
+"""Fields of SpectrumConfig that decide which parameters there are."""
+_TRAINING = ("optimizers", "strategies", "exposures", "seconds")
+"""What of a checkpoint's training state there has always been; rendering does without."""
+
+
+def newest_checkpoint(run: RunDirectory) -> dict[str, Any]:
+    """The state of a run's newest checkpoint, on the CPU.
+
+    Raises:
+        UserError: If there is none, or it cannot be read, or holds a model without the state of its training.
+    """
+    path = run.latest_checkpoint()
+    if path is None:
+        raise UserError(f"{run.path} has no checkpoint to go on from.", "Start again with --overwrite.")
+    checkpoint = load_checkpoint(path)
+    missing = [entry for entry in _TRAINING if entry not in checkpoint["training"]]
+    if missing:
+        raise UserError(
+            f"{path} can be rendered but not trained further: of its training state {', '.join(missing)} are missing.",
+            "Start another run with another --result-dir.",
+        )
+    return checkpoint
+
+
+def check_resumable(checkpoint: dict[str, Any], config: TrainConfig, run: RunDirectory, capture: Capture) -> None:
+    """Refuse to go on with another model than the checkpoint's, or on another capture.
+
+    Args:
+        checkpoint: The state.
+        config: What the command asks for.
+        run: The run, for the message.
+        capture: What it would be trained on.
+
+    Raises:
+        UserError: Names the first setting that differs, and both values; the first training frame; or both kinds of
+            images of a spectrum.
+    """
+    saved = from_dict(checkpoint["config"], source=f"{run.path}'s checkpoint")
+    then, now = _structure(saved), _structure(config)
+    for name, value in then.items():
+        if now.get(name) != value:
+            raise UserError(
+                f"{run.path} was trained with {name}={value}, the command asks for {now.get(name)}.",
+                "Drop the flag, or start a new run with another --result-dir.",
+            )
+    if config.max_steps < checkpoint["step"]:
+        raise UserError(
+            f"{run.path} has done {checkpoint['step']:,} steps, the command asks for {config.max_steps:,} in all.",
+            "Give a larger --max-steps, or start a new run with another --result-dir.",
+        )
+    difference = other_frames(checkpoint.get("train_frames"), capture)
+    if difference:
+        raise UserError(
+            f"{run.path} cannot go on with another capture. {difference}",
+            "Name the folder it was trained on, or start a new run with another --result-dir.",
+        )
+    for name in config.modelled:
+        with damage_explained("scales"):
+            saved_scale = checkpoint["scales"].get(name)
+            trained = _IMAGES[None if saved_scale is None else saved_scale["kind"]]
+        scale = capture.scales.get(name)
+        found = _IMAGES[None if scale is None else scale.kind]
+        if trained != found:
+            raise UserError(
+                f"{run.path} cannot go on with another capture. It was trained on {trained.format(label(name))}, and "
+                f"{capture.root} has {found.format(label(name))}.",
+                "Name the folder it was trained on, or start a new run with another --result-dir.",
+            )
+
+
+def _structure(config: TrainConfig) -> dict[str, Any]:
+    """The settings that decide which parameters there are, by flag name."""
+    structure: dict[str, Any] = {"sh_degree": config.sh_degree, "spectra": " ".join(config.modelled)}
+    structure["refine"] = " ".join(sorted(config.refine)) or "nothing"
+    for name, ends in latent_channels(config.modelled).items():
+        spectrum = config.modelled[name]
+        structure |= {f"spectra.{name}.{key}": getattr(spectrum, key) for key in _SPECTRUM_STRUCTURE}
+        structure[f"spectra.{name}.features"] = "null" if ends[0] == ends[1] else "a number"
+    for field in fields(ModelConfig):
+        if field.name not in _START_ONLY:
+            structure[f"model.{field.name}"] = getattr(config.model, field.name)
+    for field in fields(config.decoder):
+        structure[f"decoder.{field.name}"] = getattr(config.decoder, field.name)
+    return structure

@@ -1,0 +1,39 @@
+"""What metrics.json says of a run beside the numbers of its held-out views."""
+
+from typing import Any
+
+import torch
+
+from thermosplat.image_quality.lpips import Lpips
+from thermosplat.refinement.camera_report import correction_summary
+from thermosplat.runs.devices import device_name
+from thermosplat.training.training_state import TrainingState
+
+
+def run_metrics(
+    evaluated: dict[str, Any], state: TrainingState, device: torch.device, lpips: Lpips | None
+) -> dict[str, Any]:
+    """The content of metrics.json.
+
+    Args:
+        evaluated: What ``held_out.evaluate`` returned.
+        state: The state at the end of the run.
+        device: What it ran on.
+        lpips: What measured LPIPS, if anything did.
+    """
+    seconds, model = state.seconds, state.model
+    corrections = state.corrections
+    return {
+        **evaluated,
+        **({} if corrections is None else {"refined": correction_summary(corrections)}),
+        "steps": state.step,
+        "train_seconds": seconds.train,
+        "device": device_name(device),
+        "wall_seconds": seconds.wall,
+        "first_step_seconds": seconds.first_step,
+        "gaussians": {name: len(gaussians) for name, gaussians in state.gaussian_sets.items()},
+        "lpips_net": lpips.name if lpips is not None else None,
+        "model_bytes": model.num_bytes,
+        "feature_channels": model.feature_channels,
+        "opacity_offsets_kept": model.offsets_kept,
+    }

@@ -1,0 +1,158 @@
+"""Ranges of configuration values, and settings that exclude each other."""
+
+from dataclasses import Field, fields, is_dataclass, replace
+from typing import Any
+
+import pytest
+
+from thermosplat.config import TrainConfig
+from thermosplat.config.checks import check_config
+from thermosplat.config.files import load_config
+from thermosplat.errors import UserError
+from toy_scene import with_spectra
+
+
+def fields_of(group: Any) -> tuple[Field[Any], ...]:
+    return fields(group) if is_dataclass(group) else ()
+
+
+def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainConfig:
+    config = config or TrainConfig()
+    group, _, field = key.rpartition(".")
+    if not group:
+        return replace(config, **{field: value})
+    if group.startswith("spectra."):
+        return with_spectra(config, **{group.removeprefix("spectra."): {field: value}})
+    return replace(config, **{group: replace(getattr(config, group), **{field: value})})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("max_steps", 0, "--max-steps must be at least 1, found 0"),
+        ("data_factor", 0, "--data-factor must be at least 1"),
+        ("test_every", 1, "--test-every must be at least 2"),
+        ("sh_degree", 4, "--sh-degree must be at most 3"),
+        ("loss.ssim_lambda", 1.5, "--loss.ssim-lambda must lie between 0 and 1"),
+        ("loss.depth_spread_from", 2.0, "--loss.depth-spread-from must lie between 0 and 1"),
+        ("spectra.thermal.loss", -1.0, "--thermal.loss must be zero or positive"),
+        ("optimizer.means_lr", float("nan"), "--optimizer.means-lr must be finite, found nan"),
+        ("optimizer.means_lr", -1e-4, "--optimizer.means-lr must be zero or positive"),
+        ("densification.growth", float("nan"), "--densification.growth must be finite, found nan"),
+        ("spectra.thermal.range", (0.0, float("inf")), "--thermal.range must be finite, found inf"),
+        ("densification.grad_threshold", -1.0, "--densification.grad-threshold must be at least 0"),
+        ("seed", 2**63, "--seed must be at most 9223372036854775807"),
+        ("eval_steps", (500, 0), "--eval-steps must be steps from 1 on, found [500, 0]"),
+        ("optimizer.decoders_lr_final", 0.0, "--optimizer.decoders-lr-final must be positive"),
+        ("model.init_opacity", 1.0, "--model.init-opacity must lie between 0 and 1"),
+        ("model.feature_dim", 2, "--model.feature-dim must be 0 or at least 4"),
+        ("model.gaussian_sets", "separate", "Separate Gaussians have no shared features"),
+        ("background", (0.0, 2.0, 0.0), "--background must be three values between 0 and 1"),
+        (
+            "spectra.thermal.range",
+            (30.0, 20.0),
+            "--thermal.range must rise from the lowest to the highest value, found",
+        ),
+        ("densification.max_gaussians", 0, "--densification.max-gaussians must be at least 1"),
+        ("auto_budget.prune_at", (0.5, 1.0), "--auto-budget.prune-at must be shares of the run between 0 and 1"),
+        ("auto_budget.prune_change", -1.0, "--auto-budget.prune-change must be at least 0"),
+        ("auto_budget.feature_change", -1.0, "--auto-budget.feature-change must be at least 0"),
+        ("densification.reset_opacity", 0.0, "--densification.reset-opacity must lie between 0 and 1"),
+        ("densification.reset_opacity", 1.0, "--densification.reset-opacity must lie between 0 and 1"),
+        ("densification.strategy", "mcmc", "mcmc grows to a budget, and there is none"),
+        ("densification.growth", -0.1, "--densification.growth must be at least 0"),
+        ("densification.strategy", "decomposing", "needs a shared set whose second spectrum has an opacity of its own"),
+        ("densification.off_opacity", 0.01, "--densification.off-opacity must lie between 0 and 1/255"),
+        ("densification.keep_opacity", 2.0, "--densification.keep-opacity must lie between 0 and 1"),
+        ("densification.conflict_threshold", -1.0, "--densification.conflict-threshold must be at least 0"),
+        ("spectra.thermal.train_from", 1.5, "--thermal.train-from must lie between 0 and 1"),
+        ("loss.balance", True, "--loss.balance is about separate sets of Gaussians, one per spectrum"),
+        (
+            "spectra.thermal.start",
+            "rgb",
+            "--thermal.start rgb copies one set of Gaussians to another, which needs separate",
+        ),
+        ("decoder.branches", "separate", "leaves nothing to modulate one spectrum by the other with"),
+    ],
+)
+def test_impossible_value_is_named(key: str, value: Any, expected: str) -> None:
+    """A value that no run can work with is refused with its flag and what was expected."""
+    with pytest.raises(UserError) as caught:
+        check_config(changed(key, value))
+    assert expected in caught.value.message
+
+
+def test_no_number_may_be_without_an_end() -> None:
+    """Every field of a fractional number refuses infinity, whichever group it is in."""
+    config = TrainConfig()
+    groups = {group.name: getattr(config, group.name) for group in fields_of(config)}
+    groups |= {f"spectra.{name}": spectrum for name, spectrum in config.spectra.items()}
+    fields = [("", field) for field in fields_of(config)]
+    fields += [(name, field) for name, group in groups.items() for field in fields_of(group)]
+    numbers = [".".join(filter(None, (group, field.name))) for group, field in fields if field.type is float]
+    assert len(numbers) > 40
+    assert {"spectra.rgb.factor", "spectra.thermal.charbonnier"} <= set(numbers)
+    for key in numbers:
+        with pytest.raises(UserError, match="must be finite"):
+            check_config(changed(key, float("inf")))
+
+
+def test_latent_channels_of_the_modelled_spectra() -> None:
+    """As few as the losses supervise; the message says which, a spectrum that is left out has none."""
+    config = replace(TrainConfig(), model=replace(TrainConfig().model, feature_dim=3))
+    with pytest.raises(UserError, match=r"losses supervise channels 0 to 2 with RGB, channel 3 with thermal\."):
+        check_config(config)
+    check_config(replace(config, without=("thermal",)))
+    check_config(with_spectra(config, thermal={"features": None}))
+    further = with_spectra(changed("model.feature_dim", 4), nir={})
+    with pytest.raises(UserError, match=r"at least 5, found 4: .* channel 3 with thermal, channel 4 with NIR\."):
+        check_config(further)
+    check_config(with_spectra(further, nir={"features": None}))
+
+
+def test_balance_of_one_set() -> None:
+    """Separate sets have shares of all Gaussians only if there are several."""
+    config = load_config("thermalgaussian_msmg")
+    check_config(config)
+    with pytest.raises(UserError, match=r"--loss\.balance is about separate sets"):
+        check_config(replace(config, without=("thermal",)))
+
+
+def test_decomposition_is_of_two_spectra() -> None:
+    """A third one that shares the set has no place in it; one that is left out does not disturb."""
+    config = with_spectra(load_config("mmone"), nir={"opacity": "own"})
+    with pytest.raises(UserError, match="decomposing divides Gaussians between two spectra"):
+        check_config(config)
+    check_config(replace(config, without=("nir",)))
+
+
+def test_depths_are_blended_with_features() -> None:
+    """A penalty on their spread where there are no features is refused, and says why."""
+    config = changed("loss.depth_spread", 0.1)
+    check_config(config)
+    with pytest.raises(UserError, match=r"--loss\.depth-spread is 0\.1, but depths are blended with features"):
+        check_config(replace(config, model=replace(config.model, feature_dim=0)))
+
+
+def test_decomposition_needs_directions() -> None:
+    """Absolute gradients have no direction in which the spectra could differ."""
+    config = load_config("mmone")
+    with pytest.raises(UserError, match="compares directions"):
+        check_config(replace(config, densification=replace(config.densification, absgrad=True)))
+
+
+def test_file_is_named_in_place_of_flags() -> None:
+    """Values from a file are reported with the file and the key as it is written there."""
+    with pytest.raises(UserError) as caught:
+        check_config(changed("max_steps", 0), source="my.yaml")
+    assert caught.value.message.startswith("my.yaml: max_steps must")
+
+
+def test_features_may_be_many() -> None:
+    """The renderer blends any number of channels, in several traversals."""
+    check_config(changed("model.feature_dim", 500))
+
+
+def test_default_is_valid() -> None:
+    """The schema's defaults pass."""
+    check_config(TrainConfig())

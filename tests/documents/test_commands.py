@@ -1,0 +1,84 @@
+"""Commands in the documents: programs and flags exist."""
+
+import dataclasses
+import re
+from collections.abc import Iterator
+
+import pytest
+
+from repository_documents import NAMES, REPOSITORY, code_blocks, read, without_code_blocks
+from thermosplat.cli.benchmark import BenchmarkArguments
+from thermosplat.cli.evaluate import EvalArguments
+from thermosplat.cli.export import ExportArguments
+from thermosplat.cli.render import RenderArguments
+from thermosplat.config import TrainConfig
+from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
+
+FURTHER_SPECTRA = ("nir",)
+"""Names of further spectra in the documents' examples."""
+
+
+def _train_flags(group: type = TrainConfig, prefix: str = "--") -> Iterator[str]:
+    for field in dataclasses.fields(group):
+        name = prefix + field.name.replace("_", "-")
+        yield name
+        factory = field.default_factory
+        if isinstance(factory, type) and dataclasses.is_dataclass(factory):
+            yield from _train_flags(factory, f"{name}.")
+        elif group is TrainConfig and field.name == "spectra":
+            for spectrum in (*DEFAULT_SPECTRA, *FURTHER_SPECTRA):
+                yield from _train_flags(SpectrumConfig, f"{name}.{spectrum}.")
+                yield from _train_flags(SpectrumConfig, f"--{spectrum}.")
+        elif field.type is bool:
+            yield f"{prefix}no-{field.name.replace('_', '-')}"
+
+
+def test_the_flags_of_the_migration_table_exist() -> None:
+    """The last column of its table names flags of thermosplat-train."""
+    table = read("docs/migrating.md").split("\n\n| ")[1].split("\n\n")[0]
+    named = {flag for row in table.splitlines()[2:] for flag in re.findall(r"--[\w.-]+", row.split("|")[4])}
+    assert len(named) > 10
+    assert named <= set(_train_flags())
+
+
+def test_the_dotted_flags_in_the_documents_exist() -> None:
+    """Only thermosplat-train has groups of flags; wherever a document names one of a group, it has it."""
+    known = set(_train_flags())
+    groups = "|".join({flag[2:].split(".")[0] for flag in known if "." in flag})
+    guides = "docs/contributing/"  # which name what a reader is about to add
+    for name in (name for name in NAMES if not name.startswith(guides)):
+        for flag in re.findall(rf"--(?:{groups})\.[\w.-]*[\w-]", read(name)):
+            assert flag in known, f"{name} names {flag}"
+
+
+def _flags_of_programs() -> dict[str, set[str]]:
+    """What every command and every benchmark accepts, by its name."""
+    flags = {"thermosplat-train": {*_train_flags(), "--debug", "--help"}}
+    commands = {"eval": EvalArguments, "render": RenderArguments, "export": ExportArguments}
+    for name, arguments in {**commands, "benchmark": BenchmarkArguments}.items():
+        flags[f"thermosplat-{name}"] = {*_train_flags(arguments), "--help", *({"--set"} if name == "benchmark" else ())}
+    for path in (REPOSITORY / "benchmarks").rglob("*.py"):
+        flags[path.name] = set(re.findall(r'"(--[a-z-]+)"', path.read_text(encoding="utf-8")))
+    return flags
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_flags_of_commands_in_the_documents_exist(name: str) -> None:
+    """Every command line between backticks or in a block, with all its flags."""
+    flags = _flags_of_programs()
+    lines = [line for block in code_blocks(name) for line in block.replace("\\\n", " ").splitlines()]
+    lines += re.findall(r"`([^`]+)`", without_code_blocks(name))
+    for line in lines:
+        for command in re.split(r"&&|#|\|", line):
+            found = re.search(r"thermosplat-\w+|\b(?:bench_\w+|train_gsplat_peer)\.py", command)
+            if found is not None and found[0] in flags:
+                own = command[found.end() :].split(" -- ")[0]  # what follows is for thermosplat-train
+                asked = set(re.findall(r"(?<=[\s\[])--[a-z][a-z-]*(?![\w.-])", own))
+                assert asked <= flags[found[0]], f"{name}: {line}"
+
+
+def test_continuous_integration_runs_the_readmes_test_command() -> None:
+    """.ci/run has the second line of the README's first block, to the letter."""
+    block = code_blocks("README.md")[0].splitlines()
+    assert block[0].startswith("pip install . && thermosplat-train sample")
+    assert f"\n({block[1]})" in (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8")

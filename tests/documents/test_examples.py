@@ -1,0 +1,52 @@
+"""Python in the documents: whole examples run, fragments of files can be parsed."""
+
+import ast
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from repository_documents import NAMES, code_blocks
+from thermosplat.cli import train
+
+EXAMPLES = [(name, code) for name in NAMES for code in code_blocks(name, "python")]
+STANDALONE = [(name, code) for name, code in EXAMPLES if "load_run(" not in code]  # those that need no trained scene
+FRAGMENTS = [(name, code) for name in NAMES for code in code_blocks(name, "py")]
+
+
+@pytest.mark.parametrize(("document", "code"), STANDALONE, ids=[name for name, _ in STANDALONE])
+def test_the_examples_run(document: str, code: str) -> None:
+    """An example runs as it stands, in a process of its own."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{document}: {done.stderr}"
+
+
+@pytest.mark.parametrize(("document", "code"), FRAGMENTS, ids=[name for name, _ in FRAGMENTS])
+def test_the_fragments_are_python(document: str, code: str) -> None:
+    """A fragment of a file has no mistake of syntax."""
+    ast.parse(textwrap.dedent(code), filename=document)
+
+
+def test_the_readme_has_the_example_of_the_renderer() -> None:
+    """Ten lines that give an image and a gradient."""
+    (example,) = [code for name, code in STANDALONE if name == "README.md"]
+    names: dict[str, object] = {}
+    exec(example, names)
+    assert names["image"].shape == (1, 240, 320, 3)  # type: ignore[attr-defined]
+    assert names["means"].grad.abs().sum() > 0  # type: ignore[attr-defined]
+
+
+def test_the_readme_has_the_example_of_a_trained_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the result folder of `thermosplat-train sample` to images of both spectra; here after one small step."""
+    (example,) = [code for name, code in EXAMPLES if name == "README.md" and "load_run(" in code]
+    monkeypatch.chdir(tmp_path)
+    quick = ["--data-factor", "4", "--max-steps", "1", "--device", "cpu", "--no-tensorboard"]
+    assert train.main(["sample", *quick]) == 0  # its default folder is the one the example names
+    names: dict[str, object] = {}
+    exec(example, names)
+    for image in (names["rgb"], names["thermal"]):
+        assert image.shape == (38, 50, 3)  # type: ignore[attr-defined]
+        assert image.isfinite().all()  # type: ignore[attr-defined]
+        assert not image.requires_grad  # type: ignore[attr-defined]

@@ -1,0 +1,162 @@
+"""Ctrl-C, SIGTERM and SIGHUP wait for what must not stop half-way, and are not forgotten."""
+
+import contextlib
+import errno
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from thermosplat.training.session.interruption import Stopped, deferred_interrupts, meanwhile, stop_signal, stop_signals
+
+pytestmark = pytest.mark.usefixtures("stoppable")
+
+
+@pytest.fixture(autouse=True)
+def _python_sigint() -> None:
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_block_is_finished_first() -> None:
+    """An interrupt inside the block is raised at its end."""
+    done = []
+
+    def work() -> None:
+        with deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == [1]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_nested_blocks_finish_all() -> None:
+    """An interrupt inside an inner block waits for the outer one as well."""
+    done = []
+
+    def work() -> None:
+        with deferred_interrupts():
+            with deferred_interrupts():
+                os.kill(os.getpid(), signal.SIGINT)
+                done.append("inner")
+            done.append("outer")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == ["inner", "outer"]
+
+
+def test_last_block_swallows() -> None:
+    """Where the program ends anyway, a second Ctrl-C changes nothing."""
+    with deferred_interrupts(redeliver=False), deferred_interrupts():
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_error_goes_before_interrupt() -> None:
+    """An error in the block is what the caller sees, and Ctrl-C works again."""
+
+    def work() -> None:
+        with deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        work()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_other_threads_can_use_it() -> None:
+    """In a thread, where no signals arrive and none may be set, the block just runs."""
+    done = []
+
+    def work() -> None:
+        with deferred_interrupts():
+            done.append(1)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert done == [1]
+
+
+@pytest.mark.parametrize("error", [None, KeyboardInterrupt, ZeroDivisionError])
+def test_meanwhile_is_done_at_the_end(error: type[BaseException] | None) -> None:
+    """Work beside a block is complete after it, whether the block ends by itself, by Ctrl-C or by an error."""
+    entered, done = threading.Event(), []
+
+    def work() -> None:
+        entered.wait(10)
+        done.append(1)
+
+    with pytest.raises(error) if error is not None else contextlib.nullcontext(), meanwhile(work):
+        assert done == []
+        entered.set()
+        if error is not None:
+            raise error
+    assert done == [1]
+
+
+def test_meanwhile_raises_what_the_work_raised() -> None:
+    """An error in the other thread is not lost."""
+
+    def work() -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError), meanwhile(work):
+        pass
+
+
+def test_meanwhile_waits_for_work_that_was_interrupted_at_its_start() -> None:
+    """Ctrl-C at the moment in which the other thread starts: whether or not the block begins, the work is complete."""
+    done = []
+
+    def work() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        done.append(1)
+
+    for count in range(1, 31):
+        with pytest.raises(KeyboardInterrupt), meanwhile(work):
+            time.sleep(10)
+        assert len(done) == count
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_other_stop_signals_wait_like_ctrl_c(number: signal.Signals) -> None:
+    """They are raised at the end of the outer block, as an interrupt that knows its signal; then all is as before."""
+    done = []
+    before = signal.getsignal(number)
+    with pytest.raises(Stopped) as caught, stop_signals(), stop_signals():  # noqa: PT012  it comes at the block's end
+        with deferred_interrupts():
+            with deferred_interrupts():
+                os.kill(os.getpid(), number)
+                done.append("inner")
+            done.append("outer")
+        done.append("after")
+    assert done == ["inner", "outer"]
+    assert stop_signal(caught.value) == number
+    assert signal.getsignal(number) == before
+
+
+def test_ignored_signals_stay_ignored() -> None:
+    """What nohup has set is kept, also by a block that defers."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_signals(), deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_signals_that_errors_stand_for() -> None:
+    """An output that nobody reads, or a terminal that is closed, stops as a signal does; a full disk does not."""
+    assert stop_signal(KeyboardInterrupt()) == signal.SIGINT
+    assert stop_signal(BrokenPipeError(errno.EPIPE, "Broken pipe")) == signal.SIGPIPE
+    assert stop_signal(OSError(errno.EIO, "Input/output error")) == signal.SIGPIPE
+    assert stop_signal(OSError(errno.ENOSPC, "No space left on device")) is None
+    assert stop_signal(ZeroDivisionError()) is None

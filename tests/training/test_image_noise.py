@@ -1,0 +1,122 @@
+"""The noise of training images is measured, stripes included, and smoothness follows it."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.spectra import SpectrumConfig
+from thermosplat.training.frames.train_frames import TrainFrames
+from thermosplat.training.image_noise import image_noise, smoothness_for_noise, training_noise
+from thermosplat.training.training_step import StepKind
+from toy_run import many_frames, toy_run_config, toy_trainer, without
+from toy_scene import toy_capture
+
+HEIGHT, WIDTH = 240, 320
+MEASURED = {"smoothness": 0.3, "smoothness_noise": 0.0125, "smoothness_least": 0.05}
+
+
+def scene() -> torch.Tensor:
+    """A smooth scene with warm things of sharp edges, [H, W, 3]."""
+    y, x = torch.meshgrid(torch.linspace(0, 1, HEIGHT), torch.linspace(0, 1, WIDTH), indexing="ij")
+    image = 0.4 + 0.2 * torch.sin(5 * x) * y
+    image[40:90, 100:180] += 0.2
+    image[150:200, 30:60] -= 0.15
+    return image[..., None].repeat(1, 1, 3)
+
+
+@pytest.mark.parametrize("sigma", [0.002, 0.0134, 0.05])
+def test_noise_of_pixels(sigma: float) -> None:
+    """What was added is found, and taken for pixels' noise."""
+    torch.manual_seed(0)
+    noise = image_noise(scene() + sigma * torch.randn(HEIGHT, WIDTH, 3))
+    assert noise.pixels == pytest.approx(sigma, rel=0.15)
+    assert noise.stripes < 0.2 * sigma
+
+
+@pytest.mark.parametrize("along", [0, 1])
+def test_noise_of_stripes(along: int) -> None:
+    """What is constant along columns, or rows, is found as stripes, beside the pixels' own noise."""
+    torch.manual_seed(0)
+    shape = (1, WIDTH, 1) if along == 0 else (HEIGHT, 1, 1)
+    noise = image_noise(scene() + 0.01 * torch.randn(shape) + 0.005 * torch.randn(HEIGHT, WIDTH, 3))
+    assert noise.stripes == pytest.approx(0.01, rel=0.2)
+    assert noise.pixels == pytest.approx(0.005, rel=0.15)
+    assert noise.total == pytest.approx((noise.stripes**2 + noise.pixels**2) ** 0.5)
+
+
+def test_a_clean_image_has_none() -> None:
+    """Edges of a scene count for next to nothing."""
+    assert image_noise(scene()).total < 1.5e-3
+
+
+def test_smoothness_rises_with_noise_between_bounds() -> None:
+    """In proportion, never above the full weight, and never below the least one."""
+    measured = SpectrumConfig(**MEASURED)
+    weights = [smoothness_for_noise(measured, noise) for noise in (0.0, 0.001, 0.00625, 0.0125, 0.1)]
+    assert weights == pytest.approx([0.05, 0.05, 0.15, 0.3, 0.3])
+    assert smoothness_for_noise(dataclasses.replace(measured, smoothness=0.01), 0.1) == 0.01
+
+
+def noisy(capture: Capture, **sigmas: float) -> Capture:
+    """The capture with grey images of some spectra and the noise of a bad sensor, in 8-bit steps."""
+
+    def spoilt(frame: Frame) -> Frame:
+        views = dict(frame.views)
+        for name, sigma in sigmas.items():
+            image = np.random.default_rng(0).normal(128, sigma, views[name].image.shape).clip(0, 255).astype(np.uint8)
+            views[name] = dataclasses.replace(views[name], image=image)
+        return dataclasses.replace(frame, views=views)
+
+    return dataclasses.replace(capture, train=tuple(spoilt(frame) for frame in capture.train))
+
+
+def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
+    """It trains with the measured weight and says so; without the setting with the configured one."""
+    config = toy_run_config(spectra={"thermal": MEASURED})
+    trainer = toy_trainer(tmp_path / "a", config, noisy(many_frames(toy_capture()), thermal=8))
+    assert trainer.device_step.config.spectra["thermal"].smoothness == 0.3
+    (note,) = trainer.noise_notes
+    assert note.startswith("Noise of the thermal images 0.03")
+    assert note.endswith("smoothness weight 0.300.")
+    assert trainer.config == config
+    rgb_alone = toy_run_config(spectra={"thermal": MEASURED}, without=("thermal",))
+    assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).noise_notes == ()
+    plain = toy_trainer(tmp_path / "c", toy_run_config(), many_frames(toy_capture()))
+    assert plain.noise_notes == ()
+    assert plain.device_step.config.spectra["thermal"].smoothness == 0.3
+
+
+def test_every_spectrum_is_measured_by_itself(tmp_path: Path) -> None:
+    """Each has its own noise, its own setting and its own weight; one without the setting keeps what it has."""
+    capture = noisy(many_frames(toy_capture(others=("nir", "red"))), rgb=2, thermal=8, nir=1)
+    measured = {"rgb": MEASURED, "thermal": {}, "nir": MEASURED, "red": {"smoothness_noise": 0.0125}}
+    trainer = toy_trainer(tmp_path, toy_run_config(spectra=measured), capture)
+    weights = {name: spectrum.smoothness for name, spectrum in trainer.device_step.config.spectra.items()}
+    found = {name: training_noise(trainer.frames, name) for name in ("rgb", "nir")}
+    for name, noise in found.items():
+        assert noise is not None
+        assert weights[name] == pytest.approx(0.3 * noise.total / 0.0125)
+    assert 0.3 > weights["rgb"] > 1.5 * weights["nir"] > 1.5 * 0.05
+    assert (weights["thermal"], weights["red"]) == (0.3, 0.0)
+    assert [note.split(" images")[0] for note in trainer.noise_notes] == ["Noise of the RGB", "Noise of the NIR"]
+    terms = trainer.device_step.gradients(trainer.frames[0], StepKind(0, densifying=False), fixed_capacity=False).losses
+    assert [name for name in terms if name.endswith("smoothness")] == [
+        "rgb_smoothness",
+        "thermal_smoothness",
+        "nir_smoothness",
+    ]
+
+
+def test_frames_without_the_spectrum_are_passed_over(tmp_path: Path) -> None:
+    """Noise is that of the images there are; of a spectrum without any there is none to measure."""
+    capture = noisy(many_frames(toy_capture(others=("nir",))), nir=8)
+    frames = TrainFrames(capture, ("rgb", "nir"), torch.device("cpu"))
+    whole = training_noise(frames, "nir")
+    capture = dataclasses.replace(capture, train=(*(without(f, "nir") for f in capture.train[:-1]), capture.train[-1]))
+    frames = TrainFrames(capture, ("rgb", "nir"), torch.device("cpu"))
+    assert training_noise(frames, "nir") == whole  # the same noise in every frame
+    assert training_noise(frames, "thermal") is None

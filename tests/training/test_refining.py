@@ -1,0 +1,115 @@
+"""Cameras improve while training: rig, lenses and poses come back, and everything of a run knows of them."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+import pytest
+import torch
+
+from rendered_capture import rendered_capture, trained_on_the_true_scene
+from thermosplat.config import Refined
+from thermosplat.config.checks import check_config
+from thermosplat.datasets import load_capture
+from thermosplat.datasets.capture import Capture
+from thermosplat.errors import UserError
+from thermosplat.evaluation.loaded_run import load_run
+from thermosplat.refinement.camera_motion import rigid_motion
+from thermosplat.training.trainer import Trainer
+from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_scene import toy_capture
+
+EVERY: tuple[Refined, ...] = ("poses", "rig", "intrinsics", "distortion")
+
+
+def disturbed(capture: Capture, motion: torch.Tensor, focal: float) -> Capture:
+    """The capture with its thermal cameras moved in their own axes, and their focal lengths multiplied."""
+    matrix = rigid_motion(motion.double(), capture.scene_extent).numpy()
+
+    def wrong(frame: Any) -> Any:
+        view = frame.views["thermal"]
+        camera = dataclasses.replace(view.camera, fx=focal * view.camera.fx, fy=focal * view.camera.fy)
+        moved = dataclasses.replace(view, viewmat=matrix @ view.viewmat, camera=camera)
+        return dataclasses.replace(frame, views=frame.views | {"thermal": moved})
+
+    return dataclasses.replace(capture, train=tuple(map(wrong, capture.train)), test=tuple(map(wrong, capture.test)))
+
+
+def test_a_wrong_rig_and_focal_length_come_back(tmp_path: Path) -> None:
+    """On the true scene, which is held, the thermal camera returns to where its images were taken from."""
+    capture, scene = rendered_capture()
+    off = disturbed(capture, torch.tensor([0.02, -0.01, 0.015, 0.01, -0.01, 0.01]), focal=1.03)
+    config = toy_run_config(150, refine=("rig", "intrinsics"), refine_from=0, spectra={"thermal": {"smoothness": 0.0}})
+    trainer = trained_on_the_true_scene(tmp_path, config, off, scene, cameras_lr=0.1)
+    found = trainer.corrected_capture()
+    for before, after, true in zip(off.train, found.train, capture.train, strict=True):
+        views = [frame.views["thermal"] for frame in (before, after, true)]
+        first_error, error = (np.abs(view.viewmat - views[2].viewmat).max() for view in views[:2])
+        assert error < 0.1 * first_error
+        assert views[1].camera.fx == pytest.approx(views[2].camera.fx, rel=0.003)
+        assert after.views["rgb"].viewmat == pytest.approx(true.views["rgb"].viewmat)
+
+
+@pytest.mark.parametrize("budget", ["fixed", "auto"])
+def test_a_run_that_refines_everything(tmp_path: Path, budget: str) -> None:
+    """It trains, says what it changed, writes the cameras, and every later command sees them; so does a resumed run."""
+    capture, _ = rendered_capture()
+    config = toy_run_config(12, refine=EVERY, refine_from=3, budget=budget)
+    trainer = toy_trainer(tmp_path / "whole", config, capture)
+    metrics = trainer.train()
+    corrections = trainer.state.corrections
+    assert corrections is not None
+    assert all(bool(parameter.any()) for parameter in corrections.learnt().values())
+    assert metrics["test_poses"] == "refined on the finished scene"
+    assert set(metrics["refined"]) == {"poses", "rig", "focal_factors", "distortion"}
+    assert json.loads(trainer.run.metrics_json.read_text()) == metrics
+    model = pycolmap.Reconstruction(trainer.run.refined)
+    assert len(model.images) == 2 * (len(capture.train) + len(capture.test))
+
+    half = toy_trainer(tmp_path / "half", config, capture)
+    while half.step < 5:
+        half._train_step()
+    half._save()
+    resumed = Trainer.resume(config, capture, half.run)
+    while resumed.step < 12:
+        resumed._train_step()
+    again = toy_trainer(tmp_path / "again", config, capture)
+    while again.step < 12:
+        again._train_step()
+    assert_same_state(state_tensors(resumed), state_tensors(again))
+
+
+def test_a_loaded_run_has_the_corrected_capture(tmp_path: Path) -> None:
+    """thermosplat-eval, -render and viewers take the cameras that training found; of another capture, its own."""
+    run = tmp_path / "run"
+    config = toy_run_config(4, refine=("poses", "rig", "intrinsics"), refine_from=0, data="sample", data_factor=8)
+    capture = load_capture("sample", data_factor=8)
+    trainer = toy_trainer(run, config, capture)
+    while trainer.step < 4:
+        trainer._train_step()
+    trainer._save()
+    loaded = load_run(str(run), device="cpu").capture(None)
+    for ours, theirs in zip(loaded.train, trainer.corrected_capture().train, strict=True):
+        for name, view in ours.views.items():
+            assert np.array_equal(view.viewmat, theirs.views[name].viewmat)
+            assert view.camera == theirs.views[name].camera
+    assert not np.array_equal(loaded.train[0].views["rgb"].viewmat, capture.train[0].views["rgb"].viewmat)
+
+
+def test_going_on_with_other_refinement_is_refused(tmp_path: Path) -> None:
+    """What is refined decides which parameters there are."""
+    capture = many_frames(toy_capture())
+    trainer = toy_trainer(tmp_path, toy_run_config(4, refine=("poses",)), capture)
+    trainer._train_step()
+    trainer._save()
+    with pytest.raises(UserError, match="was trained with refine=poses, the command asks for nothing"):
+        Trainer.resume(toy_run_config(4), capture, trainer.run)
+
+
+def test_a_rig_needs_two_cameras() -> None:
+    """A clear sentence for one spectrum alone."""
+    with pytest.raises(UserError, match="--refine rig corrects how cameras stand to each other, and one spectrum"):
+        check_config(toy_run_config(refine=("rig",), without=("thermal",)))

@@ -1,0 +1,122 @@
+"""Views are what Warp's own arrays are to a kernel, and recorded launches do what wp.launch does."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warp_kernels.machinery.array_views import (
+    ArrayView,
+    RecordedLaunch,
+    contiguous_strides,
+    empty,
+    memory,
+    nothing,
+    zeros,
+)
+
+CPU = "cpu"
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def mixed_kernel(
+    flag: bool,
+    small: int,
+    values: wp.array(dtype=wp.vec3),
+    large: wp.int64,
+    exact: wp.float64,
+    rows: wp.array2d(dtype=wp.float32),
+    single: wp.float32,
+    pair: wp.vec2,
+    # outputs
+    sums: wp.array(dtype=wp.float64),
+):
+    """Arguments of every size that there is, one beside another that is not its own."""
+    i = wp.tid()
+    total = (
+        wp.float64(values[i][2])
+        + wp.float64(rows[i, 1])
+        + exact
+        + wp.float64(single)
+        + wp.float64(large)
+        + wp.float64(pair[1])
+    )
+    if flag:
+        total = total + wp.float64(small)
+    sums[i] = total
+
+
+def views(*arrays: wp.array) -> list[ArrayView]:
+    """The same memory as views."""
+    return [ArrayView(a.ptr, a.shape, a.dtype, a.device, a, None if a.is_contiguous else a.strides) for a in arrays]
+
+
+@pytest.mark.parametrize("shape", [(7,), (0,), (3, 4), (2, 0), (2, 3, 4), (1, 2, 3, 4)])
+@pytest.mark.parametrize("dtype", [wp.int32, wp.int64, wp.float64, wp.vec3, wp.mat44])
+def test_a_view_is_packed_as_warp_packs(shape: tuple[int, ...], dtype: type) -> None:
+    """Byte for byte what Warp passes to a kernel, and with the attributes of its arrays."""
+    array = wp.zeros(shape, dtype=dtype, device=CPU)
+    view = ArrayView(array.ptr or 0, shape, dtype, array.device)
+    assert view.packed == bytes(array.__ctype__())
+    for name in ("shape", "strides", "ndim", "size", "is_contiguous", "dtype"):
+        assert getattr(view, name) == getattr(array, name), name
+    assert len(view) == shape[0]
+
+
+def test_strides_of_a_part() -> None:
+    """A column of a matrix keeps the matrix's strides; rows of it begin further on."""
+    whole = wp.array(np.arange(12, dtype=np.float32).reshape(4, 3), device=CPU)
+    (column,) = views(whole[:, 1:2])
+    assert column.packed == bytes(whole[:, 1:2].__ctype__())
+    assert not column.is_contiguous
+    assert contiguous_strides((4, 3), wp.float32) == (12, 4)
+    (rows,) = views(whole)
+    assert (rows[1:3].numpy() == whole.numpy()[1:3]).all()
+    assert rows[1:3].owner is rows.owner is whole
+    assert rows.release() is whole
+    assert rows.owner is None
+
+
+@pytest.mark.parametrize(
+    ("shape", "strides"), [((2**31,), None), ((2, 2**29), None), ((3,), (2**31,)), ((3,), (-(2**31),))]
+)
+def test_what_32_bits_cannot_say_is_refused(shape: tuple[int, ...], strides: tuple[int, ...] | None) -> None:
+    """An extent or a stride too large for a kernel is named, not left to the packing of bytes."""
+    with pytest.raises(
+        ValueError, match=r"shape \[.* bytes is too large for a kernel: .* at most 2,147,483,647"
+    ) as raised:
+        ArrayView(0, shape, wp.float32, wp.get_device(CPU), strides=strides)
+    assert str(list(shape)) in str(raised.value)
+    assert ArrayView(0, (2**31 - 1,), wp.float32, wp.get_device(CPU)).size == 2**31 - 1
+
+
+@pytest.mark.parametrize("as_views", [False, True])
+def test_each_launch_has_its_own_arguments(as_views: bool) -> None:
+    """What was recorded first leaves no trace: other numbers, other arrays, another number of threads."""
+    rng = np.random.default_rng(0)
+    recorded = None
+    for count, flag, small, large, exact, single in ((5, True, -3, 2**40, 0.1, 0.5), (2, False, 9, -7, 1e-9, -2.5)):
+        values, columns = rng.random((count, 3), np.float32), rng.random((count, 4), np.float32)
+        arrays = [
+            wp.array(values, dtype=wp.vec3, device=CPU),
+            wp.array(columns, device=CPU)[:, 1:3],
+            wp.zeros(count, dtype=wp.float64, device=CPU),
+        ]
+        sums = arrays[2]
+        rows, moved, out = views(arrays[0], arrays[1], sums) if as_views else arrays
+        inputs = [flag, small, rows, large, exact, moved, wp.float32(single), wp.vec2(7.0, 2.0), out]
+        recorded = recorded or RecordedLaunch(mixed_kernel, count, inputs, sums.device, 256)
+        recorded.launch(count, inputs)
+        expected = values[:, 2].astype(float) + columns[:, 2] + exact + single + large + 2.0 + (small if flag else 0)
+        np.testing.assert_allclose(sums.numpy(), expected, rtol=1e-14)
+
+
+def test_new_arrays_are_warps_own_unless_a_source_is_set() -> None:
+    """Users of Warp alone get wp.array; who sets a source gets what that makes."""
+    device = wp.get_device(CPU)
+    assert isinstance(empty(3, wp.vec3, device), wp.array)
+    array = zeros((2, 3), wp.int32, device)
+    assert (array.numpy() == 0).all()
+    memory.source.fill(array[0], 2, 7)
+    assert array.numpy().tolist() == [[7, 7, 0], [0, 0, 0]]
+    assert memory.source.last(array[0][:2]) == 7
+    assert len(nothing(wp.vec2, 1, device)) == nothing(wp.vec2, 2, device).size == 0

@@ -1,0 +1,86 @@
+"""The projection kernel's outputs, one by one, against the dense reference's projection."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+import reference_projection
+from warp_scene import projected, warp_scene
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(wp.float32, 2e-6), (wp.float64, 1e-12)])
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho"])
+def test_equals_reference(camera_model: str, antialiased: bool, dtype: type, tolerance: float) -> None:
+    """means2d, depths, roots of conics, compensations, radii and extents of visible Gaussians; else zeros."""
+    scene = warp_scene(dtype, n=120, cameras=2, camera_model=camera_model, seed=4)
+    scene.settings = replace(scene.settings, camera_model=camera_model, antialiased=antialiased)
+    scene.scene["means"][::5] *= 4  # some out of view
+    scene.gaussians.means.assign(scene.scene["means"].numpy())
+    found = projected(scene)
+    s = scene.scene
+    truth = reference_projection.project(
+        *reference_projection.flat_scene(s["means"], s["quats"], s["scales"], None, s["viewmats"], s["Ks"]),
+        s["opacities"][None, None],
+        torch.ones(1, 1, 120, dtype=torch.bool),
+        s["width"],
+        s["height"],
+        near_plane=0.01,
+        far_plane=1e10,
+        radius_clip=0.0,
+        eps2d=0.3,
+        antialiased=antialiased,
+        camera_model=camera_model,
+    )
+    visible = truth.visible.flatten().numpy()
+    assert 0.4 < visible.mean() < 0.98
+    assert (found.radii.numpy() == truth.radii.reshape(-1, 2).numpy()).all()
+    pairs = [
+        (found.means2d, truth.means2d),
+        (found.depths, truth.depths),
+        (found.roots, conic_roots(truth.conics)),
+        (found.compensations, truth.compensations),
+    ]
+    for array, expected in pairs:
+        values, expected = array.numpy(), expected.flatten(0, 2).numpy()
+        assert array is found.roots or (values[~visible] == 0).all()
+        error = np.linalg.norm(values[visible] - expected[visible]) / np.linalg.norm(expected[visible])
+        assert error < tolerance
+    extents = found.extents.numpy()[visible]
+    assert (np.ceil(extents) == truth.radii.reshape(-1, 2).numpy()[visible]).all()
+    # Half the bounding box of the ellipse alpha = 1/255: 2 ln(255 o) = extent² / variance.
+    variance = np.linalg.inv(conic_matrices(truth.conics.reshape(-1, 3).numpy()[visible]))[:, [0, 1], [0, 1]]
+    opacity = (s["opacities"][None] * truth.compensations[0]).reshape(-1).numpy()[visible]
+    expected = np.minimum(3.33, np.sqrt(2 * np.log(255 * opacity)))[:, None] * np.sqrt(variance)
+    assert np.abs(extents / expected - 1).max() < 100 * tolerance
+
+
+def conic_matrices(conics: np.ndarray) -> np.ndarray:
+    """[n, 3] (xx, xy, yy) as [n, 2, 2]."""
+    return conics[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+
+
+def conic_roots(conics: torch.Tensor) -> torch.Tensor:
+    """(u, k, v) of [..., 3] conics; zeros stay zeros."""
+    a, b, c = conics.unbind(-1)
+    return torch.stack([a.sqrt(), torch.nan_to_num(b / a), torch.nan_to_num((c - b * b / a).sqrt())], -1)
+
+
+def test_roots_of_needles_do_not_cancel() -> None:
+    """In float32 a needle 1000 times longer than wide keeps both its axes to rounding: no xx·yy - xy·xy."""
+    scenes = [warp_scene(dtype, n=40) for dtype in (wp.float32, wp.float64)]
+    lengths = []
+    for scene in scenes:
+        scales = scene.gaussians.scales.numpy()
+        scales[:] = (2.0, 0.002, 0.002)
+        scene.gaussians.scales.assign(scales.astype(np.float32))
+        u, k, v = projected(scene).roots.numpy().astype(np.float64).T
+        visible = u > 0
+        matrices = np.stack([u, u * k, 0 * u, v], -1).reshape(-1, 2, 2)[visible]
+        lengths.append(np.linalg.svd(matrices, compute_uv=False))  # 1 / standard deviations
+    assert len(lengths[0]) == len(lengths[1]) > 20
+    assert (lengths[1][:, 0] / lengths[1][:, 1]).max() > 10
+    assert np.abs(lengths[0] / lengths[1] - 1).max() < 2e-6

@@ -1,0 +1,1 @@
+"""Which Gaussians touch which tile, in depth order."""

@@ -1,0 +1,48 @@
+"""Where the pairs of each tile lie in the list that is sorted by tile (tile_binning.py)."""
+
+import warp as wp
+
+from warp_kernels.binning.tile_binning import MASK_SHIFT
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def tile_ranges_kernel(
+    capacity: int,
+    num_tiles: int,
+    by_slot: bool,
+    masked: bool,
+    pair_ends: wp.array(dtype=wp.int64),
+    keys: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.int32),
+    owners: wp.array(dtype=wp.int32),
+    # outputs
+    tile_offsets: wp.array(dtype=wp.int32),
+    gaussian_ids: wp.array(dtype=wp.int32),
+    masks: wp.array(dtype=wp.uint8),
+):
+    """Offsets of each tile's pairs in the sorted list, and each sorted pair's Gaussian and mask; threads: capacity + 1.
+
+    Without ``masked`` keys are tiles, and masks, where wanted, all of a tile.
+    """
+    tile_bits = wp.where(masked, wp.static(2**MASK_SHIFT - 1), -1)
+    k = wp.tid()
+    num_pairs = int(0)
+    if pair_ends.shape[0] > 0:
+        num_pairs = int(wp.min(pair_ends[pair_ends.shape[0] - 1], wp.int64(capacity)))
+    if k > num_pairs:
+        return
+    tile = num_tiles
+    if k < num_pairs:
+        tile = keys[k] & tile_bits
+        if by_slot:
+            gaussian_ids[k] = owners[values[k]]
+        else:
+            gaussian_ids[k] = values[k]
+        if masks.shape[0] > 0:
+            masks[k] = wp.uint8(wp.where(masked, keys[k] >> wp.static(MASK_SHIFT), -1))
+    previous = int(-1)
+    if k > 0:
+        previous = keys[k - 1] & tile_bits
+    while previous < tile:
+        previous += 1
+        tile_offsets[previous] = k

@@ -1,0 +1,1 @@
+"""Front-to-back blending of each tile's Gaussians, and the adjoint."""

@@ -1,0 +1,77 @@
+"""Alpha of a projected Gaussian at a pixel, and the rows in which it is drawn; see blending for the formulas."""
+
+import functools
+import math
+
+import warp as wp
+
+from warp_kernels.blending.blend_layout import BlendLayout
+from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN
+from warp_kernels.machinery.lanes import lane_functions
+from warp_kernels.projection.packed_roots import packed_root_functions
+
+UNIT = math.sqrt(2.0 * math.log(2.0))
+"""Standard deviations in which offsets are measured while blending: exp(-σ) is then 2^-|z|², one instruction."""
+
+
+@functools.cache
+def alpha_functions(dtype: type, layout: BlendLayout):
+    """The response of a Gaussian at a pixel; the forward pass and the adjoint share it.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        layout: deal of pixels to lanes.
+
+    Returns:
+        ``(middle_of, from_middle, in_units, whiten, visibility, alpha, row_range)``, Warp functions.
+    """
+    vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
+    _, unpack, _ = packed_root_functions(dtype)
+    block_width, block_height = layout.block_width, layout.block_height
+    zero = dtype(0.0)
+    alpha_min, alpha_max, per_unit = dtype(ALPHA_MIN), dtype(ALPHA_MAX), dtype(1.0 / UNIT)
+    exp2_negative, _, _ = lane_functions(dtype)
+
+    @wp.func
+    def middle_of(block_x: int, block_y: int, width: int, height: int):
+        """A pixel in the middle of a block, on the CPU, where that is a tile, of the block's part in the image."""
+        columns, rows = int(block_width), int(block_height)
+        if wp.static(layout.lanes == 1):
+            columns, rows = wp.min(columns, width - block_x), wp.min(rows, height - block_y)
+        return block_x + columns // 2, block_y + rows // 2
+
+    @wp.func
+    def from_middle(mean: vec2, packed_root: vec4, middle: vec2):
+        """A mean as seen from near by, where its remainder is not lost to rounding."""
+        return (mean - middle) + unpack(packed_root[3])
+
+    @wp.func
+    def in_units(root: vec4):
+        """The conic's root for offsets z = U d in units of ``UNIT`` standard deviations."""
+        return vec3(per_unit * root[0], root[1], per_unit * root[2])
+
+    @wp.func
+    def whiten(root: vec3, dx: dtype, dy: dtype):
+        """z = U d."""
+        return root[0] * (dx + root[1] * dy), root[2] * dy
+
+    @wp.func
+    def visibility(zx: dtype, zy: dtype):
+        """exp(-σ), z being in units of ``UNIT`` standard deviations."""
+        return exp2_negative(-zx * zx - zy * zy)
+
+    @wp.func
+    def alpha(opacity: dtype, visibility: dtype):
+        """α, zero where the Gaussian is not drawn."""
+        a = wp.min(alpha_max, opacity * visibility)
+        return wp.where(a < alpha_min, zero, a)
+
+    @wp.func
+    def row_range(mean: vec2, extent: vec2, y0: dtype, rows: int):
+        """Rows [first, end) of a lane, whose first row of pixel centres is y0, that the ellipse reaches."""
+        spare = extent[1] + dtype(1.0e-3) + dtype(1.0e-6) * (wp.abs(mean[1]) + extent[1])
+        first = int(wp.ceil(wp.clamp(mean[1] - spare - y0, zero, dtype(rows))))
+        end = int(wp.floor(wp.clamp(mean[1] + spare - y0, dtype(-1.0), dtype(rows - 1)))) + 1
+        return first, end
+
+    return middle_of, from_middle, in_units, whiten, visibility, alpha, row_range

@@ -1,0 +1,168 @@
+"""Long lists cut into segments, each walked by its own block of threads.
+
+A frame of few tiles takes as long as its longest list. A list of more than three segments is therefore cut where the
+index of a pair is a multiple of the segment. Forward, a first launch finds what each segment leaves of the light that
+enters it; a second blends every segment from the transmittance in front of it, the product over the segments before;
+``join_segments`` adds up their colours. What it leaves at each boundary, T there and the colours behind, is where the
+adjoint of a segment begins.
+
+The first blocks of threads have a tile each: all of its list, or the first segment. Those behind have a boundary each,
+and walk from there to the next where it lies within a long list.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.blending.blend_layout import BlendLayout
+
+LONG_LIST = 3
+"""Segments' worth of pairs that one block walks without a cut."""
+
+CHUNK = 8
+"""Boundaries whose states a thread asks for at once; one after the other, each would wait for memory."""
+
+
+def state_length(channels: int, thermal_channels: int) -> int:
+    """Numbers in a pixel's state at a boundary of segments: T, [thermal T], colours behind (C), [thermal ones (D)].
+
+    Until the segments are joined, T is what the segment before the boundary lets through, and the colours are those of
+    the segment behind it alone.
+
+    Args:
+        channels: C.
+        thermal_channels: D, or 0.
+
+    Returns:
+        The length.
+    """
+    return channels + 1 + (thermal_channels + 1 if thermal_channels else 0)
+
+
+@wp.func
+def list_of_block(block: int, tile_offsets: wp.array(dtype=wp.int32), segment: int):
+    """What a block of threads walks.
+
+    Returns:
+        The tile, the first pair, the pair after the last, and whether the list is cut. Where there is nothing to do
+        for the block, the first pair is beyond the one after the last.
+    """
+    num_tiles = tile_offsets.shape[0] - 1
+    tile = int(block)
+    first = int(0)  # pair at which a later segment begins
+    if block >= num_tiles:
+        first = (block - num_tiles) * segment
+        tile = int(0)
+        upper = num_tiles - 1
+        while tile < upper:
+            middle = (tile + upper + 1) // 2
+            if tile_offsets[middle] <= first:
+                tile = middle
+            else:
+                upper = middle - 1
+    begin = int(tile_offsets[tile])
+    end = int(tile_offsets[tile + 1])
+    cut = segment > 0 and end - begin > wp.static(LONG_LIST) * segment
+    if block >= num_tiles:
+        if cut and first > begin and first < end:
+            begin = first
+            end = first + wp.min(end - first, segment)
+        else:
+            begin = end + 1
+    elif cut:
+        end = (begin // segment + 1) * segment
+    return tile, begin, end, cut
+
+
+@functools.cache
+def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
+    """Joins the segments of cut lists, one thread a number of a pixel: the states, and the whole render.
+
+    Args:
+        channels: C, channels blended with the first opacity.
+        thermal_channels: D, or 0.
+        dtype: ``wp.float32`` or ``wp.float64``.
+        layout: deal of pixels to lanes.
+
+    Returns:
+        The Warp kernel.
+    """
+    C, D = channels, max(thermal_channels, 1)
+    vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
+    vec_chunk = wp.types.vector(CHUNK, dtype)
+    first_behind = 2 if thermal_channels else 1
+    first_behind_t = first_behind + C + (0 if thermal_channels else 1)  # beyond the last number where there are none
+    length = state_length(channels, thermal_channels)
+    lanes, columns, threads = layout.lanes, layout.columns, layout.threads
+    tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
+    blocks_x = layout.blocks_x
+    one, zero = dtype(1.0), dtype(0.0)
+
+    add_channel = """image.data[row * image.shape[1] + column][channel] += value;"""
+
+    @wp.func_native(add_channel)
+    def add_to_render(image: wp.array2d(dtype=vecC), row: int, column: int, channel: int, value: dtype): ...
+
+    @wp.func_native(add_channel)
+    def add_to_thermal(image: wp.array2d(dtype=vecD), row: int, column: int, channel: int, value: dtype): ...
+
+    @wp.kernel(
+        name=f"join_segments_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}",
+        enable_backward=False,
+        module="unique",
+    )
+    def join_segments_kernel(
+        first: int,
+        tiles_x: int,
+        tiles_y: int,
+        width: int,
+        height: int,
+        tile_offsets: wp.array(dtype=wp.int32),
+        segment: int,
+        # outputs
+        render: wp.array2d(dtype=vecC),
+        thermal_render: wp.array2d(dtype=vecD),
+        states: wp.array3d(dtype=dtype),
+    ):
+        index = wp.tid() + first
+        place = index % (tile_size * tile_size)
+        number = (index // (tile_size * tile_size)) % length
+        tile = index // (tile_size * tile_size * length)
+        begin = tile_offsets[tile]
+        end = tile_offsets[tile + 1]
+        if end - begin <= wp.static(LONG_LIST) * segment:
+            return
+        warp = (place % threads) // lanes
+        pixel = place % lanes + (place // threads) % columns * lanes
+        in_image = tile % (tiles_x * tiles_y)
+        x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width + pixel % block_width
+        y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height + pixel // block_width
+        y += place // (threads * columns)
+        if x >= width or y >= height:
+            return
+
+        # From the front the light that is left, from behind the colours.
+        oldest = begin // segment + 1
+        newest = (end - 1) // segment
+        is_light = number < first_behind
+        value = wp.where(is_light, one, zero)
+        done = int(0)
+        while done <= newest - oldest:
+            chunk = vec_chunk()
+            for k in range(wp.static(CHUNK)):
+                boundary = wp.where(is_light, oldest + done + k, newest - done - k)
+                if boundary >= oldest and boundary <= newest:
+                    chunk[k] = states[boundary, number, place]
+            for k in range(wp.static(CHUNK)):
+                boundary = wp.where(is_light, oldest + done + k, newest - done - k)
+                if boundary >= oldest and boundary <= newest:
+                    value = wp.where(is_light, value * chunk[k], value + chunk[k])
+                    states[boundary, number, place] = value
+            done += wp.static(CHUNK)
+        line = (tile // (tiles_x * tiles_y)) * height + y
+        if number >= first_behind_t:
+            add_to_thermal(thermal_render, line, x, number - first_behind_t, value)
+        elif not is_light:
+            add_to_render(render, line, x, number - first_behind, value)
+
+    return join_segments_kernel

@@ -1,0 +1,1 @@
+"""View-dependent colours from spherical harmonics, and the adjoint."""

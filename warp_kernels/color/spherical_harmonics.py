@@ -1,0 +1,300 @@
+"""View-dependent colour from real spherical harmonics of degree 0 to 3, and its adjoint.
+
+The basis is 3DGS's (Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013, with its signs); the colour is
+max(Σ_k basis_k(d) · coefficient_k + 0.5, 0) for the unit direction d from the camera to the mean.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.color.coefficient_rows import row_adjoint_function, row_sum_function
+from warp_kernels.machinery.coalesced_stores import store_functions
+from warp_kernels.machinery.lanes import LANES_CUDA, warp_sync
+from warp_kernels.machinery.warp_lists import EACH, MANY, WARPS, list_functions
+
+# Normalisation constants of the real basis functions.
+C0 = 0.28209479177387814  # sqrt(1 / 4π)
+C1 = 0.4886025119029199  # sqrt(3 / 4π)
+C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
+
+
+@functools.cache
+def basis_functions(dtype: type):
+    """Basis values and their gradient with respect to the unit direction.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(basis, basis_adjoint)``: basis(d, degree) -> 16 values, zero above the degree; basis_adjoint(d, degree, v)
+        -> gradient to d for the gradient v to the values.
+    """
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    one, two, three = (dtype(x) for x in (1.0, 2.0, 3.0))
+    c0, c1 = dtype(C0), dtype(C1)
+    c20, c21, c22 = (dtype(x) for x in C2)
+    c30, c31, c32, c33, c34 = (dtype(x) for x in C3)
+
+    @wp.func
+    def basis(d: vec3, degree: int):
+        x, y, z = d[0], d[1], d[2]
+        b = vec16()
+        b[0] = c0
+        if degree > 0:
+            b[1] = -c1 * y
+            b[2] = c1 * z
+            b[3] = -c1 * x
+        if degree > 1:
+            b[4] = c20 * x * y
+            b[5] = -c20 * y * z
+            b[6] = c21 * (three * z * z - one)
+            b[7] = -c20 * x * z
+            b[8] = c22 * (x * x - y * y)
+        if degree > 2:
+            b[9] = -c30 * y * (three * x * x - y * y)
+            b[10] = c31 * x * y * z
+            b[11] = -c32 * y * (dtype(5.0) * z * z - one)
+            b[12] = c33 * z * (dtype(5.0) * z * z - three)
+            b[13] = -c32 * x * (dtype(5.0) * z * z - one)
+            b[14] = c34 * z * (x * x - y * y)
+            b[15] = -c30 * x * (x * x - three * y * y)
+        return b
+
+    @wp.func
+    def basis_adjoint(d: vec3, degree: int, v: vec16):
+        x, y, z = d[0], d[1], d[2]
+        g = vec3()
+        if degree > 0:
+            g = vec3(-c1 * v[3], -c1 * v[1], c1 * v[2])
+        if degree > 1:
+            g = g + vec3(
+                c20 * (y * v[4] - z * v[7]) + two * c22 * x * v[8],
+                c20 * (x * v[4] - z * v[5]) - two * c22 * y * v[8],
+                dtype(6.0) * c21 * z * v[6] - c20 * (y * v[5] + x * v[7]),
+            )
+        if degree > 2:
+            five_z = dtype(5.0) * z * z - one
+            squares = x * x - y * y
+            g = g + vec3(
+                -dtype(6.0) * c30 * x * y * v[9]
+                + c31 * y * z * v[10]
+                - c32 * five_z * v[13]
+                + two * c34 * x * z * v[14]
+                - three * c30 * squares * v[15],
+                -three * c30 * squares * v[9]
+                + c31 * x * z * v[10]
+                - c32 * five_z * v[11]
+                - two * c34 * y * z * v[14]
+                + dtype(6.0) * c30 * x * y * v[15],
+                c31 * x * y * v[10]
+                - dtype(10.0) * c32 * y * z * v[11]
+                + three * c33 * five_z * v[12]
+                - dtype(10.0) * c32 * x * z * v[13]
+                + c34 * squares * v[14],
+            )
+        return g
+
+    return basis, basis_adjoint
+
+
+@functools.cache
+def direction_function(dtype: type):
+    """Unit direction from the camera to a mean, as a Warp function.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``direction(mean, camera_position) -> (unit, 1 / length)``; both zero where the mean is at the camera. The
+        difference is taken in float64: far from the origin it cancels.
+    """
+    vec3 = wp.types.vector(3, dtype)
+
+    @wp.func
+    def direction(mean: vec3, camera_position: wp.vec3d):
+        offset = vec3(
+            dtype(wp.float64(mean[0]) - camera_position[0]),
+            dtype(wp.float64(mean[1]) - camera_position[1]),
+            dtype(wp.float64(mean[2]) - camera_position[2]),
+        )
+        length = wp.length(offset)
+        unit = vec3()
+        inverse = dtype(0.0)
+        if length > dtype(0.0):
+            inverse = dtype(1.0) / length
+            unit = offset * inverse
+        return unit, inverse
+
+    return direction
+
+
+@functools.cache
+def color_kernel(dtype: type, many: bool) -> wp.Kernel:
+    """Forward kernel: colour of each (image, Gaussian) pair, not written where the Gaussian is culled.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        many: a warp lists the visible ones of many before it works on them, on CUDA only; else a thread has one.
+
+    Returns:
+        The Warp kernel, with ``many`` launched over ``warp_lists.threads_of_many``. ``rows`` begin with the
+        coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
+    """
+    vec3 = wp.types.vector(3, dtype)
+    basis, _ = basis_functions(dtype)
+    row_sum = row_sum_function(dtype)
+    direction = direction_function(dtype)
+    each, lanes = (EACH, LANES_CUDA) if many else (1, 1)
+    vec_each = wp.types.vector(each, wp.int32)
+    list_of_warp, append, item = list_functions(WARPS, MANY)
+
+    # A row is 48 registers, and three blocks a multiprocessor keep enough of them under way.
+    bounds = (256, 3) if dtype is wp.float32 else None
+
+    @wp.kernel(
+        name=f"sh_colors_{dtype.__name__}{'_many' * many}", enable_backward=False, module="unique", launch_bounds=bounds
+    )
+    def sh_colors_kernel(
+        first: int,
+        num_gaussians: int,
+        num_cameras: int,
+        per_image: bool,
+        degree: int,
+        means: wp.array(dtype=vec3),
+        camera_positions: wp.array(dtype=wp.vec3d),
+        sh0: wp.array2d(dtype=vec3),
+        rows: wp.array2d(dtype=vec3),
+        lowest: int,
+        radii: wp.array(dtype=wp.vec2i),
+        # outputs
+        colors: wp.array(dtype=vec3),
+    ):
+        thread = wp.tid() + first
+        lane = thread % lanes
+        nearest = (thread // lanes) * wp.static(each * lanes) + lane
+        radius = vec_each()
+        for j in range(each):  # all are asked for before the first is looked at
+            if nearest + j * lanes < radii.shape[0]:
+                radius[j] = radii[nearest + j * lanes][0]
+        count = wp.where(radius[0] > 0, 1, 0)
+        visible = wp.uint64(0)
+        if wp.static(many):
+            visible = list_of_warp((thread // lanes) % wp.static(WARPS))
+            count = int(0)
+            warp_sync()  # of a grid that goes round, all lanes have read the list before
+            for j in range(each):
+                count = append(visible, count, lane, radius[j] > 0, nearest + j * lanes)
+            warp_sync()
+        for k in range(lane, count, lanes):
+            index = nearest
+            if wp.static(many):
+                index = item(visible, k)
+            image = index // num_gaussians
+            gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
+            row = wp.where(per_image, index, gaussian)
+            unit, _ = direction(means[gaussian], camera_positions[image])
+            b = basis(unit, degree)
+            color = vec3()
+            if lowest > 0:
+                color = b[0] * sh0[row, 0]
+            color = row_sum(rows, lowest, row, b, (degree + 1) * (degree + 1), color)
+            # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
+            color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
+            for c in range(3):
+                # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
+                if color[c] < dtype(0.0):
+                    color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
+            colors[index] = color
+
+    return sh_colors_kernel
+
+
+@functools.cache
+def color_adjoint_kernel(dtype: type) -> wp.Kernel:
+    """Adjoint kernel: one thread a Gaussian of a scene walks its cameras, so that nothing is atomic.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        The Warp kernel. It adds to coefficients and means, or with ``store`` writes them, and where there is room for
+        it stores the direction's part per (image, Gaussian), whose negative sum is the gradient to the camera position.
+        ``rows`` begin with the coefficient ``lowest``; where that is 1, ``v_sh0`` takes the gradient of degree 0. It
+        is launched over ``whole_warps``.
+    """
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    basis, basis_adjoint = basis_functions(dtype)
+    direction = direction_function(dtype)
+    row_adjoint = row_adjoint_function(dtype)
+    _, store3, _ = store_functions(dtype)
+    bounds = (256, 3) if dtype is wp.float32 else None  # as of the forward kernel
+
+    @wp.kernel(name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds)
+    def sh_colors_adjoint_kernel(
+        first: int,
+        num_gaussians: int,
+        num_cameras: int,
+        per_image: bool,
+        degree: int,
+        means: wp.array(dtype=vec3),
+        camera_positions: wp.array(dtype=wp.vec3d),
+        rows: wp.array2d(dtype=vec3),
+        radii: wp.array(dtype=wp.vec2i),
+        colors: wp.array(dtype=vec3),
+        v_colors: wp.array(dtype=vec3),
+        lowest: int,
+        store: bool,
+        # outputs
+        v_sh0: wp.array2d(dtype=vec3),
+        v_rows: wp.array2d(dtype=vec3),
+        v_means: wp.array(dtype=vec3),
+        v_offsets: wp.array(dtype=vec3),
+    ):
+        thread = wp.tid() + first
+        inside = thread < means.shape[0]
+        gaussian = wp.min(thread, means.shape[0] - 1)
+        scene = gaussian // num_gaussians
+        total = vec3()
+        for camera in range(num_cameras):
+            image = scene * num_cameras + camera
+            index = image * num_gaussians + gaussian % num_gaussians
+            row = wp.where(per_image, index, gaussian)
+            used = inside and radii[index][0] > 0
+            unit = vec3()
+            inverse = dtype(0.0)
+            b = vec16()
+            v = vec3()
+            if used:
+                unit, inverse = direction(means[gaussian], camera_positions[image])
+                b = basis(unit, degree)
+                v = v_colors[index]
+                color = colors[index]
+                for c in range(3):
+                    # A colour that was clamped is -0; one that is 0 by itself, an initial black, must be able to grow.
+                    if dtype(1.0) / color[c] < dtype(0.0):
+                        v[c] = dtype(0.0)
+            add = not store or (camera > 0 and not per_image)
+            active = (degree + 1) * (degree + 1)
+            v_basis = row_adjoint(rows, v_rows, lowest, wp.where(inside, row, -1), b, v, active, used, add)
+            if inside:
+                if lowest > 0:
+                    if add:
+                        v_sh0[row, 0] = v_sh0[row, 0] + b[0] * v
+                    else:
+                        v_sh0[row, 0] = b[0] * v
+                v_offset = vec3()
+                if used:
+                    v_unit = basis_adjoint(unit, degree, v_basis)
+                    v_offset = (v_unit - wp.dot(v_unit, unit) * unit) * inverse
+                    if wp.isfinite(v) and not wp.isfinite(v_offset):
+                        v_offset = vec3()  # the camera is too near for its gradient to be held
+                if v_offsets.shape[0] > 0:
+                    v_offsets[index] = v_offset
+                total = total + v_offset
+        if inside and not store:
+            total = v_means[gaussian] + total
+        store3(v_means, wp.where(inside, gaussian, -1), total)
+
+    return sh_colors_adjoint_kernel

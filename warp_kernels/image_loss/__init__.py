@@ -1,0 +1,1 @@
+"""L1 and SSIM of images, and the adjoint."""

@@ -1,0 +1,1 @@
+"""What kernels of every subject are built with: lanes, sums, lists, launches, tapes."""

@@ -1,0 +1,138 @@
+"""Launching a kernel over a range, spread over CPU threads where the device is the CPU.
+
+Warp runs a CPU launch on one core and releases the GIL meanwhile, so that Python threads on disjoint ranges use the
+others. Kernels launched here take the range's first index as their first argument and write disjoint memory.
+"""
+
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import warp as wp
+
+from warp_kernels.machinery.array_views import RecordedLaunch
+
+CHUNKS_PER_THREAD = 6
+"""Pieces a thread's share is cut into, so that threads finish together although tiles differ in work."""
+
+MIN_CHUNK = 2048
+"""Fewest scalar threads worth handing to another core (a hand-over costs about 30 µs)."""
+
+_num_threads = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+_pool: ThreadPoolExecutor | None = None
+
+
+def num_threads() -> int:
+    """CPU threads that launches are spread over."""
+    return _num_threads
+
+
+def set_num_threads(count: int) -> None:
+    """Sets the CPU threads that launches are spread over; results do not depend on it.
+
+    Args:
+        count: at least 1. The default is the number of cores this process may use.
+
+    Raises:
+        ValueError: if ``count`` is below 1.
+    """
+    global _num_threads, _pool
+    if count < 1:
+        raise ValueError(f"count must be at least 1, got {count}.")
+    if count != _num_threads and _pool is not None:
+        _pool.shutdown()
+        _pool = None
+    _num_threads = count
+
+
+def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device) -> None:
+    """Launches ``kernel`` once per index, without recording it on a tape.
+
+    Args:
+        kernel: its first argument is the first index of the range; ``inputs`` are the others, outputs included.
+        count: number of indices.
+        inputs: arguments after the first.
+        device: where to run.
+    """
+    _launch_range(kernel, count, MIN_CHUNK, None, inputs, device)
+
+
+def launch_again(
+    kernel: wp.Kernel, dim: int | tuple[int, int], inputs: list[Any], device: wp.Device, block: int | None = None
+) -> None:
+    """Launches a kernel without recording it on a tape, checking the arguments' types the first time only.
+
+    Args:
+        kernel: not generic.
+        dim: number of threads.
+        inputs: arrays, ints, floats and bools, of the same types at each call; outputs included.
+        device: where to run.
+        block: threads a block; None for Warp's default.
+    """
+    if dim == 0:
+        return
+    key = (kernel, device.alias, block)
+    recorded = _recorded.by_kernel.get(key)
+    if recorded is None:
+        recorded = _recorded.by_kernel[key] = RecordedLaunch(kernel, dim, inputs, device, block or 256)
+    recorded.launch(dim, inputs)
+
+
+class _Recorded(threading.local):
+    """Recorded launches of this thread, whose arguments no other thread may exchange before the launch."""
+
+    def __init__(self) -> None:
+        self.by_kernel: dict[tuple[wp.Kernel, str, int | None], RecordedLaunch] = {}
+
+
+_recorded = _Recorded()
+
+
+def launch_tiles(kernel: wp.Kernel, num_tiles: int, threads: int, inputs: list[Any], device: wp.Device) -> None:
+    """Launches a blending kernel, one block of ``threads`` threads a tile, without recording it on a tape.
+
+    Args:
+        kernel: its first argument is the first tile of the range; ``inputs`` are the others, outputs included.
+        num_tiles: number of tiles.
+        threads: threads a tile.
+        inputs: arguments after the first.
+        device: where to run.
+    """
+    _launch_range(kernel, num_tiles, 1, threads, inputs, device)
+
+
+def _launch_range(
+    kernel: wp.Kernel, count: int, min_chunk: int, block: int | None, inputs: list[Any], device: wp.Device
+) -> None:
+    if count == 0:
+        return
+    if device.is_cuda or _num_threads == 1 or count < 2 * min_chunk:
+        launch_again(kernel, count if block is None else (count, block), [0, *inputs], device, block)
+        return
+
+    def run(first: int, end: int) -> None:
+        dim = end - first if block is None else (end - first, block)
+        launch_again(kernel, dim, [first, *inputs], device, block)
+
+    # Loading is not safe from several threads; launching is.
+    kernel.module.load(device, 1)
+    chunks = min(count // min_chunk, _num_threads * CHUNKS_PER_THREAD)
+    bounds = [count * k // chunks for k in range(chunks + 1)]
+    # Consume the iterator: an exception in a thread is raised here.
+    list(_threads().map(run, bounds[:-1], bounds[1:]))
+
+
+def _threads() -> ThreadPoolExecutor:
+    global _pool
+    if _pool is None:
+        _pool = ThreadPoolExecutor(_num_threads, thread_name_prefix="warp_kernels")
+    return _pool
+
+
+def _forget_threads() -> None:
+    global _pool
+    _pool = None
+
+
+os.register_at_fork(after_in_child=_forget_threads)  # threads stay with the parent: their pool would wait forever

@@ -1,0 +1,1 @@
+"""Gaussians to the image plane, and the adjoint."""

@@ -1,0 +1,347 @@
+"""EWA projection of 3D Gaussians to the image plane (Zwicker et al. 2002, as 3DGS and gsplat 1.5.3 apply it).
+
+Notation of this file and of projection_adjoint: mean m, camera-space position p = R m + t, Jacobian J [2, 3] of the
+projection at p, M = J R, rotation-scale G = R(q) diag(s), A = M G with rows a0, a1. The 2D covariance is A Aᵀ plus the
+blur eps2d on its diagonal. Its determinant is |a0 x a1|² + eps2d (|a0|² + |a1|²) + eps2d²: a sum of non-negative
+terms, so that it does not cancel for needle-shaped Gaussians as xx·yy - xy² does in float32.
+
+The inverse of the 2D covariance, the conic Q, is stored as its triangular root: Q = Uᵀ U with U = [u, u k; 0, v],
+u = sqrt(yy / det), k = -xy / yy, v = 1 / sqrt(yy). Of a long needle Q's small eigenvalue is lost when Q is rounded; of
+U nothing is. z = U d is the offset d in units of the Gaussian's own standard deviations, and |z|² = dᵀ Q d.
+
+Images are numbered i = scene · cameras + camera; per-image arrays of Gaussians are flat, index i · N + n.
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Literal
+
+import warp as wp
+
+from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN, FOV_MARGIN
+from warp_kernels.machinery.coalesced_stores import store_functions, store_pair
+from warp_kernels.projection.packed_roots import packed_root_functions
+from warp_kernels.projection.rotation import rotation_functions
+
+CameraModel = Literal["pinhole", "ortho"]
+
+
+@functools.cache
+def projection_functions(dtype: type, camera_model: CameraModel):
+    """Straight-line pieces that the forward kernel and its adjoint share.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        camera_model: "pinhole" or "ortho".
+
+    Returns:
+        ``(camera_position, camera_axes, jacobian, project_mean, fov_limits)``, Warp functions.
+    """
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
+    mat23d = wp.types.matrix((2, 3), wp.float64)
+    half, margin, zero64 = dtype(0.5), dtype(FOV_MARGIN), wp.float64(0.0)
+    pinhole = camera_model == "pinhole"
+
+    @wp.func
+    def camera_position(view: mat44, mean: vec3):
+        """p = R m + t in float64: far from the origin the terms are large and cancel."""
+        x = wp.vec4d(wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2]), wp.float64(1.0))
+        p = wp.vec3d()
+        for i in range(3):
+            for j in range(4):
+                p[i] += wp.float64(view[i, j]) * x[j]
+        return p
+
+    @wp.func
+    def camera_axes(view: mat44):
+        """R in float64."""
+        R = wp.mat33d()
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = wp.float64(view[i, j])
+        return R
+
+    @wp.func
+    def fov_limits(focal: dtype, center: dtype, size: dtype):
+        """Smallest and largest x / z (or y / z) at which the Jacobian is evaluated."""
+        spare = margin * half * size / focal
+        return -(center / focal + spare), (size - center) / focal + spare
+
+    @wp.func
+    def jacobian(p: wp.vec3d, K: mat33, width: int, height: int):
+        """J [2, 3] in float64: derivative of the projection, linearised at the clamped position."""
+        fx, fy = wp.float64(K[0, 0]), wp.float64(K[1, 1])
+        if wp.static(pinhole):
+            low_x, high_x = fov_limits(K[0, 0], K[0, 2], dtype(width))
+            low_y, high_y = fov_limits(K[1, 1], K[1, 2], dtype(height))
+            rz = wp.float64(1.0) / p[2]
+            x = wp.clamp(p[0] * rz, wp.float64(low_x), wp.float64(high_x))
+            y = wp.clamp(p[1] * rz, wp.float64(low_y), wp.float64(high_y))
+            return mat23d(fx * rz, zero64, -fx * rz * x, zero64, fy * rz, -fy * rz * y)
+        return mat23d(fx, zero64, zero64, zero64, fy, zero64)
+
+    @wp.func
+    def project_mean(p: wp.vec3d, K: mat33):
+        """Image position [px] of a camera-space point, and what rounding took from it, an error of all pixels."""
+        rz = wp.float64(1.0)
+        if wp.static(pinhole):
+            rz = rz / p[2]
+        u = wp.float64(K[0, 0]) * p[0] * rz + wp.float64(K[0, 2])
+        v = wp.float64(K[1, 1]) * p[1] * rz + wp.float64(K[1, 2])
+        mean2d = vec2(dtype(u), dtype(v))
+        return mean2d, vec2(dtype(u - wp.float64(mean2d[0])), dtype(v - wp.float64(mean2d[1])))
+
+    return camera_position, camera_axes, jacobian, project_mean, fov_limits
+
+
+@functools.cache
+def covariance_functions(dtype: type):
+    """2D covariance, its determinants and the gradient of the determinant, without cancellation.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(from_rows, from_covariance)``, Warp functions returning (xx, xy, yy, det) before the blur.
+    """
+    vec3 = wp.types.vector(3, dtype)
+    vec6 = wp.types.vector(6, dtype)
+    mat33 = wp.types.matrix((3, 3), dtype)
+
+    @wp.func
+    def from_rows(a0: vec3, a1: vec3):
+        normal = wp.cross(a0, a1)
+        return wp.dot(a0, a0), wp.dot(a0, a1), wp.dot(a1, a1), wp.dot(normal, normal)
+
+    @wp.func
+    def symmetric(c: vec6):
+        """Matrix of the upper triangle xx, xy, xz, yy, yz, zz."""
+        return mat33(c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5])
+
+    @wp.func
+    def from_covariance(m0: vec3, m1: vec3, covariance: mat33):
+        xx = wp.dot(m0, covariance * m0)
+        xy = wp.dot(m0, covariance * m1)
+        yy = wp.dot(m1, covariance * m1)
+        return xx, xy, yy, xx * yy - xy * xy
+
+    return from_rows, symmetric, from_covariance
+
+
+@functools.cache
+def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool) -> wp.Kernel:
+    """The forward kernel, one thread an (image, Gaussian) pair.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        camera_model: "pinhole" or "ortho".
+        from_covars: 3D covariances are given instead of quaternions and scales.
+
+    Returns:
+        The Warp kernel.
+    """
+    vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
+    vec6 = wp.types.vector(6, dtype)
+    mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
+    to_matrix, _ = rotation_functions(dtype)
+    camera_position, camera_axes, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
+    store2, _, store4 = store_functions(dtype)
+    pack, _, _ = packed_root_functions(dtype)
+    from_rows, symmetric, from_covariance = covariance_functions(dtype)
+    zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
+    alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
+    largest_radius = dtype(1.0e9)  # fits an int32
+    sharpest = dtype(1.0e30 if dtype is wp.float32 else 1.0e300)  # times pixels squared stays finite
+
+    @wp.func
+    def rounded(x: wp.vec3d):
+        return vec3(dtype(x[0]), dtype(x[1]), dtype(x[2]))
+
+    @wp.func
+    def outside(center: dtype, row: vec3, largest: dtype, eps2d: dtype, size: int):
+        """Whether a Gaussian is certain to be culled: ``row`` leads to one image axis, to which all of its standard
+        deviations are at most ``largest``. False for what is not a number."""
+        deviation = (wp.abs(row[0]) + wp.abs(row[1]) + wp.abs(row[2])) * largest + wp.sqrt(eps2d)
+        reach = wp.static(dtype(1.001)) * extent_max * deviation + two
+        return center + reach < zero or center - reach > dtype(size)
+
+    # Four blocks a multiprocessor wait for memory at once; for five, axes in float64 leave too few registers.
+    bounds = (256, 4) if dtype is wp.float32 else None
+
+    @wp.kernel(
+        name=f"project_{camera_model}_{'covars' if from_covars else 'quats'}_{dtype.__name__}",
+        enable_backward=False,
+        module="unique",
+        launch_bounds=bounds,
+    )
+    def project_kernel(
+        first: int,
+        num_gaussians: int,
+        num_cameras: int,
+        means: wp.array(dtype=vec3),
+        quats: wp.array(dtype=vec4),
+        scales: wp.array(dtype=vec3),
+        covars: wp.array(dtype=vec6),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+        viewmats: wp.array(dtype=mat44),
+        Ks: wp.array(dtype=mat33),
+        width: int,
+        height: int,
+        eps2d: dtype,
+        near_plane: dtype,
+        far_plane: dtype,
+        radius_clip: dtype,
+        antialiased: bool,
+        # outputs
+        means2d: wp.array(dtype=vec2),
+        depths: wp.array(dtype=dtype),
+        packed_roots: wp.array(dtype=vec4),
+        compensations: wp.array(dtype=dtype),
+        radii: wp.array(dtype=wp.vec2i),
+        extents: wp.array(dtype=vec2),
+    ):
+        index = wp.tid() + first
+        image = index // num_gaussians
+        gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
+
+        # A culled Gaussian: zero what users see, or multiply with.
+        store2(means2d, index, vec2())
+        depths[index] = zero
+        store_pair(radii, index, wp.vec2i(0, 0))
+        if compensations.shape[0] > 0:
+            compensations[index] = zero
+
+        view = viewmats[image]
+        K = Ks[image]
+        exact = camera_position(view, means[gaussian])
+        p = rounded(exact)
+        # Written so that NaN is culled too. Positions are tested before anything divides by the depth.
+        if not (p[2] >= near_plane and p[2] <= far_plane):
+            return
+        if wp.static(camera_model == "pinhole"):
+            if p[2] == zero:
+                return
+
+        M = jacobian(exact, K, width, height) * camera_axes(view)
+        m0, m1 = rounded(M[0]), rounded(M[1])
+        mean2d, remainder = project_mean(exact, K)
+        xx, xy, yy, det = zero, zero, zero, zero
+        if wp.static(from_covars):
+            xx, xy, yy, det = from_covariance(m0, m1, symmetric(covars[gaussian]))
+        else:
+            s = scales[gaussian]
+            raw = quats[gaussian]  # with the scales, for one more wait would cost more than what is read in vain
+            # A sphere around it outside of the image, and nothing else need be read.
+            largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
+            if outside(mean2d[0], m0, largest, eps2d, width) or outside(mean2d[1], m1, largest, eps2d, height):
+                return
+            back = wp.transpose(to_matrix(raw))
+            xx, xy, yy, det = from_rows(wp.cw_mul(rounded(back * M[0]), s), wp.cw_mul(rounded(back * M[1]), s))
+        det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
+        xx = xx + eps2d
+        yy = yy + eps2d
+        if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d)):
+            return
+        root = vec3(wp.sqrt(yy / det_blurred), -xy / yy, one / wp.sqrt(yy))
+        # The conic's largest entries, and the slope
+        if not (xx + yy) / det_blurred <= sharpest or not wp.abs(root[1]) <= sharpest or not root[0] > zero:
+            return
+        compensation = dtype(1.0)
+        if antialiased:
+            compensation = wp.sqrt(wp.max(det / det_blurred, zero))
+
+        # Opacity-aware extent (StopThePop, arXiv 2402.00525, section B.2): beyond it alpha is below ALPHA_MIN.
+        opacity = wp.max(opacities[gaussian], thermal_opacities[gaussian]) * compensation
+        if not (wp.isfinite(opacities[gaussian] + thermal_opacities[gaussian]) and opacity >= alpha_min):
+            return
+        extent = wp.clamp(wp.sqrt(two * wp.log(opacity / alpha_min)), extent_min, extent_max)
+        ex = extent * wp.sqrt(xx)
+        ey = extent * wp.sqrt(yy)
+        rx = wp.min(wp.ceil(ex), largest_radius)
+        ry = wp.min(wp.ceil(ey), largest_radius)
+        if rx <= radius_clip and ry <= radius_clip:
+            return
+        if mean2d[0] + rx <= zero or mean2d[0] - rx >= dtype(width):
+            return
+        if mean2d[1] + ry <= zero or mean2d[1] - ry >= dtype(height):
+            return
+
+        store2(means2d, index, mean2d)
+        depths[index] = p[2]
+        store4(packed_roots, index, vec4(root[0], root[1], root[2], pack(remainder)))
+        if compensations.shape[0] > 0:
+            compensations[index] = compensation
+        store_pair(radii, index, wp.vec2i(int(rx), int(ry)))
+        store2(extents, index, vec2(ex, ey))
+
+    return project_kernel
+
+
+@dataclass
+class GaussianArrays:
+    """Gaussians and cameras as the projection reads them; scenes and cameras are flattened (see the module).
+
+    Attributes:
+        means: vec3 [scenes · N], world units.
+        quats: vec4 [scenes · N], wxyz, any length. Empty when ``covars`` is given.
+        scales: vec3 [scenes · N], standard deviations in world units. Empty when ``covars`` is given.
+        covars: vec6 [scenes · N], upper triangle xx, xy, xz, yy, yz, zz; None to use quats and scales.
+        opacities: [scenes · N] in [0, 1].
+        thermal_opacities: [scenes · N] in [0, 1]; the same array as ``opacities`` where there is one opacity.
+        viewmats: mat44 [images], world to camera.
+        Ks: mat33 [images], pixels.
+    """
+
+    means: wp.array
+    quats: wp.array
+    scales: wp.array
+    covars: wp.array | None
+    opacities: wp.array
+    thermal_opacities: wp.array
+    viewmats: wp.array
+    Ks: wp.array
+
+
+@dataclass
+class ProjectedArrays:
+    """What the projection writes, one entry an (image, Gaussian) pair.
+
+    Attributes:
+        means2d: vec2 [images · N], px; 0 where culled.
+        depths: [images · N], camera z in world units; 0 where culled.
+        roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module); not
+            written where culled. The first three numbers of ``packed_roots``, in the same memory.
+        compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one); 0 where culled. May
+            be empty in the classic mode.
+        radii: vec2i [images · N], px; 0 where culled.
+        extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN; not written where
+            culled.
+        packed_roots: vec4 [images · N], the roots, and what rounding took from means2d (see packed_roots).
+    """
+
+    means2d: wp.array
+    depths: wp.array
+    roots: wp.array
+    compensations: wp.array
+    radii: wp.array
+    extents: wp.array
+    packed_roots: wp.array
+
+
+@dataclass(frozen=True)
+class ProjectionSettings:
+    """Scalars of the projection, with gsplat's names and meaning."""
+
+    width: int
+    height: int
+    num_gaussians: int
+    num_cameras: int
+    num_images: int
+    eps2d: float = 0.3
+    near_plane: float = 0.01
+    far_plane: float = 1e10
+    radius_clip: float = 0.0
+    antialiased: bool = False
+    camera_model: CameraModel = "pinhole"

@@ -1,0 +1,142 @@
+"""The step that projects Gaussians to the image plane: its launches, and its adjoint on a tape."""
+
+import warp as wp
+
+from warp_kernels.machinery.array_views import empty, nothing
+from warp_kernels.machinery.lanes import whole_warps
+from warp_kernels.machinery.launching import launch, launch_again
+from warp_kernels.machinery.strand_sums import strand_sums
+from warp_kernels.machinery.tape_recording import given_gradient, gradient_of, record_adjoint
+from warp_kernels.machinery.warp_lists import LISTED, threads_of_many
+from warp_kernels.projection.camera_gradients import CAMERA_RECORD, camera_finish_kernel
+from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings, projection_kernel
+from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
+
+
+def project(
+    gaussians: GaussianArrays, settings: ProjectionSettings, projected: ProjectedArrays, tape: wp.Tape | None = None
+) -> None:
+    """Projects Gaussians to the image plane.
+
+    Args:
+        gaussians: inputs. Gradients go to means, quats and scales (or covars), viewmats and Ks where they have one.
+        settings: image size, planes and mode.
+        projected: outputs, one entry an (image, Gaussian) pair.
+        tape: records the adjoint; gradients come from means2d, depths, roots and compensations.
+    """
+    device, dtype = gaussians.means.device, gaussians.opacities.dtype
+    launch(
+        projection_kernel(dtype, settings.camera_model, gaussians.covars is not None),
+        len(projected.means2d),
+        [
+            settings.num_gaussians,
+            settings.num_cameras,
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            _covars(gaussians),
+            gaussians.opacities,
+            gaussians.thermal_opacities,
+            gaussians.viewmats,
+            gaussians.Ks,
+            settings.width,
+            settings.height,
+            settings.eps2d,
+            settings.near_plane,
+            settings.far_plane,
+            settings.radius_clip,
+            settings.antialiased,
+            projected.means2d,
+            projected.depths,
+            projected.packed_roots,
+            projected.compensations,
+            projected.radii,
+            projected.extents,
+        ],
+        device,
+    )
+    if tape is None:
+        return
+    g, p = gaussians, projected
+    inputs = [g.means, g.quats, g.scales, g.viewmats, g.Ks, *([g.covars] if g.covars is not None else [])]
+    outputs = [p.means2d, p.depths, p.roots, p.compensations]
+    record_adjoint(tape, lambda: project_adjoint(gaussians, settings, projected), *inputs, *outputs)
+
+
+def project_adjoint(
+    gaussians: GaussianArrays,
+    settings: ProjectionSettings,
+    projected: ProjectedArrays,
+    *,
+    store: bool = False,
+    add_to_means: bool = False,
+) -> None:
+    """The adjoint of ``project``: from the gradients of its outputs, those not given being zero, to its inputs'.
+
+    Args:
+        gaussians: as in ``project``.
+        settings: as in ``project``.
+        projected: what ``project`` wrote.
+        store: gradients of Gaussians are not initialised, and written; else they are added to, as those of cameras are.
+        add_to_means: also with ``store``, the means' gradient is added to.
+    """
+    device, dtype = gaussians.means.device, gaussians.opacities.dtype
+    to_cameras = gaussians.viewmats.grad is not None or gaussians.Ks.grad is not None
+    record = wp.types.vector(CAMERA_RECORD, dtype)
+    v_cameras = (
+        empty(settings.num_images * settings.num_gaussians, record, device)
+        if to_cameras
+        else nothing(record, 1, device)
+    )
+    covars = _covars(gaussians)
+    variant = (settings.camera_model, gaussians.covars is not None, to_cameras, settings.antialiased)
+    many = device.is_cuda and settings.num_cameras == 1 and len(gaussians.means) > LISTED
+    launch(
+        projection_adjoint_kernel(dtype, *variant, many),
+        threads_of_many(len(gaussians.means)) if many else whole_warps(len(gaussians.means), device),
+        [
+            settings.num_gaussians,
+            settings.num_cameras,
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            covars,
+            gaussians.viewmats,
+            gaussians.Ks,
+            settings.width,
+            settings.height,
+            settings.eps2d,
+            projected.roots,
+            projected.compensations,
+            projected.radii,
+            given_gradient(projected.means2d),
+            given_gradient(projected.depths),
+            given_gradient(projected.roots),
+            given_gradient(projected.compensations),
+            store,
+            store and not add_to_means,
+            gradient_of(gaussians.means),
+            gradient_of(gaussians.quats),
+            gradient_of(gaussians.scales),
+            gradient_of(covars) if gaussians.covars is not None else covars,
+            v_cameras,
+        ],
+        device,
+    )
+    if to_cameras:
+        launch_again(
+            camera_finish_kernel(dtype),
+            len(gaussians.viewmats),
+            [
+                strand_sums(v_cameras, settings.num_images),
+                gradient_of(gaussians.viewmats),
+                gradient_of(gaussians.Ks),
+            ],
+            device,
+        )
+
+
+def _covars(gaussians: GaussianArrays) -> wp.array:
+    if gaussians.covars is not None:
+        return gaussians.covars
+    return nothing(wp.types.vector(6, gaussians.opacities.dtype), 1, gaussians.means.device)

@@ -1,0 +1,1 @@
+"""What else a training step does to Gaussians and images."""

@@ -1,0 +1,177 @@
+"""Activations of Gaussians: scales = exp(log_scales), opacities = sigmoid(logits), and their adjoint.
+
+Beside its visible opacity α a Gaussian may have a thermal one, α_t. Its *second* number is then an offset of α's
+logit, or a logit of α_t's own. A thread a Gaussian reads all that it stores and writes all that the renderer takes;
+the adjoint needs nothing but what was written.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.machinery.coalesced_stores import store_functions
+from warp_kernels.machinery.lanes import whole_warps
+from warp_kernels.machinery.launching import launch
+
+
+@functools.cache
+def opacity_functions(dtype: type):
+    """Opacities from what is stored.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(sigmoid, sigmoid_adjoint, thermal_opacity)``, Warp functions.
+    """
+    one = dtype(1.0)
+
+    @wp.func
+    def sigmoid(x: dtype):
+        # exp may overflow: 1 / (1 + inf) is the 0 that it should be
+        return one / (one + wp.exp(-x))
+
+    @wp.func
+    def sigmoid_adjoint(y: dtype, v: dtype):
+        """Gradient v to y = sigmoid(x), passed on to x."""
+        return v * (one - y) * y
+
+    @wp.func
+    def thermal_opacity(logit: dtype, second: dtype, is_offset: bool):
+        """α_t, from α's logit and the second number."""
+        return sigmoid(wp.where(is_offset, logit + second, second))
+
+    return sigmoid, sigmoid_adjoint, thermal_opacity
+
+
+@functools.cache
+def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
+    """The kernels, one thread a Gaussian.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(activate, activate_adjoint)``, launched over ``whole_warps``.
+    """
+    vec3 = wp.types.vector(3, dtype)
+    _, store3, _ = store_functions(dtype)
+    sigmoid, sigmoid_adjoint, thermal_opacity = opacity_functions(dtype)
+    zero = dtype(0.0)
+
+    @wp.kernel(name=f"activate_{dtype.__name__}", enable_backward=False, module="unique")
+    def activate_kernel(
+        first: int,
+        log_scales: wp.array(dtype=vec3),
+        logits: wp.array(dtype=dtype),
+        seconds: wp.array(dtype=dtype),
+        is_offset: bool,
+        # outputs
+        scales: wp.array(dtype=vec3),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+    ):
+        thread = wp.tid() + first
+        inside = thread < logits.shape[0]
+        gaussian = wp.min(thread, logits.shape[0] - 1)
+        log_scale = log_scales[gaussian]
+        scale = vec3(wp.exp(log_scale[0]), wp.exp(log_scale[1]), wp.exp(log_scale[2]))
+        store3(scales, wp.where(inside, gaussian, -1), scale)
+        if inside:
+            logit = logits[gaussian]
+            opacities[gaussian] = sigmoid(logit)
+            if seconds.shape[0] > 0:
+                thermal_opacities[gaussian] = thermal_opacity(logit, seconds[gaussian], is_offset)
+
+    @wp.kernel(name=f"activate_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
+    def activate_adjoint_kernel(
+        first: int,
+        scales: wp.array(dtype=vec3),
+        opacities: wp.array(dtype=dtype),
+        thermal_opacities: wp.array(dtype=dtype),
+        v_scales: wp.array(dtype=vec3),
+        v_opacities: wp.array(dtype=dtype),
+        v_thermal_opacities: wp.array(dtype=dtype),
+        is_offset: bool,
+        # outputs
+        v_log_scales: wp.array(dtype=vec3),
+        v_logits: wp.array(dtype=dtype),
+        v_seconds: wp.array(dtype=dtype),
+    ):
+        thread = wp.tid() + first
+        inside = thread < opacities.shape[0]
+        gaussian = wp.min(thread, opacities.shape[0] - 1)
+        # gradients that are not given are zero
+        v_log_scale, v_logit, v_second = vec3(), zero, zero
+        if v_scales.shape[0] > 0:
+            v_log_scale = wp.cw_mul(v_scales[gaussian], scales[gaussian])
+        store3(v_log_scales, wp.where(inside, gaussian, -1), v_log_scale)
+        if inside:
+            if v_opacities.shape[0] > 0:
+                v_logit = sigmoid_adjoint(opacities[gaussian], v_opacities[gaussian])
+            if v_thermal_opacities.shape[0] > 0:
+                v_second = sigmoid_adjoint(thermal_opacities[gaussian], v_thermal_opacities[gaussian])
+            if is_offset:
+                v_logit = v_logit + v_second
+            v_logits[gaussian] = v_logit
+            if v_seconds.shape[0] > 0:
+                v_seconds[gaussian] = v_second
+
+    return activate_kernel, activate_adjoint_kernel
+
+
+def activate(
+    log_scales: wp.array,
+    logits: wp.array,
+    seconds: wp.array,
+    is_offset: bool,
+    scales: wp.array,
+    opacities: wp.array,
+    thermal_opacities: wp.array,
+) -> None:
+    """Computes scales and opacities.
+
+    Args:
+        log_scales: vec3 [N], logarithms of the standard deviations [log world units].
+        logits: [N], of α.
+        seconds: [N], what α_t is computed from; [0]: there is none.
+        is_offset: α_t = sigmoid(logit + second); else sigmoid(second).
+        scales: vec3 [N], output: standard deviations [world units].
+        opacities: [N], output: α in [0, 1].
+        thermal_opacities: [N], output: α_t in [0, 1]; as many as ``seconds``.
+    """
+    kernel, _ = activation_kernels(logits.dtype)
+    inputs = [log_scales, logits, seconds, is_offset, scales, opacities, thermal_opacities]
+    launch(kernel, whole_warps(len(logits), logits.device), inputs, logits.device)
+
+
+def activate_adjoint(
+    scales: wp.array,
+    opacities: wp.array,
+    thermal_opacities: wp.array,
+    v_scales: wp.array,
+    v_opacities: wp.array,
+    v_thermal_opacities: wp.array,
+    is_offset: bool,
+    v_log_scales: wp.array,
+    v_logits: wp.array,
+    v_seconds: wp.array,
+) -> None:
+    """The gradients, from what ``activate`` wrote. They are written, not added to.
+
+    Args:
+        scales: as in ``activate``.
+        opacities: as in ``activate``.
+        thermal_opacities: as in ``activate``.
+        v_scales: vec3 [N]; [0]: zeros.
+        v_opacities: [N]; [0]: zeros.
+        v_thermal_opacities: [N]; [0]: zeros.
+        is_offset: as in ``activate``.
+        v_log_scales: vec3 [N], output.
+        v_logits: [N], output.
+        v_seconds: [N], output; [0] where there are no seconds.
+    """
+    _, kernel = activation_kernels(opacities.dtype)
+    given = [v_scales, v_opacities, v_thermal_opacities]
+    inputs = [scales, opacities, thermal_opacities, *given, is_offset, v_log_scales, v_logits, v_seconds]
+    launch(kernel, whole_warps(len(opacities), opacities.device), inputs, opacities.device)

@@ -1,0 +1,86 @@
+"""Decoded images as far as Gaussians cover them: base + α · decoded, and its adjoint, one pass over the pixels each."""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.machinery.launching import launch
+
+
+@functools.cache
+def covering_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
+    """The kernels, one thread a pixel.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(cover, cover_adjoint)``.
+    """
+
+    @wp.kernel(name=f"cover_{dtype.__name__}", enable_backward=False, module="unique")
+    def cover_kernel(
+        first: int,
+        decoded: wp.array2d(dtype=dtype),
+        alphas: wp.array(dtype=dtype),
+        base: wp.array2d(dtype=dtype),
+        # outputs
+        covered: wp.array2d(dtype=dtype),
+    ):
+        pixel = wp.tid() + first
+        alpha = alphas[pixel]
+        for c in range(decoded.shape[1]):
+            value = alpha * decoded[pixel, c]
+            if base.shape[0] > 0:
+                value = value + base[pixel, c]
+            covered[pixel, c] = value
+
+    @wp.kernel(name=f"cover_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
+    def cover_adjoint_kernel(
+        first: int,
+        decoded: wp.array2d(dtype=dtype),
+        alphas: wp.array(dtype=dtype),
+        v_covered: wp.array2d(dtype=dtype),
+        # outputs
+        v_decoded: wp.array2d(dtype=dtype),
+        v_alphas: wp.array(dtype=dtype),
+    ):
+        pixel = wp.tid() + first
+        alpha = alphas[pixel]
+        total = dtype(0.0)
+        for c in range(decoded.shape[1]):
+            v = v_covered[pixel, c]
+            total += v * decoded[pixel, c]
+            v_decoded[pixel, c] = alpha * v
+        v_alphas[pixel] = total
+
+    return cover_kernel, cover_adjoint_kernel
+
+
+def cover(decoded: wp.array, alphas: wp.array, base: wp.array, covered: wp.array) -> None:
+    """Computes base + α · decoded.
+
+    Args:
+        decoded: [pixels, C].
+        alphas: [pixels].
+        base: [pixels, C], any strides; [0, C]: zeros.
+        covered: [pixels, C], output.
+    """
+    kernel, _ = covering_kernels(decoded.dtype)
+    launch(kernel, decoded.shape[0], [decoded, alphas, base, covered], decoded.device)
+
+
+def cover_adjoint(
+    decoded: wp.array, alphas: wp.array, v_covered: wp.array, v_decoded: wp.array, v_alphas: wp.array
+) -> None:
+    """The gradients; that of the base is ``v_covered`` itself.
+
+    Args:
+        decoded: as in ``cover``.
+        alphas: as in ``cover``.
+        v_covered: [pixels, C].
+        v_decoded: [pixels, C], output.
+        v_alphas: [pixels], output.
+    """
+    _, kernel = covering_kernels(decoded.dtype)
+    launch(kernel, decoded.shape[0], [decoded, alphas, v_covered, v_decoded, v_alphas], decoded.device)

@@ -1,0 +1,216 @@
+"""How far apart along its ray the Gaussians lie that a pixel is made of (docs/method.md, equation 16).
+
+Before blending, log z and its square join each Gaussian's features; after it they are taken from the image again and
+become the pixel's spread.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.machinery.lane_sums import total_function
+from warp_kernels.machinery.lanes import lanes_of, whole_warps
+from warp_kernels.machinery.launching import launch
+
+NEAREST = 0.01
+"""Near plane of the renderer [world units]: what is nearer is not drawn, and counts as lying there."""
+
+
+@functools.cache
+def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
+    """Features and log-depth of Gaussians.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        channels: features of a Gaussian; a constant, so that all of them are read before any is awaited.
+
+    Returns:
+        ``(join_moments, join_moments_adjoint)``, one thread a Gaussian.
+    """
+    vec3 = wp.types.vector(3, dtype)
+    nearest, two = dtype(NEAREST), dtype(2.0)
+
+    @wp.func
+    def depth(mean: vec3, viewmat: wp.array2d(dtype=dtype)):
+        return viewmat[2, 0] * mean[0] + viewmat[2, 1] * mean[1] + viewmat[2, 2] * mean[2] + viewmat[2, 3]
+
+    @wp.kernel(name=f"join_moments_{channels}_{dtype.__name__}", enable_backward=False, module="unique")
+    def join_kernel(
+        first: int,
+        features: wp.array2d(dtype=dtype),
+        means: wp.array(dtype=vec3),
+        viewmat: wp.array2d(dtype=dtype),
+        # outputs
+        joined: wp.array2d(dtype=dtype),
+    ):
+        gaussian = wp.tid() + first
+        for c in range(wp.static(channels)):
+            joined[gaussian, c] = features[gaussian, c]
+        logarithm = wp.log(wp.max(depth(means[gaussian], viewmat), nearest))
+        joined[gaussian, wp.static(channels)] = logarithm
+        joined[gaussian, wp.static(channels + 1)] = logarithm * logarithm
+
+    @wp.kernel(name=f"join_moments_adjoint_{channels}_{dtype.__name__}", enable_backward=False, module="unique")
+    def join_adjoint_kernel(
+        first: int,
+        means: wp.array(dtype=vec3),
+        viewmat: wp.array2d(dtype=dtype),
+        v_joined: wp.array2d(dtype=dtype),
+        # outputs
+        v_features: wp.array2d(dtype=dtype),
+        v_means: wp.array(dtype=vec3),
+    ):
+        gaussian = wp.tid() + first
+        for c in range(wp.static(channels)):
+            v_features[gaussian, c] = v_joined[gaussian, c]
+        z = depth(means[gaussian], viewmat)
+        v_mean = vec3()
+        if z > nearest:
+            v_first = v_joined[gaussian, wp.static(channels)]
+            v_second = v_joined[gaussian, wp.static(channels + 1)]
+            v_z = (v_first + two * wp.log(z) * v_second) / z
+            v_mean = v_z * vec3(viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
+        v_means[gaussian] = v_mean
+
+    return join_kernel, join_adjoint_kernel
+
+
+@functools.cache
+def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
+    """Features and spreads of pixels.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+        channels: features of a pixel.
+
+    Returns:
+        ``(take_spreads, take_spreads_adjoint)``, one thread a pixel; the first is launched over ``whole_warps``.
+    """
+    zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
+    warp_total = total_function(dtype)
+
+    @wp.kernel(name=f"take_spreads_{channels}_{dtype.__name__}", enable_backward=False, module="unique")
+    def take_kernel(
+        first: int,
+        joined: wp.array2d(dtype=dtype),
+        alphas: wp.array(dtype=dtype),
+        inverse_limit: dtype,
+        share: dtype,
+        lanes: int,
+        # outputs
+        features: wp.array2d(dtype=dtype),
+        parts: wp.array(dtype=dtype),
+    ):
+        pixel = wp.tid() + first
+        spread = zero
+        if pixel < alphas.shape[0]:
+            for c in range(wp.static(channels)):
+                features[pixel, c] = joined[pixel, c]
+            first_moment = joined[pixel, wp.static(channels)]
+            v = alphas[pixel] * joined[pixel, wp.static(channels + 1)] - first_moment * first_moment
+            spread = v / (one + v * inverse_limit)
+        spread = warp_total(spread)
+        if pixel % lanes == 0:
+            parts[pixel // lanes] = share * spread
+
+    @wp.kernel(name=f"take_spreads_adjoint_{channels}_{dtype.__name__}", enable_backward=False, module="unique")
+    def take_adjoint_kernel(
+        first: int,
+        joined: wp.array2d(dtype=dtype),
+        alphas: wp.array(dtype=dtype),
+        inverse_limit: dtype,
+        share: dtype,
+        v_features: wp.array2d(dtype=dtype),
+        v_spread: wp.array(dtype=dtype),
+        # outputs
+        v_joined: wp.array2d(dtype=dtype),
+        v_alphas: wp.array(dtype=dtype),
+    ):
+        pixel = wp.tid() + first
+        for c in range(wp.static(channels)):
+            v_joined[pixel, c] = v_features[pixel, c]
+        first_moment, second_moment = joined[pixel, wp.static(channels)], joined[pixel, wp.static(channels + 1)]
+        alpha = alphas[pixel]
+        damping = one + (alpha * second_moment - first_moment * first_moment) * inverse_limit
+        v = share * v_spread[0] / (damping * damping)
+        v_joined[pixel, wp.static(channels)] = -two * first_moment * v
+        v_joined[pixel, wp.static(channels + 1)] = alpha * v
+        v_alphas[pixel] = second_moment * v
+
+    return take_kernel, take_adjoint_kernel
+
+
+def join_moments(features: wp.array, means: wp.array, viewmat: wp.array, joined: wp.array) -> None:
+    """Computes features beside log z and its square.
+
+    Args:
+        features: [N, d].
+        means: vec3 [N] [world units].
+        viewmat: [4, 4], world to camera.
+        joined: [N, d + 2], output.
+    """
+    kernel, _ = moment_kernels(features.dtype, features.shape[1])
+    launch(kernel, features.shape[0], [features, means, viewmat, joined], features.device)
+
+
+def join_moments_adjoint(
+    means: wp.array, viewmat: wp.array, v_joined: wp.array, v_features: wp.array, v_means: wp.array
+) -> None:
+    """The gradients. They are written, not added to.
+
+    Args:
+        means: as in ``join_moments``.
+        viewmat: as in ``join_moments``.
+        v_joined: [N, d + 2].
+        v_features: [N, d], output.
+        v_means: vec3 [N], output.
+    """
+    _, kernel = moment_kernels(v_joined.dtype, v_features.shape[1])
+    launch(kernel, v_features.shape[0], [means, viewmat, v_joined, v_features, v_means], means.device)
+
+
+def take_spreads(joined: wp.array, alphas: wp.array, limit: float, features: wp.array, parts: wp.array) -> None:
+    """Takes blended features and moments apart, and sums each warp's part of the mean of v / (1 + v / limit).
+
+    Args:
+        joined: [pixels, d + 2].
+        alphas: [pixels].
+        limit: spread from which on more hardly counts; 0: no limit.
+        features: [pixels, d], output.
+        parts: [num_warps(pixels)], output; their sum is the mean.
+    """
+    count, device = joined.shape[0], joined.device
+    kernel, _ = spread_kernels(joined.dtype, features.shape[1])
+    inputs = [joined, alphas, *_factors(joined.dtype, limit, count), lanes_of(device), features, parts]
+    launch(kernel, whole_warps(count, device), inputs, device)
+
+
+def take_spreads_adjoint(
+    joined: wp.array,
+    alphas: wp.array,
+    limit: float,
+    v_features: wp.array,
+    v_spread: wp.array,
+    v_joined: wp.array,
+    v_alphas: wp.array,
+) -> None:
+    """The gradients. They are written, not added to.
+
+    Args:
+        joined: as in ``take_spreads``.
+        alphas: as in ``take_spreads``.
+        limit: as in ``take_spreads``.
+        v_features: [pixels, d].
+        v_spread: [1], of the mean.
+        v_joined: [pixels, d + 2], output.
+        v_alphas: [pixels], output.
+    """
+    count, device = joined.shape[0], joined.device
+    _, kernel = spread_kernels(joined.dtype, v_features.shape[1])
+    inputs = [joined, alphas, *_factors(joined.dtype, limit, count), v_features, v_spread, v_joined, v_alphas]
+    launch(kernel, count, inputs, device)
+
+
+def _factors(dtype: type, limit: float, count: int) -> tuple[float, float]:
+    """1 / limit, or 0 for none, and a pixel's share of a mean."""
+    return dtype(1.0 / limit if limit > 0 else 0.0), dtype(1.0 / max(count, 1))

@@ -1,0 +1,136 @@
+"""Mean opacity and size of Gaussians, from what is stored, and the adjoint: what penalties on Gaussians are made of.
+
+In place of torch's exponential, two sigmoids, means and their adjoints, each a kernel over all Gaussians.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.machinery.coalesced_stores import store_functions
+from warp_kernels.machinery.lane_sums import total_function
+from warp_kernels.machinery.lanes import lanes_of, whole_warps
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.activations import opacity_functions
+
+
+@functools.cache
+def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
+    """The kernels, one thread a Gaussian.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        ``(gaussian_means, gaussian_means_adjoint)``, launched over ``whole_warps``.
+    """
+    vec3 = wp.types.vector(3, dtype)
+    _, store3, _ = store_functions(dtype)
+    sigmoid, sigmoid_adjoint, thermal_opacity = opacity_functions(dtype)
+    warp_total = total_function(dtype)
+    zero, third = dtype(0.0), dtype(1.0 / 3.0)
+
+    @wp.kernel(name=f"gaussian_means_{dtype.__name__}", enable_backward=False, module="unique")
+    def means_kernel(
+        first: int,
+        log_scales: wp.array(dtype=vec3),
+        logits: wp.array(dtype=dtype),
+        seconds: wp.array(dtype=dtype),
+        is_offset: bool,
+        share: dtype,
+        lanes: int,
+        # outputs
+        parts: wp.array2d(dtype=dtype),
+    ):
+        thread = wp.tid() + first
+        opacity, scale = zero, zero
+        if thread < logits.shape[0]:
+            logit = logits[thread]
+            opacity = sigmoid(logit)
+            if seconds.shape[0] > 0:
+                opacity += thermal_opacity(logit, seconds[thread], is_offset)
+            log_scale = log_scales[thread]
+            scale = third * (wp.exp(log_scale[0]) + wp.exp(log_scale[1]) + wp.exp(log_scale[2]))
+        opacity = warp_total(opacity)
+        scale = warp_total(scale)
+        if thread % lanes == 0:
+            parts[0, thread // lanes] = share * opacity
+            parts[1, thread // lanes] = share * scale
+
+    @wp.kernel(name=f"gaussian_means_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
+    def adjoint_kernel(
+        first: int,
+        log_scales: wp.array(dtype=vec3),
+        logits: wp.array(dtype=dtype),
+        seconds: wp.array(dtype=dtype),
+        is_offset: bool,
+        v_means: wp.array(dtype=dtype),
+        share: dtype,
+        # outputs
+        v_log_scales: wp.array(dtype=vec3),
+        v_logits: wp.array(dtype=dtype),
+        v_seconds: wp.array(dtype=dtype),
+    ):
+        thread = wp.tid() + first
+        inside = thread < logits.shape[0]
+        gaussian = wp.min(thread, logits.shape[0] - 1)
+        v_opacity = share * v_means[0]
+        v_scale = third * share * v_means[1]
+        log_scale = log_scales[gaussian]
+        v_log_scale = v_scale * vec3(wp.exp(log_scale[0]), wp.exp(log_scale[1]), wp.exp(log_scale[2]))
+        store3(v_log_scales, wp.where(inside, gaussian, -1), v_log_scale)
+        if inside:
+            logit = logits[gaussian]
+            v_logit = sigmoid_adjoint(sigmoid(logit), v_opacity)
+            if seconds.shape[0] > 0:
+                v_second = sigmoid_adjoint(thermal_opacity(logit, seconds[gaussian], is_offset), v_opacity)
+                v_seconds[gaussian] = v_second
+                v_logit += wp.where(is_offset, v_second, zero)
+            v_logits[gaussian] = v_logit
+
+    return means_kernel, adjoint_kernel
+
+
+def gaussian_means(log_scales: wp.array, logits: wp.array, seconds: wp.array, is_offset: bool, parts: wp.array) -> None:
+    """Sums each warp's part of the means of α + α_t and of the scales.
+
+    Args:
+        log_scales: vec3 [N], logarithms of the standard deviations [log world units].
+        logits: [N], of α.
+        seconds: [N], what α_t is computed from; [0]: there is none.
+        is_offset: α_t = sigmoid(logit + second); else sigmoid(second).
+        parts: [2, num_warps(N)], output; their sums are the means of α + α_t, or α alone, and of the three standard
+            deviations [world units].
+    """
+    dtype, count, device = logits.dtype, len(logits), logits.device
+    kernel, _ = penalty_kernels(dtype)
+    inputs = [log_scales, logits, seconds, is_offset, dtype(1.0 / max(count, 1)), lanes_of(device), parts]
+    launch(kernel, whole_warps(count, device), inputs, device)
+
+
+def gaussian_means_adjoint(
+    log_scales: wp.array,
+    logits: wp.array,
+    seconds: wp.array,
+    is_offset: bool,
+    v_means: wp.array,
+    v_log_scales: wp.array,
+    v_logits: wp.array,
+    v_seconds: wp.array,
+) -> None:
+    """The gradients. They are written, not added to.
+
+    Args:
+        log_scales: as in ``gaussian_means``.
+        logits: as in ``gaussian_means``.
+        seconds: as in ``gaussian_means``.
+        is_offset: as in ``gaussian_means``.
+        v_means: [2].
+        v_log_scales: vec3 [N], output.
+        v_logits: [N], output.
+        v_seconds: [N], output; [0] where there are no seconds.
+    """
+    dtype, count, device = logits.dtype, len(logits), logits.device
+    _, kernel = penalty_kernels(dtype)
+    inputs = [log_scales, logits, seconds, is_offset, v_means, dtype(1.0 / max(count, 1))]
+    launch(kernel, whole_warps(count, device), [*inputs, v_log_scales, v_logits, v_seconds], device)

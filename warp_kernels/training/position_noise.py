@@ -1,0 +1,101 @@
+"""Noise on Gaussians' means: 3DGS-MCMC's step beside the optimizer's, in one pass over the Gaussians."""
+
+import functools
+
+import warp as wp
+
+from warp_kernels.machinery.coalesced_stores import store_functions
+from warp_kernels.machinery.lanes import whole_warps
+from warp_kernels.machinery.launching import launch
+from warp_kernels.projection.rotation import rotation_functions
+from warp_kernels.training.activations import opacity_functions
+
+
+@functools.cache
+def noise_kernel(dtype: type) -> wp.Kernel:
+    """One thread a Gaussian, launched over ``whole_warps``.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        The Warp kernel.
+    """
+    vec3, vec4 = wp.types.vector(3, dtype), wp.types.vector(4, dtype)
+    _, store3, _ = store_functions(dtype)
+    sigmoid, _, thermal_opacity = opacity_functions(dtype)
+    to_matrix, _ = rotation_functions(dtype)
+
+    @wp.kernel(name=f"add_position_noise_{dtype.__name__}", enable_backward=False, module="unique")
+    def add_noise_kernel(
+        first: int,
+        quats: wp.array(dtype=vec4),
+        log_scales: wp.array(dtype=vec3),
+        logits: wp.array(dtype=dtype),
+        seconds: wp.array(dtype=dtype),
+        is_offset: bool,
+        normals: wp.array(dtype=vec3),
+        strength: dtype,
+        rate: wp.array(dtype=wp.float32),
+        steepness: dtype,
+        threshold: dtype,
+        blocked: wp.array(dtype=wp.float32),
+        # inputs and outputs
+        means: wp.array(dtype=vec3),
+    ):
+        if blocked[0] != 0.0:
+            return
+        thread = wp.tid() + first
+        inside = thread < logits.shape[0]
+        gaussian = wp.min(thread, logits.shape[0] - 1)
+        logit = logits[gaussian]
+        opacity = sigmoid(logit)
+        if seconds.shape[0] > 0:
+            opacity = wp.max(opacity, thermal_opacity(logit, seconds[gaussian], is_offset))
+        gate = sigmoid(steepness * (threshold - opacity))
+        # Σ η = R S² Rᵀ η
+        R = to_matrix(quats[gaussian])
+        log_scale, normal = log_scales[gaussian], normals[gaussian]
+        within = wp.transpose(R) * wp.vec3d(wp.float64(normal[0]), wp.float64(normal[1]), wp.float64(normal[2]))
+        for k in range(3):
+            scale = wp.float64(wp.exp(log_scale[k]))
+            within[k] = scale * scale * within[k]
+        moved = wp.float64(strength * dtype(rate[0]) * gate) * (R * within)
+        mean = means[gaussian] + vec3(dtype(moved[0]), dtype(moved[1]), dtype(moved[2]))
+        store3(means, wp.where(inside, gaussian, -1), mean)
+
+    return add_noise_kernel
+
+
+def add_position_noise(
+    quats: wp.array,
+    log_scales: wp.array,
+    logits: wp.array,
+    seconds: wp.array,
+    is_offset: bool,
+    normals: wp.array,
+    strength: float,
+    rate: wp.array,
+    gate: tuple[float, float],
+    blocked: wp.array,
+    means: wp.array,
+) -> None:
+    """Adds strength · rate · sigmoid(k (t - o)) Σ η to the means, o being the larger opacity.
+
+    Args:
+        quats: vec4 [N], wxyz, of any length.
+        log_scales: vec3 [N], logarithms of the standard deviations [log world units].
+        logits: [N], of α.
+        seconds: [N], what α_t is computed from; [0]: there is none.
+        is_offset: α_t = sigmoid(logit + second); else sigmoid(second).
+        normals: vec3 [N], η.
+        strength: a factor.
+        rate: float32 [1], another.
+        gate: k and t.
+        blocked: float32 [1]; not 0: add nothing.
+        means: vec3 [N], added to.
+    """
+    dtype = logits.dtype
+    inputs = [quats, log_scales, logits, seconds, is_offset, normals, dtype(strength), rate]
+    inputs += [dtype(gate[0]), dtype(gate[1]), blocked, means]
+    launch(noise_kernel(dtype), whole_warps(len(logits), logits.device), inputs, logits.device)
