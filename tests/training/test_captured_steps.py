@@ -69,7 +69,7 @@ def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str)
     assert trainer.guard.first_bad() is None
     counts = {name: len(gaussians) for name, gaussians in trainer.state.gaussian_sets.items()}
     assert all(strategy.grad_norm_sum.shape == (counts[name],) for name, strategy in trainer.state.strategies.items())
-    metrics = trainer._evaluate()
+    metrics = trainer._evaluate().metrics
     assert metrics["spectra"] == list(trainer.model.spectra)
     assert all(metrics[name]["psnr"] > 5 for name in metrics["spectra"])
 

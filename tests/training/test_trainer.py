@@ -135,20 +135,20 @@ def test_training_learns(tmp_path: Path, capture: Capture) -> None:
     )
     capture = dataclasses.replace(capture, train=capture.train[:1], test=capture.train[:1])
     trainer = toy_trainer(tmp_path, config, capture)
-    before = trainer._evaluate()
+    before = trainer._evaluate().metrics
     after = trainer.train()
     assert after["rgb"]["psnr"] > before["rgb"]["psnr"] + 1.0
     assert after["thermal"]["psnr"] > before["thermal"]["psnr"] + 0.5
 
 
-@pytest.mark.parametrize("place", ["render", "compare_frame", "evaluate"])
+@pytest.mark.parametrize("place", ["render", "compare_frame", "evaluate_refined"])
 def test_interrupt_between_updates(
     tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
     """Ctrl-C while a step or an evaluation is being computed saves the last whole step, and nothing differs after."""
     config = toy_run_config(eval_steps=(4,))
     trainer = toy_trainer(tmp_path, config, capture)
-    owner = {"render": trainer.model, "compare_frame": training_step, "evaluate": trainer_module}[place]
+    owner = {"render": trainer.model, "compare_frame": training_step, "evaluate_refined": trainer_module}[place]
     genuine: Callable[..., Any] = getattr(owner, place)
 
     def interrupted(*args: object, **kwargs: object) -> object:
