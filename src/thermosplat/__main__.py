@@ -4,6 +4,7 @@ import sys
 from importlib import import_module
 
 COMMANDS = {
+    "prepare": "thermosplat.cli.prepare",
     "train": "thermosplat.cli.train",
     "eval": "thermosplat.cli.evaluate",
     "render": "thermosplat.cli.render",

@@ -37,10 +37,10 @@ def test_mistakes_end_with_2() -> None:
     unknown, none = run_module("thermosplat", "fly"), run_module("thermosplat")
     assert unknown.returncode == none.returncode == 2
     assert "no command 'fly'" in unknown.stderr
-    assert "train|eval" in none.stderr
+    assert "prepare|train|eval" in none.stderr
 
 
 def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     """--help without a command."""
     assert main(["--help"]) == 0
-    assert "train|eval|render|export|benchmark" in capsys.readouterr().out
+    assert "prepare|train|eval|render|export|benchmark" in capsys.readouterr().out

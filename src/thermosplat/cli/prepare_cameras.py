@@ -1,0 +1,49 @@
+"""The subcommands of thermosplat-prepare that find cameras: calibrate, sfm, register."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from thermosplat.cli.prepare_steps import CaptureArguments
+from thermosplat.errors import UserError
+
+if TYPE_CHECKING:
+    from thermosplat.prepare.capture_folder import CaptureFolder
+
+
+@dataclass(frozen=True)
+class CalibrateArguments(CaptureArguments):
+    """Find lenses and the pose between the cameras from pictures of a board."""
+
+
+@dataclass(frozen=True)
+class SfmArguments(CaptureArguments):
+    """Find the camera poses of the photographs (structure from motion)."""
+
+
+@dataclass(frozen=True)
+class RegisterArguments(CaptureArguments):
+    """Find the thermal camera's lens and its place beside the photographs', from the scene itself."""
+
+
+def run_calibrate(arguments: CalibrateArguments) -> int:
+    """``thermosplat-prepare calibrate``; returns the exit code."""
+    raise _not_yet("calibrate")
+
+
+def run_sfm(arguments: SfmArguments) -> int:
+    """``thermosplat-prepare sfm``; returns the exit code."""
+    raise _not_yet("sfm")
+
+
+def run_register(arguments: RegisterArguments) -> int:
+    """``thermosplat-prepare register``; returns the exit code."""
+    raise _not_yet("register")
+
+
+def find_cameras(capture: "CaptureFolder") -> None:
+    """The steps between pairing and checking, of ``thermosplat-prepare FOLDER``: sfm, then register."""
+    raise _not_yet("sfm")
+
+
+def _not_yet(step: str) -> UserError:
+    return UserError(f"thermosplat-prepare {step} is not in this version yet.", "Use COLMAP; docs/data-layouts.md.")

@@ -1,0 +1,197 @@
+"""The files of a prepared capture: what lies where, and its two tables.
+
+    CAPTURE/
+      images/rgb/<name>.jpg        photographs as the camera wrote them
+      images/thermal/<name>.png    16-bit values; units.json beside them names their unit
+      frames.csv                   one row per image: where it comes from, its size, time, place and camera
+      pairs.csv                    which thermal image was taken with which photograph
+      calibration.json             lenses and the pose between the cameras, where a board was seen
+      sparse/0/                    the COLMAP model: the photographs, then the thermal camera as part of a rig
+      train.yaml                   settings that ``thermosplat-train CAPTURE`` starts from
+      check/                       a contact sheet and a page to look at
+      prepared/<step>.json         one file per finished step
+
+Image names in both tables are relative to ``images/<spectrum>/``. In the COLMAP model they are relative to ``images/``.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TypeVar, get_args
+
+from thermosplat.errors import UserError
+from thermosplat.prepare.whole_files import write_whole
+
+LEADING = "rgb"
+"""The spectrum of the photographs, from which structure from motion finds poses."""
+OTHER = "thermal"
+"""The spectrum that is paired with them where nothing else is said."""
+
+
+@dataclass(frozen=True)
+class FrameRow:
+    """One image of the capture: a row of frames.csv. None (an empty field): not known.
+
+    Args:
+        spectrum: Name of its spectrum, which is its folder below ``images/``.
+        file: Its path below that folder.
+        source: The file it was made from, relative to the imported folder; ``video.mp4#120`` for a frame of a video.
+        width: Width [px] of the pixels as stored; EXIF rotation is not applied.
+        height: Height [px].
+        time: When it was taken, ISO 8601 with subseconds; without a zone where the file has none.
+        latitude: [°], north positive.
+        longitude: [°], east positive.
+        altitude: [m] above sea level.
+        focal_length_mm: Focal length [mm].
+        focal_length_35mm: The focal length [mm] with the same field of view on 36x24 mm film.
+        make: Maker of the camera.
+        model: Name of the camera.
+        orientation: EXIF orientation, 1 to 8.
+    """
+
+    spectrum: str
+    file: str
+    source: str
+    width: int
+    height: int
+    time: str | None = None
+    latitude: float | None = None
+    longitude: float | None = None
+    altitude: float | None = None
+    focal_length_mm: float | None = None
+    focal_length_35mm: float | None = None
+    make: str | None = None
+    model: str | None = None
+    orientation: int | None = None
+
+
+@dataclass(frozen=True)
+class PairRow:
+    """Two images of one exposure: a row of pairs.csv; paths below images/rgb/ and images/thermal/."""
+
+    rgb: str
+    thermal: str
+
+
+Row = TypeVar("Row", FrameRow, PairRow)
+
+
+@dataclass(frozen=True)
+class CaptureFolder:
+    """A capture that is being prepared.
+
+    Args:
+        root: Its folder, which need not exist yet.
+    """
+
+    root: Path
+
+    def images(self, spectrum: str) -> Path:
+        """Folder with the images of a spectrum."""
+        return self.root / "images" / spectrum
+
+    @property
+    def units_json(self) -> Path:
+        """What the values of the thermal images mean."""
+        return self.images(OTHER) / "units.json"
+
+    @property
+    def frames_csv(self) -> Path:
+        """The table of images."""
+        return self.root / "frames.csv"
+
+    @property
+    def pairs_csv(self) -> Path:
+        """The table of pairs."""
+        return self.root / "pairs.csv"
+
+    @property
+    def calibration_json(self) -> Path:
+        """Lenses and the pose between the cameras, as ``calibrate`` found them."""
+        return self.root / "calibration.json"
+
+    @property
+    def sparse(self) -> Path:
+        """Folder of the COLMAP model."""
+        return self.root / "sparse" / "0"
+
+    @property
+    def train_yaml(self) -> Path:
+        """Settings that training starts from, as ``prepare`` recommends them."""
+        return self.root / "train.yaml"
+
+    @property
+    def check(self) -> Path:
+        """Folder of the contact sheet and the page."""
+        return self.root / "check"
+
+    def marker(self, step: str) -> Path:
+        """The file that says that a step is complete."""
+        return self.root / "prepared" / f"{step}.json"
+
+    def read_frames(self, spectrum: str | None = None) -> list[FrameRow]:
+        """The images, of one spectrum or of all.
+
+        Raises:
+            UserError: frames.csv is missing or damaged.
+        """
+        hint = "Import the images first: thermosplat-prepare import FOLDER --out CAPTURE"
+        rows = _read(self.frames_csv, FrameRow, hint)
+        return [row for row in rows if spectrum in (None, row.spectrum)]
+
+    def write_frames(self, rows: Sequence[FrameRow]) -> None:
+        """Replace frames.csv."""
+        _write(self.frames_csv, rows, FrameRow)
+
+    def read_pairs(self) -> list[PairRow]:
+        """The pairs.
+
+        Raises:
+            UserError: pairs.csv is missing or damaged.
+        """
+        return _read(self.pairs_csv, PairRow, f"Pair the images first: thermosplat-prepare pair {self.root}")
+
+    def write_pairs(self, rows: Sequence[PairRow]) -> None:
+        """Replace pairs.csv."""
+        _write(self.pairs_csv, rows, PairRow)
+
+
+def _read(path: Path, kind: type[Row], hint: str) -> list[Row]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise UserError(f"There is no {path.name} in {path.parent}.", hint) from error
+    except (OSError, ValueError) as error:
+        raise UserError(f"Cannot read {path}: {error}.", hint) from error
+    rows = []
+    reader = csv.DictReader(io.StringIO(text))
+    for record in reader:
+        try:
+            rows.append(_row(record, kind))
+        except (KeyError, TypeError, ValueError) as error:
+            columns = ", ".join(field.name for field in fields(kind))
+            raise UserError(
+                f"Line {reader.line_num} of {path} is damaged; the columns are {columns}.", f"Correct it. Or: {hint}"
+            ) from error
+    return rows
+
+
+def _row(record: dict[str, str | None], kind: type[Row]) -> Row:
+    values: dict[str, object] = {}
+    for field in fields(kind):
+        text = (record.get(field.name) or "").strip()
+        if text:
+            kinds = get_args(field.type) or (field.type,)
+            values[field.name] = next(number for number in (int, float, str) if number in kinds)(text)
+    return kind(**values)  # type: ignore[arg-type]
+
+
+def _write(path: Path, rows: Sequence[Row], kind: type[Row]) -> None:
+    names = [field.name for field in fields(kind)]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([["" if (value := getattr(row, name)) is None else value for name in names] for row in rows])
+    write_whole(path, text.getvalue().encode())

@@ -1,0 +1,116 @@
+"""Steps that are done once: what a finished step leaves, and when it has to be done again.
+
+``prepared/<step>.json`` is written last, when all that the step makes is there. It has the step's settings, what its
+inputs looked like and what it had to say. A step is skipped as long as these agree, and done again when a setting or an
+input has changed. A step that was killed has no such file, so nothing that it left is taken for whole.
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from thermosplat.errors import UserError
+from thermosplat.prepare.capture_folder import CaptureFolder
+from thermosplat.prepare.whole_files import write_whole
+
+STEPS = ("import", "pair", "calibrate", "sfm", "register", "check")
+"""All steps in their order."""
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What a step found, in sentences for people.
+
+    Args:
+        sentences: A line each.
+        before: The step was complete already, and nothing was done.
+    """
+
+    sentences: tuple[str, ...]
+    before: bool = False
+
+
+def run_step(
+    capture: CaptureFolder,
+    step: str,
+    work: Callable[[], Sequence[str]],
+    *,
+    settings: Mapping[str, Any],
+    inputs: Iterable[Path],
+    outputs: Iterable[Path] = (),
+) -> StepReport:
+    """Do a step, or repeat what it said if it is complete.
+
+    Args:
+        capture: The capture.
+        step: One of ``STEPS``.
+        work: Does the step and returns what it found, in sentences. It may go on with what an interrupted one left.
+        settings: All that decides the result, as plain values.
+        inputs: Files that it reads, and ``capture.marker(...)`` of the steps before. Folders stand for all files below
+            them, each by name, size and time of its last change.
+        outputs: Files that must be there for the step to be complete.
+
+    Returns:
+        What it found.
+    """
+    marker, outputs = capture.marker(step), list(outputs)
+    wanted = {"settings": json.loads(json.dumps(settings)), "inputs": fingerprint(inputs)}
+    earlier = read_marker(capture, step)
+    same = earlier is not None and all(earlier.get(key) == value for key, value in wanted.items())
+    if earlier is not None and same and all(path.exists() for path in outputs):
+        return StepReport(tuple(earlier.get("sentences", ())), before=True)
+    try:
+        marker.unlink(missing_ok=True)
+    except OSError as error:
+        raise UserError(f"Cannot replace {marker}: {error.strerror or error}.") from error
+    started = time.time()
+    sentences = list(work())
+    lacking = [path for path in outputs if not path.exists()]
+    if lacking:
+        raise UserError(f"{step} did not write {lacking[0]}.", "Please report this.")
+    content = {**wanted, "sentences": sentences, "finished": time.time(), "seconds": round(time.time() - started, 2)}
+    write_whole(marker, json.dumps(content, indent=1).encode())
+    return StepReport(tuple(sentences))
+
+
+def read_marker(capture: CaptureFolder, step: str) -> dict[str, Any] | None:
+    """What a complete step left, as ``run_step`` wrote it; None where it is not complete."""
+    try:
+        content = json.loads(capture.marker(step).read_bytes())
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def require_step(capture: CaptureFolder, step: str) -> None:
+    """Refuse to go on where a step is not complete.
+
+    Raises:
+        UserError: It is not.
+    """
+    if read_marker(capture, step) is None:
+        place = f"FOLDER --out {capture.root}" if step == "import" else str(capture.root)
+        raise UserError(
+            f"{capture.root} is no capture that thermosplat-prepare {step} has finished.",
+            f"Do that first: thermosplat-prepare {step} {place}",
+        )
+
+
+def fingerprint(paths: Iterable[Path]) -> str:
+    """A digest that changes when one of these files does; files that are not there count as such."""
+    digest = hashlib.sha256()
+    for path in paths:
+        files = sorted(inner for inner in path.rglob("*") if inner.is_file()) if path.is_dir() else [path]
+        for file in files:
+            digest.update(str(file).encode(errors="surrogateescape"))
+            try:
+                state = file.stat()
+            except OSError:
+                digest.update(b"absent")
+                continue
+            digest.update(f"{state.st_size} {state.st_mtime_ns}".encode())
+    return digest.hexdigest()
