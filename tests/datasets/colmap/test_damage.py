@@ -89,7 +89,9 @@ def test_an_unknown_model_in_binary(tmp_path):
     camera, _ = struct.unpack_from("<Ii", content, second)
     struct.pack_into("<i", content, second + 4, 99)
     path.write_bytes(content)
-    assert f"camera {camera} in cameras.bin has the model number 99, which COLMAP does not have" in told(tmp_path)
+    assert f"cameras.bin is damaged: camera {camera} has the model number 99, which COLMAP does not have" in told(
+        tmp_path
+    )
 
 
 def test_other_damage(tmp_path):

@@ -49,6 +49,49 @@ def test_damaged_models_are_told(tmp_path, name):
         read_model(tmp_path)
 
 
+@pytest.mark.parametrize("kind", ["bin", "txt"])
+def test_two_images_of_one_name_are_refused(tmp_path, kind):
+    """One of the two poses would be taken silently."""
+    model = synthetic_model(3)
+    next(image for image in model.images.values() if image.name == "0002.png").name = "0001.png"
+    model.write_binary(tmp_path) if kind == "bin" else model.write_text(tmp_path)
+    with pytest.raises(UserError, match=r"has 2 images that are called 0001\.png"):
+        read_model(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["bin", "txt"])
+def test_a_zero_quaternion_is_refused(tmp_path, kind):
+    """pycolmap reads it as no rotation at all."""
+    model = synthetic_model(3)
+    if kind == "bin":
+        write_model(model, tmp_path)
+        content = bytearray((tmp_path / "frames.bin").read_bytes())
+        content[16:48] = bytes(32)
+        (tmp_path / "frames.bin").write_bytes(content)
+    else:
+        model.write_text(tmp_path)
+        for name in ("rigs", "frames"):
+            (tmp_path / f"{name}.txt").unlink()
+        lines = (tmp_path / "images.txt").read_text().splitlines()
+        place = next(number for number, line in enumerate(lines) if line.endswith("0001.png"))
+        fields = lines[place].split()
+        lines[place] = " ".join([fields[0], "0", "0", "0", "0", *fields[5:]])
+        (tmp_path / "images.txt").write_text("\n".join(lines))
+    with pytest.raises(UserError, match=r"no rotation for '000.\.png'"):
+        read_model(tmp_path)
+
+
+def test_a_damaged_model_beside_an_empty_one(tmp_path):
+    """A sibling that cannot be read is no better one."""
+    write_colmap_folder(tmp_path, 8)
+    few = synthetic_model(1)
+    write_model(few, tmp_path / "sparse" / "0")
+    write_model(synthetic_model(8), tmp_path / "sparse" / "1")
+    (tmp_path / "sparse" / "1" / "points3D.bin").write_bytes(b"nothing of the kind")
+    with pytest.raises(UserError, match="1 registered of 8 images"):
+        load_capture(tmp_path)
+
+
 def test_names_in_another_encoding_are_told(tmp_path):
     """COLMAP on Windows writes umlauts in the encoding of the system."""
     synthetic_model(2).write_text(tmp_path)

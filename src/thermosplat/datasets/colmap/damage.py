@@ -1,35 +1,33 @@
 """What is wrong with the files of a COLMAP model, in words: pycolmap names its own source lines instead."""
 
 import math
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2  # noqa: F401  before pycolmap, see lens.py
 import pycolmap
 
-_MODELS = {name: model for name, model in pycolmap.CameraModelId.__members__.items() if name != "INVALID"}
+from thermosplat.datasets.colmap.record_lengths import MODEL_NAMES, wrong_lengths
+
 _NEEDED = ("cameras", "images", "points3D")
 _POSE_FIELDS = 9
 """Numbers before the name in a line of images.txt: id, quaternion, translation, camera."""
-_RECORD_BYTES = {"cameras.bin": 48, "images.bin": 73, "frames.bin": 84, "points3D.bin": 51}
-"""Least size of a record of COLMAP's binary files: a camera of 3 parameters, a point without observations."""
 
 
 def damage_before_reading(folder: Path) -> str | None:
-    """Missing files, and binary files too short for their record count: on some of them pycolmap hangs or aborts."""
-    return _missing(folder) or _too_short(folder)
+    """Missing files, and binary files that their records do not fill: on some pycolmap hangs or takes all memory."""
+    return _missing(folder) or wrong_lengths(folder)
 
 
 def damage_after_failure(folder: Path, error: Exception) -> str:
-    """The first line or camera that is wrong in a model that pycolmap could not read, else pycolmap's reason.
+    """The first line that is wrong in a text model that pycolmap could not read, else pycolmap's reason.
 
     Args:
         folder: The model's folder.
         error: What pycolmap raised.
     """
     binary = all((folder / f"{name}.bin").is_file() for name in _NEEDED)
-    found = _unknown_binary_camera(folder / "cameras.bin") if binary else _wrong_text(folder)
+    found = None if binary else _wrong_text(folder)
     return found or " ".join(str(error).rpartition("] ")[2].split()).rstrip(".") or type(error).__name__
 
 
@@ -45,17 +43,6 @@ def _missing(folder: Path) -> str | None:
     there = ", ".join(sorted(path.name for path in folder.iterdir() if path.suffix == f".{kind}"))
     names = " and ".join(f"{name}.{kind}" for name in lacking)
     return f"{names} {'is' if len(lacking) == 1 else 'are'} missing beside {there}"
-
-
-def _too_short(folder: Path) -> str | None:
-    for name, record in _RECORD_BYTES.items():
-        path = folder / name
-        if path.is_file():
-            with path.open("rb") as file:
-                count = int.from_bytes(file.read(8).ljust(8, b"\xff"), "little")
-            if path.stat().st_size < 8 + count * record:
-                return f"{name} is shorter than its own count of records asks for"
-    return None
 
 
 def _wrong_text(folder: Path) -> str | None:
@@ -74,27 +61,13 @@ def _wrong_camera(fields: list[str]) -> str | None:
     if len(fields) < 4:
         return f"{' '.join(fields)!r} is no camera with model, width, height and parameters"
     number, model, width, height, *params = fields
-    if model not in _MODELS:
+    if model not in MODEL_NAMES.values():
         return f"camera {number} has the model {model!r}, which COLMAP does not have"
     names = pycolmap.Camera(model=model).params_info
     if len(params) == len(names.split(",")) and all(_is_number(param) for param in params):
         return None
     found = " ".join(params) or "none"
     return f"camera {number} ({model}, {width}x{height}) has the parameters {found}; expected are numbers for {names}"
-
-
-def _unknown_binary_camera(path: Path) -> str | None:
-    """pycolmap stops at numbers of camera models that it does not know; what follows such a camera cannot be told."""
-    content, at = path.read_bytes(), 8
-    known = {int(model): name for name, model in _MODELS.items()}
-    for _ in range(int.from_bytes(content[:8], "little")):
-        if at + 24 > len(content):
-            return None
-        camera, model, *_ = struct.unpack_from("<IiQQ", content, at)
-        if model not in known:
-            return f"camera {camera} in cameras.bin has the model number {model}, which COLMAP does not have"
-        at += 24 + 8 * len(pycolmap.Camera(model=known[model]).params_info.split(","))
-    return None
 
 
 def _lines(path: Path, *, points: bool = False) -> Iterator[tuple[int, str]]:

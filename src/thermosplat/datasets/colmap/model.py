@@ -1,6 +1,8 @@
 """COLMAP sparse models: where they lie in a capture, and what is read from them."""
 
 import shlex
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -60,23 +62,16 @@ def read_model(folder: Path) -> ColmapModel:
     """Read a COLMAP model, binary or text.
 
     Raises:
-        UserError: Files are missing or damaged.
+        UserError: Files are missing or damaged, two images have one name, or a rotation is zero.
     """
-    hint = "Make the model again (colmap mapper), or copy all its files."
-    damage = damage_before_reading(folder)
-    if damage is not None:
-        raise UserError(f"The COLMAP model in {folder} is incomplete or damaged: {damage}.", hint)
-    try:
-        model = pycolmap.Reconstruction(folder)
-    except (ValueError, IndexError, RuntimeError, OSError) as error:
-        damage = damage_after_failure(folder, error)
-        raise UserError(f"The COLMAP model in {folder} is incomplete or damaged: {damage}.", hint) from error
+    model = _reconstruction(folder)
     lenses = {camera_id: Lens.from_colmap(camera) for camera_id, camera in model.cameras.items()}
     images = [
-        RegisteredImage(_name(image, folder), lenses[image.camera_id], _viewmat(image), image.frame_id)
+        RegisteredImage(_name(image, folder), lenses[image.camera_id], _viewmat(image, folder), image.frame_id)
         for image in model.images.values()
         if image.has_pose
     ]
+    _check_named_once(images, folder)
     points = list(model.points3D.values())
     return ColmapModel(
         folder,
@@ -105,7 +100,7 @@ def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
     where = model.folder.relative_to(root)
     message = f"The model in {where} of {root} has {registered} registered of {files} images and {points:,} points."
     siblings = {
-        folder: len(pycolmap.Reconstruction(folder).images)
+        folder: _registered(folder)
         for folder in sorted(model.folder.parent.iterdir())
         if folder != model.folder and any((folder / f"images.{kind}").is_file() for kind in ("bin", "txt"))
     }
@@ -145,6 +140,37 @@ def missing_model(root: Path, images: Path) -> UserError:
     )
 
 
+def _reconstruction(folder: Path) -> pycolmap.Reconstruction:
+    damage = damage_before_reading(folder)
+    error: Exception | None = None
+    if damage is None:
+        try:
+            return pycolmap.Reconstruction(folder)
+        except (ValueError, IndexError, RuntimeError, OSError, MemoryError) as failure:
+            error, damage = failure, damage_after_failure(folder, failure)
+    message = f"The COLMAP model in {folder} is incomplete or damaged: {damage}."
+    raise UserError(message, "Make the model again (colmap mapper), or copy all its files.") from error
+
+
+def _registered(folder: Path) -> int:
+    """How many images a model has; none if it cannot be read."""
+    try:
+        return len(_reconstruction(folder).images)
+    except UserError:
+        return 0
+
+
+def _check_named_once(images: Sequence[RegisteredImage], folder: Path) -> None:
+    """A file has one pose; of two, one would be taken without a word."""
+    count = Counter(image.name for image in images)
+    twice = next((name for name in sorted(count) if count[name] > 1), None)
+    if twice is not None:
+        raise UserError(
+            f"The COLMAP model in {folder} has {count[twice]} images that are called {twice}.",
+            "Remove all but one of them, or make the model again (colmap mapper).",
+        )
+
+
 def _name(image: pycolmap.Image, folder: Path) -> PurePosixPath:
     """The name of a registered image, also of one that was registered on Windows."""
     try:
@@ -156,7 +182,13 @@ def _name(image: pycolmap.Image, folder: Path) -> PurePosixPath:
         ) from error
 
 
-def _viewmat(image: pycolmap.Image) -> NDArray[np.float64]:
+def _viewmat(image: pycolmap.Image, folder: Path) -> NDArray[np.float64]:
+    pose = image.cam_from_world()
+    if not np.linalg.norm(pose.rotation.quat) > 0.5:  # pycolmap scales to 1 what can be scaled
+        raise UserError(
+            f"The COLMAP model in {folder} has no rotation for {image.name!r}: its quaternion is zero or not finite.",
+            "Register the images again (colmap mapper).",
+        )
     viewmat = np.eye(4)
-    viewmat[:3] = image.cam_from_world().matrix()
+    viewmat[:3] = pose.matrix()
     return viewmat
