@@ -28,7 +28,7 @@ from hard_scenes import FINITE, LARGE, NON_FINITE
 from measuring.agreement import largest
 from scenes.accuracy_truth import Rasterization, Truth, errors, truth_of
 from thermosplat import rasterization
-from thermosplat.method_matrix.cell_result import write_text
+from thermosplat.runs.atomic_writes import write_text
 
 COLUMNS = ("image", "means", "quats", "scales", "covars", "opacities", "colors", "viewmats")
 ROUNDING = 2.0**-23
@@ -105,12 +105,9 @@ def print_row(name: str, renderer: str, found: dict[str, Any], peer: dict[str, A
 def write_json(path: Path | None, report: dict[str, Any]) -> None:
     """Replaces the file, so that it is whole at any time."""
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(path.name + ".part")
         # Standard JSON has no NaN: what is not finite becomes a string.
         text = json.dumps(_json(report), indent=1, allow_nan=False)
-        temporary.write_text(text + "\n")
-        temporary.replace(path)
+        write_text(path, text + "\n")
 
 
 def markdown(rows: dict[str, dict[str, Any]]) -> str:

@@ -18,9 +18,9 @@ import warp as wp
 
 from scenes.benchmark_scenes import BenchmarkScene, garden_scene
 from scenes.trained_scene import trained_scene
-from thermosplat.method_matrix.cell_result import write_text
 from thermosplat.rasterizer.binning import bin_tiles
 from thermosplat.rasterizer.projection import Project, ProjectInputs
+from thermosplat.runs.atomic_writes import write_text
 from thermosplat.torch_bridge.streams import on_torch_stream
 from warp_kernels.blending.blend_layout import BlendLayout
 from warp_kernels.blending.blending_step import BlendedArrays, blend

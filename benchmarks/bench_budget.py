@@ -25,10 +25,9 @@ from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.config.files import load_config
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
-from thermosplat.method_matrix.cell_result import write_text
 from thermosplat.method_matrix.render_speed import frames_per_second
 from thermosplat.rasterizer.warp_start import start_warp
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_atomically, write_text
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.spectra import label
 from thermosplat.training.budget.pruning import least

@@ -27,7 +27,7 @@ from measuring.agreement import largest
 from measuring.timing import time_interleaved
 from rasterization.case import one_line
 from thermosplat.config import DecoderConfig
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import environment
 from thermosplat.scene.decoders import Decoders
@@ -219,11 +219,7 @@ def save(report: dict[str, Any], options: argparse.Namespace) -> None:
     texts = ((options.json, json.dumps(report, indent=1) + "\n"), (options.markdown, markdown(report)))
     for path, text in texts:
         if path is not None:
-            write_atomically(path, functools.partial(_write, text=text))
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+            write_text(path, text)
 
 
 def main() -> int:

@@ -31,6 +31,7 @@ from rasterization.summary import summaries, summary_lines
 from rasterization.tables import markdown
 from scenes.benchmark_scenes import BenchmarkScene, garden_scene, huge_scene, synthetic_scene
 from scenes.trained_scene import trained_scene
+from thermosplat.runs.atomic_writes import write_text
 
 CPU_CASES = ("features11", "rgbt")
 CPU_SIZE, CUDA_SIZES = "320x240", ("640x480", "1297x840", "1920x1080", "3840x2160")
@@ -153,10 +154,7 @@ def write_report(report: dict[str, Any], json_path: Path | None, markdown_path: 
         (markdown_path, lambda: markdown(report)),
     ):
         if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary = path.with_name(path.name + ".part")
-            temporary.write_text(text(), encoding="utf-8")
-            temporary.replace(path)
+            write_text(path, text())
 
 
 def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], report: dict[str, Any]) -> None:

@@ -32,7 +32,7 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.warp_start import start_warp
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import RunDirectory, environment, finite_or_null
 from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
@@ -113,7 +113,7 @@ class Benchmark:
             (self.options.markdown, lambda: markdown(self.report)),
         ):
             if path is not None:
-                write_atomically(path, functools.partial(_write, text=text()))
+                write_text(path, text())
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
@@ -222,10 +222,6 @@ class Benchmark:
         if "memory" in self.options.parts:
             self.report["memory"] = memory_fit(rows)
             print("memory:", self.report["memory"] or "not measured (needs CUDA and three sizes)", flush=True)
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def print_row(row: dict[str, Any], kernels: int) -> None:

@@ -22,7 +22,7 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.image_quality.metrics import psnr, ssim
 from thermosplat.losses.image_terms import image_loss
-from thermosplat.method_matrix.cell_result import write_text
+from thermosplat.runs.atomic_writes import write_text
 from thermosplat.scene.neighbor_distances import neighbor_distances
 
 SH_C0 = 0.28209479177387814

@@ -22,7 +22,7 @@ def apart(words: list[str]) -> tuple[list[str], list[str]]:
 def run_python(
     arguments: Sequence[str], environment: Mapping[str, str], limit_s: float = math.inf
 ) -> "subprocess.CompletedProcess[str]":
-    """Runs this Python with the packages that the benchmark itself has.
+    """Runs this Python with the packages that the benchmark itself has, and with no file of the current folder.
 
     Args:
         arguments: of Python.
@@ -35,7 +35,7 @@ def run_python(
     roots = [str(Path(str(module.__file__)).parents[1]) for module in (thermosplat, warp_kernels)]
     path = os.pathsep.join([*roots, *filter(None, [os.environ.get("PYTHONPATH")])])
     return subprocess.run(
-        [sys.executable, *arguments],
+        [sys.executable, "-P", *arguments],
         env=os.environ | dict(environment) | {"PYTHONPATH": path},
         capture_output=True,
         text=True,

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from thermosplat.errors import UserError
-from thermosplat.method_matrix.processes import Job, choose_devices, device_environment, run_jobs
+from thermosplat.method_matrix.processes import Job, choose_devices, device_environment, python_command, run_jobs
 
 pytestmark = pytest.mark.usefixtures("stoppable")
 
@@ -51,6 +51,19 @@ def test_jobs_are_dealt_to_the_devices(tmp_path: Path, monkeypatch: pytest.Monke
     for title, (device, _) in ended.items():
         expected = {"cuda:0": "6", "cuda:1": "7"}[device]
         assert (tmp_path / f"{title}.log").read_text() == f"device {expected}\n"
+
+
+def test_python_files_of_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file called as a module of Python lies in a folder of strangers: a job that imports the module has the real
+    one."""
+    (tmp_path / "colorsys.py").write_text("print('planted')")
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "imports_it.py").write_text("import colorsys; print(colorsys.rgb_to_hsv(0, 0, 0))")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    planted = Job("planted", python_command("imports_it"), tmp_path / "planted.log")
+    run_jobs([planted], ["cpu"], started=lambda *_: None, done=lambda *_: None)
+    assert planted.log.read_text() == "(0.0, 0.0, 0)\n"
 
 
 def test_nothing_starts_after_the_time_limit(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from thermosplat.pictures import video
 from thermosplat.pictures.image_display import Image8
 from thermosplat.pictures.video import write_images
-from thermosplat.runs.checkpoint import NotWrittenError
+from thermosplat.runs.atomic_writes import NotWrittenError
 
 COLORS = [(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)]
 

@@ -14,7 +14,6 @@ from thermosplat.runs.checkpoint import (
     load_checkpoint,
     on_host,
     save_checkpoint,
-    write_atomically,
 )
 
 
@@ -43,32 +42,6 @@ def test_state_comes_back_with_weights_only(tmp_path: Path) -> None:
     assert loaded == {"format": FORMAT, **state}
 
 
-def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
-    """A writer that fails half-way leaves the earlier file whole and nothing beside it."""
-    path = tmp_path / "metrics.json"
-    path.write_text("old")
-
-    def fail(temporary: Path) -> None:
-        temporary.write_text("half")
-        raise KeyError("stop")
-
-    with pytest.raises(KeyError):
-        write_atomically(path, fail)
-    assert path.read_text() == "old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["metrics.json"]
-
-
-def test_full_disk_is_a_user_error(tmp_path: Path) -> None:
-    """No space is said in a sentence that names the file."""
-    path = tmp_path / "step_000001.pt"
-
-    def fail(temporary: Path) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with pytest.raises(UserError, match=r"step_000001\.pt: No space left on device"):
-        write_atomically(path, fail)
-
-
 def test_full_disk_under_torch_save_is_a_user_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """torch's archive writer wraps the OSError of a full disk; the user still reads the reason."""
 
@@ -81,19 +54,6 @@ def test_full_disk_under_torch_save_is_a_user_error(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(torch, "save", save)
     with pytest.raises(UserError, match="No space left on device"):
         save_checkpoint(tmp_path / "step_000001.pt", _state())
-
-
-def test_temporary_file_keeps_the_suffix(tmp_path: Path) -> None:
-    """Image writers choose the format by suffix, so the temporary name has the same one."""
-    suffixes = []
-
-    def write(temporary: Path) -> None:
-        suffixes.append(temporary.suffix)
-        temporary.write_bytes(b"x")
-
-    write_atomically(tmp_path / "new" / "strip.png", write)
-    assert suffixes == [".png"]
-    assert (tmp_path / "new" / "strip.png").read_bytes() == b"x"
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:

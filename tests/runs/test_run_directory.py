@@ -45,11 +45,19 @@ def test_overwrite_leaves_what_other_trainers_wrote(tmp_path: Path) -> None:
         *("ckpts/.step_000100.4711.tmp.pt", "stats/step_000100.json", "stats/eval_000100.csv"),
         *("stats/eval_000100_shed.json", "stats/regions_000100_shed.json", "renders/eval_000100/b.png"),
         *("renders/eval_000100_shed/b.png", "ply/splat_rgb.ply", "videos/ellipse_both_000100.mp4"),
+        *("ply/splat_nir.ply", "videos/interp_rgb-nir-red_edge_000100.mp4", "refined/cameras.txt"),
+        *("stats/.eval_000100.0123456789abcdef.tmp.json", "renders/eval_000100/.a.0123456789abcdef.tmp.png"),
         *("videos/test_rgb_000100_shed/desk_0001.png", "tb/events.out.tfevents.17.host.1.0.thermosplat", "config.yaml"),
     ]
     theirs = [
         *("ckpts/ckpt_6999_rank0.pt", "stats/val_step6999.json", "renders/val_step6999_0000.png", "renders/mine/b.png"),
-        *("ply/point_cloud_6999.ply", "videos/traj_6999.mp4", "tb/events.out.tfevents.17.host.1.0", "cfg.yml"),
+        *(
+            "ply/point_cloud_6999.ply",
+            "videos/traj_6999.mp4",
+            "videos/train_my_clip_1.mp4",
+            "tb/events.out.tfevents.17.host.1.0",
+            "cfg.yml",
+        ),
     ]
     for name in (*ours, *theirs):
         (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
@@ -58,6 +66,54 @@ def test_overwrite_leaves_what_other_trainers_wrote(tmp_path: Path) -> None:
     left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     assert left == set(theirs)
     assert not (tmp_path / "renders" / "eval_000100").exists()
+
+
+@pytest.mark.parametrize("folder", ["ckpts", "stats", "renders", "ply", "videos", "refined", "tb"])
+def test_nothing_is_deleted_or_written_through_a_link(tmp_path: Path, folder: str) -> None:
+    """A folder of the run that leads outside is refused by --overwrite and by what writes there."""
+    run = _finished_run(tmp_path / "run")
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "per_view.csv").write_text("mine")
+    (outside / "step_000100.pt").write_text("mine")
+    (tmp_path / "run" / folder).rename(tmp_path / "kept") if (tmp_path / "run" / folder).exists() else None
+    (tmp_path / "run" / folder).symlink_to(outside)
+    with pytest.raises(UserError, match=f"{folder} is a link"):
+        RunDirectory.create(tmp_path / "run", overwrite=True)
+    with pytest.raises(UserError, match=f"{folder} is a link"):
+        getattr(run, folder)
+    run.sweep()
+    assert {entry.name: entry.read_text() for entry in outside.iterdir()} == {
+        "per_view.csv": "mine",
+        "step_000100.pt": "mine",
+    }
+    assert run.metrics_jsonl.is_file()
+
+
+def test_a_linked_folder_of_pictures_loses_its_link_only(tmp_path: Path) -> None:
+    """--overwrite takes the link away that has the name of one of our folders; pictures outside stay."""
+    run = _finished_run(tmp_path / "run")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "a.png").write_bytes(b"x")
+    (run.renders / "eval_000100").symlink_to(tmp_path / "mine")
+    with pytest.raises(UserError, match="eval_000100 is a link"):
+        run.pictures("renders", "eval_000100")
+    RunDirectory.create(tmp_path / "run", overwrite=True)
+    assert [entry.name for entry in (tmp_path / "mine").iterdir()] == ["a.png"]
+    assert not (tmp_path / "run" / "renders").exists()
+
+
+def test_what_killed_runs_left_is_swept_everywhere(tmp_path: Path) -> None:
+    """Temporary files of all folders go, those of other names stay."""
+    run = _finished_run(tmp_path)
+    name = ".a.0123456789abcdef.tmp.png"
+    folders = [tmp_path, run.ckpts, run.pictures("renders", "eval_000100"), run.pictures("videos", "interp_rgb_000100")]
+    for folder in folders:
+        (folder / name).write_bytes(b"x")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / name).write_bytes(b"x")
+    run.sweep()
+    assert [path.parent for path in tmp_path.rglob(name)] == [tmp_path / "mine"]
 
 
 def test_folder_with_other_files_can_be_used(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -117,3 +117,23 @@ def test_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     (tmp_path / LOCK_FILE).mkdir()
     with pytest.raises(UserError, match=r"Could not write .*training\.lock: Is a directory"):
         run_lock(tmp_path).__enter__()
+
+
+@pytest.mark.parametrize("make", [Path.symlink_to, Path.hardlink_to])
+def test_a_link_in_place_of_the_lock_is_not_followed(tmp_path: Path, make: Callable[[Path, Path], None]) -> None:
+    """Whatever a link of that name leads to keeps its content, and the message names the link."""
+    (tmp_path / "mine").write_text("kept")
+    make(tmp_path / LOCK_FILE, tmp_path / "mine")
+    with pytest.raises(UserError, match=r"training\.lock(: it is not a plain file| is a link)"):
+        run_lock(tmp_path).__enter__()
+    assert (tmp_path / "mine").read_text() == "kept"
+
+
+def test_a_folder_that_was_replaced_keeps_its_lock(tmp_path: Path) -> None:
+    """A run whose folder was renamed does not take away the lock of the one that was begun in its place."""
+    (tmp_path / "run").mkdir()
+    with run_lock(tmp_path / "run"):
+        (tmp_path / "run").rename(tmp_path / "renamed")
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / LOCK_FILE).write_text("4711 elsewhere\n")
+    assert (tmp_path / "run" / LOCK_FILE).read_text() == "4711 elsewhere\n"

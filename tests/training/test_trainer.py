@@ -17,7 +17,8 @@ import torch
 from thermosplat.config import DensificationConfig, LossConfig, OptimizerConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
-from thermosplat.runs.checkpoint import NotWrittenError, load_checkpoint, save_checkpoint
+from thermosplat.runs.atomic_writes import NotWrittenError
+from thermosplat.runs.checkpoint import load_checkpoint, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.training import trainer as trainer_module

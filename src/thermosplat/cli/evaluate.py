@@ -59,7 +59,7 @@ def _evaluate(arguments: EvalArguments) -> int:
     console.print(lpips_note, markup=False)
     run = loaded.directory
     name = loaded.result_name(capture)
-    strips, table = run.renders / f"eval_{name}", run.stats / f"eval_{name}.csv"
+    strips, table = run.pictures("renders", f"eval_{name}"), run.stats / f"eval_{name}.csv"
     judged = evaluate_refined(
         loaded.model,
         capture,

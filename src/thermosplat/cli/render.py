@@ -50,6 +50,7 @@ def _render(arguments: RenderArguments) -> int:
         from thermosplat.evaluation.loaded_run import load_run
         from thermosplat.novel_views.viewpoints import rendered_images, viewpoints
         from thermosplat.pictures.video import write_images
+        from thermosplat.runs.atomic_writes import check_is_no_link
 
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
     shown = arguments.chosen(list(loaded.model.spectra))
@@ -57,10 +58,13 @@ def _render(arguments: RenderArguments) -> int:
     for note in capture.notes:
         print(note)
     points = viewpoints(capture, arguments.path, shown, num_frames=arguments.frames, device=loaded.device)
+    name = f"{arguments.path}_{'-'.join(shown)}_{loaded.result_name(capture)}"
+    videos = loaded.directory.videos
+    check_is_no_link(videos / name)
     images = rendered_images(loaded.model, points, sh_degree=loaded.sh_degree, scales=loaded.scales)
     written = write_images(
         track(images, f"Rendering {arguments.path}", len(points), transient=True, disable=not sys.stdout.isatty()),
-        loaded.directory.videos / f"{arguments.path}_{'-'.join(shown)}_{loaded.result_name(capture)}",
+        videos / name,
         format=arguments.format,
         fps=arguments.fps,
         names=[file_stem(point.frame) for point in points] if arguments.path in ("train", "test") else None,

@@ -1,6 +1,7 @@
 """A model against the views it was not trained on: numbers per view and their means, and pictures to look at."""
 
 import csv
+import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -17,8 +18,8 @@ from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.image_quality.metrics import mean_absolute_error, psnr, ssim
 from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
 from thermosplat.pictures.image_display import spectrum_bytes, write_png
+from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.background_writes import background_writes
-from thermosplat.runs.checkpoint import write_atomically
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import MAE, ascii_unit, label
 from thermosplat.thermal.intensity import pixel_intensity
@@ -202,11 +203,8 @@ def _ordered(columns: Iterable[str]) -> list[str]:
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     columns = _ordered({column for row in rows for column in row} - {"frame", "spectrum"})
-
-    def write(temporary: Path) -> None:
-        with temporary.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, ["frame", "spectrum", *columns])
-            writer.writeheader()
-            writer.writerows(rows)  # None becomes an empty cell
-
-    write_atomically(path, write)
+    table = io.StringIO()
+    writer = csv.DictWriter(table, ["frame", "spectrum", *columns])
+    writer.writeheader()
+    writer.writerows(rows)  # None becomes an empty cell
+    write_text(path, table.getvalue())

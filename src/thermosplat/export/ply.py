@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_atomically
 from thermosplat.scene.packed_parameters import sh_degrees
 
 REST_COEFFICIENTS = 15  # SH degrees 1 to 3

@@ -9,7 +9,7 @@ from thermosplat.config import TrainConfig
 from thermosplat.config.renamed import with_todays_names
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import Cell, settings
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_text
 
 if TYPE_CHECKING:
     from thermosplat.evaluation.labelled_regions import Regions
@@ -152,12 +152,3 @@ def read_json(path: Path) -> Any:
 def write_json(path: Path, value: Any) -> None:
     """Write a JSON file, atomically."""
     write_text(path, json.dumps(value, indent=2) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, atomically."""
-
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    write_atomically(path, write)

@@ -9,10 +9,11 @@ from pathlib import Path
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import to_yaml
 from thermosplat.errors import UserError
-from thermosplat.method_matrix.cell_result import CellResult, write_text
+from thermosplat.method_matrix.cell_result import CellResult
 from thermosplat.method_matrix.cells import Cell, Scene, cell_config, difference, settings
 from thermosplat.method_matrix.overrides import Override
 from thermosplat.method_matrix.processes import Job, python_command
+from thermosplat.runs.atomic_writes import plain_folder, write_text
 
 CONFIG_FILE = "cell.yaml"
 LOG_FILE = "cell.log"
@@ -114,7 +115,7 @@ class Matrix:
 
     def job(self, cell: Cell) -> Job:
         """The process that makes a cell; writes the configuration that it reads."""
-        folder = cell.folder(self.out)
+        folder = plain_folder(self.out, *cell.folder(Path()).parts)
         write_text(folder / CONFIG_FILE, to_yaml(self.config(cell)))
         words = ["--folder", str(folder), "--scene", cell.scene, "--method", cell.method, "--seed", str(cell.seed)]
         keep = "--keep-checkpoint" if self.keep_checkpoints else "--no-keep-checkpoint"

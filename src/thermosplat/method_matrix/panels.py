@@ -18,6 +18,7 @@ from thermosplat.errors import UserError
 from thermosplat.evaluation.held_out import file_stem, frame_comparisons
 from thermosplat.method_matrix.cell_result import read_json, write_json
 from thermosplat.pictures.image_display import Image8, depth_bytes, error_bytes, read_png, write_png
+from thermosplat.runs.atomic_writes import plain_folder
 from thermosplat.scene.model import SceneModel
 
 FOLDER = "panels"
@@ -69,15 +70,16 @@ def write_panels(
         device: Where the model is.
     """
     index: list[dict[str, Any]] = []
+    pictures = plain_folder(folder, FOLDER)
     for frame in shown_frames(capture.test):
         truth = read_ground_truth(capture, frame)
         comparisons = frame_comparisons(model, frame, capture.scales, sh_degree=sh_degree, device=device)
         for spectrum, comparison in comparisons.items():
             stem = f"{file_stem(frame.name)}_{spectrum}"
-            write_png(folder / FOLDER / f"{stem}_truth.png", comparison.truth)
-            write_png(folder / FOLDER / f"{stem}_render.png", comparison.render)
+            write_png(pictures / f"{stem}_truth.png", comparison.truth)
+            write_png(pictures / f"{stem}_render.png", comparison.render)
             error = error_bytes(comparison.error, comparison.largest_error)
-            write_png(folder / FOLDER / f"{stem}_error.png", error)
+            write_png(pictures / f"{stem}_error.png", error)
             end = f"{comparison.largest_error:.2g} {comparison.unit}".rstrip()
             entry = {
                 **{"frame": frame.name, "spectrum": spectrum, "score": comparison.score, "palette_end": end},
@@ -87,11 +89,11 @@ def write_panels(
             if truth is not None and span is not None:
                 camera = view_tensors(frame.views[spectrum], None, device)
                 depth = model.render_depth(spectrum, camera).cpu().numpy()
-                write_png(folder / FOLDER / f"{stem}_true_depth.png", depth_bytes(truth.depths[spectrum], *span))
-                write_png(folder / FOLDER / f"{stem}_depth.png", depth_bytes(depth, *span))
+                write_png(pictures / f"{stem}_true_depth.png", depth_bytes(truth.depths[spectrum], *span))
+                write_png(pictures / f"{stem}_depth.png", depth_bytes(depth, *span))
                 entry["depth_range"] = f"{span[0]:.2g} to {span[1]:.2g}"
             index.append(entry)
-    write_json(folder / FOLDER / INDEX, {"panels": index})
+    write_json(pictures / INDEX, {"panels": index})
 
 
 def read_panels(folder: Path) -> dict[tuple[str, str], Panels]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thermosplat.errors import UserError
+from thermosplat.runs.atomic_writes import open_to_append
 from thermosplat.training.session.interruption import stop_signals
 
 POLL_SECONDS = 0.2
@@ -153,13 +154,13 @@ def device_environment(device: str, *, sharing: int = 1) -> dict[str, str]:
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
-    """The command that runs a module of this installation."""
-    return [sys.executable, "-m", module, *arguments]
+    """The command that runs a module of this installation, whatever Python files lie in the current folder."""
+    return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def _start(job: Job, environment: dict[str, str]) -> _Running:
     job.log.parent.mkdir(parents=True, exist_ok=True)
-    with job.log.open("ab") as log:
+    with open_to_append(job.log) as log:
         process = subprocess.Popen(
             job.command,
             stdin=subprocess.DEVNULL,

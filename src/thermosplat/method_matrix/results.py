@@ -1,6 +1,7 @@
 """All finished cells of a matrix, also those that other machines made."""
 
 import csv
+import io
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +18,7 @@ from thermosplat.method_matrix.cell_result import (
 )
 from thermosplat.method_matrix.cells import Cell, difference
 from thermosplat.method_matrix.tables.paper_numbers import METHODS, SCENES, paper_scene
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_text
 from thermosplat.spectra import MAE
 
 RESULTS = "results.json"
@@ -146,13 +147,10 @@ def _cells_of(path: Path) -> list[object]:
 def _write_per_view(path: Path, results: Sequence[CellResult]) -> None:
     metrics = dict.fromkeys(key for result in results for row in result.per_view for key in row)
     columns = list(dict.fromkeys(["scene", "method", "seed", "frame", "spectrum", *metrics]))
-
-    def write(temporary: Path) -> None:
-        with temporary.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, columns)
-            writer.writeheader()
-            for result in results:
-                named = {"scene": result.scene, "method": result.method, "seed": result.seed}
-                writer.writerows(named | row for row in result.per_view)
-
-    write_atomically(path, write)
+    table = io.StringIO()
+    writer = csv.DictWriter(table, columns)
+    writer.writeheader()
+    for result in results:
+        named = {"scene": result.scene, "method": result.method, "seed": result.seed}
+        writer.writerows(named | row for row in result.per_view)
+    write_text(path, table.getvalue())

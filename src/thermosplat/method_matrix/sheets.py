@@ -9,6 +9,7 @@ from thermosplat.evaluation.held_out import file_stem
 from thermosplat.method_matrix.panels import Panels, read_panels
 from thermosplat.pictures.comparison_strips import GAP, HEADER_HEIGHT, titled
 from thermosplat.pictures.image_display import Image8, write_png
+from thermosplat.runs.atomic_writes import plain_folder
 from thermosplat.spectra import label
 
 PANEL_WIDTH = 320  # [px]
@@ -36,7 +37,7 @@ def write_sheets(out: Path, scene: str, cells: Mapping[str, Path]) -> list[Path]
             method: {name: of_method.get((frame, name)) for name in spectra} for method, of_method in panels.items()
         }
         shown = {method: row for method, row in rows.items() if any(row.values())}
-        path = out / "sheets" / f"{scene}_{file_stem(frame)}.png"
+        path = plain_folder(out, "sheets") / f"{scene}_{file_stem(frame)}.png"
         write_png(path, sheet(shown, f"{scene}, {frame}"))
         written.append(path)
     return written

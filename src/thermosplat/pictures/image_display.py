@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_bytes
 from thermosplat.thermal.radiometry import PixelScale
 
 Image8 = NDArray[np.uint8]
@@ -73,12 +73,7 @@ def write_png(path: Path, image: Image8) -> None:
         path: The file; its folder is made where there is none.
         image: Shape [H, W, 3].
     """
-    content = cv2.imencode(".png", image[..., ::-1])[1].tobytes()
-
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(content)
-
-    write_atomically(path, write)
+    write_bytes(path, cv2.imencode(".png", image[..., ::-1])[1].tobytes())
 
 
 def side_by_side(images: Sequence[Image8]) -> Image8:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from thermosplat.pictures.image_display import Image8, fitted, write_png
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_atomically
 
 VideoFormat = Literal["mp4", "png"]
 

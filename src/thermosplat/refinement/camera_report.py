@@ -1,7 +1,6 @@
 """What refining changed of the cameras, in numbers and as a COLMAP model that other programs read."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from thermosplat.refinement.camera_corrections import (
     RIG,
     CameraCorrections,
 )
-from thermosplat.runs.checkpoint import write_atomically
+from thermosplat.runs.atomic_writes import write_text
 from thermosplat.spectra import label
 
 
@@ -117,11 +116,7 @@ def write_cameras(capture: Capture, folder: Path) -> None:
         "points3D.txt": "# No points.\n",
     }
     for file, text in texts.items():
-        write_atomically(folder / file, partial(_write_text, text))
-
-
-def _write_text(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8")
+        write_text(folder / file, text)
 
 
 def _lens(camera: Camera) -> str:

@@ -14,10 +14,8 @@ A checkpoint is a plain dict of tensors and built-in types (``torch.load(..., we
     test_frames    the same of the held-out frames
 """
 
-import contextlib
-import os
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ import torch
 
 from thermosplat.config.files import from_dict
 from thermosplat.errors import UserError
+from thermosplat.runs.atomic_writes import write_atomically
 from thermosplat.runs.old_checkpoints import OLD_FORMAT, as_today
 
 FORMAT = 2
@@ -40,37 +39,6 @@ _REQUIRED: dict[str, tuple[str, ...]] = {
 """What a checkpoint must have, and what of it must lie in which entry."""
 _REQUIRED_OLD = _REQUIRED | {"model": ("gaussian_sets", "decoders", "thermal_channels"), "thermal_scale": ()}
 """The same of format 1."""
-
-
-class NotWrittenError(UserError):
-    """A file or folder could not be written: a full disk, no permission. What was there before is as it was."""
-
-
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file so that its name only ever holds a complete one.
-
-    Args:
-        path: Where the file goes. Its folder is created.
-        write: Writes the file to the temporary path it is given, which lies in the same folder and has the same suffix.
-
-    Raises:
-        NotWrittenError: If the folder or the file cannot be written.
-    """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary)
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())  # the data before the name, or a power cut leaves an empty file under a good name
-        os.replace(temporary, path)
-    except OSError as error:
-        raise NotWrittenError(
-            f"Could not write {path}: {error.strerror or error}.",
-            "Free some space, or choose another folder to write to.",
-        ) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:

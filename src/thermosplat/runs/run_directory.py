@@ -9,14 +9,11 @@ refined/               refined cameras, as a COLMAP model
 tb/                    TensorBoard events     training.lock     the process that trains here, as long as it does
 """
 
-import contextlib
-import csv
 import importlib.metadata
 import json
 import math
 import os
 import platform
-import re
 import shlex
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -26,31 +23,15 @@ import torch
 
 from thermosplat import __version__
 from thermosplat.errors import UserError
-from thermosplat.runs.checkpoint import NotWrittenError, load_checkpoint, write_atomically
+from thermosplat.runs.atomic_writes import plain_folder, write_text
+from thermosplat.runs.checkpoint import load_checkpoint
 from thermosplat.runs.devices import device_name
 from thermosplat.runs.run_lock import run_lock
+from thermosplat.runs.written_files import CHECKPOINT_NAME, FILES, delete_run, sweep_run
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
 
-TENSORBOARD_SUFFIX = ".thermosplat"
-"""At the end of our event files' names, by which they are told from those of other trainers."""
-
-_FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "regions.json", "environment.json")
-_CHECKPOINT_NAME = re.compile(r"step_(\d+)\.pt")
-_ON_CAPTURE = r"\d+(_.+)?"  # a step, and the name of another capture than the run's own
-_WRITTEN = {
-    "ckpts": _CHECKPOINT_NAME.pattern,
-    "stats": rf"step_\d+\.json|per_view\.csv|(eval|regions)_{_ON_CAPTURE}\.(json|csv)",
-    "renders": rf"eval_{_ON_CAPTURE}",
-    "ply": r"splat_(rgb|thermal)\.ply",
-    "videos": rf"(interp|ellipse|spiral|train|test)_(rgb|thermal|both)_{_ON_CAPTURE}",
-    "refined": r"(cameras|images|points3D)\.txt",
-    "tb": rf"events\.out\.tfevents\..*{re.escape(TENSORBOARD_SUFFIX)}",
-}
-"""Names of what a run's commands write into each folder, strips in renders/ apart: those have the frames' names. Other
-trainers have folders of the same names."""
-_TEMPORARY = re.compile(r"\..+\.\d+(\.tmp\..+|\.mp4)")
 _PACKAGES = ("torch", "warp-lang", "numpy", "kornia", "pycolmap", "opencv-contrib-python-headless")
 
 
@@ -86,7 +67,7 @@ class RunDirectory:
                     f"{run.path} already holds a run ({steps}).",
                     f"Keep it and start another: --result-dir NEW. {resume} again in its place: --overwrite.",
                 )
-            run._delete()
+            delete_run(run.path)
         run._make()
         return run
 
@@ -118,7 +99,7 @@ class RunDirectory:
 
     def holds_a_run(self) -> bool:
         """Whether a training run has written here."""
-        return any((self.path / name).is_file() for name in _FILES) or self.latest_checkpoint() is not None
+        return any((self.path / name).is_file() for name in FILES) or self.latest_checkpoint() is not None
 
     def _check_is_no_file(self) -> None:
         if self.path.exists() and not self.path.is_dir():
@@ -132,41 +113,8 @@ class RunDirectory:
                 f"Could not make the result folder {self.path}: {error.strerror}.", "Give another --result-dir."
             ) from error
 
-    def _delete(self) -> None:
-        strips = self._strips()
-        for name, written in _WRITTEN.items():
-            folder = self.path / name
-            for entry in folder.iterdir() if folder.is_dir() else ():
-                is_ours = re.fullmatch(written, entry.stem if entry.suffix == ".mp4" else entry.name)
-                if is_ours and entry.is_dir():
-                    for picture in entry.glob("*.png"):
-                        picture.unlink()
-                    _remove_if_empty(entry)
-                elif is_ours or entry in strips or _TEMPORARY.fullmatch(entry.name):
-                    entry.unlink()
-            _remove_if_empty(folder)
-        for name in _FILES:
-            (self.path / name).unlink(missing_ok=True)
-
-    def _strips(self) -> set[Path]:
-        """The strips of the held-out frames, by the table of their numbers."""
-        try:
-            with (self.path / "stats" / "per_view.csv").open(newline="", encoding="utf-8") as file:
-                frames = {row.get("frame") or "" for row in csv.DictReader(file)}
-        except (OSError, ValueError, csv.Error):
-            return set()
-        return {self.path / "renders" / f"{frame.replace('/', '_')}.png" for frame in frames}
-
     def _folder(self, name: str) -> Path:
-        folder = self.path / name
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise NotWrittenError(
-                f"Could not make the folder {folder}: {error.strerror}.",
-                "Move what is in its way, or see to it that the result folder can be written to.",
-            ) from error
-        return folder
+        return plain_folder(self.path, name)
 
     @property
     def ckpts(self) -> Path:
@@ -197,6 +145,14 @@ class RunDirectory:
     def refined(self) -> Path:
         """Folder of the refined cameras."""
         return self._folder("refined")
+
+    def pictures(self, folder: str, name: str) -> Path:
+        """A folder of pictures in "renders" or "videos"."""
+        return plain_folder(self.path, folder, name)
+
+    def sweep(self) -> None:
+        """Delete the temporary files that killed processes left; nobody else trains here meanwhile."""
+        sweep_run(self.path)
 
     @property
     def tb(self) -> Path:
@@ -238,7 +194,7 @@ class RunDirectory:
 
     def checkpoints(self) -> list[Path]:
         """All checkpoints, by their steps. Files that the user named otherwise (step_best.pt) are not among them."""
-        found = [file for file in (self.path / "ckpts").glob("step_*.pt") if _CHECKPOINT_NAME.fullmatch(file.name)]
+        found = [file for file in (self.path / "ckpts").glob("step_*.pt") if CHECKPOINT_NAME.fullmatch(file.name)]
         return sorted(found, key=checkpoint_step)
 
     def resume_command(self) -> str:
@@ -268,7 +224,7 @@ class RunDirectory:
         from thermosplat.config.files import to_yaml
 
         text = to_yaml(config)
-        write_atomically(self.config_yaml, lambda path: _write_text(path, text))
+        write_text(self.config_yaml, text)
 
     def write_environment(self, device: torch.device) -> None:
         """Write ``environment.json``: versions, device and threads, so that numbers can be traced to a machine."""
@@ -282,20 +238,15 @@ class RunDirectory:
             value: Plain types. Numbers that are not finite become null: JSON has none.
         """
         text = json.dumps(finite_or_null(value), indent=2, allow_nan=False) + "\n"
-        write_atomically(path, lambda temporary: _write_text(temporary, text))
+        write_text(path, text)
 
 
 def checkpoint_step(path: Path) -> int:
     """The step in a checkpoint's file name, ``step_000411.pt``."""
-    match = _CHECKPOINT_NAME.fullmatch(path.name)
+    match = CHECKPOINT_NAME.fullmatch(path.name)
     if match is None:
         raise ValueError(f"expected a checkpoint named step_<number>.pt, got {path.name}")
     return int(match[1])
-
-
-def _remove_if_empty(folder: Path) -> None:
-    with contextlib.suppress(OSError):  # not there, or something else is in it
-        folder.rmdir()
 
 
 def finite_or_null(value: Any) -> Any:
@@ -327,7 +278,3 @@ def environment(device: torch.device) -> dict[str, Any]:
         "cpu_cores": os.cpu_count(),
         "torch_threads": torch.get_num_threads(),
     }
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from thermosplat.errors import UserError
+from thermosplat.runs.atomic_writes import check_is_plain
 
 LOCK_FILE = "training.lock"
 
@@ -33,7 +34,8 @@ def run_lock(folder: Path) -> Iterator[None]:
         yield
     finally:
         if taken is not None:
-            path.unlink(missing_ok=True)  # before it is let go, so that nobody's else is deleted
+            if _is_still(taken, path):  # not where the folder was renamed, and another one made in its place
+                path.unlink(missing_ok=True)  # before it is let go, so that nobody's else is deleted
             os.close(taken)
 
 
@@ -42,11 +44,12 @@ def _take(path: Path) -> int | None:
     ours = (os.getpid(), socket.gethostname())
     while True:
         try:
-            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
         except OSError as error:
             raise _not_written(path, error) from error
         taken = False
         try:
+            check_is_plain(file)
             free, holder = _lock(file), _holder(file)
             if holder == ours and free is not True:
                 return None
@@ -97,7 +100,7 @@ def _has_ended(holder: tuple[int, str], free: bool | None) -> bool:
 
 def _is_still(file: int, path: Path) -> bool:
     try:
-        return os.path.samestat(os.fstat(file), os.stat(path))
+        return os.path.samestat(os.fstat(file), os.stat(path, follow_symlinks=False))
     except FileNotFoundError:
         return False
 
@@ -111,6 +114,8 @@ def _being_trained(path: Path, holder: tuple[int, str] | None) -> UserError:
 
 
 def _not_written(path: Path, error: OSError) -> UserError:
+    if path.is_symlink():
+        return UserError(f"{path} is a link, through which thermosplat does not write.", f"Delete it: rm {path}")
     return UserError(
         f"Could not write {path}: {error.strerror or error}.", "Free some space, or give another --result-dir."
     )

@@ -231,14 +231,14 @@ def test_missing_tensorboard_is_a_hint(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_full_disk_costs_lines_not_the_training(tmp_path: Path) -> None:
+def test_full_disk_costs_lines_not_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines that cannot be written are told once, those of TensorBoard too, and every step goes on being said."""
 
     class FullWriter:
         def add_scalar(self, *_: object) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    (tmp_path / "metrics.jsonl").symlink_to("/dev/full")
+    monkeypatch.setattr(run_logger, "open_to_append", lambda path: open("/dev/full", "wb"))  # noqa: SIM115
     logger, output = _logger(tmp_path)
     logger.start(0)
     logger._writer = FullWriter()

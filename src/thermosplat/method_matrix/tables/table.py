@@ -5,7 +5,7 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 
-from thermosplat.method_matrix.cell_result import write_text
+from thermosplat.runs.atomic_writes import write_text
 
 _LATEX_SPECIAL = {"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "°": r"$^\circ$", "±": r"$\pm$"}
 

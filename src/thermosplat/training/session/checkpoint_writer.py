@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from thermosplat.errors import UserError
-from thermosplat.runs.checkpoint import NotWrittenError, on_host, save_checkpoint
+from thermosplat.runs.atomic_writes import NotWrittenError
+from thermosplat.runs.checkpoint import on_host, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.session.interruption import deferred_interrupts
 

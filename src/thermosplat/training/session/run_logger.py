@@ -13,7 +13,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -22,8 +21,9 @@ from rich.live import Live
 from rich.text import Text
 from torch import Tensor
 
-from thermosplat.runs.checkpoint import write_atomically
-from thermosplat.runs.run_directory import TENSORBOARD_SUFFIX, RunDirectory, finite_or_null
+from thermosplat.runs.atomic_writes import open_to_append, write_text
+from thermosplat.runs.run_directory import RunDirectory, finite_or_null
+from thermosplat.runs.written_files import TENSORBOARD_SUFFIX
 from thermosplat.spectra import MAE, unit_label
 
 _REFRESH_SECONDS = 0.25  # of the live line
@@ -111,7 +111,7 @@ class RunLogger:
         if path.is_file():
             kept = [line for line in path.read_text(encoding="utf-8").splitlines() if _line_step(line) <= step]
             text = "".join(line + "\n" for line in kept)
-            write_atomically(path, lambda temporary: _write_text(temporary, text))
+            write_text(path, text)
         if self._tensorboard:
             try:
                 from torch.utils.tensorboard import SummaryWriter
@@ -270,8 +270,8 @@ class RunLogger:
     def _append(self, entry: dict[str, Any]) -> None:
         path = self.run.metrics_jsonl
         try:
-            with path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(finite_or_null(entry), allow_nan=False) + "\n")
+            with open_to_append(path) as file:
+                file.write((json.dumps(finite_or_null(entry), allow_nan=False) + "\n").encode())
         except OSError as error:  # a full disk: a line less, which costs no training
             if not self._lines_lost:
                 self.say(f"Could not write {path}: {error.strerror or error}. Training goes on without its line.")
@@ -316,7 +316,3 @@ def _line_step(line: str) -> float:
         return json.loads(line)["step"]
     except (ValueError, KeyError, TypeError):
         return math.inf
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
