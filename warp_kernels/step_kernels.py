@@ -4,8 +4,6 @@ Each is compiled when it is first launched, one after the other. Whoever knows t
 compiled meanwhile, on several cores.
 """
 
-from pathlib import Path
-
 import warp as wp
 
 from warp_kernels.binning.pair_notes import note_pairs_kernel
@@ -19,6 +17,7 @@ from warp_kernels.color.camera_positions import camera_position_kernels
 from warp_kernels.color.spherical_harmonics import color_adjoint_kernel, color_kernel
 from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.machinery.launching import num_threads
+from warp_kernels.machinery.loading import load_for_cpu, must_compile
 from warp_kernels.projection.projection import projection_kernel
 from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
 
@@ -76,15 +75,16 @@ def must_compile_for_cpu(kernels: list[wp.Kernel]) -> bool:
     Args:
         kernels: any.
     """
-    cache = Path(wp.config.kernel_cache_dir)
-    folders = {cache / kernel.module.get_module_identifier(block_dim=1) for kernel in kernels}
-    return not all(any(folder.glob("*.o")) for folder in folders)
+    return must_compile(kernels, wp.get_device("cpu"))
 
 
 def compile_for_cpu(kernels: list[wp.Kernel]) -> None:
-    """Compiles kernels for the CPU on all its cores, or loads them from the cache. Nothing else may compile meanwhile.
+    """Compiles kernels for the CPU on all its cores, or loads them from the cache. Nothing else is compiled meanwhile.
 
     Args:
         kernels: any.
+
+    Raises:
+        KernelCacheError: if Warp's cache cannot be read or written.
     """
-    wp.force_load("cpu", [kernel.module for kernel in kernels], block_dim=1, max_workers=num_threads())
+    load_for_cpu(kernels, num_threads())

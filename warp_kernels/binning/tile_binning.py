@@ -10,8 +10,6 @@ Which tiles an ellipse touches is exact (tile_overlap). On CUDA the same is aske
 pair carries, above the bits it is sorted by, which eighths of its tile the ellipse touches.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.binning.tile_overlap import overlap_functions
@@ -24,6 +22,7 @@ from warp_kernels.machinery.lanes import (
     warp_shuffle,
     warp_sum,
 )
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH
 
 MASK_COLUMNS, MASK_ROWS = 2, 4
@@ -36,7 +35,7 @@ Totals = wp.types.vector(2, wp.int64)
 """Pairs, and Gaussians with any."""
 
 
-@functools.cache
+@made_once
 def binning_kernels(dtype: type, lanes: int):
     """The kernels of this stage.
 

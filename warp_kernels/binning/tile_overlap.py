@@ -5,12 +5,11 @@ dy, the ellipse spans dx = -k dy ± sqrt(2τ (1 - (dy / ey)²)) / u with the con
 and half-height ey, so that nothing cancels for needles.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.constants import ALPHA_MIN
 from warp_kernels.machinery.lanes import on_cuda
+from warp_kernels.machinery.loading import made_once
 
 # The bounds are widened a little, because the blend evaluates alpha in its own rounding: relative on the exponent and
 # on the share of the height at which a span is taken, and in pixels on the span. Pairs admitted in excess cost time,
@@ -27,7 +26,7 @@ SQUARE_ROOT_F32 = (
 SQUARE_ROOT_F64 = "return ::sqrt(x);"
 
 
-@functools.cache
+@made_once
 def overlap_functions(dtype: type):
     """Rows and columns of pixels and tiles a Gaussian touches.
 

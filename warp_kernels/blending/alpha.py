@@ -1,6 +1,5 @@
 """Alpha of a projected Gaussian at a pixel, and the rows in which it is drawn; see blending for the formulas."""
 
-import functools
 import math
 
 import warp as wp
@@ -8,13 +7,14 @@ import warp as wp
 from warp_kernels.blending.blend_layout import BlendLayout
 from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN
 from warp_kernels.machinery.lanes import lane_functions
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.packed_roots import packed_root_functions
 
 UNIT = math.sqrt(2.0 * math.log(2.0))
 """Standard deviations in which offsets are measured while blending: exp(-σ) is then 2^-|z|², one instruction."""
 
 
-@functools.cache
+@made_once
 def alpha_functions(dtype: type, layout: BlendLayout):
     """The response of a Gaussian at a pixel; the forward pass and the adjoint share it.
 

@@ -11,8 +11,6 @@ A pixel that has finished carries the sign bit in its transmittance.
 Long lists are cut into segments that are blended side by side; see list_segments.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.blending.alpha import alpha_functions
@@ -21,12 +19,13 @@ from warp_kernels.blending.list_segments import list_of_block
 from warp_kernels.blending.survivors import HEADER, queue_functions, record_functions, stages_features
 from warp_kernels.constants import TRANSMITTANCE_MIN
 from warp_kernels.machinery.lanes import lane_functions, warp_any
+from warp_kernels.machinery.loading import made_once
 
 BATCH = 32
 """Gaussians walked between two checks for unfinished pixels."""
 
 
-@functools.cache
+@made_once
 def blend_kernel(
     channels: int,
     thermal_channels: int,

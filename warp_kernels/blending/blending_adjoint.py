@@ -9,8 +9,6 @@ Each warp sums a Gaussian's gradient over its pixels into one record; see gradie
 summed as moments of z, the offset in the Gaussian's standard deviations, in which nothing cancels.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.blending.alpha import alpha_functions
@@ -22,12 +20,13 @@ from warp_kernels.blending.survivors import HEADER, queue_functions, record_func
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.machinery.lane_sums import accumulate_snippet, column_sums_snippet
 from warp_kernels.machinery.lanes import lane_functions, warp_any, warp_max
+from warp_kernels.machinery.loading import made_once
 
 FEW_CHANNELS = 16
 """Channels up to which a thread of one pixel does with 64 registers."""
 
 
-@functools.cache
+@made_once
 def blend_adjoint_kernel(
     channels: int,
     thermal_channels: int,

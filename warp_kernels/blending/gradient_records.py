@@ -8,12 +8,11 @@ be, where their gradient lies and not in the record; or records are stored one a
 summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.blending.alpha import UNIT
 from warp_kernels.machinery.coalesced_stores import store_functions
+from warp_kernels.machinery.loading import made_once
 
 FEW = 4
 """So many features stay in the record: added to in two places, RGB is 3% slower and takes 7% less memory."""
@@ -97,7 +96,7 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
     return feature_offset(thermal_channels) + channels + (2 if absgrad else 0)
 
 
-@functools.cache
+@made_once
 def distribute_kernel(
     channels: int,
     thermal_channels: int,

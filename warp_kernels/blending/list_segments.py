@@ -10,11 +10,10 @@ The first blocks of threads have a tile each: all of its list, or the first segm
 and walk from there to the next where it lies within a long list.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.blending.blend_layout import BlendLayout
+from warp_kernels.machinery.loading import made_once
 
 LONG_LIST = 3
 """Segments' worth of pairs that one block walks without a cut."""
@@ -74,7 +73,7 @@ def list_of_block(block: int, tile_offsets: wp.array(dtype=wp.int32), segment: i
     return tile, begin, end, cut
 
 
-@functools.cache
+@made_once
 def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
     """Joins the segments of cut lists, one thread a number of a pixel: the states, and the whole render.
 

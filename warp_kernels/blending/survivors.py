@@ -8,7 +8,6 @@ are known beforehand, so that the latency of one Gaussian's numbers hides behind
 CUDA only; on the CPU a lane, which has all of the tile, reads what it needs from the arrays.
 """
 
-import functools
 from typing import Any
 
 import warp as wp
@@ -17,6 +16,7 @@ from warp_kernels.binning.tile_binning import MASK_COLUMNS, MASK_ROWS
 from warp_kernels.blending.alpha import alpha_functions
 from warp_kernels.blending.blend_layout import BlendLayout
 from warp_kernels.machinery.lanes import LANES_CUDA, on_cuda, warp_sync
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import list_functions
 from warp_kernels.projection.packed_roots import packed_root_functions
 
@@ -55,7 +55,7 @@ def _stride(length: int, dtype: type) -> int:
     return (words | 1) * 16 // _size(dtype)
 
 
-@functools.cache
+@made_once
 def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any, Any, Any]:
     """From the masks of a list to the places of the pairs that reach a warp's block, in the list's order or against it.
 
@@ -137,7 +137,7 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any
     return queue_of_warp, block_parts, mask_of, refill, take
 
 
-@functools.cache
+@made_once
 def record_functions(
     channels: int, first_channels: int, staged: bool, dual: bool, dtype: type, layout: BlendLayout
 ) -> tuple[Any, Any, Any, Any, Any]:

@@ -1,13 +1,12 @@
 """Where cameras are, which colours depend on through the directions of view, and the adjoint of that."""
 
-import functools
-
 import warp as wp
 
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.strand_sums import STRANDS
 
 
-@functools.cache
+@made_once
 def camera_position_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """Where the cameras are, and the adjoint of that; one thread an image.
 

@@ -10,11 +10,10 @@ On CUDA all lanes of a warp must call the adjoint together: see ``lanes.whole_wa
 a thread has its own row's numbers in a few wide reads, and waits for nobody.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.lanes import scalar_name
+from warp_kernels.machinery.loading import made_once
 
 BLOCK = 256
 """Threads a block on CUDA; Warp's default."""
@@ -182,7 +181,7 @@ SUM = """
 """
 
 
-@functools.cache
+@made_once
 def row_sum_function(dtype: type):
     """A row's sum.
 
@@ -201,7 +200,7 @@ def row_sum_function(dtype: type):
     return row_sum
 
 
-@functools.cache
+@made_once
 def row_adjoint_function(dtype: type):
     """The adjoint of Σ b[k] rows[row, k - lowest] over lowest <= k < active.
 

@@ -4,13 +4,12 @@ The basis is 3DGS's (Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013
 max(Σ_k basis_k(d) · coefficient_k + 0.5, 0) for the unit direction d from the camera to the mean.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.color.coefficient_rows import row_adjoint_function, row_sum_function
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lanes import LANES_CUDA, warp_sync
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH, MANY, WARPS, list_functions
 
 # Normalisation constants of the real basis functions.
@@ -20,7 +19,7 @@ C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
 
 
-@functools.cache
+@made_once
 def basis_functions(dtype: type):
     """Basis values and their gradient with respect to the unit direction.
 
@@ -99,7 +98,7 @@ def basis_functions(dtype: type):
     return basis, basis_adjoint
 
 
-@functools.cache
+@made_once
 def direction_function(dtype: type):
     """Unit direction from the camera to a mean, as a Warp function.
 
@@ -130,7 +129,7 @@ def direction_function(dtype: type):
     return direction
 
 
-@functools.cache
+@made_once
 def color_kernel(dtype: type, many: bool) -> wp.Kernel:
     """Forward kernel: colour of each (image, Gaussian) pair, not written where the Gaussian is culled.
 
@@ -211,7 +210,7 @@ def color_kernel(dtype: type, many: bool) -> wp.Kernel:
     return sh_colors_kernel
 
 
-@functools.cache
+@made_once
 def color_adjoint_kernel(dtype: type) -> wp.Kernel:
     """Adjoint kernel: one thread a Gaussian of a scene walks its cameras, so that nothing is atomic.
 

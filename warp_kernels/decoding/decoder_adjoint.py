@@ -10,8 +10,6 @@ block 99 KB of shared memory, which holds the factors of half as many pixels: th
 Each computes half the channels of every layer and reads both halves from shared memory, where they are needed anyway.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.decoding.decoder_memory import (
@@ -46,9 +44,10 @@ from warp_kernels.decoding.matrix_fragments import (
     linear_adjoint,
     row_bytes,
 )
+from warp_kernels.machinery.loading import made_once
 
 
-@functools.cache
+@made_once
 def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
     """The adjoint kernel of a branch.
 

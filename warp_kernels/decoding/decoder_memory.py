@@ -3,13 +3,13 @@
 Bodies on CUDA only, as in matrix_fragments.py, which says how a warp holds a matrix of 16 pixels.
 """
 
-import functools
 from typing import NamedTuple
 
 import warp as wp
 
 from warp_kernels.decoding.matrix_fragments import PACK, PADDING, PIXELS, SIGMOID, Address, fragments, row_bytes
 from warp_kernels.machinery.lanes import on_cuda
+from warp_kernels.machinery.loading import made_once
 
 WARPS = 8
 """Warps of a block; the parts of a weight's gradient are dealt to two by four of them."""
@@ -56,7 +56,7 @@ class Layout(NamedTuple):
     size: int
 
 
-@functools.cache
+@made_once
 def layout_of(hidden: int, modulated: bool, team: int = 1) -> Layout:
     """Shared memory of a block.
 
@@ -76,7 +76,7 @@ def layout_of(hidden: int, modulated: bool, team: int = 1) -> Layout:
     return Layout(*starts[:15], (starts[15], starts[16]), starts[10], starts[17])
 
 
-@functools.cache
+@made_once
 def shared_address(size: int) -> tuple[int, wp.Function]:
     """A block's shared memory.
 
@@ -110,7 +110,7 @@ def sync():
     """All warps of the block have come here, and what they wrote to shared memory is seen."""
 
 
-@functools.cache
+@made_once
 def team_sync(size: int) -> wp.Function:
     """As ``sync``, among the warps of a team.
 
@@ -242,7 +242,7 @@ def write_features(v: _sums, v_features: MATRIX, unscaled: wp.float32, pixel: in
     """A warp's pixels to a matrix [pixels, channels], scaled back."""
 
 
-@functools.cache
+@made_once
 def stored(down: int, across: int) -> wp.Function:
     """Stores a part of a weight's gradient, of it what is not padding.
 

@@ -8,8 +8,6 @@ Operands are float16, with TensorFloat-32's 10 bits of mantissa; sums are float3
 decoder_adjoint.py for the way back.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.decoding.decoder_memory import (
@@ -29,6 +27,7 @@ from warp_kernels.decoding.decoder_memory import (
     write_image,
 )
 from warp_kernels.decoding.matrix_fragments import PIXELS, Address, fragments, linear, row_bytes
+from warp_kernels.machinery.loading import made_once
 
 HIDDEN = (32, 64)
 """Channels of hidden layers that there are kernels for."""
@@ -39,7 +38,7 @@ def label_of(hidden: int, modulated: bool) -> str:
     return f"decode_{hidden}{'_modulated' if modulated else ''}"
 
 
-@functools.cache
+@made_once
 def parameter_loader(hidden: int, modulated: bool) -> wp.Function:
     """What brings a block's weights and biases to shared memory.
 
@@ -76,7 +75,7 @@ def parameter_loader(hidden: int, modulated: bool) -> wp.Function:
     return load_parameters
 
 
-@functools.cache
+@made_once
 def decode_kernel(hidden: int, modulated: bool) -> wp.Kernel:
     """The forward kernel of a branch.
 

@@ -11,12 +11,12 @@ Numbers beyond float16 become the largest there is and not infinite, which times
 The functions have bodies on CUDA (sm_80 and later) only.
 """
 
-import functools
 from typing import Any, NamedTuple
 
 import warp as wp
 
 from warp_kernels.machinery.lanes import on_cuda
+from warp_kernels.machinery.loading import made_once
 
 PIXELS = 16
 """Rows of a warp's matrix."""
@@ -95,7 +95,7 @@ class Fragments(NamedTuple):
     """Reads one from there: (address of its first number, lane) -> packed."""
 
 
-@functools.cache
+@made_once
 def fragments(columns: int, among: int | None = None) -> Fragments:
     """Functions that work on each number.
 
@@ -200,7 +200,7 @@ def _products(operand: str, steps: int, tiles: int, load: str, step_bytes: int, 
             }}"""
 
 
-@functools.cache
+@made_once
 def linear(columns: int, outputs: int) -> tuple[wp.Function, wp.Function]:
     """x Wᵀ + b, of W [outputs, columns] in shared memory.
 
@@ -241,7 +241,7 @@ def linear(columns: int, outputs: int) -> tuple[wp.Function, wp.Function]:
     return linear, linear_added
 
 
-@functools.cache
+@made_once
 def linear_adjoint(columns: int, outputs: int, among: int | None = None) -> wp.Function:
     """v W added to sums, of W [outputs, columns] in shared memory.
 
@@ -268,7 +268,7 @@ def linear_adjoint(columns: int, outputs: int, among: int | None = None) -> wp.F
     return linear_adjoint
 
 
-@functools.cache
+@made_once
 def add_outer(rows: int, columns: int, outputs: int, inputs: int, matrices: int) -> wp.Function:
     """A part of vᵀ x added to sums, over the rows of several matrices: the gradient of a linear layer's weight.
 
@@ -316,7 +316,7 @@ def add_outer(rows: int, columns: int, outputs: int, inputs: int, matrices: int)
     return add_outer
 
 
-@functools.cache
+@made_once
 def add_columns(outputs: int, matrices: int) -> wp.Function:
     """Sums of 16 columns of v over the rows of several matrices added to sums: the gradient of a linear layer's bias.
 

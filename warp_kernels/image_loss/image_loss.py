@@ -9,8 +9,6 @@ error of the clamped image, and where it is wanted |∂x| + |∂y|. Borders are 
 adjoint is in image_loss_adjoint.py.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.image_loss.image_tiles import (
@@ -25,6 +23,7 @@ from warp_kernels.image_loss.image_tiles import (
     tile_height,
 )
 from warp_kernels.machinery.lanes import scalar_name
+from warp_kernels.machinery.loading import made_once
 
 TERMS = 4
 """Pairs of images that share the pass."""
@@ -33,7 +32,7 @@ OPTIONS = {"enable_backward": False, "module": "unique", "grid_stride": False, "
 """Of kernels with a block of threads a tile."""
 
 
-@functools.cache
+@made_once
 def plane_functions(dtype: type):
     """Access to the channels of all pairs, as they are numbered through.
 
@@ -167,7 +166,7 @@ def scalar_source(source: str, dtype: type, **numbers: float) -> str:
     return source.replace("S_", "float" if dtype is wp.float32 else "double")
 
 
-@functools.cache
+@made_once
 def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon: float):
     """The kernels of one window.
 

@@ -3,8 +3,6 @@
 Both blurs are symmetric but for the borders, at which a derivative also counts for what its reflection met.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.image_loss.image_loss import OPTIONS, plane_functions, scalar_source
@@ -20,6 +18,7 @@ from warp_kernels.image_loss.image_tiles import (
     mirrored,
     tile_height,
 )
+from warp_kernels.machinery.loading import made_once
 
 LOAD = """
         const bool inside = gy >= 0 && gy < height && gx >= 0 && gx < width;
@@ -51,7 +50,7 @@ FINISH = """
 """
 
 
-@functools.cache
+@made_once
 def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
     """The kernel of one window, a block of threads a tile of a channel.
 

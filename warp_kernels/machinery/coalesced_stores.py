@@ -6,11 +6,10 @@ or not, that is most of the time. Here a vec2 or vec4 is one store, and a warp's
 lanes write neighbouring numbers. float64, unaligned and scattered vectors are stored number by number.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.lanes import scalar_name
+from warp_kernels.machinery.loading import made_once
 
 STORE_PAIR = """
 #if defined(__CUDA_ARCH__)
@@ -64,7 +63,7 @@ def store_pair(target: wp.array(dtype=wp.vec2i), index: int, value: wp.vec2i):
     """Stores a vector of two integers."""
 
 
-@functools.cache
+@made_once
 def store_functions(dtype: type):
     """Stores of vectors of 2, 3 and 4 numbers.
 

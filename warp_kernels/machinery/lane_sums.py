@@ -6,9 +6,10 @@ from collections.abc import Sequence
 import warp as wp
 
 from warp_kernels.machinery.lanes import on_cuda, scalar_name
+from warp_kernels.machinery.loading import made_once
 
 
-@functools.cache
+@made_once
 def total_function(dtype: type):
     """A sum over all lanes of a warp, which all call it together; always in the same order.
 

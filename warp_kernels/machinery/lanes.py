@@ -4,10 +4,11 @@ A kernel that touches another lane's data only through these helpers runs with 3
 the CPU from the same source.
 """
 
-import functools
 import re
 
 import warp as wp
+
+from warp_kernels.machinery.loading import made_once
 
 LANES_CUDA = 32
 
@@ -103,7 +104,7 @@ def warp_sum(x: wp.uint32) -> wp.uint32: ...
 def warp_scan(x: int) -> int: ...
 
 
-@functools.cache
+@made_once
 def shuffle_function(dtype: type):
     """What lanes read each other's numbers by; all of a warp together.
 
@@ -207,7 +208,7 @@ RECIPROCAL_F32 = """
 RECIPROCAL_F64 = "return 1.0 / x;"
 
 
-@functools.cache
+@made_once
 def lane_functions(dtype: type):
     """Helpers that depend on the scalar type.
 

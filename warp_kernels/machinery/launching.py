@@ -12,6 +12,7 @@ from typing import Any
 import warp as wp
 
 from warp_kernels.machinery.array_views import RecordedLaunch
+from warp_kernels.machinery.loading import first_use
 
 CHUNKS_PER_THREAD = 6
 """Pieces a thread's share is cut into, so that threads finish together although tiles differ in work."""
@@ -75,7 +76,8 @@ def launch_again(
     key = (kernel, device.alias, block)
     recorded = _recorded.by_kernel.get(key)
     if recorded is None:
-        recorded = _recorded.by_kernel[key] = RecordedLaunch(kernel, dim, inputs, device, block or 256)
+        with first_use(kernel, device, block or 256):
+            recorded = _recorded.by_kernel[key] = RecordedLaunch(kernel, dim, inputs, device, block or 256)
     recorded.launch(dim, inputs)
 
 
@@ -115,8 +117,6 @@ def _launch_range(
         dim = end - first if block is None else (end - first, block)
         launch_again(kernel, dim, [first, *inputs], device, block)
 
-    # Loading is not safe from several threads; launching is.
-    kernel.module.load(device, 1)
     chunks = min(count // min_chunk, _num_threads * CHUNKS_PER_THREAD)
     bounds = [count * k // chunks for k in range(chunks + 1)]
     # Consume the iterator: an exception in a thread is raised here.

@@ -1,17 +1,16 @@
 """Sums of many records per image in float64: strands first, then their total; the same on every run."""
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.array_views import empty
 from warp_kernels.machinery.launching import launch_again
+from warp_kernels.machinery.loading import made_once
 
 STRANDS = 256
 """Partial sums per image."""
 
 
-@functools.cache
+@made_once
 def strand_sum_kernel(dtype: type, length: int) -> wp.Kernel:
     """Partial sums of every STRANDS-th record of an image, one thread an (image, strand) pair.
 

@@ -4,12 +4,12 @@ What few of many threads have to do keeps whole warps busy otherwise: lanes that
 warp first lists what is to be done, and then each lane takes an item.
 """
 
-import functools
 from typing import Any
 
 import warp as wp
 
 from warp_kernels.machinery.lanes import LANES_CUDA, count_bits, on_cuda, warp_ballot
+from warp_kernels.machinery.loading import made_once
 
 WARPS = 8
 """Of a block of Warp's default size."""
@@ -29,7 +29,7 @@ def threads_of_many(count: int) -> int:
     return -(-count // MANY) * LANES_CUDA
 
 
-@functools.cache
+@made_once
 def list_functions(warps: int, capacity: int) -> tuple[Any, Any, Any]:
     """A list for each warp of a block of threads.
 

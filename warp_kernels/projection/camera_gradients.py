@@ -1,16 +1,15 @@
 """Gradients to view matrices and intrinsics: the record the projection's adjoint writes, and what its sums mean."""
 
-import functools
-
 import warp as wp
 
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.strand_sums import STRANDS
 
 CAMERA_RECORD = 16
 """Numbers per record of camera gradients: rotation 9 (row-major), translation 3, fx, fy, cx, cy."""
 
 
-@functools.cache
+@made_once
 def camera_finish_kernel(dtype: type) -> wp.Kernel:
     """Adds the strands of each image and hands the result to the gradients, one thread an image.
 

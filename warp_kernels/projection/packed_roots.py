@@ -6,11 +6,10 @@ pair, a quarter more than it has. So both are whole numbers of ``STEP`` in the b
 remainders are 16 bytes that are read at once. float64 needs no remainders.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.lanes import scalar_name
+from warp_kernels.machinery.loading import made_once
 
 STEP = 2.0**-25
 """[px]: 1/60 of the rounding at 40 px."""
@@ -32,7 +31,7 @@ LOAD_ROW = """
 """
 
 
-@functools.cache
+@made_once
 def packed_root_functions(dtype: type):
     """Warp functions for one type.
 

@@ -12,7 +12,6 @@ U nothing is. z = U d is the offset d in units of the Gaussian's own standard de
 Images are numbered i = scene · cameras + camera; per-image arrays of Gaussians are flat, index i · N + n.
 """
 
-import functools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,13 +19,14 @@ import warp as wp
 
 from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN, FOV_MARGIN
 from warp_kernels.machinery.coalesced_stores import store_functions, store_pair
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.packed_roots import packed_root_functions
 from warp_kernels.projection.rotation import rotation_functions
 
 CameraModel = Literal["pinhole", "ortho"]
 
 
-@functools.cache
+@made_once
 def projection_functions(dtype: type, camera_model: CameraModel):
     """Straight-line pieces that the forward kernel and its adjoint share.
 
@@ -95,7 +95,7 @@ def projection_functions(dtype: type, camera_model: CameraModel):
     return camera_position, camera_axes, jacobian, project_mean, fov_limits
 
 
-@functools.cache
+@made_once
 def covariance_functions(dtype: type):
     """2D covariance, its determinants and the gradient of the determinant, without cancellation.
 
@@ -129,7 +129,7 @@ def covariance_functions(dtype: type):
     return from_rows, symmetric, from_covariance
 
 
-@functools.cache
+@made_once
 def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool) -> wp.Kernel:
     """The forward kernel, one thread an (image, Gaussian) pair.
 

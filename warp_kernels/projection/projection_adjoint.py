@@ -12,19 +12,18 @@ V_A = W A with W symmetric, so that the gradient to a turn of the Gaussian about
 V_b = V_A diag(s), is (sy - sz) times a sum of V_Ay bz + V_Az by: of a sphere exactly zero.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lanes import LANES_CUDA
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH
 from warp_kernels.projection.camera_gradients import CAMERA_RECORD
 from warp_kernels.projection.projection import CameraModel, covariance_functions, projection_functions
 from warp_kernels.projection.rotation import rotation_functions
 
 
-@functools.cache
+@made_once
 def projection_adjoint_kernel(
     dtype: type, camera_model: CameraModel, from_covars: bool, to_cameras: bool, antialiased: bool, many: bool = False
 ) -> wp.Kernel:

@@ -1,11 +1,11 @@
 """Quaternions (w, x, y, z) of any length and the rotations they stand for."""
 
-import functools
-
 import warp as wp
 
+from warp_kernels.machinery.loading import made_once
 
-@functools.cache
+
+@made_once
 def rotation_functions(dtype: type):
     """Quaternion functions for one scalar type.
 

@@ -5,16 +5,15 @@ logit, or a logit of α_t's own. A thread a Gaussian reads all that it stores an
 the adjoint needs nothing but what was written.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch
+from warp_kernels.machinery.loading import made_once
 
 
-@functools.cache
+@made_once
 def opacity_functions(dtype: type):
     """Opacities from what is stored.
 
@@ -44,7 +43,7 @@ def opacity_functions(dtype: type):
     return sigmoid, sigmoid_adjoint, thermal_opacity
 
 
-@functools.cache
+@made_once
 def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread a Gaussian.
 

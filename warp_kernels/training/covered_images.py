@@ -1,13 +1,12 @@
 """Decoded images as far as Gaussians cover them: base + α · decoded, and its adjoint, one pass over the pixels each."""
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.launching import launch
+from warp_kernels.machinery.loading import made_once
 
 
-@functools.cache
+@made_once
 def covering_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread a pixel.
 

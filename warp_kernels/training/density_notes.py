@@ -1,13 +1,12 @@
 """What density control notes of a step: how far each visible Gaussian's mean wants to move in the image."""
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.launching import launch
+from warp_kernels.machinery.loading import made_once
 
 
-@functools.cache
+@made_once
 def density_kernel(dtype: type) -> wp.Kernel:
     """One thread a Gaussian, which walks its cameras.
 

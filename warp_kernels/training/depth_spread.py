@@ -4,19 +4,18 @@ Before blending, log z and its square join each Gaussian's features; after it th
 become the pixel's spread.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.lane_sums import total_function
 from warp_kernels.machinery.lanes import lanes_of, whole_warps
 from warp_kernels.machinery.launching import launch
+from warp_kernels.machinery.loading import made_once
 
 NEAREST = 0.01
 """Near plane of the renderer [world units]: what is nearer is not drawn, and counts as lying there."""
 
 
-@functools.cache
+@made_once
 def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Features and log-depth of Gaussians.
 
@@ -75,7 +74,7 @@ def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     return join_kernel, join_adjoint_kernel
 
 
-@functools.cache
+@made_once
 def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Features and spreads of pixels.
 

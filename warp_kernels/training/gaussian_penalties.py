@@ -3,18 +3,17 @@
 In place of torch's exponential, two sigmoids, means and their adjoints, each a kernel over all Gaussians.
 """
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lane_sums import total_function
 from warp_kernels.machinery.lanes import lanes_of, whole_warps
 from warp_kernels.machinery.launching import launch
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.training.activations import opacity_functions
 
 
-@functools.cache
+@made_once
 def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread a Gaussian.
 

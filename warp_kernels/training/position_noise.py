@@ -1,17 +1,16 @@
 """Noise on Gaussians' means: 3DGS-MCMC's step beside the optimizer's, in one pass over the Gaussians."""
 
-import functools
-
 import warp as wp
 
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch
+from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.rotation import rotation_functions
 from warp_kernels.training.activations import opacity_functions
 
 
-@functools.cache
+@made_once
 def noise_kernel(dtype: type) -> wp.Kernel:
     """One thread a Gaussian, launched over ``whole_warps``.
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from thermosplat.errors import UserError
+from thermosplat.torch_bridge import kernel_cache
+from warp_kernels.machinery.loading import KernelCacheError
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
@@ -35,12 +36,7 @@ def start_warp() -> None:
     with tempfile.TemporaryFile() as printed:
         try:
             os.dup2(printed.fileno(), 2)
-            wp.init()
-        except OSError as error:
-            raise UserError(
-                f"Warp cannot make its folder for compiled kernels: {error.strerror} ({error.filename}).",
-                "Name one that can be written to: WARP_CACHE_PATH=FOLDER before the command.",
-            ) from error
+            kernel_cache.start_warp()
         finally:
             os.dup2(saved, 2)
             os.close(saved)
@@ -85,4 +81,7 @@ def _start(config: "TrainConfig") -> None:
     kernels = cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased)
     if must_compile_for_cpu(kernels):
         print("Compiling kernels, once per machine (half a minute on two cores) ...", flush=True)
-    compile_for_cpu(kernels)
+    try:
+        compile_for_cpu(kernels)
+    except KernelCacheError as error:
+        raise kernel_cache.cache_error(error) from error

@@ -12,7 +12,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from thermosplat.torch_bridge.kernel_cache import start_warp
 from warp_kernels.machinery.array_views import ArrayView
+from warp_kernels.machinery.loading import made_once
 
 Backward = TypeVar("Backward", bound=Callable[..., Any])
 
@@ -23,10 +25,10 @@ SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
 """Torch dtypes the kernels run in, and Warp's names for them."""
 
 
-@functools.cache
+@made_once
 def warp_device_of(device: torch.device) -> wp.Device:
     """Warp's device of torch's."""
-    wp.init()
+    start_warp()
     return wp.device_from_torch(device)
 
 
@@ -42,7 +44,7 @@ class Kinds(NamedTuple):
     mat44: Any
 
 
-@functools.cache
+@made_once
 def kinds_of(dtype: torch.dtype) -> Kinds:
     """The types for ``torch.float32`` or ``torch.float64``."""
     scalar = SCALARS[dtype]
@@ -50,7 +52,7 @@ def kinds_of(dtype: torch.dtype) -> Kinds:
     return Kinds(scalar, *vectors, *(wp.types.matrix((k, k), scalar) for k in (3, 4)))
 
 
-@functools.cache
+@made_once
 def vector_of(length: int, dtype: torch.dtype) -> Any:
     """The type of a vector of so many numbers of a torch dtype."""
     return wp.types.vector(length, SCALARS[dtype])

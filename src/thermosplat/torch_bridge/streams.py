@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import torch
 import warp as wp
 
+from thermosplat.torch_bridge.kernel_cache import cache_error, start_warp
 from warp_kernels.machinery.array_views import ArrayView, memory
+from warp_kernels.machinery.loading import KernelCacheError, made_once
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -111,8 +113,10 @@ class launches_on_torch_stream:
         self._outer, memory.source = memory.source, self._place.memory
         return self._place.device
 
-    def __exit__(self, *exception: Any) -> None:
+    def __exit__(self, kind: Any, error: BaseException | None, traceback: Any) -> None:
         memory.source = self._outer
+        if isinstance(error, KernelCacheError):
+            raise cache_error(error) from error
 
 
 class on_torch_stream(launches_on_torch_stream):
@@ -137,23 +141,23 @@ class on_torch_stream(launches_on_torch_stream):
                 scope.__enter__()
         return super().__enter__()
 
-    def __exit__(self, *exception: Any) -> None:
-        super().__exit__(*exception)
+    def __exit__(self, kind: Any, error: BaseException | None, traceback: Any) -> None:
         for scope in reversed(self._scopes):
-            scope.__exit__(*exception)
+            scope.__exit__(kind, error, traceback)
         _entered.place = self._outer_place
+        super().__exit__(kind, error, traceback)
 
 
-@functools.cache
+@made_once
 def _cpu_place(device: torch.device) -> _Place:
-    wp.init()
+    start_warp()
     return _Place(wp.device_from_torch(device), TorchMemory(device, None), None)
 
 
-@functools.cache
+@made_once
 def _cuda_place(index: int, cuda_stream: int) -> _Place:
     """Made once for each of torch's streams, which are never destroyed: Warp keeps buffers for a stream it knows."""
-    wp.init()
+    start_warp()
     torch_device, device = torch.device("cuda", index), wp.get_device(f"cuda:{index}")
     stream = wp.Stream(device, cuda_stream=cuda_stream)
     return _Place(device, TorchMemory(torch_device, stream), TorchAllocator(torch_device))

@@ -1,0 +1,168 @@
+"""Kernels are made and loaded once, whoever asks; what takes long is told, and what cannot be read too."""
+
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from warp_kernels.machinery import loading
+from warp_kernels.machinery.launching import launch
+from warp_kernels.machinery.loading import KernelCacheError, first_use, made_once, must_compile
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def double_kernel(first: int, values: wp.array(dtype=wp.float32)):
+    """Doubles each value."""
+    i = wp.tid() + first
+    values[i] = values[i] * 2.0
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def triple_kernel(first: int, values: wp.array(dtype=wp.float32)):
+    """Multiplies each value by three."""
+    i = wp.tid() + first
+    values[i] = values[i] * 3.0
+
+
+def in_threads(count: int, run: object) -> None:
+    """Calls a function from several threads at once."""
+    together = threading.Barrier(count)
+
+    def call() -> None:
+        together.wait()
+        run()
+
+    threads = [threading.Thread(target=call) for _ in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
+def test_threads_make_a_thing_once() -> None:
+    """All get the same object, also those that ask while it is made; other arguments make another."""
+    made = []
+
+    @made_once
+    def thing(number: int) -> object:
+        time.sleep(0.01)
+        made.append(number)
+        return object()
+
+    found = []
+    in_threads(8, lambda: found.append(thing(3)))
+    assert made == [3]
+    assert len(found) == 8
+    assert len(set(map(id, found))) == 1
+    assert thing(4) is not found[0]
+
+
+def test_a_module_is_loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the first of several threads, whose copy of the code stays the one."""
+    device = wp.get_device("cpu")
+    loads = []
+    original = type(double_kernel.module).load
+
+    def load(module: object, *arguments: object, **named: object) -> object:
+        before = dict(module.execs)
+        found = original(module, *arguments, **named)
+        if dict(module.execs) != before:
+            loads.append(found)
+        return found
+
+    monkeypatch.setattr(type(double_kernel.module), "load", load)
+    arrays = [wp.ones(4, dtype=wp.float32, device="cpu") for _ in range(8)]
+    free = list(arrays)
+    in_threads(8, lambda: launch(double_kernel, 4, [free.pop()], device))
+    assert len(loads) == 1
+    assert all((array.numpy() == 2).all() for array in arrays)
+
+
+def test_loaded_kernels_take_no_lock() -> None:
+    """A thread that compiles does not stop others that launch, for the first time too, what is loaded."""
+    device = wp.get_device("cpu")
+    array = wp.ones(4, dtype=wp.float32, device="cpu")
+    launch(triple_kernel, 4, [array], device)
+    with loading.one_at_a_time:
+        other = threading.Thread(target=launch, args=(triple_kernel, 4, [array], device))
+        other.start()
+        other.join(timeout=20)
+        assert not other.is_alive()
+    assert (array.numpy() == 9).all()
+
+
+@pytest.mark.parametrize(("compiled", "takes", "told"), [(False, 0.2, 1), (False, 0.0, 0), (True, 0.2, 0)])
+def test_slow_compiling_is_told(
+    compiled: bool, takes: float, told: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Once, and neither where it is quick nor where a kernel is only loaded."""
+    monkeypatch.setattr(loading, "SLOW", 0.05)
+    monkeypatch.setattr(loading, "_quiet_until", 0.0)
+    monkeypatch.setattr(loading, "_loaded", set())
+    monkeypatch.setattr(loading, "_is_compiled", lambda *_: compiled)
+    for kernel in (double_kernel, triple_kernel):
+        with first_use(kernel, wp.get_device("cpu"), 256):
+            time.sleep(takes)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == told
+    assert all(line.startswith("Compiling kernels") and "double_kernel" in line for line in lines)
+
+
+def test_a_cache_that_lacks_a_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its folder may be there, without a compiled file in it."""
+    device = wp.get_device("cpu")
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    assert must_compile([double_kernel], device)
+    folder = tmp_path / double_kernel.module.get_module_identifier(block_dim=1)
+    folder.mkdir()
+    assert must_compile([double_kernel], device)
+    (folder / "module.o").touch()
+    assert not must_compile([double_kernel], device)
+
+
+def test_files_that_cannot_be_read_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Warp itself says of a compiled file only that loading failed."""
+    device = wp.get_device("cpu")
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr(loading, "_loaded", set())
+    file = tmp_path / double_kernel.module.get_module_identifier(block_dim=1) / "module.o"
+    file.parent.mkdir()
+    file.touch()
+    with pytest.raises(ZeroDivisionError), first_use(double_kernel, device, 256):
+        raise ZeroDivisionError
+    monkeypatch.setattr(loading.os, "access", lambda path, mode: path != file)
+    with pytest.raises(KernelCacheError, match=r"Permission denied .*module\.o"), first_use(double_kernel, device, 256):
+        raise RuntimeError("Failed to load CPU module")
+
+
+CACHE_IS_NO_FOLDER = """
+import sys, torch, warp as wp
+from thermosplat.errors import UserError
+from thermosplat.rasterizer import rasterization
+if sys.argv[2] == "later":
+    wp.init()
+    wp.config.kernel_cache_dir = sys.argv[1]
+else:
+    wp.config.kernel_cache_dir = sys.argv[1]
+ones = torch.ones(1, 3)
+K = torch.tensor([[[9.0, 0, 8], [0, 9, 8], [0, 0, 1]]])
+try:
+    rasterization(ones, torch.ones(1, 4), ones, ones[:, 0], ones, torch.eye(4)[None], K, 16, 16)
+except UserError as error:
+    print(error.message, error.hint)
+"""
+
+
+@pytest.mark.parametrize("when", ["at once", "later"])
+def test_a_cache_that_cannot_be_used_is_told(when: str, tmp_path: Path) -> None:
+    """To users of the rasterizer, in a sentence that names the place and the variable."""
+    (tmp_path / "file").touch()
+    command = [sys.executable, "-c", CACHE_IS_NO_FOLDER, str(tmp_path / "file" / "cache"), when]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert str(tmp_path / "file") in done.stdout
+    assert "WARP_CACHE_PATH=FOLDER" in done.stdout
