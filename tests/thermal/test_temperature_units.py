@@ -84,6 +84,15 @@ def test_impossible_values_name_the_unit_they_look_like():
     assert caught.value.hint == "--lwir.unit centikelvin"
 
 
+def test_zeros_look_like_no_unit():
+    """Files without any measurement are not taken for degrees Celsius."""
+    with pytest.raises(
+        UserError, match="Values in thermal_raw/ are 0, which read as Centikelvin is impossible"
+    ) as caught:
+        check_plausible(0, 0, "centikelvin", "thermal_raw/", "thermal")
+    assert "celsius" not in str(caught.value).lower()
+
+
 def test_impossible_values_of_no_unit_may_be_counts():
     """Values that are a temperature in no unit get the hint to train without degrees."""
     with pytest.raises(UserError) as caught:

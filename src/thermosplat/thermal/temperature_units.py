@@ -94,6 +94,11 @@ def check_plausible(low: float, high: float, unit: str, folder: str, spectrum: s
     factor, offset = _TO_CELSIUS[unit]
     if low * factor + offset >= _POSSIBLE_CELSIUS[0] and high * factor + offset <= _POSSIBLE_CELSIUS[1]:
         return
+    if low == high == 0:
+        raise UserError(
+            f"Values in {folder} are 0, which read as {unit.capitalize()} is impossible.",
+            "Nothing was measured there: export the files again.",
+        )
     message = f"Values {low:,.6g}-{high:,.6g} in {folder} read as {unit.capitalize()} are impossible"
     likely = judge_unit(low, high, integer=False)
     if likely == COUNTS:

@@ -35,6 +35,14 @@ def test_an_8_bit_image_among_values(tmp_path: Path, spectrum: str) -> None:
     assert "take it out of that folder" in caught.value.hint
 
 
+def test_colours_of_16_bits_among_values(tmp_path: Path) -> None:
+    """They are called what they are."""
+    root = write_rgbt_scenes(tmp_path, raw=True)
+    write_image(root / "thermal_raw" / "0002.png", rgb_image(2).astype(np.uint16) << 8)
+    with pytest.raises(UserError, match=r"0002\.png is an image of 3 channels \(uint16\); radiometric values are"):
+        load_capture(root)
+
+
 def test_each_spectrum_has_its_own_statement(tmp_path: Path) -> None:
     """units.json beside the values, else beside the images; of a spectrum that has a unit it is not read."""
     root = write_colmap_folder(tmp_path)

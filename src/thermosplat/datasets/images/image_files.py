@@ -4,6 +4,7 @@ import os
 import warnings
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.datasets.images.image_bytes import (
+    LARGEST,
+    decoded_bytes,
+    is_cut_or_changed,
+    lacks_photometric_tag,
+    read_regular_file,
+)
+from thermosplat.datasets.images.jpeg_warnings import check_jpegs
 from thermosplat.errors import UserError
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
@@ -48,15 +57,18 @@ def read_image(path: Path) -> NDArray[Any]:
         [H, W] for one channel, [H, W, 3] RGB for colour (alpha is dropped); uint8, uint16, float32 or float64.
 
     Raises:
-        UserError: The file is missing, damaged or no image.
+        UserError: The file is missing, damaged, no image, or larger than ``LARGEST``.
     """
-    try:
-        data = np.fromfile(path, np.uint8)
-    except OSError as error:
-        raise UserError(f"Cannot read {path}: {error.strerror or error}.") from error
-    image = _decode(path, data)
-    if image is None:
-        size = f"{len(data):,} bytes"
+    content = read_regular_file(path)
+    memory = decoded_bytes(content)
+    if memory is not None and memory > LARGEST:
+        raise UserError(
+            f"{path} would take {memory:,} bytes of memory; images take {LARGEST:,} at most.",
+            "Is it an image of the capture? Shrink it, or remove it from the folder.",
+        )
+    image = None if memory is None or is_cut_or_changed(content) else _decode(path, content)
+    if image is None or image.size == 0:
+        size = f"{len(content):,} bytes"
         raise UserError(f"{path} is damaged or not an image ({size}).", "Restore it, or remove it from the folder.")
     if image.ndim == 3:
         if image.shape[2] not in (3, 4):
@@ -66,9 +78,16 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def read_images(paths: Iterable[Path]) -> list[NDArray[Any]]:
-    """`read_image` of many files, several at a time."""
+    """`read_image` of many files, several at a time.
+
+    Raises:
+        UserError: As ``read_image``; also of a JPEG whose decoder fills what is missing.
+    """
+    paths = list(paths)
     with ThreadPoolExecutor() as pool:
-        return list(pool.map(read_image, paths))
+        images = list(pool.map(read_image, paths))
+    check_jpegs(paths)
+    return images
 
 
 def resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
@@ -79,36 +98,28 @@ def resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
 
 
-def _decode(path: Path, data: NDArray[np.uint8]) -> NDArray[Any] | None:
-    """The decoded image as OpenCV gives it (BGR), or None.
-
-    Some versions of OpenCV decode a JPEG or PNG that was cut off to a half-grey picture without an error, so its end
-    mark is looked for first.
-    """
-    content = data.tobytes()
-    if content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content:
-        return None
-    if content.startswith(b"\x89PNG") and b"IEND" not in content:
-        return None
-    if len(data) == 0:
-        return None
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if image is None and content[:4] in (b"II*\0", b"MM\0*"):
-        return _decode_with_pillow(path)
-    return image
-
-
-def _decode_with_pillow(path: Path) -> NDArray[Any] | None:
-    """TIFFs without a photometric tag (Workswell cameras), which OpenCV 5 refuses; None without Pillow."""
+def _decode(path: Path, content: bytes) -> NDArray[Any] | None:
+    """The decoded image as OpenCV gives it (BGR), or None."""
     try:
-        from PIL import Image, UnidentifiedImageError
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except (cv2.error, MemoryError):
+        return None
+    return _decode_with_pillow(path, content) if image is None and lacks_photometric_tag(content) else image
+
+
+def _decode_with_pillow(path: Path, content: bytes) -> NDArray[Any] | None:
+    """TIFFs without a photometric tag, which OpenCV 5 refuses; None if Pillow cannot read it either."""
+    try:
+        from PIL import Image
     except ImportError as error:
         raise UserError(f"OpenCV cannot read {path}.", "Pillow may: pip install pillow.") from error
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(BytesIO(content), formats=["TIFF"]) as image:
             pixels = np.asarray(image)
-    except (OSError, UnidentifiedImageError, ValueError):
+    except Exception:  # Pillow raises many kinds for a damaged file
         return None
+    if pixels.dtype == np.bool_:
+        pixels = pixels.astype(np.uint8) * np.uint8(255)
     if pixels.dtype.kind in "iu" and pixels.dtype.itemsize == 4:
         pixels = pixels.astype(np.float32)
     return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[..., ::-1])

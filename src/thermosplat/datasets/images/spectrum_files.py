@@ -87,7 +87,7 @@ def _read_files(name: str, frames: Sequence[FrameFiles]) -> list[SpectrumFile | 
         image, beside = next(shown), None if raw_path is None else next(raws)
         if beside is not None and not is_radiometric(beside):
             raise UserError(
-                f"{raw_path} is an 8-bit image; radiometric values are 16-bit or floating-point with one channel.",
+                f"{raw_path} is {_in_words(beside)}; radiometric values are 16-bit or floating-point with one channel.",
                 f"Export radiometric files, or take it out of that folder: {shot.path.parent.name}/ alone will do.",
             )
         path = shot.path
@@ -98,6 +98,13 @@ def _read_files(name: str, frames: Sequence[FrameFiles]) -> list[SpectrumFile | 
         else:
             files.append(SpectrumFile(path, _require_8bit(path, image), beside, raw_path))
     return files
+
+
+def _in_words(image: NDArray[Any]) -> str:
+    """ "an 8-bit image", "an image of 3 channels (uint16)"."""
+    if image.dtype == np.uint8:
+        return "an 8-bit image"
+    return f"an image of {image.shape[2] if image.ndim == 3 else 1} channels ({image.dtype})"
 
 
 def _as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -1,0 +1,81 @@
+"""JPEG files whose data is damaged: their decoder fills what it lacks and says so on the standard error alone.
+
+libjpeg, inside OpenCV, has no other way to tell. So a process of its own decodes the files once more, at an eighth of
+their size, and its standard error is read. Other threads' output is not touched by that.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from thermosplat.errors import UserError
+
+_DECODER = Path(__file__).with_name("jpeg_decoder.py")
+_SUFFIXES = frozenset({".jpg", ".jpeg"})
+_FILES_PER_PROCESS = 32
+_DAMAGE = (b"Corrupt JPEG data", b"Premature end", b"Inconsistent progression")
+"""How libjpeg's warnings about the picture begin; others are about its description."""
+_NO_DAMAGE = b"ICC"
+"""In a warning about a colour profile, which is not used."""
+_Stamp = tuple[str, int, int]
+_whole: set[_Stamp] = set()
+"""Files of this process that were found whole, with the time of their last change and their size."""
+
+
+def check_jpegs(paths: Sequence[Path]) -> None:
+    """Refuse JPEG files that libjpeg warns of.
+
+    Args:
+        paths: Image files; those of another ending are left out.
+
+    Raises:
+        UserError: One is damaged. Names it, and what libjpeg says.
+    """
+    stamps = {path: _stamp(path) for path in paths if path.suffix.lower() in _SUFFIXES}
+    wanted = [path for path, stamp in stamps.items() if stamp not in _whole]
+    if not wanted:
+        return
+    parts = max(1, min(-(-len(wanted) // _FILES_PER_PROCESS), os.cpu_count() or 1))
+    with ThreadPoolExecutor(parts) as pool:
+        found = pool.map(_warnings, (wanted[part::parts] for part in range(parts)))
+        warned = {path: said for part in found for path, said in part.items()}
+    for path in wanted:
+        if path in warned:
+            raise UserError(
+                f"{path} is damaged ({warned[path]}).",
+                "Restore it, or remove it from the folder. If it looks whole, save it again with another program.",
+            )
+        _whole.add(stamps[path])
+
+
+def _stamp(path: Path) -> _Stamp:
+    status = path.stat()
+    return os.path.abspath(path), status.st_mtime_ns, status.st_size
+
+
+def _warnings(paths: Sequence[Path]) -> dict[Path, str]:
+    """What the decoder says of the picture in each file that it warns of."""
+    process = subprocess.run(
+        [sys.executable, "-P", str(_DECODER)],
+        input=b"\0".join(os.fsencode(os.path.abspath(path)) for path in paths),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    # the decoder writes a zero byte before each file, and one after the last
+    _, *parts = process.stderr.split(b"\0")
+    if process.returncode != 0 or len(parts) != len(paths) + 1:
+        raise UserError(
+            f"{paths[min(max(len(parts) - 1, 0), len(paths) - 1)]} ended the process that looks for damaged JPEG files "
+            f"(exit code {process.returncode}).",
+            "Remove that file from the folder. If that does not help, please report it.",
+        )
+    warned = {}
+    for path, said in zip(paths, parts):
+        lines = [line for line in said.splitlines() if line.startswith(_DAMAGE) and _NO_DAMAGE not in line]
+        if lines:
+            warned[path] = lines[0].decode(errors="replace")
+    return warned

@@ -1,0 +1,140 @@
+"""What image files claim before they are decoded."""
+
+import os
+import socket
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from capture_folders import rgb_image, write_image
+from thermosplat.datasets.images.image_bytes import LARGEST, decoded_bytes, is_cut_or_changed, lacks_photometric_tag
+from thermosplat.datasets.images.image_files import read_image
+from thermosplat.errors import UserError
+
+GREY16 = np.arange(768, dtype=np.uint16).reshape(24, 32)
+
+
+def encoded(suffix: str, image: np.ndarray) -> bytes:
+    return cv2.imencode(suffix, image)[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "image", "expected"),
+    [
+        (".png", rgb_image(0), 24 * 32 * 3),
+        (".png", GREY16, 24 * 32 * 2),
+        (".jpg", rgb_image(0), 24 * 32 * 4),
+        (".jpg", rgb_image(0)[..., 0], 24 * 32),
+        (".bmp", rgb_image(0), 24 * 32 * 4),
+        (".webp", rgb_image(0), 24 * 32 * 4),
+        (".tiff", rgb_image(0), 24 * 32 * 4),
+        (".tiff", GREY16.astype(np.float32), 24 * 32 * 4),
+    ],
+)
+def test_memory_is_known_from_the_header(suffix, image, expected):
+    """Width, height, channels and depth of every format that is read."""
+    assert decoded_bytes(encoded(suffix, image)) == expected
+
+
+@pytest.mark.parametrize("quality", [50, 101])
+def test_both_kinds_of_webp(quality):
+    """Lossy and lossless ones have headers of their own."""
+    content = cv2.imencode(".webp", rgb_image(0), [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
+    assert decoded_bytes(content) == 24 * 32 * 4
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("big", [False, True])
+def test_tiffs_of_either_order_and_size(order, big):
+    """TIFF and BigTIFF, whose numbers are longer."""
+    mark = b"II" if order == "<" else b"MM"
+    pointer, count = ("Q", "Q") if big else ("I", "H")
+    head = struct.pack(order + ("HHHQ" if big else "HI"), *((43, 8, 0, 16) if big else (42, 8)))
+    room = 8 if big else 4
+    entries = [
+        struct.pack(order + "HH" + pointer, tag, 4, 1) + struct.pack(order + "I", value).ljust(room, b"\0")
+        for tag, value in ((256, 7), (257, 5), (258, 32))
+    ]
+    content = mark + head + struct.pack(order + count, len(entries)) + b"".join(entries)
+    assert decoded_bytes(content) == 7 * 5 * 4
+    assert lacks_photometric_tag(content) is not big
+
+
+@pytest.mark.parametrize("content", [b"", b"BM", b"\x89PNG", b"II*\0", b"GIF89a....", b"\xff\xd8\xff", b"RIFF1234WAVE"])
+def test_what_is_no_image(tmp_path, content):
+    """Cut headers and other formats are refused, whatever the file's ending."""
+    assert decoded_bytes(content) is None
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(UserError, match="damaged or not an image"):
+        read_image(tmp_path / "a.png")
+
+
+def test_an_image_of_terabytes(tmp_path):
+    """A small file that claims 100,000 x 100,000 pixels is refused by its header."""
+    header = struct.pack(">IIBBBBB", 100_000, 100_000, 8, 2, 0, 0, 0)
+    chunk = b"IHDR" + header
+    png = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    path = tmp_path / "large.png"
+    path.write_bytes(png + struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND")))
+    with pytest.raises(UserError, match=r"would take 30,000,000,000 bytes of memory"):
+        read_image(path)
+
+
+def test_a_changed_png_is_refused(tmp_path):
+    """Every chunk has a checksum: one bit is enough."""
+    content = bytearray(encoded(".png", rgb_image(1)))
+    assert not is_cut_or_changed(bytes(content))
+    for place in (20, len(content) // 2, len(content) - 20):
+        changed = bytearray(content)
+        changed[place] ^= 1
+        assert is_cut_or_changed(bytes(changed))
+    (tmp_path / "a.png").write_bytes(changed)
+    with pytest.raises(UserError, match="damaged or not an image"):
+        read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("kind", ["pipe", "folder", "socket", "device"])
+def test_what_is_no_file(tmp_path, monkeypatch, kind):
+    """A pipe without a writer would be waited for without end."""
+    path = tmp_path / "a.png"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        monkeypatch.chdir(tmp_path)  # a socket's path must be short
+        socket.socket(socket.AF_UNIX).bind("a.png")
+    with pytest.raises(UserError, match=f"it is a {kind}, not a file"):
+        read_image(path)
+
+
+def test_a_file_of_gigabytes(tmp_path):
+    """The size is asked before the content is read."""
+    path = tmp_path / "a.png"
+    with path.open("wb") as file:
+        file.truncate(LARGEST + 1)
+    with pytest.raises(UserError, match=r"has 1,073,741,825 bytes; images have 1,073,741,824 at most"):
+        read_image(path)
+
+
+def test_a_name_that_is_too_long(tmp_path):
+    """The system's reason, and the begin of the name."""
+    with pytest.raises(UserError, match=r"Cannot read .*too long") as caught:
+        read_image(tmp_path / ("x" * 5000 + ".png"))
+    assert len(caught.value.message) < 500
+
+
+def test_a_truncated_tiff_is_damaged(tmp_path, monkeypatch):
+    """Pillow is proposed for TIFFs without a photometric tag only."""
+    monkeypatch.setitem(__import__("sys").modules, "PIL", None)
+    write_image(tmp_path / "a.tiff", GREY16)
+    content = (tmp_path / "a.tiff").read_bytes()
+    for share in (0.3, 0.9):
+        (tmp_path / "a.tiff").write_bytes(content[: int(len(content) * share)])
+        with pytest.raises(UserError, match="damaged or not an image"):
+            read_image(tmp_path / "a.tiff")

@@ -1,0 +1,71 @@
+"""JPEG files whose decoder fills what is missing are refused by name."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from thermosplat.datasets.images import jpeg_warnings
+from thermosplat.datasets.images.image_files import read_image, read_images
+from thermosplat.datasets.images.jpeg_warnings import check_jpegs
+from thermosplat.errors import UserError
+
+
+def jpeg(number: int, *, progressive: bool = False) -> bytes:
+    noise = np.random.default_rng(number).integers(0, 256, (200, 300, 3), np.uint8)
+    options = [cv2.IMWRITE_JPEG_QUALITY, 92, cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive)]
+    return cv2.imencode(".jpg", cv2.GaussianBlur(noise, (0, 0), 1), options)[1].tobytes()
+
+
+def zeroed(content: bytes, count: int) -> bytes:
+    middle = len(content) // 2
+    return content[:middle] + bytes(count) + content[middle + count :]
+
+
+def written(folder: Path, **files: bytes) -> list[Path]:
+    paths = [folder / f"{name}.jpg" for name in files]
+    for path, content in zip(paths, files.values()):
+        path.write_bytes(content)
+    return paths
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+def test_zeroed_data_is_refused_by_name(tmp_path, capfd, progressive):
+    """The picture is decoded nevertheless, so that pixels alone do not tell."""
+    good, bad = written(tmp_path, good=jpeg(0), bad=zeroed(jpeg(1, progressive=progressive), 5000))
+    assert read_image(bad).shape == (200, 300, 3)
+    capfd.readouterr()
+    with pytest.raises(UserError, match=r"bad\.jpg is damaged \(Corrupt JPEG data"):
+        read_images([good, bad])
+    with pytest.raises(UserError, match=r"bad\.jpg"):  # not only the first time
+        check_jpegs([good, bad])
+
+
+def test_whole_files_are_looked_at_once(tmp_path, monkeypatch):
+    """A file is looked at again when it has changed."""
+    paths = written(tmp_path, a=jpeg(0), b=jpeg(1))
+    check_jpegs(paths)
+    monkeypatch.setattr(jpeg_warnings, "_DECODER", tmp_path / "none.py")
+    check_jpegs(paths)
+    monkeypatch.undo()
+    paths[1].write_bytes(zeroed(jpeg(1), 4000) + b"\xff\xd9")
+    with pytest.raises(UserError, match=r"b\.jpg is damaged"):
+        check_jpegs(paths)
+
+
+def test_code_of_the_current_folder_is_not_run(tmp_path, monkeypatch):
+    """A capture's folder may hold a file that is called like a module."""
+    (tmp_path / "cv2.py").write_text("raise SystemExit(3)")
+    (tmp_path / "struct.py").write_text("raise SystemExit(3)")
+    monkeypatch.chdir(tmp_path)
+    check_jpegs(written(tmp_path, a=jpeg(0)))
+
+
+def test_a_decoder_that_ends_early_is_told(tmp_path, monkeypatch):
+    """Files that were not looked at are not taken for whole ones."""
+    paths = written(tmp_path, a=jpeg(0), b=jpeg(1))
+    (tmp_path / "decoder.py").write_text("import os; os.write(2, bytes(2)); os._exit(7)")
+    monkeypatch.setattr(jpeg_warnings, "_DECODER", tmp_path / "decoder.py")
+    with pytest.raises(UserError, match=r"b\.jpg ended the process .* \(exit code 7\)"):
+        check_jpegs(paths)
