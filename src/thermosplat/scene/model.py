@@ -26,9 +26,10 @@ from thermosplat.runs.checkpoint import damage_explained
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians
-from thermosplat.scene.lens_distortion import distorted, nearest_distorted
+from thermosplat.scene.lens_distortion import nearest_distorted
 from thermosplat.scene.packed_parameters import num_bytes, pack, unpack
 from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.scene.shared_cameras import views_by_camera
 from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.scene.view_directions import view_directions
 from thermosplat.scene.views import (
@@ -175,7 +176,7 @@ class SceneModel(nn.Module):
         if SHARED not in self.gaussian_sets:
             shared_cameras = [[name] for name in views]
         elif shared_cameras is None:
-            shared_cameras = _groups(views)
+            shared_cameras = views_by_camera(views)
         rendered = RenderedFrame()
         for group in shared_cameras:
             names = [name for name in self.spectra if name in group and name in views]
@@ -185,7 +186,7 @@ class SceneModel(nn.Module):
                 self._render_sh(names, views[names[0]], how, rendered)
         for name, view in views.items():
             if view.distortion is not None:
-                _bend(rendered, name, view.K, view.distortion)
+                rendered.bend(name, view.K, view.distortion)
         return rendered
 
     def render_depth(self, spectrum: str, view: "ViewTensors") -> Tensor:
@@ -370,39 +371,3 @@ def _note_call(rendered: RenderedFrame, name: str, spectra: Sequence[str], info:
     """Keep what the rasterization says about a call, under the name of the Gaussian set."""
     info["spectra"] = tuple(spectra)
     rendered.infos.setdefault(name, []).append(info)
-
-
-def _groups(views: Views) -> Groups:
-    """Spectra in groups whose views have one camera, pose and size."""
-    groups: list[list[str]] = []
-    for name, view in views.items():
-        for group in groups:
-            if _same_camera(views[group[0]], view):
-                group.append(name)
-                break
-        else:
-            groups.append([name])
-    return groups
-
-
-def _same_camera(one: "ViewTensors", other: "ViewTensors") -> bool:
-    return (
-        (one.width, one.height) == (other.width, other.height)
-        and torch.equal(one.K, other.K)
-        and torch.equal(one.viewmat, other.viewmat)
-        and _same_lens(one.distortion, other.distortion)
-    )
-
-
-def _same_lens(one: Tensor | None, other: Tensor | None) -> bool:
-    return one is other or (one is not None and other is not None and torch.equal(one, other))
-
-
-def _bend(rendered: RenderedFrame, name: str, K: Tensor, coefficients: Tensor) -> None:
-    """Resample all that was rendered of a spectrum as its lens shows it."""
-    parts = [images[name] for images in (rendered.images, rendered.features, rendered.alphas) if name in images]
-    bent = distorted(torch.cat(parts, dim=-1), K, coefficients).split([part.shape[-1] for part in parts], dim=-1)
-    found = iter(bent)
-    for images in (rendered.images, rendered.features, rendered.alphas):
-        if name in images:
-            images[name] = next(found)

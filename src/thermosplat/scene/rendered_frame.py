@@ -3,7 +3,10 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+import torch
 from torch import Tensor
+
+from thermosplat.scene.lens_distortion import distorted
 
 
 @dataclass
@@ -23,3 +26,17 @@ class RenderedFrame:
     infos: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     """What the rasterization says about every call (means2d, radii, ...), by the name of the Gaussian set. Under
     "spectra" an info names the spectra that the call was for. Densification reads it."""
+
+    def bend(self, spectrum: str, K: Tensor, coefficients: Tensor) -> None:
+        """Resample all that was rendered of a spectrum as its lens shows it.
+
+        Args:
+            spectrum: Its name.
+            K: Intrinsics [px], shape [3, 3].
+            coefficients: k1 and k2, shape [2], as ``lens_distortion.distorted`` takes them.
+        """
+        holders = [images for images in (self.images, self.features, self.alphas) if spectrum in images]
+        parts = [images[spectrum] for images in holders]
+        bent = distorted(torch.cat(parts, dim=-1), K, coefficients)
+        for images, part in zip(holders, bent.split([part.shape[-1] for part in parts], dim=-1), strict=True):
+            images[spectrum] = part
