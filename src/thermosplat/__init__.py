@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
     from thermosplat.rasterizer.pair_capacity import PairCapacity
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "LoadedRun",
     "PairCapacity",
