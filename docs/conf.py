@@ -45,6 +45,7 @@ SIDEBAR = {
         "docs/conventions",
         "docs/comparing-methods",
         "docs/troubleshooting",
+        "docs/security",
         "docs/results",
         "docs/accuracy",
     ],

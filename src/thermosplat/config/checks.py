@@ -7,6 +7,7 @@ from typing import Any
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.spectrum_checks import check_spectra
+from thermosplat.config.values import shown
 from thermosplat.errors import UserError
 from thermosplat.spectra import label, latent_channels
 
@@ -48,7 +49,10 @@ _AT_LEAST: dict[str, float] = {
 _AT_MOST: dict[str, float] = {
     "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": 3,  # what the renderer's kernels evaluate
+    "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory
+    "decoder.hidden_layers": 64,
 }
+_LARGEST_INTEGER = 2**63 - 1
 _SHARES = (
     "loss.ssim_lambda",
     "loss.depth_spread_from",
@@ -91,10 +95,14 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
                 raise UserError(f"{name(key)} must be finite, found {number}.")
     for key, least in _AT_LEAST.items():
         if values[key] is not None and values[key] < least:
-            raise UserError(f"{name(key)} must be at least {least}, found {values[key]}.")
+            raise UserError(f"{name(key)} must be at least {least}, found {shown(values[key])}.")
     for key, most in _AT_MOST.items():
         if values[key] > most:
-            raise UserError(f"{name(key)} must be at most {most}, found {values[key]}.")
+            raise UserError(f"{name(key)} must be at most {most}, found {shown(values[key])}.")
+    for key, value in values.items():
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, int) and abs(number) > _LARGEST_INTEGER:
+                raise UserError(f"{name(key)} must be a whole number below 2^63, found {shown(number)}.")
     for key in _SHARES:
         if not 0 <= values[key] <= 1:
             raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")

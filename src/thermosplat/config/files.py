@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.checks import check_config
 from thermosplat.config.renamed import with_todays_names
-from thermosplat.config.values import fill, nearest
+from thermosplat.config.values import fill, nearest, shortened, shown
+from thermosplat.config.yaml_files import read_yaml
 from thermosplat.errors import UserError
 from thermosplat.spectra import BUILT_IN_PALETTES
+
+_SUFFIXES = (".yaml", ".yml")
 
 
 @cache
@@ -80,7 +81,10 @@ def from_dict(values: dict[str, Any], *, source: str = "the configuration") -> T
     Raises:
         UserError: An unknown key, or a value of the wrong type or range.
     """
-    config = fill(TrainConfig(), with_todays_names(values), source=source)
+    try:
+        config = fill(TrainConfig(), with_todays_names(values), source=source)
+    except RecursionError as error:
+        raise UserError(f"{source} is nested too deeply to be a configuration.") from error
     check_config(config, source=source)
     return config
 
@@ -91,47 +95,38 @@ def to_yaml(config: TrainConfig) -> str:
 
 
 def _load(name_or_path: str, visited: tuple[Path, ...]) -> TrainConfig:
-    path = _find(name_or_path, relative_to=visited[-1].parent if visited else Path())
+    path = _find(name_or_path, visited[-1].parent if visited else Path(), is_base=bool(visited))
     if path in visited:
         raise UserError(f"{path} is its own base: {' -> '.join(file.name for file in (*visited, path))}.")
-    values = _read(path)
+    values = read_yaml(path)
     base = values.pop("base", None)
     if base is None:
         start = TrainConfig(config="")
     elif isinstance(base, str):
         start = replace(_load(base, (*visited, path)), config="")
     else:
-        raise UserError(f"{path}: base must be the name of a preset or a YAML file, found {base!r}.")
+        raise UserError(f"{path}: base must be the name of a preset or a YAML file, found {shown(base)}.")
     config = fill(start, with_todays_names(values), source=str(path))
     check_config(config, source=str(path))
     return config
 
 
-def _find(name_or_path: str, relative_to: Path) -> Path:
+def _find(name_or_path: str, relative_to: Path, *, is_base: bool) -> Path:
     presets = preset_paths()
     if name_or_path in presets:
         return presets[name_or_path]
-    for candidate in (relative_to / name_or_path, relative_to / f"{name_or_path}.yaml"):
-        if candidate.is_file():
+    named = relative_to / name_or_path
+    for candidate in (named, Path(f"{named}.yaml")):
+        # a base is named by a file that may come from a stranger: it is no other file than YAML
+        allowed = not is_base or candidate.suffix in _SUFFIXES
+        if allowed and os.path.isfile(candidate):  # False also for a name that is too long
             return candidate.resolve()
-    if Path(name_or_path).suffix in (".yaml", ".yml"):
-        raise UserError(f"There is no configuration file {name_or_path}.", f"Presets: {', '.join(presets)}.")
+    if Path(name_or_path).suffix in _SUFFIXES:
+        raise UserError(f"There is no configuration file {shortened(name_or_path)}.", f"Presets: {', '.join(presets)}.")
     raise UserError(
-        f'"{name_or_path}" is neither a preset nor a YAML file{nearest(name_or_path, presets)}.',
+        f'"{shortened(name_or_path)}" is neither a preset nor a YAML file{nearest(name_or_path, presets)}.',
         f"Presets: {', '.join(presets)}.",
     )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        loaded = OmegaConf.load(path)
-        values = OmegaConf.to_container(loaded, resolve=True)
-    except (YAMLError, OmegaConfBaseException, UnicodeDecodeError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"{path} cannot be read as YAML: {reason}.") from error
-    if not isinstance(values, dict):
-        raise UserError(f"{path} must hold keys and values, found a {type(values).__name__}.")
-    return {str(key): value for key, value in values.items()}
 
 
 def data_from_anywhere(data: str) -> str:

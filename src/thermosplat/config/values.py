@@ -28,7 +28,7 @@ def fill(default: Config, values: dict[str, Any], *, source: str, prefix: str = 
     changes: dict[str, Any] = {}
     for key, value in values.items():
         if key not in annotations:
-            raise UserError(f'{source}: unknown key "{prefix}{key}"{nearest(str(key), annotations)}.')
+            raise UserError(f'{source}: unknown key "{shortened(f"{prefix}{key}")}"{nearest(str(key), annotations)}.')
         current = getattr(default, key)
         where = f"{prefix}{key}"
         if (kind := _group_kind(annotations[key])) is not None:
@@ -38,7 +38,7 @@ def fill(default: Config, values: dict[str, Any], *, source: str, prefix: str = 
         elif isinstance(value, dict):
             changes[key] = fill(current, value, source=source, prefix=f"{where}.")
         else:
-            raise UserError(f'{source}: "{where}" is a group of settings, found {value!r}.')
+            raise UserError(f'{source}: "{where}" is a group of settings, found {shown(value)}.')
     return dataclasses.replace(default, **changes)  # type: ignore[type-var]
 
 
@@ -52,18 +52,44 @@ def _group_kind(annotation: Any) -> Any:
 def _fill_groups(current: dict[str, Any], kind: type, values: Any, *, source: str, where: str) -> dict[str, Any]:
     """Groups of settings by name: those named in ``values`` are changed, or start from the dataclass's defaults."""
     if not isinstance(values, dict):
-        raise UserError(f'{source}: "{where}" holds groups of settings by name, found {values!r}.')
+        raise UserError(f'{source}: "{where}" holds groups of settings by name, found {shown(values)}.')
     groups = dict(current)
     for name, value in values.items():
         if not isinstance(value, dict):
-            raise UserError(f'{source}: "{where}.{name}" is a group of settings, found {value!r}.')
+            raise UserError(f'{source}: "{where}.{name}" is a group of settings, found {shown(value)}.')
         start = groups.get(str(name), kind())
         groups[str(name)] = fill(start, value, source=source, prefix=f"{where}.{name}.")
     return groups
 
 
+def shown(value: Any) -> str:
+    """A value as it is shown in a message: as Python writes it, cut to some 60 characters.
+
+    Args:
+        value: Any value, such as a text of megabytes or a number of thousands of digits.
+    """
+    try:
+        return shortened(repr(value))
+    except (ValueError, RecursionError):  # Python does not write integers of more than 4,300 digits
+        return f"a {type(value).__name__} that is too long to show"
+
+
+_SHOWN = 60
+
+
+def shortened(text: str) -> str:
+    """A text as it is shown in a message: cut to some 60 characters.
+
+    Args:
+        text: Any text.
+    """
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """ ", did you mean ...?" for the known word closest to a mistyped one, or nothing where none is close."""
+    if len(word) > _SHOWN:
+        return ""
     by_lower_case = {name.lower(): name for name in known}
     close = difflib.get_close_matches(word.lower(), list(by_lower_case), n=1, cutoff=0.6)
     return f' (did you mean "{by_lower_case[close[0]]}"?)' if close else ""
@@ -75,11 +101,13 @@ def _converted(value: Any, annotation: Any, *, source: str, where: str) -> Any:
         suggestion = ""
         if typing.get_origin(annotation) is Literal and isinstance(value, str):
             suggestion = nearest(value, typing.get_args(annotation))
-        raise UserError(f'{source}: "{where}" must be {_described(annotation)}, found {value!r}{suggestion}.')
+        raise UserError(f'{source}: "{where}" must be {_described(annotation)}, found {shown(value)}{suggestion}.')
     return fitting
 
 
 _MISFIT = object()
+_LARGEST = 2**63 - 1
+"""What tensors and files take as a whole number."""
 
 
 def _fit(value: Any, annotation: Any) -> Any:
@@ -95,9 +123,12 @@ def _fit(value: Any, annotation: Any) -> Any:
     if annotation is type(None):
         return None if value is None else _MISFIT
     if annotation is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    if annotation is int and isinstance(value, bool):  # a bool is an int to Python, not to a user
-        return _MISFIT
+        try:
+            return float(value)
+        except OverflowError:  # an integer of more than 308 digits
+            return _MISFIT
+    if annotation is int and (isinstance(value, bool) or (isinstance(value, int) and abs(value) > _LARGEST)):
+        return _MISFIT  # a bool is an int to Python, not to a user
     return value if isinstance(value, annotation) else _MISFIT
 
 
