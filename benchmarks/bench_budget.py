@@ -66,7 +66,7 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
     )
     config = replace(
         before,
-        max_steps=checkpoint["step"] + settings.fine_tune,
+        max_steps=checkpoint.step + settings.fine_tune,
         eval_steps=(),
         save_steps=(),
         result_dir=str(out),

@@ -33,6 +33,7 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.warp_start import start_warp
 from thermosplat.runs.atomic_writes import write_text
+from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import RunDirectory, environment, finite_or_null
 from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
@@ -142,7 +143,7 @@ class Benchmark:
         )
 
     @functools.cached_property
-    def checkpoint(self) -> dict[str, Any]:
+    def checkpoint(self) -> Checkpoint:
         """The state of ``--run``, or after the warm-up steps."""
         if self.options.run is not None:
             run = RunDirectory.open(self.options.run)

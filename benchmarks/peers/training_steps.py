@@ -21,6 +21,7 @@ from thermosplat.config import TrainConfig
 from thermosplat.config.files import load_config
 from thermosplat.datasets.capture import Capture
 from thermosplat.losses.image_terms import image_loss
+from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
@@ -47,7 +48,7 @@ Steps = Callable[[int], float]
 def compare_steps(
     config: TrainConfig,
     capture: Capture,
-    checkpoint: dict[str, Any],
+    checkpoint: Checkpoint,
     frames: Frames,
     device: torch.device,
     window: int,

@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +21,7 @@ from thermosplat.config import OptimizerConfig, TrainConfig
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians, offsets_name, own_logits_name, sh_names
 from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, SpectrumConfig
@@ -45,7 +45,7 @@ def quiet_trainer(
     config: TrainConfig,
     capture: Capture,
     folder: Path,
-    checkpoint: dict[str, Any] | None = None,
+    checkpoint: Checkpoint | None = None,
     frames: Frames | None = None,
 ) -> Trainer:
     """A trainer that prints nothing.
@@ -96,7 +96,7 @@ def frozen_trainer(
     folder: Path,
     *,
     gaussians: Gaussians | None = None,
-    checkpoint: dict[str, Any] | None = None,
+    checkpoint: Checkpoint | None = None,
     frames: Frames | None = None,
 ) -> Trainer:
     """A trainer under ``frozen(config)``.

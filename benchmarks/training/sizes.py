@@ -16,6 +16,7 @@ from measuring.gpu_memory import peak_memory
 from measuring.timing import summary
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
+from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.training.trainer import Trainer
 from training.frozen_training import Frames, frozen_trainer, run_steps, synthetic_capture, synthetic_gaussians, warm_up
 from training.parts_alone import parts_alone
@@ -78,7 +79,7 @@ def _alone(trainer: Trainer, peaks: DevicePeaks, repeats: int) -> tuple[dict[str
 def capture_rows(
     config: TrainConfig,
     capture: Capture,
-    checkpoint: dict[str, Any],
+    checkpoint: Checkpoint,
     frames: Frames,
     plain: bool,
     row: Callable[..., dict[str, Any]],

@@ -8,6 +8,7 @@ from typing import Any
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
+from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.training.trainer import Trainer
 from training.frozen_training import Frames, quiet_trainer, run_steps
 
@@ -17,7 +18,7 @@ STRETCH = 3
 
 def warm_training(
     config: TrainConfig, capture: Capture, steps: int, frames: Frames
-) -> tuple[dict[str, Any], dict[str, Any] | None]:
+) -> tuple[Checkpoint, dict[str, Any] | None]:
     """Trains so many steps.
 
     Args:

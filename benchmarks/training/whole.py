@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from thermosplat.runs.checkpoint import load_checkpoint
+from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from training.command import failure, run_python
 
@@ -143,7 +143,7 @@ def _memory(run: RunDirectory, steps: int) -> list[dict[str, Any]]:
 def _same_model(first: Path, second: Path) -> bool:
     """Whether two runs ended with the same bits in Gaussians and decoders."""
     paths = [RunDirectory(folder).latest_checkpoint() for folder in (first, second)]
-    return _equal(*(load_checkpoint(path)["model"] if path is not None else None for path in paths))
+    return _equal(*(vars(load_checkpoint(path).model) if path is not None else None for path in paths))
 
 
 def _equal(a: Any, b: Any) -> bool:

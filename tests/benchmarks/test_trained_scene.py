@@ -10,7 +10,7 @@ from scenes.trained_scene import distant_camera, read_ply, trained_scene
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import to_dict
 from thermosplat.export.ply import PROPERTIES, Splats, write_splats
-from thermosplat.runs.checkpoint import save_checkpoint
+from thermosplat.runs.checkpoint_file import save_checkpoint
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import ColorSpace, model_spectra
@@ -64,12 +64,12 @@ def test_a_checkpoint_is_read_with_features_and_thermal_opacities(tmp_path: Path
     values = parameters(9, 4)
     values["features"] = torch.rand(9, 8)
     values["thermal_opacity_offsets"] = torch.ones(9)
-    config = TrainConfig(data=str(tmp_path / "gone"))
+    config = TrainConfig(data=str(tmp_path / "gone"), sh_degree=1)
     config = replace(config, model=replace(config.model, feature_dim=8))
     kinds: dict[str, ColorSpace] = {"rgb": "photograph", "thermal": "color"}
     spectra = model_spectra(config.modelled, kinds)
     model = SceneModel(config.model, config.decoder, spectra, {"shared": Gaussians(values)})
-    state = {"step": 3, "config": to_dict(config), "sh_degree": 1, "model": model.checkpoint_state()}
+    state = {"step": 3, "config": to_dict(config), "sh_degree": 1, "model": vars(model.checkpoint_state())}
     path = tmp_path / "run" / "ckpts" / "step_000003.pt"
     scales = {name: PixelScale(kind).state_dict() for name, kind in kinds.items()}
     save_checkpoint(path, state | {"scales": scales, "training": {}})

@@ -1,118 +1,89 @@
-"""Checkpoints come back as they were, and a failed write costs nothing."""
+"""Entries of a checkpoint are held to what they must be; what old ones lack has its defaults in one place."""
 
-import errno
+import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
+from thermosplat.config import TrainConfig
+from thermosplat.config.files import to_dict
 from thermosplat.errors import UserError
-from thermosplat.runs.checkpoint import (
-    FORMAT,
-    damage_explained,
-    load_checkpoint,
-    on_host,
-    save_checkpoint,
-)
+from thermosplat.runs.checkpoint import Checkpoint, SavedTraining, damage_explained
+
+PATH = Path("run/ckpts/step_000007.pt")
 
 
-def _state() -> dict[str, Any]:
-    return {
+def _state(**changes: Any) -> dict[str, Any]:
+    state = {
         "step": 7,
-        "config": {"max_steps": 12, "loss": {"features": 1.0}},
+        "config": to_dict(TrainConfig(max_steps=12, sh_degree=2)),
         "sh_degree": 1,
         "model": {
-            "gaussian_sets": {"shared": {"means": torch.randn(4, 3)}},
+            "gaussian_sets": {"shared": {"means": torch.zeros(4, 3)}},
             "decoders": None,
             "color_spaces": {"rgb": "photograph", "thermal": "color"},
         },
-        "scales": {"thermal": {"kind": "color", "range": (10.0, 30.0), "unit": "celsius"}},
-        "training": {"seconds": {"train": 1.5}},
+        "scales": {"thermal": {"kind": "color"}},
+        "training": {"optimizers": None, "strategies": {}, "exposures": None, "seconds": {"train": 1.5}},
     }
+    for name, value in changes.items():
+        *outer, inner = name.split("__")
+        entries: Any = state
+        for key in outer:
+            entries = entries[key]
+        entries[inner] = value
+    return state
 
 
-def test_state_comes_back_with_weights_only(tmp_path: Path) -> None:
-    """What was saved is what is loaded, tensors and plain values, by torch's safe loader."""
-    state = _state()
-    save_checkpoint(tmp_path / "ckpts" / "step_000007.pt", state)
-    loaded = load_checkpoint(tmp_path / "ckpts" / "step_000007.pt")
-    means = loaded["model"]["gaussian_sets"]["shared"].pop("means")
-    assert torch.equal(means, state["model"]["gaussian_sets"]["shared"].pop("means"))
-    assert loaded == {"format": FORMAT, **state}
+def test_defaults_of_old_versions() -> None:
+    """What a checkpoint of 0.1.0 does not say is what held then."""
+    checkpoint = Checkpoint.from_state(_state(), PATH)
+    assert checkpoint.train_frames is None
+    assert checkpoint.test_frames is None
+    assert checkpoint.training == SavedTraining(strategies={}, seconds={"train": 1.5})
+    assert (checkpoint.training.growing, checkpoint.training.trimmed) == (True, False)
+    assert checkpoint.training.best_validation == (-math.inf, 0)
+    assert checkpoint.config == TrainConfig(max_steps=12, sh_degree=2)
 
 
-def test_full_disk_under_torch_save_is_a_user_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """torch's archive writer wraps the OSError of a full disk; the user still reads the reason."""
-
-    def save(state: object, file: object) -> None:
-        try:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        except OSError:
-            raise RuntimeError("unexpected pos 64 vs 0")  # noqa: B904  as torch does
-
-    monkeypatch.setattr(torch, "save", save)
-    with pytest.raises(UserError, match="No space left on device"):
-        save_checkpoint(tmp_path / "step_000001.pt", _state())
-
-
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    """The path that was looked for is in the message."""
-    with pytest.raises(UserError, match=r"No checkpoint at .*absent\.pt"):
-        load_checkpoint(tmp_path / "absent.pt")
-
-
-def test_content_on_the_host_is_of_its_own() -> None:
-    """What was gathered for a file stays as it was when training changes tensors, lists and dictionaries."""
-    means, groups = torch.ones(2, 3), [{"lr": torch.tensor(0.1), "betas": (0.9, 0.999)}]
-    state = {"means": means, "training": {"groups": groups, "step": 7}}
-    gathered = on_host(state)
-    means.zero_()
-    groups[0]["lr"].zero_()
-    groups.clear()
-    assert torch.equal(gathered["means"], torch.ones(2, 3))
-    assert gathered["training"] == {"groups": [{"lr": torch.tensor(0.1), "betas": (0.9, 0.999)}], "step": 7}
-
-
-@pytest.mark.parametrize("keep", [0, 100, 1500])
-def test_damaged_file_is_a_user_error(tmp_path: Path, keep: int) -> None:
-    """A file cut off anywhere is reported as damaged."""
-    path = tmp_path / "step_000007.pt"
-    save_checkpoint(path, _state())
-    path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(UserError, match="damaged or not a thermosplat checkpoint"):
-        load_checkpoint(path)
-
-
-def test_pickled_code_is_refused(tmp_path: Path) -> None:
-    """A file with anything but tensors and plain types is not loaded."""
-    path = tmp_path / "step_000007.pt"
-    torch.save({"format": FORMAT, "model": Path("x")}, path)
-    with pytest.raises(UserError, match="damaged or not a thermosplat checkpoint"):
-        load_checkpoint(path)
+def test_a_model_alone_says_what_it_lacks() -> None:
+    """It can be rendered; what training needs of it is named, and stays away when it is written again."""
+    checkpoint = Checkpoint.from_state(_state(training={"exposures": None}), PATH)
+    assert checkpoint.training.missing == ("optimizers", "strategies", "seconds")
+    assert Checkpoint.from_state(checkpoint.state(), PATH) == checkpoint
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("entry", "value", "message"),
     [
-        ({"state_dict": {}}, "no format number"),
-        ({"format": FORMAT + 1}, f"reads format {FORMAT}"),
-        ({"format": FORMAT, "step": 3}, "config, sh_degree, model, scales, training missing"),
-        ({"format": FORMAT, **_state(), "model": {"x": 1}}, r"model\.gaussian_sets, model\.decoders, .* missing"),
-        ({"format": FORMAT, **_state(), "config": None}, "config missing"),
-        ({"format": 1, **_state()}, r"thermal_scale, model\.thermal_channels missing"),
-        (
-            {"format": FORMAT, **_state(), "model": {**_state()["model"], "gaussian_sets": {"shared": {}}}},
-            r"model\.gaussian_sets\.shared missing",
-        ),
-        ({"format": FORMAT, **_state(), "config": {"brightness": 1}}, "unknown key.*Another version of thermosplat"),
+        ("step", -1, "step must be a number of steps, found -1"),
+        ("step", 10**400, "step must be a number of steps, found int"),
+        ("step", True, "step must be a number of steps, found True"),
+        ("step", torch.tensor(7), "step must be a number of steps, found Tensor"),
+        ("sh_degree", 3, "sh_degree must be from 0 to 2, found 3"),
+        ("model", None, "model must be a dictionary, found None"),
+        ("model__gaussian_sets", {}, "model.gaussian_sets must be sets of tensors, at least one, found dict"),
+        ("model__gaussian_sets", {"shared": {}}, "model.gaussian_sets must be"),
+        ("model__gaussian_sets", {"shared": {"means": [1.0]}}, "model.gaussian_sets must be"),
+        ("model__decoders", {"weight": 3}, "model.decoders must be tensors or None"),
+        ("model__color_spaces", ["color"], "model.color_spaces must be"),
+        ("scales", {"thermal": "color"}, "scales must be dictionaries by spectrum"),
+        ("training", 5, "training must be a dictionary, found 5"),
+        ("training__optimizers", {"shared": 5}, "training.optimizers must be"),
+        ("training__strategies", None, "training.strategies must be"),
+        ("training__growing", "yes", "training.growing must be true or false, found 'yes'"),
+        ("training__best_validation", (1.0,), "training.best_validation must be"),
+        ("training__seconds", {"train": math.nan}, "training.seconds must be numbers of seconds"),
+        ("train_frames", 5, "train_frames must be a list of names, found 5"),
+        ("test_frames", ["a", 3], "test_frames must be a list of names, found list"),
     ],
 )
-def test_foreign_content_is_explained(tmp_path: Path, content: dict[str, Any], message: str) -> None:
-    """A torch file that is no checkpoint of this version says why."""
-    torch.save(content, tmp_path / "x.pt")
-    with pytest.raises(UserError, match=message):
-        load_checkpoint(tmp_path / "x.pt")
+def test_entries_of_another_kind_are_refused(entry: str, value: object, message: str) -> None:
+    """The message names the file, the entry, what it must be, and what it is."""
+    with pytest.raises(UserError, match=f"{PATH} is damaged: its {message}"):
+        Checkpoint.from_state(_state(**{entry: value}), PATH)
 
 
 @pytest.mark.parametrize("error", [KeyError("means"), RuntimeError("size mismatch\nfor weight"), TypeError("no list")])

@@ -1,14 +1,14 @@
 """Checkpoints of version 0.1 are read, rendered and trained further."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from thermosplat.config.files import from_dict
 from thermosplat.datasets.frame_tensors import frame_tensors
-from thermosplat.runs.checkpoint import FORMAT, load_checkpoint
+from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
@@ -26,13 +26,12 @@ def test_the_same_images(name: str) -> None:
     """The model of the file renders what version 0.1 rendered of it."""
     capture = many_frames(toy_capture(thermal_kind=KINDS[name]))
     checkpoint = load_checkpoint(FOLDER / f"{name}.pt")
-    assert checkpoint["format"] == FORMAT
-    scales = {spectrum: PixelScale.from_state_dict(scale) for spectrum, scale in checkpoint["scales"].items()}
+    scales = {spectrum: PixelScale.from_state_dict(scale) for spectrum, scale in checkpoint.scales.items()}
     assert scales == capture.scales
     frame = frame_tensors(capture.test[0], scales, "cpu")
     model = SceneModel.from_checkpoint(checkpoint, "cpu")
     with torch.no_grad():
-        rendered = model.render(frame.views, sh_degree=checkpoint["sh_degree"])
+        rendered = model.render(frame.views, sh_degree=checkpoint.sh_degree)
     expected = np.load(FOLDER / f"{name}_images.npz")
     assert set(expected.files) == set(rendered.images)
     for spectrum, image in rendered.images.items():
@@ -47,7 +46,7 @@ def test_training_goes_on(name: str, tmp_path: Path) -> None:
     run.checkpoint(6).parent.mkdir(parents=True, exist_ok=True)
     run.checkpoint(6).write_bytes((FOLDER / f"{name}.pt").read_bytes())
     checkpoint = load_checkpoint(run.checkpoint(6))
-    config = from_dict(checkpoint["config"] | {"max_steps": 8, "device": "cpu"})
+    config = dataclasses.replace(checkpoint.config, max_steps=8, device="cpu")
     trainer = Trainer.resume(config, capture, run)
     moments = trainer.state.optimizers[next(iter(trainer.state.gaussian_sets))]["means"].state_dict()["state"]
     assert moments[0]["exp_avg"].abs().max() > 0

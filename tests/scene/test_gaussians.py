@@ -128,11 +128,11 @@ def test_thermal_opacity_is_offset_in_logits() -> None:
 
 
 def test_state_round_trip_keeps_a_changed_count() -> None:
-    """from_state_dict restores as many Gaussians as were saved, not as many as there were points."""
+    """As many Gaussians as were saved come back, not as many as there were points."""
     gaussians = start()
     for name, value in dict(gaussians.named_parameters()).items():
         setattr(gaussians, name, torch.nn.Parameter(value[:7].detach()))
-    restored = Gaussians.from_state_dict(gaussians.state_dict())
+    restored = Gaussians(gaussians.state_dict())
     assert len(restored) == 7
     for name, value in gaussians.state_dict().items():
         assert torch.equal(restored.state_dict()[name], value)
@@ -141,7 +141,7 @@ def test_state_round_trip_keeps_a_changed_count() -> None:
 def test_restored_gaussians_do_not_share_memory() -> None:
     """Training on does not change the checkpoint's tensors."""
     state = start().state_dict()
-    restored = Gaussians.from_state_dict(state)
+    restored = Gaussians(state)
     with torch.no_grad():
         restored.means += 1
     assert not torch.equal(state["means"], restored.means)

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat.config.files import to_dict
 from thermosplat.errors import UserError
+from thermosplat.runs.checkpoint import Checkpoint, SavedTraining
 from thermosplat.scene.model import SceneModel
 from toy_scene import count_calls, largest_gradients, render, toy_capture, toy_config, toy_frame, toy_model
 
@@ -227,8 +227,8 @@ def test_checkpoint_restores_the_same_images(model_config: dict[str, Any]) -> No
     capture = toy_capture()
     config = dataclasses.replace(toy_config(**model_config), background=(0.1, 0.0, 0.3))
     frame, model = toy_frame(capture), toy_model(config, capture)
-    state = {"config": to_dict(config), "model": model.checkpoint_state()}
-    expected, restored = render(model, frame), render(SceneModel.from_checkpoint(state, "cpu"), frame)
+    checkpoint = Checkpoint(1, config, 1, model.checkpoint_state(), {}, SavedTraining())
+    expected, restored = render(model, frame), render(SceneModel.from_checkpoint(checkpoint, "cpu"), frame)
     assert list(expected.images) == list(restored.images)
     assert all(torch.equal(image, restored.images[name]) for name, image in expected.images.items())
 

@@ -13,7 +13,7 @@ import torch
 from thermosplat.config import DensificationConfig, OptimizerConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
-from thermosplat.runs.checkpoint import load_checkpoint
+from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.trainer import Trainer

@@ -18,7 +18,7 @@ from thermosplat.config import DensificationConfig, LossConfig, OptimizerConfig,
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import NotWrittenError
-from thermosplat.runs.checkpoint import load_checkpoint, save_checkpoint
+from thermosplat.runs.checkpoint_file import load_checkpoint, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.training import trainer as trainer_module
@@ -256,7 +256,7 @@ def test_interrupt_while_a_checkpoint_is_written(
         trainer.train()
     assert [path.name for path in done] == ["step_000004.pt", "step_000006.pt"]
     assert stop.value.checkpoint == done[1]
-    assert [load_checkpoint(path)["step"] for path in done] == [4, 6]
+    assert [load_checkpoint(path).step for path in done] == [4, 6]
     resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))
     assert_same_state(state_tensors(resumed), whole_run[6])
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import torch
 
-from thermosplat.runs.checkpoint import load_checkpoint, save_checkpoint
+from thermosplat.runs.checkpoint import Checkpoint
+from thermosplat.runs.checkpoint_file import load_checkpoint, save_checkpoint
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.training_state import TrainingState
@@ -19,7 +20,7 @@ def test_round_trip_through_a_file(tmp_path: Path) -> None:
     trainer = toy_trainer(tmp_path, config, capture)
     for _ in range(4):  # past a refinement, so that the model has another size than at the start
         trainer._train_step()
-    save_checkpoint(tmp_path / "x.pt", trainer.state.checkpoint(config, 1, capture.scales))
+    save_checkpoint(tmp_path / "x.pt", trainer.state.checkpoint(config, 1, capture.scales).state())
     checkpoint = load_checkpoint(tmp_path / "x.pt")
     device = torch.device("cpu")
     restored = TrainingState(SceneModel.from_checkpoint(checkpoint, device), config, capture, device)
@@ -29,8 +30,8 @@ def test_round_trip_through_a_file(tmp_path: Path) -> None:
     assert_same_state(state_tensors(trainer), before)
     assert restored.step == 4
     assert restored.seconds.train > 0
-    assert checkpoint["sh_degree"] == 1
-    assert {name: scale["kind"] for name, scale in checkpoint["scales"].items()} == {
+    assert checkpoint.sh_degree == 1
+    assert {name: scale["kind"] for name, scale in checkpoint.scales.items()} == {
         "rgb": "photograph",
         "thermal": "color",
     }
@@ -41,7 +42,7 @@ def test_checkpoint_of_tensors_without_gradients(tmp_path: Path) -> None:
     config, capture = toy_run_config(), many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, config, capture)
     trainer._train_step()
-    tensors = flat_tensors(trainer.state.checkpoint(config, 1, capture.scales)).values()
+    tensors = flat_tensors(trainer.state.checkpoint(config, 1, capture.scales).state()).values()
     assert sum(tensor.numel() for tensor in tensors) > sum(value.numel() for value in trainer.model.parameters())
     assert not any(tensor.requires_grad for tensor in tensors)
 
@@ -100,9 +101,13 @@ def test_checkpoints_of_the_first_version_load(tmp_path: Path) -> None:
     config, capture = toy_run_config(), many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, config, capture)
     trainer._train_step()
-    checkpoint = trainer.state.checkpoint(config, 0, {})
-    for key in ("growing", "offsets_dropped", "best_validation", "exposures"):
-        del checkpoint["training"][key]
+    state = trainer.state.checkpoint(config, 0, {}).state()
+    for key in ("growing", "offsets_dropped", "trimmed", "corrections", "best_validation"):
+        del state["training"][key]
+    for key in ("train_frames", "test_frames"):
+        del state[key]
+    checkpoint = Checkpoint.from_state(state, tmp_path)
+    assert checkpoint.train_frames is None
     trainer.state.growing = False
     trainer.state.load(checkpoint)
     assert trainer.state.growing

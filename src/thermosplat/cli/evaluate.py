@@ -53,7 +53,7 @@ def _evaluate(arguments: EvalArguments) -> int:
     console = Console(highlight=False, soft_wrap=True)
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
     capture = loaded.capture(arguments.data)
-    for note in capture.notes:
+    for note in (*loaded.notes, *capture.notes):
         console.print(note, markup=False)
     lpips, lpips_note = find_lpips(arguments.lpips_weights or loaded.config.lpips_weights, loaded.device)
     console.print(lpips_note, markup=False)

@@ -47,6 +47,8 @@ def _export(arguments: ExportArguments) -> int:
         spectra=arguments.chosen(list(loaded.model.spectra)),
         compact=arguments.compact,
     )
+    for note in loaded.notes:
+        print(note)
     for ply in written.values():
         dropped = f", {ply.num_dropped:,} invisible or broken ones left out" if ply.num_dropped else ""
         print(f"{ply.path}: {ply.num_gaussians:,} Gaussians{dropped}")

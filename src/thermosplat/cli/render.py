@@ -55,7 +55,7 @@ def _render(arguments: RenderArguments) -> int:
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
     shown = arguments.chosen(list(loaded.model.spectra))
     capture = loaded.capture(arguments.data)
-    for note in capture.notes:
+    for note in (*loaded.notes, *capture.notes):
         print(note)
     points = viewpoints(capture, arguments.path, shown, num_frames=arguments.frames, device=loaded.device)
     name = f"{arguments.path}_{'-'.join(shown)}_{loaded.result_name(capture)}"

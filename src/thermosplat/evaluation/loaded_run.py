@@ -7,17 +7,18 @@ from typing import Any
 import torch
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.files import from_dict
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.warp_start import start_warp
 from thermosplat.refinement.camera_corrections import CameraCorrections
 from thermosplat.refinement.corrected_capture import corrected_capture
-from thermosplat.runs.checkpoint import damage_explained, load_checkpoint
+from thermosplat.runs.checkpoint import damage_explained
+from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import RunDirectory, checkpoint_step
 from thermosplat.scene.model import SceneModel
+from thermosplat.scene.saved_gaussians import num_not_finite
 from thermosplat.thermal.radiometry import PixelScale
 
 
@@ -45,6 +46,8 @@ class LoadedRun:
     """Names of the frames it was to be judged by; None where the checkpoint does not say."""
     corrections: dict[str, Any] | None = None
     """What training found wrong with the cameras (``CameraCorrections``); None: nothing of them was refined."""
+    notes: tuple[str, ...] = ()
+    """What to say of the model before it is rendered."""
 
     def capture(self, data: str | None) -> Capture:
         """The capture it was trained on, with the cameras that training has corrected.
@@ -130,21 +133,39 @@ def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> L
     chosen = choose_device(device)
     directory = RunDirectory.open(folder)
     start_warp()
-    state = load_checkpoint(_checkpoint(directory, step), chosen)
+    checkpoint = load_checkpoint(_checkpoint(directory, step), chosen)
     with damage_explained("scales"):
-        scales = {name: PixelScale.from_state_dict(scale) for name, scale in state["scales"].items()}
+        scales = {name: PixelScale.from_state_dict(scale) for name, scale in checkpoint.scales.items()}
+    model = SceneModel.from_checkpoint(checkpoint, chosen).eval()
     return LoadedRun(
         directory=directory,
-        config=from_dict(state["config"], source=f"the configuration stored in {folder}"),
-        step=state["step"],
-        sh_degree=state["sh_degree"],
-        model=SceneModel.from_checkpoint(state, chosen).eval(),
+        config=checkpoint.config,
+        step=checkpoint.step,
+        sh_degree=checkpoint.sh_degree,
+        model=model,
         scales=scales,
         device=chosen,
-        train_frames=state.get("train_frames"),
-        test_frames=state.get("test_frames"),
-        corrections=state["training"].get("corrections"),
+        train_frames=checkpoint.train_frames,
+        test_frames=checkpoint.test_frames,
+        corrections=checkpoint.training.corrections,
+        notes=_notes(model),
     )
+
+
+def _notes(model: SceneModel) -> tuple[str, ...]:
+    """On values that are not finite."""
+    notes = []
+    for name in model.gaussian_sets:
+        if broken := num_not_finite(model.gaussians(name)):
+            number = len(model.gaussians(name))
+            notes.append(
+                f"{broken:,} of {number:,} Gaussians hold values that are not finite, and are not drawn. The "
+                "checkpoint was damaged before it was written, or edited: take an earlier one with --step."
+            )
+    decoders = [] if model.decoders is None else list(model.decoders.parameters())
+    if not all(bool(torch.isfinite(value).all()) for value in decoders):
+        notes.append("The decoders hold values that are not finite, and so will the images: take an earlier --step.")
+    return tuple(notes)
 
 
 def _checkpoint(directory: RunDirectory, step: int | None) -> Path:

@@ -1,135 +1,253 @@
-"""Checkpoints: one file with everything a run needs to go on, written so that a crash never leaves half of one.
+"""What a checkpoint holds: everything that a run needs to go on, or to be rendered, evaluated and exported.
 
-A checkpoint is a plain dict of tensors and built-in types (``torch.load(..., weights_only=True)`` reads it):
+:mod:`thermosplat.runs.checkpoint_file` writes it as a plain dict of tensors and built-in types (``Checkpoint.state``):
 
-    format         int, this file's FORMAT
+    format         int, FORMAT
     step           int, training steps done
-    config         dict, the resolved configuration (``config_files.to_dict``)
+    config         dict, the resolved configuration (``config.files.to_dict``)
     sh_degree      int, highest spherical-harmonics degree in use
     model          {"gaussian_sets": {name: packed state_dict}, "decoders": state_dict | None,
                     "color_spaces": {spectrum: what its images are}}
     scales         {spectrum: dict (``PixelScale.state_dict``)}
-    training       dict, optimizer and densification state (``training.training_state``)
+    training       dict, see ``SavedTraining``
     train_frames   list of the training frames' names; checkpoints of 0.1.0 have none
     test_frames    the same of the held-out frames
 """
 
-import pickle
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from thermosplat.config.files import from_dict
+from thermosplat.config import TrainConfig
+from thermosplat.config.files import from_dict, to_dict
 from thermosplat.errors import UserError
-from thermosplat.runs.atomic_writes import write_atomically
-from thermosplat.runs.old_checkpoints import OLD_FORMAT, as_today
 
 FORMAT = 2
-_REQUIRED: dict[str, tuple[str, ...]] = {
-    "step": (),
-    "config": (),
-    "sh_degree": (),
-    "model": ("gaussian_sets", "decoders", "color_spaces"),
-    "scales": (),
-    "training": (),
-}
-"""What a checkpoint must have, and what of it must lie in which entry."""
-_REQUIRED_OLD = _REQUIRED | {"model": ("gaussian_sets", "decoders", "thermal_channels"), "thermal_scale": ()}
-"""The same of format 1."""
+DELETE_IT = "Delete it; thermosplat-train --resume then goes on from the checkpoint before it."
+"""What to do about a checkpoint that cannot be read."""
+_MOST_STEPS = 2**53
+_TRAINED_FURTHER = ("optimizers", "strategies", "exposures", "seconds")
+"""What of a training there has always been; rendering does without."""
 
 
-def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:
-    """Write a checkpoint, atomically.
+@dataclass(frozen=True)
+class SavedModel:
+    """The scene (``SceneModel.checkpoint_state``)."""
 
-    Args:
-        path: The file to write.
-        state: See the head of this file; ``format`` is added.
+    gaussian_sets: dict[str, dict[str, torch.Tensor]]
+    """Parameters of each set, packed."""
+    decoders: dict[str, torch.Tensor] | None
+    """Of the pixel-wise networks; None where there are none."""
+    color_spaces: dict[str, Any]
+    """What the images of each spectrum are."""
 
-    Returns:
-        The file.
 
-    Raises:
-        NotWrittenError: If the file cannot be written.
-    """
+@dataclass(frozen=True)
+class SavedTraining:
+    """What only training needs (``TrainingState``). Defaults are what checkpoints hold that do not say."""
 
-    def write(temporary: Path) -> None:
+    optimizers: dict[str, dict[str, Any]] | None = None
+    """States of the optimizers, by owner and parameter; None of a trimmed model."""
+    strategies: dict[str, dict[str, Any]] | None = None
+    """Of density control, by set of Gaussians."""
+    exposures: dict[str, torch.Tensor] | None = None
+    """Colour changes of the training views; None where no spectrum has them."""
+    corrections: dict[str, torch.Tensor] | None = None
+    """What is wrong with the cameras; None where nothing of them is refined."""
+    growing: bool = True
+    """Whether density control may still add Gaussians."""
+    offsets_dropped: bool = False
+    """Whether opacity offsets that are zero stay zero."""
+    trimmed: bool = False
+    """Whether the model is as small as a budget leaves it at the end."""
+    best_validation: tuple[float, int] = (-math.inf, 0)
+    """Best PSNR of withheld training views [dB], and its step."""
+    seconds: dict[str, float] | None = None
+    """Where the time went."""
+    missing: tuple[str, ...] = ()
+    """What there must be to train further and is not there."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A run after a whole number of steps."""
+
+    step: int
+    """Training steps done."""
+    config: TrainConfig
+    """The resolved configuration."""
+    sh_degree: int
+    """Highest degree of the spherical harmonics in use."""
+    model: SavedModel
+    """The scene."""
+    scales: dict[str, dict[str, Any]]
+    """What pixel values mean, by spectrum (``PixelScale.state_dict``)."""
+    training: SavedTraining
+    """What only training needs."""
+    train_frames: list[str] | None = None
+    """Names of the frames it was trained on; None: it does not say."""
+    test_frames: list[str] | None = None
+    """Names of the frames it is judged by; None: it does not say."""
+
+    def state(self) -> dict[str, Any]:
+        """The content of its file."""
+        training = {field.name: getattr(self.training, field.name) for field in fields(SavedTraining)}
+        missing = training.pop("missing")
+        return {
+            "format": FORMAT,
+            "step": self.step,
+            "config": to_dict(self.config),
+            "sh_degree": self.sh_degree,
+            "model": {field.name: getattr(self.model, field.name) for field in fields(SavedModel)},
+            "scales": self.scales,
+            "training": {name: value for name, value in training.items() if name not in missing},
+            "train_frames": self.train_frames,
+            "test_frames": self.test_frames,
+        }
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any], path: Path) -> "Checkpoint":
+        """The inverse of ``state``. Every entry is there and of its kind; what is in tensors is not looked at.
+
+        Args:
+            state: The content of a file of today's format.
+            path: The file, for messages.
+
+        Raises:
+            UserError: An entry is missing, or is something else than it must be.
+        """
+        read = _Reader(state, path)
+        for name in ("step", "config", "sh_degree", "model", "scales", "training"):
+            read.entry(name, lambda value: True, "there")
+        config = read.entry("config", _is_dict, "a dictionary")
         try:
-            with temporary.open("wb") as file:
-                torch.save({"format": FORMAT, **state}, file)
-        except RuntimeError as error:  # torch's archive writer hides the OSError of a full disk in its own error
-            if isinstance(error.__context__, OSError):
-                raise error.__context__ from error
-            raise
-
-    write_atomically(path, write)
-    return path
-
-
-@torch.no_grad()
-def on_host(state: Any) -> Any:
-    """A checkpoint's content in tensors of its own, in the host's memory, which no training changes.
-
-    Args:
-        state: Tensors and built-in types, in dicts, lists and tuples.
-    """
-    if isinstance(state, torch.Tensor):
-        return state.to("cpu", copy=True)
-    if isinstance(state, dict):
-        return {key: on_host(value) for key, value in state.items()}
-    if isinstance(state, list | tuple):
-        return type(state)(on_host(value) for value in state)
-    return state
-
-
-def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Read a checkpoint.
-
-    Args:
-        path: A file that :func:`save_checkpoint` wrote.
-        device: Where its tensors go.
-
-    Returns:
-        The state; see the head of this file.
-
-    Raises:
-        UserError: If there is no such file, or it is not a checkpoint this version reads.
-    """
-    if not path.is_file():
-        raise UserError(f"No checkpoint at {path}.", "Give the result folder of a run of thermosplat-train.")
-    try:
-        state = torch.load(path, map_location=device, weights_only=True)
-    except (RuntimeError, pickle.UnpicklingError, EOFError, ValueError, KeyError, OSError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UserError(
-            f"{path} is damaged or not a thermosplat checkpoint ({reason}).",
-            "Delete it; thermosplat-train --resume then goes on from the checkpoint before it.",
-        ) from error
-    if not isinstance(state, dict) or "format" not in state:
-        raise UserError(f"{path} is not a thermosplat checkpoint: it has no format number.")
-    if state["format"] not in (OLD_FORMAT, FORMAT):
-        raise UserError(
-            f"{path} has checkpoint format {state['format']}; this version of thermosplat reads format {FORMAT}.",
-            "Use the version of thermosplat that wrote it.",
+            config = from_dict(config, source=f"the configuration in {path}")
+        except UserError as error:
+            message = f"{error.message} Another version of thermosplat wrote that file."
+            raise UserError(message, "Use the version that wrote it, or train again.") from error
+        read.entry("model", _is_dict, "a dictionary")
+        read.entry("training", _is_dict, "a dictionary")
+        training = read.training()
+        return cls(
+            step=read.entry("step", lambda value: _is_int(value, 0, _MOST_STEPS), "a number of steps"),
+            config=config,
+            sh_degree=read.entry(
+                "sh_degree", lambda value: _is_int(value, 0, config.sh_degree), f"from 0 to {config.sh_degree}"
+            ),
+            model=SavedModel(
+                gaussian_sets=read.entry("model.gaussian_sets", _are_sets, "sets of tensors, at least one"),
+                decoders=read.entry("model.decoders", _or_none(_are_tensors), "tensors or None"),
+                color_spaces=read.entry("model.color_spaces", _is_dict, "a dictionary"),
+            ),
+            scales=read.entry("scales", _are_dicts, "dictionaries by spectrum"),
+            training=training,
+            train_frames=read.entry("train_frames", _or_none(_are_names), "a list of names", None),
+            test_frames=read.entry("test_frames", _or_none(_are_names), "a list of names", None),
         )
-    required = _REQUIRED if state["format"] == FORMAT else {k: v for k, v in _REQUIRED_OLD.items() if k != "scales"}
-    missing = _missing(state, required)
-    if missing:
-        raise UserError(
-            f"{path} is not a complete checkpoint: {', '.join(missing)} missing.",
-            "Delete it; thermosplat-train --resume then goes on from the checkpoint before it.",
-        )
-    try:
-        from_dict(state["config"], source=f"the configuration in {path}")
-    except UserError as error:
-        message = f"{error.message} Another version of thermosplat wrote that file."
-        raise UserError(message, "Use the version that wrote it, or train again.") from error
-    if state["format"] == OLD_FORMAT:
-        with damage_explained("content"):
-            state = as_today(state)
-    return state
+
+
+_REQUIRED: Any = object()
+
+
+class _Reader:
+    """Entries of a checkpoint by dotted names, held against what they must be."""
+
+    def __init__(self, state: dict[str, Any], path: Path) -> None:
+        self.state = state
+        self.path = path
+
+    def entry(self, name: str, fits: Callable[[Any], bool], expected: str, default: Any = _REQUIRED) -> Any:
+        """An entry of the state.
+
+        Raises:
+            UserError: It is missing though it is required, or does not fit.
+        """
+        value: Any = self.state
+        for key in name.split("."):
+            if key not in value:
+                if default is _REQUIRED:
+                    raise UserError(f"{self.path} is not a complete checkpoint: {name} is missing.", DELETE_IT)
+                return default
+            value = value[key]
+        if not fits(value):
+            raise UserError(f"{self.path} is damaged: its {name} must be {expected}, found {_shown(value)}.", DELETE_IT)
+        return value
+
+    def training(self) -> SavedTraining:
+        """What only training needs. Entries that old versions do not have take the defaults."""
+        kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
+            "optimizers": (_or_none(_are_dicts), "dictionaries or None"),
+            "strategies": (_are_dicts, "dictionaries by set"),
+            "exposures": (_or_none(_are_tensors), "tensors or None"),
+            "corrections": (_or_none(_are_tensors), "tensors or None"),
+            "growing": (_is_bool, "true or false"),
+            "offsets_dropped": (_is_bool, "true or false"),
+            "trimmed": (_is_bool, "true or false"),
+            "best_validation": (_is_validation, "a number of decibels and a step"),
+            "seconds": (_are_seconds, "numbers of seconds"),
+        }
+        there = self.state["training"]
+        found = {
+            name: self.entry(f"training.{name}", fits, expected)
+            for name, (fits, expected) in kinds.items()
+            if name in there
+        }
+        return SavedTraining(**found, missing=tuple(name for name in _TRAINED_FURTHER if name not in there))
+
+
+def _shown(value: Any) -> str:
+    """A value in a message: a short one as it is, of others their type."""
+    text = repr(value) if isinstance(value, bool | int | float | str | None) else ""
+    return text if text and len(text) <= 40 else type(value).__name__
+
+
+def _or_none(fits: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: value is None or fits(value)
+
+
+def _is_int(value: Any, least: int, most: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+
+
+def _is_bool(value: Any) -> bool:
+    return isinstance(value, bool)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_dict(value: Any) -> bool:
+    return isinstance(value, dict) and all(isinstance(key, str) for key in value)
+
+
+def _are_dicts(value: Any) -> bool:
+    return _is_dict(value) and all(map(_is_dict, value.values()))
+
+
+def _are_tensors(value: Any) -> bool:
+    return _is_dict(value) and all(isinstance(item, torch.Tensor) for item in value.values())
+
+
+def _are_sets(value: Any) -> bool:
+    return _is_dict(value) and len(value) > 0 and all(item and _are_tensors(item) for item in value.values())
+
+
+def _are_names(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(item, str) for item in value)
+
+
+def _is_validation(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) == 2 and all(map(_is_number, value))
+
+
+def _are_seconds(value: Any) -> bool:
+    return _is_dict(value) and all(_is_number(item) and math.isfinite(item) for item in value.values())
 
 
 @contextmanager
@@ -143,28 +261,9 @@ def damage_explained(part: str) -> Iterator[None]:
         yield
     except UserError:
         raise
-    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+    except (AttributeError, IndexError, KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
         reason = (str(error).splitlines() or [""])[0]
         raise UserError(
             f"The checkpoint is damaged: its {part} cannot be used ({type(error).__name__}: {reason}).",
             "Take another one of the run with --step, or delete it; the one before it is then the newest.",
         ) from error
-
-
-def _missing(state: dict[str, Any], required: dict[str, tuple[str, ...]]) -> list[str]:
-    """What a checkpoint lacks, by dotted names."""
-    missing = [key for key in required if key not in state]
-    for key in ("config", "model", "training"):
-        if key in state and not isinstance(state[key], dict):
-            missing.append(key)
-    for key, entries in required.items():
-        if key not in missing:
-            missing += [f"{key}.{entry}" for entry in entries if entry not in state[key]]
-    if not missing:
-        sets = state["model"]["gaussian_sets"]
-        if not isinstance(sets, dict):
-            return ["model.gaussian_sets"]
-        missing = [f"model.gaussian_sets.{name}" for name, values in sets.items() if not values]
-        if state.get("thermal_scale") is not None and not state["thermal_scale"]:
-            missing.append("thermal_scale")
-    return missing

@@ -6,6 +6,8 @@ from typing import Any
 from thermosplat.spectra import CELSIUS
 
 OLD_FORMAT = 1
+OLD_REQUIRED = ("step", "config", "sh_degree", "model", "thermal_scale", "training")
+"""What a checkpoint of that format must have."""
 
 _DECODER_NAMES = {
     "thermal_prior.": "priors.thermal.",

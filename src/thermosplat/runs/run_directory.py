@@ -24,7 +24,7 @@ import torch
 from thermosplat import __version__
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import plain_folder, write_text
-from thermosplat.runs.checkpoint import load_checkpoint
+from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.devices import device_name
 from thermosplat.runs.run_lock import run_lock
 from thermosplat.runs.written_files import CHECKPOINT_NAME, FILES, delete_run, sweep_run
@@ -207,7 +207,7 @@ class RunDirectory:
         Raises:
             UserError: There is neither, or it cannot be read.
         """
-        from thermosplat.config.files import from_dict, load_config
+        from thermosplat.config.files import load_config
 
         if self.config_yaml.is_file():
             return load_config(self.config_yaml)
@@ -217,7 +217,7 @@ class RunDirectory:
                 f"{self.path} has neither a config.yaml nor a checkpoint to go on from.",
                 "Start again with --overwrite.",
             )
-        return from_dict(load_checkpoint(path)["config"], source=str(path))
+        return load_checkpoint(path).config
 
     def write_config(self, config: "TrainConfig") -> None:
         """Write ``config.yaml``."""

@@ -258,21 +258,6 @@ class Gaussians(nn.Module):
                 parameters[offsets_name(spectrum.name)] = torch.zeros(num_points)
         return cls(parameters)
 
-    @classmethod
-    def from_state_dict(cls, state: dict[str, Tensor]) -> "Gaussians":
-        """Gaussians of a checkpoint, as many and with the same parameters as it holds.
-
-        Args:
-            state: What ``state_dict()`` returned.
-
-        Raises:
-            KeyError: It lacks a parameter that every Gaussian has.
-        """
-        for name in ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"):
-            if name not in state:
-                raise KeyError(name)
-        return cls(state)
-
 
 def _spectrum_of_opacity(name: str) -> str | None:
     """The spectrum whose opacity a parameter holds; None of another parameter, and of α."""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.spectra import Spectrum
 
@@ -31,8 +31,6 @@ def initial_gaussians(config: TrainConfig, capture: "Capture", spectra: Sequence
         UserError: If there are too few points.
     """
     generator = torch.Generator().manual_seed(config.seed)
-    one_set = config.model.gaussian_sets == "shared"
-    sets = {SHARED: spectra} if one_set else {spectrum.name: [spectrum] for spectrum in spectra}
     return {
         name: Gaussians.from_points(
             capture.points,
@@ -42,5 +40,15 @@ def initial_gaussians(config: TrainConfig, capture: "Capture", spectra: Sequence
             generator=generator,
             spectra=rendered,
         )
-        for name, rendered in sets.items()
+        for name, rendered in sets_of(config.model, spectra).items()
     }
+
+
+def sets_of(config: ModelConfig, spectra: Sequence[Spectrum]) -> dict[str, Sequence[Spectrum]]:
+    """The spectra that each set of Gaussians renders, by the set's name.
+
+    Args:
+        config: Says which sets there are.
+        spectra: The spectra of the model.
+    """
+    return {SHARED: spectra} if config.gaussian_sets == SHARED else {spectrum.name: [spectrum] for spectrum in spectra}

@@ -20,15 +20,15 @@ from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.config.checks import check_config
-from thermosplat.config.files import from_dict
 from thermosplat.fused.covered_images import warp_covered
-from thermosplat.runs.checkpoint import damage_explained
+from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians
+from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians, sets_of
 from thermosplat.scene.lens_distortion import nearest_distorted
-from thermosplat.scene.packed_parameters import num_bytes, pack, unpack
+from thermosplat.scene.packed_parameters import num_bytes, pack
 from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.scene.saved_gaussians import restored_gaussians
 from thermosplat.scene.shared_cameras import views_by_camera
 from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.scene.view_directions import view_directions
@@ -120,7 +120,7 @@ class SceneModel(nn.Module):
     def num_bytes(self) -> int:
         """Bytes of all parameters as a checkpoint stores them: without zeros of SH bands and opacity offsets."""
         stored = self.checkpoint_state()
-        return sum(num_bytes(values) for values in [*stored["gaussian_sets"].values(), stored["decoders"] or {}])
+        return sum(num_bytes(values) for values in [*stored.gaussian_sets.values(), stored.decoders or {}])
 
     @property
     def feature_channels(self) -> int | None:
@@ -333,38 +333,48 @@ class SceneModel(nn.Module):
             model = cls(config.model, config.decoder, spectra, gaussian_sets, config.background)
         return model.to(device)
 
-    def checkpoint_state(self) -> dict[str, Any]:
-        """What ``from_checkpoint`` needs under the checkpoint's key "model"."""
-        return {
-            "gaussian_sets": {name: pack(self.gaussians(name).state_dict()) for name in self.gaussian_sets},
-            "decoders": self.decoders.state_dict() if self.decoders is not None else None,
-            "color_spaces": {name: spectrum.color_space for name, spectrum in self.spectra.items()},
-        }
+    def checkpoint_state(self) -> SavedModel:
+        """The model of a checkpoint, which ``from_checkpoint`` restores."""
+        return SavedModel(
+            gaussian_sets={name: pack(self.gaussians(name).state_dict()) for name in self.gaussian_sets},
+            decoders=self.decoders.state_dict() if self.decoders is not None else None,
+            color_spaces={name: spectrum.color_space for name, spectrum in self.spectra.items()},
+        )
 
     @classmethod
-    def from_checkpoint(cls, state: dict[str, Any], device: torch.device | str) -> "SceneModel":
+    def from_checkpoint(cls, checkpoint: Checkpoint, device: torch.device | str) -> "SceneModel":
         """The model of a checkpoint.
 
         Args:
-            state: The checkpoint: its "config" (plain) and its "model" (``checkpoint_state``).
+            checkpoint: Its configuration and model are used.
             device: Where the model shall live.
 
         Raises:
-            UserError: It is incomplete.
+            UserError: It is incomplete, or its parts do not fit together.
         """
-        config = from_dict(state["config"])
-        saved = state["model"]
-        num_bases = (config.sh_degree + 1) ** 2 - 1
+        config, saved = checkpoint.config, checkpoint.model
         with damage_explained("model"):
+            spectra = model_spectra(config.modelled, saved.color_spaces)
             gaussian_sets = {
-                name: Gaussians.from_state_dict(unpack(values, num_bases))
-                for name, values in saved["gaussian_sets"].items()
+                name: restored_gaussians(saved.gaussian_sets[name], config, rendered)
+                for name, rendered in sets_of(config.model, spectra).items()
             }
-            spectra = model_spectra(config.modelled, saved["color_spaces"])
+            if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
+                _check_decoders(saved.decoders, config, spectra)
             model = cls(config.model, config.decoder, spectra, gaussian_sets, config.background)
-            if model.decoders is not None:
-                model.decoders.load_state_dict(saved["decoders"])
+            if model.decoders is not None and saved.decoders is not None:
+                model.decoders.load_state_dict(saved.decoders)
         return model.to(device)
+
+
+def _check_decoders(saved: Mapping[str, Tensor] | None, config: TrainConfig, spectra: Sequence[Spectrum]) -> None:
+    """Hold the shapes of saved decoders against the configuration, before memory is taken for what that asks for."""
+    with torch.device("meta"):
+        asked = make_decoders(config.decoder, config.model.feature_dim, spectra).state_dict()
+    shapes = {name: list(value.shape) for name, value in (saved or {}).items()}
+    for name, value in asked.items():
+        if shapes.get(name) != list(value.shape):
+            raise ValueError(f"decoders.{name} has the shape {shapes.get(name)}, not {list(value.shape)}")
 
 
 def _note_call(rendered: RenderedFrame, name: str, spectra: Sequence[str], info: dict[str, Any]) -> None:

@@ -72,17 +72,27 @@ def _adam(parameters: list[nn.Parameter], config: OptimizerConfig) -> torch.opti
 
 
 def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
-    """Go on from a checkpoint's state of an optimizer, which may have run on another device.
+    """Go on from a checkpoint's moments of an optimizer, which may have run on another device.
+
+    Rates and all other settings are those of the optimizer at hand.
 
     Args:
         optimizer: Of the same parameters.
         state: Its ``state_dict()``.
+
+    Raises:
+        ValueError: Moments are not of the parameters' shapes.
     """
-    rates = [group["lr"] for group in optimizer.param_groups]
+    settings = [{key: value for key, value in group.items() if key != "params"} for group in optimizer.param_groups]
     optimizer.load_state_dict(state)
-    for group, rate in zip(optimizer.param_groups, rates):
-        group["lr"], group["capturable"] = rate, isinstance(rate, Tensor)
-        group.pop("rate", None)
+    for group, own in zip(optimizer.param_groups, settings):
+        parameters = group["params"]
+        group.clear()
+        group.update(params=parameters, **own)
+        for parameter in parameters:
+            for name, moment in optimizer.state.get(parameter, {}).items():
+                if moment.shape != (() if name == "step" else parameter.shape):
+                    raise ValueError(f"{name} of an optimizer has the shape {list(moment.shape)}")
 
 
 def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress: float, scene_extent: float) -> None:

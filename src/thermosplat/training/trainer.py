@@ -27,6 +27,7 @@ from thermosplat.image_quality.lpips import Lpips, find_lpips
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.refinement.camera_report import write_cameras
 from thermosplat.refinement.corrected_capture import corrected_capture
+from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
@@ -72,7 +73,7 @@ class Trainer:
         capture: Capture,
         run: RunDirectory,
         logger: RunLogger | None = None,
-        checkpoint: dict[str, Any] | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         self.config = config
         self.capture = capture
@@ -294,10 +295,8 @@ class Trainer:
 
     def _checkpoint(self) -> tuple[Path, dict[str, Any]]:
         """File and content of a checkpoint of the steps done; callers have made sure that the state is finite."""
-        state = self.state.checkpoint(self.config, self.sh_degree, self.capture.scales)
-        for split in ("train", "test"):
-            state[f"{split}_frames"] = [frame.name for frame in getattr(self.capture, split)]
-        return self.run.checkpoint(self.state.step), state
+        checkpoint = self.state.checkpoint(self.config, self.sh_degree, self.capture.scales, self.capture)
+        return self.run.checkpoint(self.state.step), checkpoint.state()
 
     def _saving(self) -> AbstractContextManager[None]:
         """Around what leaves the model as it is: begin to write a checkpoint of the steps done."""

@@ -3,16 +3,14 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from thermosplat.config import OptimizerConfig, TrainConfig
-from thermosplat.config.files import to_dict
 from thermosplat.datasets.capture import Capture
 from thermosplat.refinement.camera_corrections import CameraCorrections
-from thermosplat.runs.checkpoint import damage_explained
+from thermosplat.runs.checkpoint import Checkpoint, SavedTraining, damage_explained
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
@@ -154,65 +152,72 @@ class TrainingState:
             if name != "shN" and not name.endswith("_shN")
         }
 
-    def checkpoint(self, config: TrainConfig, sh_degree: int, scales: Mapping[str, PixelScale]) -> dict[str, Any]:
-        """What ``checkpoint.save_checkpoint`` writes; of a trimmed model without Adam's moments, twice its size.
+    def checkpoint(
+        self, config: TrainConfig, sh_degree: int, scales: Mapping[str, PixelScale], capture: Capture | None = None
+    ) -> Checkpoint:
+        """The state to go on from; of a trimmed model without Adam's moments, twice its size.
 
         Args:
             config: The whole configuration.
             sh_degree: Degree of the spherical harmonics in use.
             scales: What pixel values mean, by spectrum.
+            capture: What is trained on, for the frames' names; None: nobody goes on from it with another capture.
         """
-        return {
-            "step": self.step,
-            "config": to_dict(config),
-            "sh_degree": sh_degree,
-            "model": self.model.checkpoint_state(),
-            "scales": {name: scale.state_dict() for name, scale in scales.items()},
-            "training": {
-                "optimizers": {
-                    owner: {name: optimizer.state_dict() for name, optimizer in optimizers.items()}
-                    for owner, optimizers in self.optimizers.items()
-                }
-                if not self.trimmed
-                else None,
-                "strategies": {name: strategy.state_dict() for name, strategy in self.strategies.items()},
-                "exposures": self.exposures.state_dict() if self.exposures is not None else None,
-                "corrections": self.corrections.state_dict() if self.corrections is not None else None,
-                "growing": self.growing,
-                "offsets_dropped": self.offsets_dropped,
-                "trimmed": self.trimmed,
-                "best_validation": self.best_validation,
-                "seconds": asdict(self.seconds),
+        training = SavedTraining(
+            optimizers=None
+            if self.trimmed
+            else {
+                owner: {name: optimizer.state_dict() for name, optimizer in optimizers.items()}
+                for owner, optimizers in self.optimizers.items()
             },
-        }
+            strategies={name: strategy.state_dict() for name, strategy in self.strategies.items()},
+            exposures=self.exposures.state_dict() if self.exposures is not None else None,
+            corrections=self.corrections.state_dict() if self.corrections is not None else None,
+            growing=self.growing,
+            offsets_dropped=self.offsets_dropped,
+            trimmed=self.trimmed,
+            best_validation=self.best_validation,
+            seconds=asdict(self.seconds),
+        )
+        return Checkpoint(
+            step=self.step,
+            config=config,
+            sh_degree=sh_degree,
+            model=self.model.checkpoint_state(),
+            scales={name: scale.state_dict() for name, scale in scales.items()},
+            training=training,
+            train_frames=None if capture is None else [frame.name for frame in capture.train],
+            test_frames=None if capture is None else [frame.name for frame in capture.test],
+        )
 
-    def load(self, checkpoint: dict[str, Any]) -> None:
+    def load(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint; the model must already be its.
 
         Args:
-            checkpoint: What ``checkpoint.load_checkpoint`` read.
+            checkpoint: The checkpoint.
 
         Raises:
-            UserError: It is incomplete.
+            UserError: It is incomplete, or does not fit the model.
         """
         with damage_explained("training state"):
-            self._load(checkpoint)
+            self._load(checkpoint.training)
+        self.step = checkpoint.step
 
-    def _load(self, checkpoint: dict[str, Any]) -> None:
-        training = checkpoint["training"]
-        if training["optimizers"] is not None:
+    def _load(self, training: SavedTraining) -> None:
+        if training.missing:
+            raise KeyError(training.missing[0])
+        if training.optimizers is not None:
             for owner, optimizers in self.optimizers.items():
                 for name, optimizer in optimizers.items():
-                    load_optimizer(optimizer, training["optimizers"][owner][name])
+                    load_optimizer(optimizer, training.optimizers[owner][name])
         for name, strategy in self.strategies.items():
-            strategy.load_state_dict(training["strategies"][name])
+            strategy.load_state_dict((training.strategies or {})[name])
         if self.exposures is not None:
-            self.exposures.load_state_dict(training["exposures"])
+            self.exposures.load_state_dict(training.exposures or {})
         if self.corrections is not None:
-            self.corrections.load_state_dict(training["corrections"])
-        self.growing = training.get("growing", True)  # checkpoints of 0.1.0 have none of these four
-        self.offsets_dropped = training.get("offsets_dropped", False)
-        self.trimmed = training.get("trimmed", False)
-        self.best_validation = training.get("best_validation", self.best_validation)
-        self.step = checkpoint["step"]
-        self.seconds = Seconds(**training["seconds"])
+            self.corrections.load_state_dict(training.corrections or {})
+        self.growing = training.growing
+        self.offsets_dropped = training.offsets_dropped
+        self.trimmed = training.trimmed
+        self.best_validation = training.best_validation
+        self.seconds = Seconds(**training.seconds or {})

@@ -10,7 +10,7 @@ import torch
 
 from thermosplat.config import AutoBudgetConfig, LossConfig, TrainConfig
 from thermosplat.image_quality.metrics import psnr
-from thermosplat.runs.checkpoint import load_checkpoint
+from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.budget.image_change import ImageChange
 from thermosplat.training.budget.offset_shrinkage import drop_offsets
@@ -308,7 +308,7 @@ def test_a_finished_run_is_trimmed_once_and_may_go_on(tmp_path: Path) -> None:
     assert longer.state.trimmed
     advance(longer, 22)
     assert not longer.state.trimmed
-    assert longer.state.checkpoint(longer.config, 1, {})["training"]["optimizers"] is not None
+    assert longer.state.checkpoint(longer.config, 1, {}).training.optimizers is not None
     longer.train()
     assert longer.state.trimmed
 
@@ -332,7 +332,7 @@ def test_interrupted_trimming_changes_nothing(tmp_path: Path, monkeypatch: pytes
         trainer.train()
     assert len(done) == looks
     assert_same_state(state_tensors(trainer), before)
-    assert not load_checkpoint(trainer.run.checkpoint(20))["training"]["trimmed"]
+    assert not load_checkpoint(trainer.run.checkpoint(20)).training.trimmed
 
 
 def test_growth_of_a_set_that_is_trained_later(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import torch
 from random_gaussians import random_gaussians, stepped_optimizers
 from thermosplat.config import DensificationConfig
 from thermosplat.errors import UserError
-from thermosplat.runs.checkpoint import load_checkpoint
+from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gradient_control import Refinement
 from thermosplat.training.density.mcmc import McmcStrategy
@@ -236,8 +236,9 @@ def test_out_of_memory_behind_the_update(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(UserError, match="memory"):
         trainer.train()
     checkpoint = load_checkpoint(trainer.run.checkpoint(6))
-    assert checkpoint["step"] == 6
-    of_means = checkpoint["training"]["optimizers"]["shared"]["means"]["state"][0]
+    assert checkpoint.step == 6
+    assert checkpoint.training.optimizers is not None
+    of_means = checkpoint.training.optimizers["shared"]["means"]["state"][0]
     assert of_means["step"] == 6
 
 

@@ -13,7 +13,7 @@ import torch
 
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import NotWrittenError
-from thermosplat.runs.checkpoint import save_checkpoint
+from thermosplat.runs.checkpoint_file import save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.session import checkpoint_writer
 from thermosplat.training.session.checkpoint_writer import CheckpointWriter, naming_the_newest_checkpoint

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from thermosplat.config import DecoderConfig, ModelConfig, OptimizerConfig, TrainConfig
 from thermosplat.config.files import to_dict
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import other_frames
-from thermosplat.runs.checkpoint import save_checkpoint
+from thermosplat.runs.checkpoint_file import save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.spectra import ColorSpace
 from thermosplat.thermal.radiometry import PixelScale
@@ -30,7 +31,7 @@ def _scales(**kinds: ColorSpace) -> dict[str, PixelScale]:
 def _run(path: Path, step: int = 100, config: TrainConfig = CONFIG, **kinds: ColorSpace) -> RunDirectory:
     run, scales = RunDirectory.create(path), _scales(**kinds)
     model = {
-        "gaussian_sets": {},
+        "gaussian_sets": {"shared": {"means": torch.zeros(4, 3)}},
         "decoders": None,
         "color_spaces": {name: scale.kind for name, scale in scales.items()},
     }
@@ -173,7 +174,7 @@ def test_other_thermal_images_are_refused(
         check_resumable(checkpoint, CONFIG, run, capture)
     check_resumable(checkpoint, CONFIG, run, _capture("a", "b", thermal=then))
     alone = dataclasses.replace(CONFIG, without=("thermal",))
-    check_resumable(checkpoint | {"config": to_dict(alone)}, alone, run, capture)
+    check_resumable(dataclasses.replace(checkpoint, config=alone), alone, run, capture)
 
 
 def test_other_images_of_a_third_spectrum_are_refused(tmp_path: Path) -> None:
@@ -193,14 +194,14 @@ def test_checkpoints_without_frames_go_on(tmp_path: Path) -> None:
     """The first release did not store which frames it had trained on."""
     run = _run(tmp_path)
     checkpoint = newest_checkpoint(run)
-    assert other_frames(checkpoint.pop("train_frames"), _capture("x"))
-    check_resumable(checkpoint, CONFIG, run, _capture("x"))
+    assert other_frames(checkpoint.train_frames, _capture("x"))
+    check_resumable(dataclasses.replace(checkpoint, train_frames=None), CONFIG, run, _capture("x"))
 
 
 def test_a_model_alone_cannot_be_trained_further(tmp_path: Path) -> None:
     """A checkpoint without the state of its training says so."""
     run = _run(tmp_path)
-    save_checkpoint(run.checkpoint(200), {**newest_checkpoint(run), "training": {"seconds": {}}})
+    save_checkpoint(run.checkpoint(200), {**newest_checkpoint(run).state(), "step": 200, "training": {"seconds": {}}})
     with pytest.raises(UserError, match=r"rendered but not trained further: .* optimizers, strategies, exposures are"):
         newest_checkpoint(run)
 
@@ -208,9 +209,8 @@ def test_a_model_alone_cannot_be_trained_further(tmp_path: Path) -> None:
 def test_newest_checkpoint_is_taken(tmp_path: Path) -> None:
     """Of several, the one with the most steps; without any, an error that says how to start again."""
     run = _run(tmp_path / "run")
-    _save = newest_checkpoint(run)
-    save_checkpoint(run.checkpoint(40), {**_save, "step": 40})
-    assert newest_checkpoint(run)["step"] == 100
+    save_checkpoint(run.checkpoint(40), {**newest_checkpoint(run).state(), "step": 40})
+    assert newest_checkpoint(run).step == 100
     empty = RunDirectory.create(tmp_path / "empty")
     with pytest.raises(UserError, match="no checkpoint to go on from"):
         newest_checkpoint(empty)

@@ -145,4 +145,7 @@ class DecomposingStrategy(DefaultStrategy):
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Go on from a checkpoint's state; gradients by spectrum start at zero where its strategy did not note them."""
         super().load_state_dict(state)
-        self.gradient_sums = state.get("gradient_sums", self._no_gradients()).to(self.gradient_sums)
+        sums = state.get("gradient_sums", self._no_gradients())
+        if sums.shape != self.gradient_sums.shape:
+            raise ValueError(f"gradient_sums has the shape {list(sums.shape)}")
+        self.gradient_sums = sums.to(self.gradient_sums)

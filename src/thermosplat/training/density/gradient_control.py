@@ -247,6 +247,9 @@ class DefaultStrategy:
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Go on from a checkpoint's state."""
+        for name in ("grad_norm_sum", "observations"):
+            if state[name].shape != getattr(self, name).shape:
+                raise ValueError(f"{name} has the shape {list(state[name].shape)}")
         self.grad_norm_sum = state["grad_norm_sum"].to(self.grad_norm_sum)
         self.observations = state["observations"].to(self.observations)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import NotWrittenError
-from thermosplat.runs.checkpoint import on_host, save_checkpoint
+from thermosplat.runs.checkpoint_file import on_host, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.session.interruption import deferred_interrupts
 

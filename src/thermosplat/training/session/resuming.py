@@ -4,11 +4,11 @@ from dataclasses import fields
 from typing import Any
 
 from thermosplat.config import ModelConfig, TrainConfig
-from thermosplat.config.files import from_dict
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import other_frames
-from thermosplat.runs.checkpoint import damage_explained, load_checkpoint
+from thermosplat.runs.checkpoint import Checkpoint, damage_explained
+from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.spectra import label, latent_channels
 
@@ -23,11 +23,9 @@ _IMAGES = {
 """By the kind of their scale."""
 _SPECTRUM_STRUCTURE = ("opacity", "modulated_by", "start", "exposure")
 """Fields of SpectrumConfig that decide which parameters there are."""
-_TRAINING = ("optimizers", "strategies", "exposures", "seconds")
-"""What of a checkpoint's training state there has always been; rendering does without."""
 
 
-def newest_checkpoint(run: RunDirectory) -> dict[str, Any]:
+def newest_checkpoint(run: RunDirectory) -> Checkpoint:
     """The state of a run's newest checkpoint, on the CPU.
 
     Raises:
@@ -37,8 +35,7 @@ def newest_checkpoint(run: RunDirectory) -> dict[str, Any]:
     if path is None:
         raise UserError(f"{run.path} has no checkpoint to go on from.", "Start again with --overwrite.")
     checkpoint = load_checkpoint(path)
-    missing = [entry for entry in _TRAINING if entry not in checkpoint["training"]]
-    if missing:
+    if missing := checkpoint.training.missing:
         raise UserError(
             f"{path} can be rendered but not trained further: of its training state {', '.join(missing)} are missing.",
             "Start another run with another --result-dir.",
@@ -46,7 +43,7 @@ def newest_checkpoint(run: RunDirectory) -> dict[str, Any]:
     return checkpoint
 
 
-def check_resumable(checkpoint: dict[str, Any], config: TrainConfig, run: RunDirectory, capture: Capture) -> None:
+def check_resumable(checkpoint: Checkpoint, config: TrainConfig, run: RunDirectory, capture: Capture) -> None:
     """Refuse to go on with another model than the checkpoint's, or on another capture.
 
     Args:
@@ -59,20 +56,19 @@ def check_resumable(checkpoint: dict[str, Any], config: TrainConfig, run: RunDir
         UserError: Names the first setting that differs, and both values; the first training frame; or both kinds of
             images of a spectrum.
     """
-    saved = from_dict(checkpoint["config"], source=f"{run.path}'s checkpoint")
-    then, now = _structure(saved), _structure(config)
+    then, now = _structure(checkpoint.config), _structure(config)
     for name, value in then.items():
         if now.get(name) != value:
             raise UserError(
                 f"{run.path} was trained with {name}={value}, the command asks for {now.get(name)}.",
                 "Drop the flag, or start a new run with another --result-dir.",
             )
-    if config.max_steps < checkpoint["step"]:
+    if config.max_steps < checkpoint.step:
         raise UserError(
-            f"{run.path} has done {checkpoint['step']:,} steps, the command asks for {config.max_steps:,} in all.",
+            f"{run.path} has done {checkpoint.step:,} steps, the command asks for {config.max_steps:,} in all.",
             "Give a larger --max-steps, or start a new run with another --result-dir.",
         )
-    difference = other_frames(checkpoint.get("train_frames"), capture)
+    difference = other_frames(checkpoint.train_frames, capture)
     if difference:
         raise UserError(
             f"{run.path} cannot go on with another capture. {difference}",
@@ -80,7 +76,7 @@ def check_resumable(checkpoint: dict[str, Any], config: TrainConfig, run: RunDir
         )
     for name in config.modelled:
         with damage_explained("scales"):
-            saved_scale = checkpoint["scales"].get(name)
+            saved_scale = checkpoint.scales.get(name)
             trained = _IMAGES[None if saved_scale is None else saved_scale["kind"]]
         scale = capture.scales.get(name)
         found = _IMAGES[None if scale is None else scale.kind]
