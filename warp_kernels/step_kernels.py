@@ -10,6 +10,7 @@ from warp_kernels.binning.pair_notes import note_pairs_kernel
 from warp_kernels.binning.tile_binning import binning_kernels
 from warp_kernels.binning.tile_ranges import tile_ranges_kernel
 from warp_kernels.blending.blend_layout import default_layout
+from warp_kernels.blending.blend_variant import blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.blending.gradient_records import distribute_kernel
@@ -46,9 +47,10 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
     blending = []
     if channels + thermal_channels <= CHANNELS_MAX:
         layout = default_layout(wp.get_device("cpu"), TILE_SIZE, channels, thermal_channels, dtype, 0, 1)
+        variant = blend_variant(channels, thermal_channels, dtype, layout, COLORS)
         blending = [
-            blend_adjoint_kernel(channels, thermal_channels, dtype, layout, False, True, COLORS),
-            blend_kernel(channels, thermal_channels, dtype, layout, False, COLORS),
+            blend_adjoint_kernel(variant, False, True),
+            blend_kernel(variant),
             distribute_kernel(channels, thermal_channels, dtype, False, layout.warps, COLORS),
         ]
     count, _, gather, emit = binning_kernels(dtype, lanes)  # what is compacted on CUDA is few here

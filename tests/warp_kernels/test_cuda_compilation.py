@@ -10,10 +10,12 @@ from compilation_for_cuda import compile_all
 from warp_kernels.binning.tile_binning import binning_kernels
 from warp_kernels.binning.tile_ranges import tile_ranges_kernel
 from warp_kernels.blending.blend_layout import BlendLayout, default_layout
+from warp_kernels.blending.blend_variant import blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.blending.gradient_records import distribute_kernel
 from warp_kernels.blending.list_segments import join_segments_kernel
+from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.color.camera_positions import camera_position_kernels
 from warp_kernels.color.spherical_harmonics import color_adjoint_kernel, color_kernel
 from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
@@ -62,8 +64,8 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
 def test_rendering_compiles_for_cuda(arch: int, tmp_path: Path) -> None:
     """Binning, the forward kernel and the atomic adjoint of RGB, with warp intrinsics and the butterfly reduction."""
     layout = BlendLayout(16, 8, 8, 32)
-    kernels = [*binning_kernels(wp.float32, 32), blend_kernel(3, 0, wp.float32, layout)]
-    kernels.append(blend_adjoint_kernel(3, 0, wp.float32, layout, False, False))
+    variant = blend_variant(3, 0, wp.float32, layout)
+    kernels = [*binning_kernels(wp.float32, 32), blend_kernel(variant), blend_adjoint_kernel(variant, False, False)]
     compile_all(kernels, arch, tmp_path)
 
 
@@ -108,9 +110,8 @@ def test_blending_compiles_for_cuda_in_all_layouts(
     for number, layout in enumerate(sorted(layouts, key=str)):
         absgrad = by_slot = number == 0
         first = channels - thermal_channels  # of a frame with two opacities, colours lie apart from the features
-        kernels = [blend_kernel(channels, thermal_channels, dtype, layout, False, first)]
-        kernels.append(blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot, first))
+        variant = blend_variant(channels, thermal_channels, dtype, layout, first)
+        kernels = [blend_kernel(variant), blend_adjoint_kernel(variant, absgrad, by_slot)]
         if layout.segment > 0:
-            kernels.append(blend_kernel(channels, thermal_channels, dtype, layout, True, first))
-            kernels.append(join_segments_kernel(channels, thermal_channels, dtype, layout))
+            kernels += [segment_light_kernel(variant), join_segments_kernel(variant)]
         compile_all(kernels, arch, tmp_path / str(number))

@@ -1,6 +1,7 @@
 """Alpha of a projected Gaussian at a pixel, and the rows in which it is drawn; see blending for the formulas."""
 
 import math
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -14,8 +15,30 @@ UNIT = math.sqrt(2.0 * math.log(2.0))
 """Standard deviations in which offsets are measured while blending: exp(-σ) is then 2^-|z|², one instruction."""
 
 
+class AlphaFunctions(NamedTuple):
+    """Warp functions of the response of a Gaussian at a pixel; they say themselves what they do.
+
+    Attributes:
+        middle_of: the pixel that positions are seen from.
+        from_middle: a mean as seen from there.
+        in_units: the conic's root for offsets in units of ``UNIT``.
+        whiten: z = U d.
+        visibility: exp(-σ).
+        alpha: α.
+        row_range: rows that a Gaussian reaches.
+    """
+
+    middle_of: Any
+    from_middle: Any
+    in_units: Any
+    whiten: Any
+    visibility: Any
+    alpha: Any
+    row_range: Any
+
+
 @made_once
-def alpha_functions(dtype: type, layout: BlendLayout):
+def alpha_functions(dtype: type, layout: BlendLayout) -> AlphaFunctions:
     """The response of a Gaussian at a pixel; the forward pass and the adjoint share it.
 
     Args:
@@ -23,7 +46,7 @@ def alpha_functions(dtype: type, layout: BlendLayout):
         layout: deal of pixels to lanes.
 
     Returns:
-        ``(middle_of, from_middle, in_units, whiten, visibility, alpha, row_range)``, Warp functions.
+        The functions.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     _, unpack, _ = packed_root_functions(dtype)
@@ -74,4 +97,4 @@ def alpha_functions(dtype: type, layout: BlendLayout):
         end = int(wp.floor(wp.clamp(mean[1] + spare - y0, dtype(-1.0), dtype(rows - 1)))) + 1
         return first, end
 
-    return middle_of, from_middle, in_units, whiten, visibility, alpha, row_range
+    return AlphaFunctions(middle_of, from_middle, in_units, whiten, visibility, alpha, row_range)

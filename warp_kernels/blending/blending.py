@@ -13,10 +13,9 @@ Long lists are cut into segments that are blended side by side; see list_segment
 
 import warp as wp
 
-from warp_kernels.blending.alpha import alpha_functions
-from warp_kernels.blending.blend_layout import BlendLayout
+from warp_kernels.blending.blend_variant import BlendVariant
 from warp_kernels.blending.list_segments import list_of_block
-from warp_kernels.blending.survivors import HEADER, queue_functions, record_functions, stages_features
+from warp_kernels.blending.survivors import HEADER
 from warp_kernels.constants import TRANSMITTANCE_MIN
 from warp_kernels.machinery.lanes import lane_functions, warp_any
 from warp_kernels.machinery.loading import made_once
@@ -26,59 +25,31 @@ BATCH = 32
 
 
 @made_once
-def blend_kernel(
-    channels: int,
-    thermal_channels: int,
-    dtype: type,
-    layout: BlendLayout,
-    only_transmittance: bool = False,
-    first_channels: int | None = None,
-) -> wp.Kernel:
+def blend_kernel(variant: BlendVariant) -> wp.Kernel:
     """The forward kernel, one block of threads a list or a segment of a long one.
 
     Args:
-        channels: C, channels blended with the first opacity.
-        thermal_channels: D <= C; the last D channels are blended with the second opacity too. 0: one opacity.
-        dtype: ``wp.float32`` or ``wp.float64``.
-        layout: deal of pixels to lanes.
-        only_transmittance: find what segments of long lists let through (T of a pixel that begins at 1; 0 where the
-            pixel would stop) instead of blending.
-        first_channels: of the C, those that lie in an array of their own, in front of the others; None: all.
+        variant: channels, opacities, precision and deal of pixels.
 
     Returns:
         The Warp kernel.
     """
-    C, D = channels, max(thermal_channels, 1)
-    A = C if first_channels is None else first_channels
-    colors, colors_t = (0, 0) if only_transmittance else (C, D)
-    dual = thermal_channels > 0
-    lanes, rows, columns = layout.lanes, layout.rows, layout.columns
-    cuda = lanes > 1
-    threads, pixels = layout.threads, rows * columns
+    dtype, layout, dual, cuda = variant.dtype, variant.layout, variant.dual, variant.cuda
+    C, D = variant.channels, max(variant.thermal_channels, 1)
+    lanes, rows, columns, threads, pixels = layout.lanes, layout.rows, layout.columns, layout.threads, variant.pixels
     row_mask = rows - 1  # rows is a power of two: keeps the index provably non-negative, which vectorising needs
-    vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
-    vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
-    vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
-    vecQ = wp.types.vector(columns, dtype)
-    vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
-    matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
-    first_behind = 2 if dual else 1
-    first_behind_t = first_behind + C
-    middle_of, from_middle, in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype, layout)
-    _, attenuate, _ = lane_functions(dtype)
-    zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
-    transmittance_min = dtype(TRANSMITTANCE_MIN)
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
-    batch = BATCH
-    first_thermal = C - D
-    staged, header = stages_features(channels, dtype, layout) and not only_transmittance, HEADER
-    features_of, records_of_warp, store, get, integer = record_functions(C, A, staged, dual, dtype, layout)
-    queue_of_warp, block_parts, mask_of, refill, take = queue_functions(layout, False)
-    name = f"blend_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + (f"_{A}" if A < C else "")
+    first_thermal, batch, header = variant.first_thermal, BATCH, HEADER
+    first_behind, first_behind_t = variant.first_behind, variant.first_behind_thermal
+    zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
+    transmittance_min = dtype(TRANSMITTANCE_MIN)
+    staged = variant.stages_features
+    kinds, response, attenuate = variant.types, variant.response, lane_functions(dtype)[1]
+    survivors, waiting = variant.records(staged=staged), variant.queue(backwards=False)
 
     @wp.kernel(
-        name=name + "_transmittance" * only_transmittance,
+        name=variant.name("blend"),
         enable_backward=False,
         module="unique",
         module_options=layout.module_options(widest_vectors=True),
@@ -91,27 +62,27 @@ def blend_kernel(
         tiles_y: int,
         width: int,
         height: int,
-        means2d: wp.array(dtype=vec2),
-        packed_roots: wp.array(dtype=vec4),
-        extents: wp.array(dtype=vec2),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-        features: wp.array(dtype=vecA),
-        rest: wp.array(dtype=vecB),
-        gaussian_ids: wp.array(dtype=wp.int32),
-        masks: wp.array(dtype=wp.uint8),
-        tile_offsets: wp.array(dtype=wp.int32),
+        means2d: wp.array(dtype=kinds.vec2),  # [images · N]
+        packed_roots: wp.array(dtype=kinds.vec4),  # [images · N]
+        extents: wp.array(dtype=kinds.vec2),  # [images · N]; read on the CPU alone
+        opacities: wp.array(dtype=dtype),  # [images · N]
+        thermal_opacities: wp.array(dtype=dtype),  # [images · N]; read where there are two opacities
+        features: wp.array(dtype=kinds.vecA),  # [images · N]
+        rest: wp.array(dtype=kinds.vecB),  # [images · N]; [0]: there are no other channels
+        gaussian_ids: wp.array(dtype=wp.int32),  # [pairs]
+        masks: wp.array(dtype=wp.uint8),  # [pairs]; read on CUDA alone
+        tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
         # outputs
-        render: wp.array2d(dtype=vecC),
-        transmittance: wp.array2d(dtype=dtype),
-        last_pairs: wp.array2d(dtype=wp.int32),
-        alphas: wp.array2d(dtype=dtype),
-        thermal_render: wp.array2d(dtype=vecD),
-        thermal_transmittance: wp.array2d(dtype=dtype),
-        thermal_last_pairs: wp.array2d(dtype=wp.int32),
-        thermal_alphas: wp.array2d(dtype=dtype),
-        states: wp.array3d(dtype=dtype),
+        render: wp.array2d(dtype=kinds.vecC),  # [images · height, width]
+        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
+        last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
+        thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]; [0, 0]: one opacity
+        thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
+        thermal_last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        thermal_alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
+        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
     ):
         block, thread = wp.tid()
         block = block + first_block
@@ -121,9 +92,6 @@ def blend_kernel(
         i = int(first_pair)
         is_first = first_pair == tile_offsets[tile]
         is_last = end == tile_offsets[tile + 1]
-        if wp.static(only_transmittance):
-            if not cut or is_last:
-                return
         warp = thread // lanes
         lane = thread % lanes
         image = tile // (tiles_x * tiles_y)
@@ -132,24 +100,24 @@ def blend_kernel(
         block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
 
         # Pixels and means are seen from the middle of the block.
-        middle_x, middle_y = middle_of(block_x, block_y, width, height)
-        middle = vec2(dtype(middle_x), dtype(middle_y))
+        middle_x, middle_y = response.middle_of(block_x, block_y, width, height)
+        middle = kinds.vec2(dtype(middle_x), dtype(middle_y))
         x0 = half - dtype(middle_x - block_x)
         y0 = half - dtype(middle_y - block_y)
-        PX = vecQ()
-        PY = vecQ()
+        PX = kinds.vecQ()
+        PY = kinds.vecQ()
         for q in range(columns):
             PX[q] = x0 + dtype((lane + q * lanes) % block_width)
             PY[q] = y0 + dtype((lane + q * lanes) // block_width)
-        T = vecP()
-        Tt = vecP()
-        last = vecPi()
-        last_t = vecPi()
+        T = kinds.vecP()
+        Tt = kinds.vecP()
+        last = kinds.vecPi()
+        last_t = kinds.vecPi()
         # Transmittance at which a pixel stops; negative where a later segment goes on with it, whatever rounds here.
-        stop_at = vecP()
-        stop_at_t = vecP()
-        acc = matCP()
-        acc_t = matDP()
+        stop_at = kinds.vecP()
+        stop_at_t = kinds.vecP()
+        acc = kinds.matCP()
+        acc_t = kinds.matDP()
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
@@ -160,24 +128,23 @@ def blend_kernel(
                 last_t[p] = -1
                 stop_at[p] = transmittance_min
                 stop_at_t[p] = transmittance_min
-                if wp.static(not only_transmittance):
-                    if cut and inside:
-                        place = p * threads + thread
-                        for boundary in range(tile_offsets[tile] // segment + 1, first_pair // segment + 1):
-                            T[p] = T[p] * states[boundary, 0, place]
-                            if wp.static(dual):
-                                Tt[p] = Tt[p] * states[boundary, 1, place]
-                        if not is_last:
-                            if T[p] * states[end // segment, 0, place] > transmittance_min:
-                                stop_at[p] = minus_one
-                            if wp.static(dual):
-                                if Tt[p] * states[end // segment, 1, place] > transmittance_min:
-                                    stop_at_t[p] = minus_one
-                        if T[p] <= transmittance_min:
-                            T[p] = minus_one
+                if cut and inside:
+                    place = p * threads + thread
+                    for boundary in range(tile_offsets[tile] // segment + 1, first_pair // segment + 1):
+                        T[p] = T[p] * states[boundary, 0, place]
                         if wp.static(dual):
-                            if Tt[p] <= transmittance_min:
-                                Tt[p] = minus_one
+                            Tt[p] = Tt[p] * states[boundary, 1, place]
+                    if not is_last:
+                        if T[p] * states[end // segment, 0, place] > transmittance_min:
+                            stop_at[p] = minus_one
+                        if wp.static(dual):
+                            if Tt[p] * states[end // segment, 1, place] > transmittance_min:
+                                stop_at_t[p] = minus_one
+                    if T[p] <= transmittance_min:
+                        T[p] = minus_one
+                    if wp.static(dual):
+                        if Tt[p] <= transmittance_min:
+                            Tt[p] = minus_one
 
         # The next up to 32 to be walked; on CUDA each lane has one
         count = wp.min(batch, end - i)
@@ -190,12 +157,12 @@ def blend_kernel(
         queue = wp.uint64(0)
         address = wp.uint64(0)
         if wp.static(cuda):
-            queue = queue_of_warp(warp)
-            address = records_of_warp(warp)
-            parts = block_parts(warp)
-            mask = mask_of(i + lane, end, masks)
-            put, i, mask = refill(queue, lane, parts, taken, put, i, mask, end, masks)
-            count, place, g = take(queue, lane, taken, put, gaussian_ids)
+            queue = waiting.queue_of_warp(warp)
+            address = survivors.records_of_warp(warp)
+            parts = waiting.block_parts(warp)
+            mask = waiting.mask_of(i + lane, end, masks)
+            put, i, mask = waiting.refill(queue, lane, parts, taken, put, i, mask, end, masks)
+            count, place, g = waiting.take(queue, lane, taken, put, gaussian_ids)
         while count > 0:
             alive = int(0)
             for p in range(pixels):
@@ -207,54 +174,53 @@ def blend_kernel(
 
             walked = count
             if wp.static(cuda):
-                store(
+                survivors.store(
                     address, lane, count, place, g, middle,
                     means2d, packed_roots, opacities, thermal_opacities, features, rest,
                 )  # fmt: skip
                 taken += count
-                put, i, mask = refill(queue, lane, parts, taken, put, i, mask, end, masks)
-                count, place, g = take(queue, lane, taken, put, gaussian_ids)
+                put, i, mask = waiting.refill(queue, lane, parts, taken, put, i, mask, end, masks)
+                count, place, g = waiting.take(queue, lane, taken, put, gaussian_ids)
 
             for k in range(walked):
                 pair = i + k
                 gaussian = int(0)
-                m = vec2()
-                U = vec3()
+                m = kinds.vec2()
+                U = kinds.vec3()
                 o = zero
                 ot = zero
-                f = vecC()
+                f = kinds.vecC()
                 row_first = int(0)
                 row_end = int(1)
                 if wp.static(cuda):
-                    entry = get(address, k)
-                    m = vec2(entry[0], entry[1])
-                    U = vec3(entry[2], entry[3], entry[4])
+                    entry = survivors.get(address, k)
+                    m = kinds.vec2(entry[0], entry[1])
+                    U = kinds.vec3(entry[2], entry[3], entry[4])
                     o = entry[5]
                     ot = entry[6]
-                    pair = integer(entry[7])
+                    pair = survivors.integer(entry[7])
                     if wp.static(staged):
                         for c in range(C):
                             f[c] = entry[header + c]
-                    elif wp.static(not only_transmittance):
-                        f = features_of(integer(entry[8]), features, rest)
+                    else:
+                        f = survivors.features_of(survivors.integer(entry[8]), features, rest)
                 else:
                     gaussian = gaussian_ids[pair]
                     root = packed_roots[gaussian]
-                    m = from_middle(means2d[gaussian], root, middle)
-                    U = in_units(root)
+                    m = response.from_middle(means2d[gaussian], root, middle)
+                    U = response.in_units(root)
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
-                    if wp.static(not only_transmittance):
-                        f = features_of(gaussian, features, rest)
-                    row_first, row_end = row_range(m, extents[gaussian], y0, rows)
+                    f = survivors.features_of(gaussian, features, rest)
+                    row_first, row_end = response.row_range(m, extents[gaussian], y0, rows)
                 for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
-                    weight = vecQ()
-                    weight_t = vecQ()
+                    weight = kinds.vecQ()
+                    weight_t = kinds.vecQ()
                     for q in range(columns):
-                        zx, zy = whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
-                        seen = visibility(zx, zy)
-                        a = alpha(o, seen)
+                        zx, zy = response.whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
+                        seen = response.visibility(zx, zy)
+                        a = response.alpha(o, seen)
                         t = T[offset + q]
                         next_t = attenuate(t, a)
                         stop = next_t <= stop_at[offset + q]
@@ -263,7 +229,7 @@ def blend_kernel(
                         last[offset + q] = wp.where(w > zero, pair, last[offset + q])
                         weight[q] = w
                         if wp.static(dual):
-                            a = alpha(ot, seen)
+                            a = response.alpha(ot, seen)
                             t = Tt[offset + q]
                             next_t = attenuate(t, a)
                             stop = next_t <= stop_at_t[offset + q]
@@ -271,11 +237,11 @@ def blend_kernel(
                             Tt[offset + q] = wp.where(stop, -wp.abs(t), next_t)
                             last_t[offset + q] = wp.where(w > zero, pair, last_t[offset + q])
                             weight_t[q] = w
-                    for c in range(colors):
+                    for c in range(C):
                         for q in range(columns):
                             acc[c, offset + q] += weight[q] * f[c]
                     if wp.static(dual):
-                        for c in range(colors_t):
+                        for c in range(D):
                             for q in range(columns):
                                 acc_t[c, offset + q] += weight_t[q] * f[first_thermal + c]
             if wp.static(not cuda):
@@ -288,14 +254,10 @@ def blend_kernel(
                 x = int(middle[0] + PX[q])
                 y = int(middle[1] + PY[q]) + r
                 place = p * threads + thread
-                if wp.static(only_transmittance):
-                    states[end // segment, 0, place] = wp.max(T[p], zero)
-                    if wp.static(dual):
-                        states[end // segment, 1, place] = wp.max(Tt[p], zero)
-                elif x < width and y < height:
+                if x < width and y < height:
                     line = image * height + y
                     if is_first:
-                        v = vecC()
+                        v = kinds.vecC()
                         for c in range(C):
                             v[c] = acc[c, p]
                         render[line, x] = v
@@ -310,7 +272,7 @@ def blend_kernel(
                             alphas[line, x] = one - wp.abs(T[p])
                     if wp.static(dual):
                         if is_first:
-                            vt = vecD()
+                            vt = kinds.vecD()
                             for c in range(D):
                                 vt[c] = acc_t[c, p]
                             thermal_render[line, x] = vt

@@ -11,12 +11,11 @@ summed as moments of z, the offset in the Gaussian's standard deviations, in whi
 
 import warp as wp
 
-from warp_kernels.blending.alpha import alpha_functions
-from warp_kernels.blending.blend_layout import BlendLayout
+from warp_kernels.blending.blend_variant import BlendVariant
 from warp_kernels.blending.blending import BATCH
 from warp_kernels.blending.gradient_records import feature_offset, kept_channels, ranges_apart, record_length
 from warp_kernels.blending.list_segments import list_of_block
-from warp_kernels.blending.survivors import HEADER, queue_functions, record_functions, stages_features
+from warp_kernels.blending.survivors import HEADER
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.machinery.lane_sums import accumulate_snippet, column_sums_snippet
 from warp_kernels.machinery.lanes import lane_functions, warp_any, warp_max
@@ -27,61 +26,39 @@ FEW_CHANNELS = 16
 
 
 @made_once
-def blend_adjoint_kernel(
-    channels: int,
-    thermal_channels: int,
-    dtype: type,
-    layout: BlendLayout,
-    absgrad: bool,
-    by_slot: bool,
-    first_channels: int | None = None,
-) -> wp.Kernel:
+def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) -> wp.Kernel:
     """The adjoint kernel, one block of threads a list or a segment of a long one.
 
     Args:
-        channels: C, channels blended with the first opacity.
-        thermal_channels: D <= C; the last D channels were blended with the second opacity too. 0: one opacity.
-        dtype: ``wp.float32`` or ``wp.float64``.
-        layout: deal of pixels to lanes.
+        variant: channels, opacities, precision and deal of pixels.
         absgrad: also sum the absolute values of each pixel's mean2d gradient.
         by_slot: store one record a pair and warp instead of adding atomically per Gaussian; on the CPU always.
-        first_channels: of the C, those that lie apart from the others, as do their gradients and image; None: all.
 
     Returns:
         The Warp kernel.
     """
-    C, D = channels, max(thermal_channels, 1)
-    A = C if first_channels is None else first_channels
-    lanes, rows, columns = layout.lanes, layout.rows, layout.columns
-    dual, cuda = thermal_channels > 0, lanes > 1
-    threads, pixels, row_mask = layout.threads, rows * columns, rows - 1
-    length = record_length(channels, thermal_channels, absgrad)
-    first_feature = feature_offset(thermal_channels)
-    vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
-    vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
-    vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
-    vecQ = wp.types.vector(columns, dtype)
-    vecP, vecPi = wp.types.vector(pixels, dtype), wp.types.vector(pixels, wp.int32)
-    matCP, matDP = wp.types.matrix((C, pixels), dtype), wp.types.matrix((D, pixels), dtype)
+    dtype, layout, dual, cuda = variant.dtype, variant.layout, variant.dual, variant.cuda
+    C, D, A = variant.channels, max(variant.thermal_channels, 1), variant.first_channels
+    lanes, rows, columns, threads = layout.lanes, layout.rows, layout.columns, layout.threads
+    row_mask = rows - 1  # as in blending
+    tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
+    blocks_x, warps = layout.blocks_x, layout.warps
+    first_thermal, batch, header = variant.first_thermal, BATCH, HEADER
+    first_behind, first_behind_t = variant.first_behind, variant.first_behind_thermal
+    zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
+    staged = variant.stages_features
+    kinds, response, reciprocal = variant.types, variant.response, lane_functions(dtype)[2]
+    survivors, waiting = variant.records(staged=staged), variant.queue(backwards=True)
+    length = record_length(C, variant.thermal_channels, absgrad)
+    first_feature = feature_offset(variant.thermal_channels)
+    first_feature_t = first_feature + C - D
     summed = wp.types.vector(length, dtype)
     record = wp.types.vector(length - C + sum(kept_channels(C, A, by_slot)), dtype)
-    records_type, rowsA, rowsB = (wp.array(dtype=kind) for kind in (record, vecA, vecB))
+    records_type, rows_a, rows_b = (wp.array(dtype=kind) for kind in (record, kinds.vecA, kinds.vecB))
     # A lane sums a Gaussian's record over its pixels: on CUDA in registers, on the CPU, where a vector holds a row of
     # pixels, column by column, since a sum over a vector costs more than all else that is done with it.
     spread = 0 if cuda else 1
     matLS = wp.types.matrix((length, 1 if cuda else columns), dtype)
-    first_feature_t = first_feature + C - D
-    first_behind = 2 if dual else 1
-    first_behind_t = first_behind + C
-    middle_of, from_middle, in_units, whiten, visibility, alpha, row_range = alpha_functions(dtype, layout)
-    _, _, reciprocal = lane_functions(dtype)
-    zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
-    tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
-    blocks_x, warps = layout.blocks_x, layout.warps
-    batch, first_thermal = BATCH, C - D
-    staged, header = stages_features(channels, dtype, layout), HEADER
-    features_of, records_of_warp, store, get, integer = record_functions(C, A, staged, dual, dtype, layout)
-    queue_of_warp, block_parts, mask_of, refill, take = queue_functions(layout, True)
 
     @wp.func
     def restored(behind: dtype, a: dtype, ra: dtype):
@@ -89,7 +66,7 @@ def blend_adjoint_kernel(
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
     @wp.func_native(accumulate_snippet(length, dtype, apart=ranges_apart(C, A, first_feature, by_slot)))
-    def accumulate(dst: records_type, features: rowsA, rest: rowsB, index: int, lane: int, v: summed): ...
+    def accumulate(dst: records_type, features: rows_a, rest: rows_b, index: int, lane: int, v: summed): ...
 
     @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")
     def store_column_sums(out: records_type, index: int, m: matLS): ...
@@ -98,10 +75,9 @@ def blend_adjoint_kernel(
     # channels and spills, and more for eleven.
     four_blocks = layout.warps == 8 and C <= FEW_CHANNELS and dtype is wp.float32 and cuda
     bounds = (layout.threads, 4) if four_blocks else max(layout.threads, 32)
-    name = f"blend_adjoint_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}" + (f"_{A}" if A < C else "")
 
     @wp.kernel(
-        name=name + ("_abs" if absgrad else "") + ("_slots" if by_slot else ""),
+        name=variant.name("blend_adjoint") + "_abs" * absgrad + "_slots" * by_slot,
         enable_backward=False,
         module="unique",
         module_options=layout.module_options(widest_vectors=False),
@@ -114,33 +90,33 @@ def blend_adjoint_kernel(
         tiles_y: int,
         width: int,
         height: int,
-        means2d: wp.array(dtype=vec2),
-        packed_roots: wp.array(dtype=vec4),
-        extents: wp.array(dtype=vec2),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-        features: rowsA,
-        rest: rowsB,
-        gaussian_ids: wp.array(dtype=wp.int32),
-        masks: wp.array(dtype=wp.uint8),
-        slots: wp.array(dtype=wp.int32),
-        tile_offsets: wp.array(dtype=wp.int32),
+        means2d: wp.array(dtype=kinds.vec2),  # [images · N]
+        packed_roots: wp.array(dtype=kinds.vec4),  # [images · N]
+        extents: wp.array(dtype=kinds.vec2),  # [images · N]; read on the CPU alone
+        opacities: wp.array(dtype=dtype),  # [images · N]
+        thermal_opacities: wp.array(dtype=dtype),  # [images · N]; read where there are two opacities
+        features: rows_a,  # [images · N]
+        rest: rows_b,  # [images · N]; [0]: there are no other channels
+        gaussian_ids: wp.array(dtype=wp.int32),  # [pairs]
+        masks: wp.array(dtype=wp.uint8),  # [pairs]; read on CUDA alone
+        slots: wp.array(dtype=wp.int32),  # [pairs]; read with by_slot
+        tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
-        states: wp.array3d(dtype=dtype),
-        transmittance: wp.array2d(dtype=dtype),
-        last_pairs: wp.array2d(dtype=wp.int32),
-        thermal_transmittance: wp.array2d(dtype=dtype),
-        thermal_last_pairs: wp.array2d(dtype=wp.int32),
-        v_render: wp.array2d(dtype=vecA),
-        v_render_rest: wp.array2d(dtype=vecB),
+        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
+        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
+        last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
+        thermal_last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        v_render: wp.array2d(dtype=kinds.vecA),  # [images · height, width]; [0, 0]: zeros, as in those below
+        v_render_rest: wp.array2d(dtype=kinds.vecB),  # [images · height, width]
         sign: dtype,
-        v_transmittance: wp.array2d(dtype=dtype),
-        v_thermal_render: wp.array2d(dtype=vecD),
-        v_thermal_transmittance: wp.array2d(dtype=dtype),
+        v_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
+        v_thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]
+        v_thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
         # outputs
-        records: records_type,
-        v_features: rowsA,
-        v_rest: rowsB,
+        records: records_type,  # [pairs · warps] with by_slot, [images · N] without
+        v_features: rows_a,  # [images · N]
+        v_rest: rows_b,  # [images · N]; [0]: there are no other channels
     ):
         block, thread = wp.tid()
         block = block + first_block
@@ -156,23 +132,23 @@ def blend_adjoint_kernel(
         block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
 
         # Pixels and means are seen from the middle of the block.
-        middle_x, middle_y = middle_of(block_x, block_y, width, height)
-        middle = vec2(dtype(middle_x), dtype(middle_y))
+        middle_x, middle_y = response.middle_of(block_x, block_y, width, height)
+        middle = kinds.vec2(dtype(middle_x), dtype(middle_y))
         x0 = half - dtype(middle_x - block_x)
         y0 = half - dtype(middle_y - block_y)
-        PX = vecQ()
-        PY = vecQ()
+        PX = kinds.vecQ()
+        PY = kinds.vecQ()
         for q in range(columns):
             PX[q] = x0 + dtype((lane + q * lanes) % block_width)
             PY[q] = y0 + dtype((lane + q * lanes) // block_width)
-        T = vecP()
-        Tt = vecP()
-        S = vecP()
-        St = vecP()
-        last = vecPi()
-        last_t = vecPi()
-        v_pixel = matCP()
-        v_pixel_t = matDP()
+        T = kinds.vecP()
+        Tt = kinds.vecP()
+        S = kinds.vecP()
+        St = kinds.vecP()
+        last = kinds.vecPi()
+        last_t = kinds.vecPi()
+        v_pixel = kinds.matCP()
+        v_pixel_t = kinds.matDP()
         newest = int(-1)
         for r in range(rows):
             for q in range(columns):
@@ -233,62 +209,62 @@ def blend_adjoint_kernel(
         queue = wp.uint64(0)
         address = wp.uint64(0)
         if wp.static(cuda):
-            queue = queue_of_warp(warp)
-            address = records_of_warp(warp)
-            parts = block_parts(warp)
-            mask = mask_of(i - lane, begin, masks)
-            put, i, mask = refill(queue, lane, parts, taken, put, i, mask, begin, masks)
-            count, place, g = take(queue, lane, taken, put, gaussian_ids)
+            queue = waiting.queue_of_warp(warp)
+            address = survivors.records_of_warp(warp)
+            parts = waiting.block_parts(warp)
+            mask = waiting.mask_of(i - lane, begin, masks)
+            put, i, mask = waiting.refill(queue, lane, parts, taken, put, i, mask, begin, masks)
+            count, place, g = waiting.take(queue, lane, taken, put, gaussian_ids)
         while count > 0:
             walked = count
             if wp.static(cuda):
-                store(
+                survivors.store(
                     address, lane, count, place, g, middle,
                     means2d, packed_roots, opacities, thermal_opacities, features, rest,
                 )  # fmt: skip
                 taken += count
-                put, i, mask = refill(queue, lane, parts, taken, put, i, mask, begin, masks)
-                count, place, g = take(queue, lane, taken, put, gaussian_ids)
+                put, i, mask = waiting.refill(queue, lane, parts, taken, put, i, mask, begin, masks)
+                count, place, g = waiting.take(queue, lane, taken, put, gaussian_ids)
 
             for k in range(walked):
                 pair = i - k
                 gaussian = int(0)
-                m = vec2()
-                U = vec3()
+                m = kinds.vec2()
+                U = kinds.vec3()
                 o = zero
                 ot = zero
-                f = vecC()
+                f = kinds.vecC()
                 row_first = int(0)
                 row_end = int(1)
                 if wp.static(cuda):
-                    entry = get(address, k)
-                    m = vec2(entry[0], entry[1])
-                    U = vec3(entry[2], entry[3], entry[4])
+                    entry = survivors.get(address, k)
+                    m = kinds.vec2(entry[0], entry[1])
+                    U = kinds.vec3(entry[2], entry[3], entry[4])
                     o = entry[5]
                     ot = entry[6]
-                    pair = integer(entry[7])
-                    gaussian = integer(entry[8])
+                    pair = survivors.integer(entry[7])
+                    gaussian = survivors.integer(entry[8])
                     if wp.static(staged):
                         for c in range(C):
                             f[c] = entry[header + c]
                     else:
-                        f = features_of(gaussian, features, rest)
+                        f = survivors.features_of(gaussian, features, rest)
                 else:
                     gaussian = gaussian_ids[pair]
                     root = packed_roots[gaussian]
-                    m = from_middle(means2d[gaussian], root, middle)
-                    U = in_units(root)
+                    m = response.from_middle(means2d[gaussian], root, middle)
+                    U = response.in_units(root)
                     o = opacities[gaussian]
                     ot = thermal_opacities[gaussian]
-                    f = features_of(gaussian, features, rest)
-                    row_first, row_end = row_range(m, extents[gaussian], y0, rows)
+                    f = survivors.features_of(gaussian, features, rest)
+                    row_first, row_end = response.row_range(m, extents[gaussian], y0, rows)
                 part = matLS()
                 hits = int(0)
                 for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
                     # f · dL/dcolour of every pixel of the row
-                    dot = vecQ()
-                    dot_t = vecQ()
+                    dot = kinds.vecQ()
+                    dot_t = kinds.vecQ()
                     for c in range(C):
                         for q in range(columns):
                             dot[q] += f[c] * v_pixel[c, offset + q]
@@ -296,12 +272,12 @@ def blend_adjoint_kernel(
                         for c in range(D):
                             for q in range(columns):
                                 dot_t[q] += f[first_thermal + c] * v_pixel_t[c, offset + q]
-                    weight = vecQ()
-                    weight_t = vecQ()
+                    weight = kinds.vecQ()
+                    weight_t = kinds.vecQ()
                     for q in range(columns):
-                        zx, zy = whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
-                        seen = visibility(zx, zy)
-                        a = alpha(o, seen)
+                        zx, zy = response.whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
+                        seen = response.visibility(zx, zy)
+                        a = response.alpha(o, seen)
                         a = wp.where(pair > last[offset + q], zero, a)
                         hits = hits | wp.where(a > zero, 1, 0)
                         ra = reciprocal(one - a)
@@ -317,7 +293,7 @@ def blend_adjoint_kernel(
                         v_power = v_alpha * a
                         part[5, q * spread] += v_alpha * seen
                         if wp.static(dual):
-                            a = alpha(ot, seen)
+                            a = response.alpha(ot, seen)
                             a = wp.where(pair > last_t[offset + q], zero, a)
                             hits = hits | wp.where(a > zero, 1, 0)
                             ra = reciprocal(one - a)

@@ -8,10 +8,12 @@ import warp as wp
 
 from warp_kernels.binning.tile_bins import TileBins
 from warp_kernels.blending.blend_layout import BlendLayout, default_layout
+from warp_kernels.blending.blend_variant import BlendVariant, blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.blending.gradient_records import distribute_kernel, kept_channels, record_length
-from warp_kernels.blending.list_segments import join_segments_kernel, state_length
+from warp_kernels.blending.list_segments import join_segments_kernel
+from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.machinery.array_views import ArrayView, empty, nothing, zeros
 from warp_kernels.machinery.lanes import whole_warps
@@ -50,11 +52,11 @@ class BlendWalk:
     """How lists were walked, as their adjoint walks them back.
 
     Attributes:
-        layout: deal of pixels to lanes.
-        states: [boundaries, numbers, pixels of a tile] what each segment of a cut list left; see list_segments.
+        variant: of the kernels.
+        states: [boundaries, state_length, pixels of a tile] what each segment of a cut list left; see list_segments.
     """
 
-    layout: BlendLayout
+    variant: BlendVariant
     states: wp.array
 
 
@@ -102,10 +104,10 @@ def blend(
     if layout is None:
         of_frame = bins.expected_pairs, num_tiles
         layout = default_layout(device, bins.tile_size, channels, thermal_channels, dtype, *of_frame)
+    variant = blend_variant(channels, thermal_channels, dtype, layout, features.dtype._length_)
     segment = layout.segment
     num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
-    length = state_length(channels, thermal_channels)
-    size_of_state = (length, bins.tile_size**2)
+    size_of_state = (variant.state_length, bins.tile_size**2)
     states = empty((num_states, *size_of_state), dtype, device) if num_states > 0 else nothing(dtype, 3, device)
 
     thermal_render = _thermal_render(blended, dtype, device)
@@ -114,35 +116,36 @@ def blend(
     alphas, thermal_alphas = (
         nothing(dtype, 2, device) if image is None else image for image in (blended.alphas, blended.thermal_alphas)
     )
-    for only_transmittance in (True, False) if segment > 0 else (False,):
-        launch_tiles(
-            blend_kernel(channels, thermal_channels, dtype, layout, only_transmittance, features.dtype._length_),
-            num_tiles + num_states,
-            layout.threads,
-            [
-                *geometry,
-                bins.tile_offsets,
-                segment,
-                blended.render,
-                blended.transmittance,
-                blended.last_pairs,
-                alphas,
-                thermal_render,
-                thermal_transmittance,
-                thermal_last_pairs,
-                thermal_alphas,
-                states,
-            ],
-            device,
-        )
+    blocks = num_tiles + num_states
+    lists = [*geometry, bins.tile_offsets, segment]
+    if segment > 0:
+        launch_tiles(segment_light_kernel(variant), blocks, layout.threads, [*lists, states], device)
+    launch_tiles(
+        blend_kernel(variant),
+        blocks,
+        layout.threads,
+        [
+            *lists,
+            blended.render,
+            blended.transmittance,
+            blended.last_pairs,
+            alphas,
+            thermal_render,
+            thermal_transmittance,
+            thermal_last_pairs,
+            thermal_alphas,
+            states,
+        ],
+        device,
+    )
     if segment > 0:
         launch(
-            join_segments_kernel(channels, thermal_channels, dtype, layout),
-            num_tiles * length * bins.tile_size**2,
+            join_segments_kernel(variant),
+            num_tiles * variant.state_length * bins.tile_size**2,
             [*size, bins.tile_offsets, segment, blended.render, thermal_render, states],
             device,
         )
-    walk = BlendWalk(layout, states)
+    walk = BlendWalk(variant, states)
     if tape is not None:
         step = (projected, opacities, thermal_opacities, features, bins, settings, blended, walk)
         inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
@@ -188,9 +191,9 @@ def blend_adjoint(
         store: without ``bins.slots``, gradients of means2d, roots, opacities and few features (``features_apart``) are
             not initialised, and written; else they are added to, as those of many features are.
     """
-    device, dtype, layout = opacities.device, opacities.dtype, walk.layout
-    channels, thermal_channels = _channels(features, rest, blended)
-    first_channels = features.dtype._length_
+    device, dtype, variant = opacities.device, opacities.dtype, walk.variant
+    channels, thermal_channels, layout = variant.channels, variant.thermal_channels, variant.layout
+    first_channels = variant.first_channels
     by_slot, absgrad = bins.slots is not None, absolute is not None
     length = record_length(sum(kept_channels(channels, first_channels, by_slot)), thermal_channels, absgrad)
     per_pair = layout.warps if by_slot else 0
@@ -204,7 +207,7 @@ def blend_adjoint(
     thermal_render = _thermal_render(blended, dtype, device)
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
     launch_tiles(
-        blend_adjoint_kernel(channels, thermal_channels, dtype, layout, absgrad, by_slot, first_channels),
+        blend_adjoint_kernel(variant, absgrad, by_slot),
         len(bins.tile_offsets) - 1 + len(walk.states),
         layout.threads,
         [

@@ -12,7 +12,7 @@ and walk from there to the next where it lies within a long list.
 
 import warp as wp
 
-from warp_kernels.blending.blend_layout import BlendLayout
+from warp_kernels.blending.blend_variant import BlendVariant
 from warp_kernels.machinery.loading import made_once
 
 LONG_LIST = 3
@@ -20,22 +20,6 @@ LONG_LIST = 3
 
 CHUNK = 8
 """Boundaries whose states a thread asks for at once; one after the other, each would wait for memory."""
-
-
-def state_length(channels: int, thermal_channels: int) -> int:
-    """Numbers in a pixel's state at a boundary of segments: T, [thermal T], colours behind (C), [thermal ones (D)].
-
-    Until the segments are joined, T is what the segment before the boundary lets through, and the colours are those of
-    the segment behind it alone.
-
-    Args:
-        channels: C.
-        thermal_channels: D, or 0.
-
-    Returns:
-        The length.
-    """
-    return channels + 1 + (thermal_channels + 1 if thermal_channels else 0)
 
 
 @wp.func
@@ -74,24 +58,20 @@ def list_of_block(block: int, tile_offsets: wp.array(dtype=wp.int32), segment: i
 
 
 @made_once
-def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layout: BlendLayout) -> wp.Kernel:
+def join_segments_kernel(variant: BlendVariant) -> wp.Kernel:
     """Joins the segments of cut lists, one thread a number of a pixel: the states, and the whole render.
 
     Args:
-        channels: C, channels blended with the first opacity.
-        thermal_channels: D, or 0.
-        dtype: ``wp.float32`` or ``wp.float64``.
-        layout: deal of pixels to lanes.
+        variant: channels, opacities, precision and deal of pixels.
 
     Returns:
         The Warp kernel.
     """
-    C, D = channels, max(thermal_channels, 1)
-    vecC, vecD = wp.types.vector(C, dtype), wp.types.vector(D, dtype)
+    dtype, layout, kinds = variant.dtype, variant.layout, variant.types
     vec_chunk = wp.types.vector(CHUNK, dtype)
-    first_behind = 2 if thermal_channels else 1
-    first_behind_t = first_behind + C + (0 if thermal_channels else 1)  # beyond the last number where there are none
-    length = state_length(channels, thermal_channels)
+    first_behind, length = variant.first_behind, variant.state_length
+    # beyond the last number where there are none
+    first_behind_t = variant.first_behind_thermal + (0 if variant.dual else 1)
     lanes, columns, threads = layout.lanes, layout.columns, layout.threads
     tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
     blocks_x = layout.blocks_x
@@ -100,13 +80,13 @@ def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layo
     add_channel = """image.data[row * image.shape[1] + column][channel] += value;"""
 
     @wp.func_native(add_channel)
-    def add_to_render(image: wp.array2d(dtype=vecC), row: int, column: int, channel: int, value: dtype): ...
+    def add_to_render(image: wp.array2d(dtype=kinds.vecC), row: int, column: int, channel: int, value: dtype): ...
 
     @wp.func_native(add_channel)
-    def add_to_thermal(image: wp.array2d(dtype=vecD), row: int, column: int, channel: int, value: dtype): ...
+    def add_to_thermal(image: wp.array2d(dtype=kinds.vecD), row: int, column: int, channel: int, value: dtype): ...
 
     @wp.kernel(
-        name=f"join_segments_{C}_{thermal_channels}_{dtype.__name__}_{layout.tag}",
+        name=variant.name("join_segments", of_arrays=False),
         enable_backward=False,
         module="unique",
     )
@@ -116,12 +96,12 @@ def join_segments_kernel(channels: int, thermal_channels: int, dtype: type, layo
         tiles_y: int,
         width: int,
         height: int,
-        tile_offsets: wp.array(dtype=wp.int32),
+        tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
         # outputs
-        render: wp.array2d(dtype=vecC),
-        thermal_render: wp.array2d(dtype=vecD),
-        states: wp.array3d(dtype=dtype),
+        render: wp.array2d(dtype=kinds.vecC),  # [images · height, width]
+        thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]; [0, 0]: one opacity
+        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
     ):
         index = wp.tid() + first
         place = index % (tile_size * tile_size)

@@ -8,7 +8,7 @@ are known beforehand, so that the latency of one Gaussian's numbers hides behind
 CUDA only; on the CPU a lane, which has all of the tile, reads what it needs from the arrays.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -55,8 +55,28 @@ def _stride(length: int, dtype: type) -> int:
     return (words | 1) * 16 // _size(dtype)
 
 
+class QueueFunctions(NamedTuple):
+    """Warp functions of a warp's queue of places in the list.
+
+    Attributes:
+        queue_of_warp: the address of a warp's queue.
+        block_parts: the mask of its block.
+        mask_of: the mask of a place within the list.
+        refill: queues places until a warp's worth waits or none is left, given how many were taken from the queue and
+            put into it, where the next 32 candidates begin, the mask of this lane's, and the list's ``bound`` (forwards
+            the first place behind it, backwards its first place).
+        take: takes up to 32: how many, and this lane's place and Gaussian.
+    """
+
+    queue_of_warp: Any
+    block_parts: Any
+    mask_of: Any
+    refill: Any
+    take: Any
+
+
 @made_once
-def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any, Any, Any]:
+def queue_functions(layout: BlendLayout, backwards: bool) -> QueueFunctions:
     """From the masks of a list to the places of the pairs that reach a warp's block, in the list's order or against it.
 
     Args:
@@ -64,11 +84,7 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any
         backwards: from the back of the list to its front.
 
     Returns:
-        Warp functions ``(queue_of_warp, block_parts, mask_of, refill, take)``: the address of a warp's queue; the mask
-        of its block; that of a place within the list; queue places until a warp's worth waits or none is left, given
-        how many were taken from the queue and put into it, where the next 32 candidates begin, the mask of this lane's,
-        and the list's ``bound`` (forwards the first place behind it, backwards its first place); take up to 32: how
-        many, and this lane's place and Gaussian.
+        The functions.
     """
     part_width, part_height = layout.tile_size // MASK_COLUMNS, layout.tile_size // MASK_ROWS
     block_width, block_height, blocks_x = layout.block_width, layout.block_height, layout.blocks_x
@@ -134,13 +150,31 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any, Any
             gaussian = gaussian_ids[place]
         return count, place, gaussian
 
-    return queue_of_warp, block_parts, mask_of, refill, take
+    return QueueFunctions(queue_of_warp, block_parts, mask_of, refill, take)
+
+
+class RecordFunctions(NamedTuple):
+    """Warp functions of the records that a warp keeps in shared memory.
+
+    Attributes:
+        features_of: the features of a Gaussian.
+        records_of_warp: the address of a warp's records.
+        store: stores the Gaussians of the first ``count`` lanes.
+        get: reads one.
+        integer: the whole number that stands in one.
+    """
+
+    features_of: Any
+    records_of_warp: Any
+    store: Any
+    get: Any
+    integer: Any
 
 
 @made_once
 def record_functions(
     channels: int, first_channels: int, staged: bool, dual: bool, dtype: type, layout: BlendLayout
-) -> tuple[Any, Any, Any, Any, Any]:
+) -> RecordFunctions:
     """From the Gaussian that a lane took to the warp's records.
 
     Args:
@@ -152,8 +186,7 @@ def record_functions(
         layout: deal of pixels to lanes.
 
     Returns:
-        Warp functions ``(features_of, records_of_warp, store, get, integer)``: the features of a Gaussian; the address
-        of a warp's records; store the first ``count`` lanes' Gaussians; read one; the whole number that stands in one.
+        The functions.
     """
     length = HEADER + (channels if staged else 0)
     stride = _stride(length, dtype)
@@ -181,7 +214,7 @@ def record_functions(
     remaining = channels - first_channels
     vec2, vec4, vecC = (wp.types.vector(count, dtype) for count in (2, 4, channels))
     vecA, vecB = wp.types.vector(first_channels, dtype), wp.types.vector(max(remaining, 1), dtype)
-    _, from_middle, in_units, *_ = alpha_functions(dtype, layout)
+    response = alpha_functions(dtype, layout)
     _, _, row = packed_root_functions(dtype)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
     address_snippet = on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
@@ -232,8 +265,8 @@ def record_functions(
         if lane < count:
             r = record()
             packed = row(packed_roots, g)
-            mean = from_middle(means2d[g], packed, middle)
-            root = in_units(packed)
+            mean = response.from_middle(means2d[g], packed, middle)
+            root = response.in_units(packed)
             r[0] = mean[0]
             r[1] = mean[1]
             r[2] = root[0]
@@ -251,4 +284,4 @@ def record_functions(
             put(address, lane, r)
         warp_sync()
 
-    return features_of, records_of_warp, store, get, integer
+    return RecordFunctions(features_of, records_of_warp, store, get, integer)
