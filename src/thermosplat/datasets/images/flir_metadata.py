@@ -1,4 +1,4 @@
-"""The palette that FLIR cameras store in their JPEG files.
+"""The FFF file that FLIR cameras store in their JPEG files, and the palette in it.
 
 APP1 segments marked "FLIR" hold the pieces of one FFF file; its record of type 0x22 is the palette: the number of
 entries in byte 0 and from byte 0x70 on their Y, Cr, Cb in limited-range BT.601 (ExifTool documents the format; decoded
@@ -20,8 +20,7 @@ _ENTRIES_AT = 0x70
 def read_flir_palette(path: Path) -> Palette | None:
     """The palette stored in a JPEG file, or None where there is none (any other file included)."""
     try:
-        fff = _fff_file(path.read_bytes())
-        record = _record(fff, _PALETTE_RECORD)
+        record = fff_record(fff_file(path.read_bytes()), _PALETTE_RECORD)
         count = record[0]
         ycc = np.frombuffer(record, np.uint8, 3 * count, _ENTRIES_AT).reshape(count, 3).astype(np.float64)
     except (OSError, struct.error, ValueError, IndexError, LookupError):
@@ -33,7 +32,7 @@ def read_flir_palette(path: Path) -> Palette | None:
     return Palette((np.clip(rgb, 0, 255) / 255).astype(np.float32))
 
 
-def _fff_file(jpeg: bytes) -> bytes:
+def fff_file(jpeg: bytes) -> bytes:
     """The pieces in the file's APP1 segments, joined; empty where there are none."""
     pieces: dict[int, bytes] = {}
     at = 2 if jpeg.startswith(b"\xff\xd8") else len(jpeg)
@@ -46,7 +45,7 @@ def _fff_file(jpeg: bytes) -> bytes:
     return b"".join(pieces[number] for number in sorted(pieces))
 
 
-def _record(fff: bytes, kind: int) -> bytes:
+def fff_record(fff: bytes, kind: int) -> bytes:
     """The first record of a kind in an FFF file, either byte order.
 
     Raises:
@@ -58,6 +57,6 @@ def _record(fff: bytes, kind: int) -> bytes:
     directory, count = struct.unpack_from(order + "II", fff, 0x18)
     for number in range(min(count, 1000)):
         found, _, _, _, offset, length = struct.unpack_from(order + "HHIIII", fff, directory + 32 * number)
-        if found == kind and length > _ENTRIES_AT:
+        if found == kind and length > 0:
             return fff[offset : offset + length]
     raise LookupError("no such record")

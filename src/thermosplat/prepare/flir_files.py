@@ -1,0 +1,149 @@
+"""FLIR's radiometric JPEGs: counts, calibration and the embedded photograph.
+
+The layout of the records is documented by ExifTool (lib/Image/ExifTool/FLIR.pm). Each begins with a number below 256
+that tells its byte order.
+"""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.datasets.images.flir_metadata import fff_file, fff_record
+from thermosplat.errors import UserError
+from thermosplat.thermal.planck_counts import RadiometricCamera
+
+_RAW, _PHOTOGRAPH, _CAMERA = 0x01, 0x0E, 0x20
+_JPEG_LS = b"\xff\xd8\xff\xf7"
+"""How a JPEG-LS image begins."""
+_PIXELS_AT = 0x20
+"""Where pixels begin in the records of images."""
+_FLOATS = {
+    "emissivity": 0x20,
+    "distance": 0x24,
+    "reflected": 0x28,
+    "air": 0x2C,
+    "window": 0x30,
+    "window_transmission": 0x34,
+    "humidity": 0x3C,
+    "r1": 0x58,
+    "b": 0x5C,
+    "f": 0x60,
+    "alpha1": 0x70,
+    "alpha2": 0x74,
+    "beta1": 0x78,
+    "beta2": 0x7C,
+    "x": 0x80,
+    "r2": 0x30C,
+}
+"""Where a camera's record has its numbers (float32)."""
+_OFFSET_AT = 0x308
+"""Where it has Planck's O (int32)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlirImage:
+    """What a radiometric JPEG of FLIR's holds beside the picture that is seen.
+
+    Args:
+        counts: [H, W] uint16.
+        camera: The calibration.
+        photograph: The bytes of the photograph of the same moment (JPEG or PNG), if there is one.
+    """
+
+    counts: NDArray[np.uint16]
+    camera: RadiometricCamera
+    photograph: bytes | None
+
+    @property
+    def celsius(self) -> NDArray[np.float64]:
+        """[H, W] temperatures [°C]."""
+        return self.camera.celsius(self.counts)
+
+
+def is_flir(content: bytes) -> bool:
+    """Whether a JPEG holds radiometric data of FLIR's."""
+    try:
+        return len(fff_record(fff_file(content), _RAW)) > _PIXELS_AT
+    except (struct.error, LookupError):
+        return False
+
+
+def read_flir(path: Path) -> FlirImage:
+    """Read a radiometric JPEG.
+
+    Raises:
+        UserError: The file cannot be read, or its radiometric data is missing or damaged.
+    """
+    try:
+        fff = fff_file(path.read_bytes())
+        counts, camera = _counts(fff_record(fff, _RAW)), _camera(fff_record(fff, _CAMERA))
+    except OSError as error:
+        raise UserError(f"Cannot read {path}: {error.strerror or error}.") from error
+    except UserError as error:
+        raise UserError(f"{path}: {error.message}", error.hint) from error
+    except (struct.error, LookupError, ValueError) as error:
+        raise UserError(
+            f"The radiometric data in {path} is damaged: {error}",
+            "Copy the file from the camera again; programs that edit pictures drop what they do not know.",
+        ) from error
+    return FlirImage(counts, camera, _photograph(fff))
+
+
+def _order(record: bytes) -> str:
+    return "<" if struct.unpack_from("<H", record)[0] < 0x100 else ">"
+
+
+def _counts(record: bytes) -> NDArray[np.uint16]:
+    order = _order(record)
+    width, height = struct.unpack_from(order + "HH", record, 2)
+    pixels = record[_PIXELS_AT:]
+    if pixels.startswith(b"\x89PNG"):
+        image: Any = cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_UNCHANGED)
+        counts = None if image is None else image.byteswap()  # FLIR writes them in the other order than PNG says
+    elif pixels[:4] in (b"II*\0", b"MM\0*"):
+        counts = cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_UNCHANGED)
+    elif pixels.startswith(_JPEG_LS):
+        counts = _decode_jpeg_ls(pixels)
+    else:
+        if len(pixels) < 2 * width * height:
+            raise ValueError(f"{width}x{height} px need {2 * width * height:,} bytes, there are {len(pixels):,}.")
+        counts = np.frombuffer(pixels, order + "u2", width * height).reshape(height, width).astype(np.uint16)
+    if counts is None or counts.dtype != np.uint16 or counts.shape != (height, width) or counts.size == 0:
+        raise ValueError(f"its image is not one of {width}x{height} px with 16 bits.")
+    return counts
+
+
+def _decode_jpeg_ls(pixels: bytes) -> NDArray[np.uint16]:
+    """What cameras since about 2020 write (E6xt of RGBT-Scenes)."""
+    try:
+        import jpeg_ls
+    except ImportError as error:
+        raise UserError(
+            "This camera compresses its counts with JPEG-LS, which needs the package pyjpegls.",
+            "pip install pyjpegls",
+        ) from error
+    try:
+        return jpeg_ls.decode(np.frombuffer(pixels, np.uint8))
+    except (RuntimeError, OSError) as error:
+        raise ValueError(f"its JPEG-LS image cannot be decoded ({error}).") from error
+
+
+def _camera(record: bytes) -> RadiometricCamera:
+    order = _order(record)
+    numbers = {name: struct.unpack_from(order + "f", record, at)[0] for name, at in _FLOATS.items()}
+    if numbers["humidity"] > 2:  # some cameras store percent (ExifTool)
+        numbers["humidity"] /= 100
+    return RadiometricCamera(**numbers, o=struct.unpack_from(order + "i", record, _OFFSET_AT)[0])
+
+
+def _photograph(fff: bytes) -> bytes | None:
+    try:
+        content = fff_record(fff, _PHOTOGRAPH)[_PIXELS_AT:]
+    except (struct.error, LookupError):
+        return None
+    return content if content.startswith((b"\xff\xd8", b"\x89PNG")) else None

@@ -1,0 +1,82 @@
+"""Size and pixel type of an image file, from its header alone."""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from thermosplat.datasets.images.image_files import read_image
+from thermosplat.errors import UserError
+
+_HEAD = 1 << 20
+"""Bytes that are read first; the segments before a JPEG's size may hold radiometric data."""
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What an image file holds.
+
+    Args:
+        width: [px] of the stored pixels.
+        height: [px].
+        channels: Of the stored pixels.
+        bits: Of one value.
+    """
+
+    width: int
+    height: int
+    channels: int
+    bits: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self.width, self.height
+
+    @property
+    def is_radiometric(self) -> bool:
+        """The file holds one value of more than 8 bits per pixel."""
+        return self.channels == 1 and self.bits > 8
+
+
+def read_header(path: Path) -> ImageHeader:
+    """The header of an image file; pixels are decoded only for formats other than JPEG and PNG.
+
+    Raises:
+        UserError: The file cannot be read or is no image.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+            found = _png(head) or _jpeg(head)
+            if found is None and head.startswith(b"\xff\xd8"):
+                found = _jpeg(head + file.read())
+    except OSError as error:
+        raise UserError(f"Cannot read {path}: {error.strerror or error}.") from error
+    if found is not None:
+        return found
+    image = read_image(path)
+    height, width = image.shape[:2]
+    return ImageHeader(width, height, 1 if image.ndim == 2 else image.shape[2], 8 * np.dtype(image.dtype).itemsize)
+
+
+def _png(content: bytes) -> ImageHeader | None:
+    if not content.startswith(b"\x89PNG\r\n\x1a\n") or len(content) < 26:
+        return None
+    width, height, bits, color = struct.unpack_from(">IIBB", content, 16)
+    channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}.get(color)
+    return None if channels is None else ImageHeader(width, height, channels, bits)
+
+
+def _jpeg(content: bytes) -> ImageHeader | None:
+    at = 2 if content.startswith(b"\xff\xd8") else len(content)
+    while at + 10 <= len(content) and content[at] == 0xFF:
+        kind = content[at + 1]
+        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):  # a frame header (ITU T.81, table B.1)
+            bits, height, width, channels = struct.unpack_from(">BHHB", content, at + 4)
+            return ImageHeader(width, height, channels, bits)
+        if kind == 0xDA:
+            return None
+        at += 1 if kind == 0xFF else 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+    return None
