@@ -17,7 +17,7 @@ ColorSpace = Literal["photograph", "color", "scalar"]
 
 CELSIUS = "celsius"
 """The unit in which temperatures are kept and reported."""
-TEMPERATURE_UNITS = ("kelvin", "centikelvin", CELSIUS, "centicelsius")
+TEMPERATURE_UNITS = ("kelvin", "decikelvin", "centikelvin", CELSIUS, "centicelsius")
 """Units of radiometric files that are turned into °C."""
 BUILT_IN_PALETTES = ("grey", "iron")
 """Names of palettes that need no file."""
@@ -38,9 +38,9 @@ class SpectrumConfig:
     """What its images are. "photograph": colours. "color": pseudo-colours, whose palette gives a scalar. "raw": one
     value per pixel. "auto": pseudo-colours where the capture has them, else values."""
     unit: str = COUNTS
-    """Unit of its values. kelvin, centikelvin, celsius, centicelsius: temperatures, reported in °C. "auto": the
-    capture's own statement (units.json), else judged by the values. "counts": none. Any other word is the unit's name,
-    such as reflectance."""
+    """Unit of its values. kelvin, decikelvin, centikelvin, celsius, centicelsius: temperatures, reported in °C.
+    "auto": the capture's own statement (units.json), else judged by the values. "counts": none. Any other word is the
+    unit's name, such as reflectance."""
     factor: float = 1.0
     """What values of its files are multiplied by to be in that unit; not for temperatures."""
     range: tuple[float, float] | None = None

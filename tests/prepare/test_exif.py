@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import pytest
-from PIL import Image
-from PIL.TiffImagePlugin import IFDRational
 
 from thermosplat.prepare.exif import Exif, parse_exif, read_exif
+
+Image = pytest.importorskip("PIL.Image")
+IFDRational = pytest.importorskip("PIL.TiffImagePlugin").IFDRational
 
 DATE, MAKE, MODEL, ORIENTATION, EXIF_IFD, GPS_IFD = 0x0132, 0x010F, 0x0110, 0x0112, 0x8769, 0x8825
 
@@ -48,7 +49,7 @@ def test_everything_is_read(tmp_path: Path) -> None:
 
 
 def test_second_best_times(tmp_path: Path) -> None:
-    """The date of the file where there is none of the exposure; subseconds as Workswell writes them; nonsense is none."""
+    """The date of the file where there is none of the exposure; Workswell's subseconds; nonsense is none."""
     assert read_exif(write(tmp_path / "a.jpg", {DATE: "2001:01:01 00:00:07"}, {}, {})).time == "2001-01-01T00:00:07"
     path = write(tmp_path / "b.jpg", {}, {0x9003: "2001:01:01 00:00:07", 0x9291: "782/1000"}, {})
     assert read_exif(path).time == "2001-01-01T00:00:07.782"

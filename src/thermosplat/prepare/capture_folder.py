@@ -127,9 +127,14 @@ class CaptureFolder:
         """Folder of the contact sheet and the page."""
         return self.root / "check"
 
+    @property
+    def prepared(self) -> Path:
+        """Folder of the files that say which steps are complete."""
+        return self.root / "prepared"
+
     def marker(self, step: str) -> Path:
         """The file that says that a step is complete."""
-        return self.root / "prepared" / f"{step}.json"
+        return self.prepared / f"{step}.json"
 
     def read_frames(self, spectrum: str | None = None) -> list[FrameRow]:
         """The images, of one spectrum or of all.

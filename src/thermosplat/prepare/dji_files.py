@@ -1,7 +1,7 @@
 """DJI's radiometric JPEGs (R-JPEG), through a program that the user installs.
 
-Their format is not published. DJI's Thermal SDK has the program ``dji_irp``; ``dji-thermal-cli`` is a free one. Both are
-run as programs of their own and never linked: DJI's licence and the AGPL say what may be done with them.
+Their format is not published. DJI's Thermal SDK has the program ``dji_irp``; ``dji-thermal-cli`` is a free one. Both
+are run as programs of their own and never linked: DJI's licence and the AGPL say what may be done with them.
 
 Sources of the calls: the help of ``dji_irp`` ("-s IMAGE -a measure --measurefmt float32 -o FILE" writes °C, row by row)
 and the README of dji-thermal-cli 1.4 ("process --input-dir --output-dir -o temp_c:tiff" writes <stem>_temp_c.tiff).

@@ -61,6 +61,14 @@ def read_header(path: Path) -> ImageHeader:
     return ImageHeader(width, height, 1 if image.ndim == 2 else image.shape[2], 8 * np.dtype(image.dtype).itemsize)
 
 
+def is_whole_jpeg(content: bytes) -> bool:
+    """Whether a JPEG's image has an end; decoders show one that was cut off as half grey, without an error."""
+    at = 2
+    while at + 4 <= len(content) and content[at] == 0xFF and content[at + 1] != 0xDA:
+        at += 1 if content[at + 1] == 0xFF else 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+    return content.find(b"\xff\xd9", at) >= 0
+
+
 def _png(content: bytes) -> ImageHeader | None:
     if not content.startswith(b"\x89PNG\r\n\x1a\n") or len(content) < 26:
         return None

@@ -6,21 +6,22 @@ with FLIR's or DJI's radiometric data inside. A video stands for some of its fra
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-import cv2
+from numpy.typing import NDArray
 
-from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES, list_images
+from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES, list_images, read_image
 from thermosplat.errors import UserError
+from thermosplat.prepare.capture_folder import FrameRow
 from thermosplat.prepare.dji_files import is_dji_thermal
 from thermosplat.prepare.exif import Exif, parse_exif, read_exif
 from thermosplat.prepare.flir_files import is_flir
-from thermosplat.prepare.image_header import read_header
+from thermosplat.prepare.image_header import is_whole_jpeg, read_header
+from thermosplat.prepare.video_frames import VIDEO_SUFFIXES, describe_video, moment, read_video_frame
 
 Kind = Literal["color", "grey", "values", "flir", "dji"]
-VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm"})
 _BOARD_FOLDERS = ("calib", "board", "checker", "charuco")
 """Folders whose names begin like this hold pictures of a board, for ``calibrate``."""
 
@@ -56,6 +57,25 @@ class SourceFile:
     def source(self) -> str:
         """As frames.csv names it."""
         return self.name if self.frame is None else f"{self.name}#{self.frame}"
+
+    def read(self) -> NDArray[Any]:
+        """Its pixels as ``read_image`` gives them.
+
+        Raises:
+            UserError: They cannot be decoded.
+        """
+        return read_image(self.path) if self.frame is None else read_video_frame(self.path, self.frame)
+
+    def row(self, spectrum: str, file: str, width: int, height: int) -> FrameRow:
+        """The row of frames.csv for an image of a capture that is made of this one.
+
+        Args:
+            spectrum: Its spectrum.
+            file: Its name in the capture.
+            width: [px].
+            height: [px].
+        """
+        return FrameRow(spectrum, file, self.source, width, height, **asdict(self.exif))
 
 
 @dataclass(frozen=True)
@@ -136,7 +156,7 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
         if path.suffix.lower() in (".jpg", ".jpeg"):
             content = path.read_bytes()
             exif = parse_exif(content)
-            if b"\xff\xd9" not in content[-65536:]:
+            if not is_whole_jpeg(content):
                 return "it is cut off"
             kind = "flir" if is_flir(content) else "dji" if is_dji_thermal(content, exif.make) else kind
         else:
@@ -150,25 +170,6 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
 
 def _video_frames(path: Path, folder: Path, every: int) -> list[SourceFile]:
     """Every so many frames of a video, as sources of their own."""
-    video = cv2.VideoCapture(str(path))
-    try:
-        count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
-        done, image = video.read()
-    finally:
-        video.release()
-    if not done or count < 1:
-        raise UserError(f"OpenCV cannot read the video {path}.", "Export its frames as images.")
-    height, width = image.shape[:2]
+    count, rate, width, height = describe_video(path)
     first = SourceFile(path, path.relative_to(folder).as_posix(), "color", width, height, Exif(), 0)
-    seconds = rate if rate > 0 else 30.0
-    return [
-        replace(first, frame=number, exif=Exif(time=_moment(number / seconds))) for number in range(0, count, every)
-    ]
-
-
-def _moment(seconds: float) -> str:
-    """Time since a video's beginning, as a time of a day that nobody will take for a date."""
-    whole, milliseconds = divmod(round(1000 * seconds), 1000)
-    minutes, second = divmod(whole, 60)
-    hour, minute = divmod(minutes, 60)
-    return f"1970-01-01T{hour % 24:02d}:{minute:02d}:{second:02d}.{milliseconds:03d}"
+    return [replace(first, frame=number, exif=Exif(time=moment(number / rate))) for number in range(0, count, every)]

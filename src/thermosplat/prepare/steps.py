@@ -42,6 +42,7 @@ def run_step(
     settings: Mapping[str, Any],
     inputs: Iterable[Path],
     outputs: Iterable[Path] = (),
+    restart: Callable[[], None] | None = None,
 ) -> StepReport:
     """Do a step, or repeat what it said if it is complete.
 
@@ -53,6 +54,8 @@ def run_step(
         inputs: Files that it reads, and ``capture.marker(...)`` of the steps before. Folders stand for all files below
             them, each by name, size and time of its last change.
         outputs: Files that must be there for the step to be complete.
+        restart: Removes what an earlier attempt with other settings or inputs left, so that ``work`` goes on with
+            files of its own only. None: ``work`` replaces all of them anyhow.
 
     Returns:
         What it found.
@@ -67,6 +70,11 @@ def run_step(
         marker.unlink(missing_ok=True)
     except OSError as error:
         raise UserError(f"Cannot replace {marker}: {error.strerror or error}.") from error
+    begun = marker.with_suffix(".begun")
+    if restart is not None:
+        if _read(begun) != wanted:
+            restart()
+        write_whole(begun, json.dumps(wanted).encode())
     started = time.time()
     sentences = list(work())
     lacking = [path for path in outputs if not path.exists()]
@@ -74,13 +82,18 @@ def run_step(
         raise UserError(f"{step} did not write {lacking[0]}.", "Please report this.")
     content = {**wanted, "sentences": sentences, "finished": time.time(), "seconds": round(time.time() - started, 2)}
     write_whole(marker, json.dumps(content, indent=1).encode())
+    begun.unlink(missing_ok=True)
     return StepReport(tuple(sentences))
 
 
 def read_marker(capture: CaptureFolder, step: str) -> dict[str, Any] | None:
     """What a complete step left, as ``run_step`` wrote it; None where it is not complete."""
+    return _read(capture.marker(step))
+
+
+def _read(path: Path) -> dict[str, Any] | None:
     try:
-        content = json.loads(capture.marker(step).read_bytes())
+        content = json.loads(path.read_bytes())
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) else None

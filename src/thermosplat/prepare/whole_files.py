@@ -2,7 +2,9 @@
 
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,8 +36,21 @@ def write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None
     Raises:
         UserError: It cannot be written.
     """
+    _write_image(path, ".png", image)
+
+
+def write_jpeg(path: Path, image: NDArray[np.uint8]) -> None:
+    """Write an image [H, W, 3] RGB as a JPEG of quality 95, whole.
+
+    Raises:
+        UserError: It cannot be written.
+    """
+    _write_image(path, ".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])
+
+
+def _write_image(path: Path, ending: str, image: NDArray[Any], settings: Sequence[int] = ()) -> None:
     stored = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
-    done, data = cv2.imencode(".png", stored)
+    done, data = cv2.imencode(ending, stored, list(settings))
     if not done:
         raise UserError(f"OpenCV cannot write {path} ({image.shape}, {image.dtype}).")
     write_whole(path, data.tobytes())

@@ -14,6 +14,7 @@ from thermosplat.spectra import CELSIUS, COUNTS, TEMPERATURE_UNITS
 
 _TO_CELSIUS: dict[str, tuple[float, float]] = {
     "kelvin": (1.0, -273.15),
+    "decikelvin": (0.1, -273.15),
     "centikelvin": (0.01, -273.15),
     "celsius": (1.0, 0.0),
     "centicelsius": (0.01, 0.0),

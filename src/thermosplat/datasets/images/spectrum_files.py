@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.frame_files import FrameFiles, Listing
 from thermosplat.datasets.images.capture_palette import choose_palette
 from thermosplat.datasets.images.image_files import read_images
-from thermosplat.datasets.images.image_folders import spectrum_folder, values_folder
+from thermosplat.datasets.images.image_folders import image_folder, spectrum_folder, values_folder
 from thermosplat.datasets.images.spectrum_images import (
     SpectrumFile,
     SpectrumPixels,
@@ -47,7 +47,8 @@ def read_spectrum(
     present = [file for file in files if file is not None]
     statement = RadiometricStatement()
     if may_be_temperature(spectrum.unit):
-        for folder in (values_folder(root, name, spectrum), spectrum_folder(root, name, spectrum)):
+        below_images = spectrum_folder(image_folder(root, "images"), name, spectrum)
+        for folder in (values_folder(root, name, spectrum), spectrum_folder(root, name, spectrum), below_images):
             if (folder / "units.json").is_file():
                 statement = read_statement(folder / "units.json", name)
                 break
