@@ -139,7 +139,7 @@ def test_an_unknown_unit_names_the_spectrums_flag(tmp_path):
     """What the file says is quoted, what is known is listed."""
     path = tmp_path / "units.json"
     path.write_text('{"unit": "fahrenheit"}')
-    with pytest.raises(UserError, match=r"'fahrenheit'; known are kelvin, centikelvin, .*counts") as caught:
+    with pytest.raises(UserError, match=r"'fahrenheit'; known are kelvin, decikelvin, centikelvin, .*counts") as caught:
         read_statement(path, "lwir")
     assert caught.value.hint == "Or say it with --lwir.unit."
 
