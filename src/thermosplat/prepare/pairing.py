@@ -98,7 +98,7 @@ def name_key(row: FrameRow) -> str | None:
     words = [word for word in re.split(r"[^A-Za-z0-9]+", stem) if word]
     kept = [word for place, word in enumerate(words) if not _names_camera(word, last=place == len(words) - 1)]
     frame = row.source.partition("#")[2]
-    return " ".join([*kept, frame]).lower() or None
+    return " ".join(filter(None, [*kept, frame])).lower() or None
 
 
 def _names_camera(word: str, *, last: bool) -> bool:
