@@ -8,7 +8,7 @@ import pytest
 
 from camera_folders import write_two_cameras
 from thermosplat.errors import UserError
-from thermosplat.prepare.capture_folder import CaptureFolder, FrameRow
+from thermosplat.prepare.capture_folder import CaptureFolder, FrameRow, PairRow
 from thermosplat.prepare.import_files import import_files
 from thermosplat.prepare.pairing import name_key, number_key, pair_frames
 from thermosplat.prepare.whole_files import write_whole
@@ -121,7 +121,7 @@ def test_imported_files_are_paired(tmp_path: Path) -> None:
     capture = CaptureFolder(tmp_path / "capture")
     import_files(write_two_cameras(tmp_path / "in"), capture)
     pair_frames(capture)
-    assert [(pair.rgb, pair.thermal) for pair in capture.read_pairs()][0] == ("VIS_0001.jpg", "IR_0001.png")
+    assert capture.read_pairs()[0] == PairRow("VIS_0001.jpg", "IR_0001.png")
     assert pair_frames(capture).before
     write_two_cameras(tmp_path / "in", 8)
     import_files(tmp_path / "in", capture)
