@@ -1,9 +1,11 @@
 """The subcommands of thermosplat-prepare that find cameras: calibrate, sfm, register."""
 
+import shlex
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from thermosplat.cli.prepare_steps import CaptureArguments
+from thermosplat.cli.host_settings import importing
+from thermosplat.cli.prepare_steps import CaptureArguments, capture_at, say
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
@@ -19,6 +21,9 @@ class CalibrateArguments(CaptureArguments):
 class SfmArguments(CaptureArguments):
     """Find the camera poses of the photographs (structure from motion)."""
 
+    mapper: Literal["incremental", "global"] = "incremental"
+    """COLMAP's mapper: one photograph after the other, or all at once."""
+
 
 @dataclass(frozen=True)
 class RegisterArguments(CaptureArguments):
@@ -32,7 +37,13 @@ def run_calibrate(arguments: CalibrateArguments) -> int:
 
 def run_sfm(arguments: SfmArguments) -> int:
     """``thermosplat-prepare sfm``; returns the exit code."""
-    raise _not_yet("sfm")
+    with importing():
+        from thermosplat.prepare.sfm import run_sfm as step
+
+    capture = capture_at(arguments.capture)
+    say("sfm", step(capture, mapper=arguments.mapper))
+    print(f"Next: thermosplat-prepare register {shlex.quote(str(capture.root))}")
+    return 0
 
 
 def run_register(arguments: RegisterArguments) -> int:

@@ -1,0 +1,25 @@
+"""A bar for work that takes its time, on a terminal; nothing where there is none."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+
+@contextmanager
+def progress_bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show how far a piece of work has come.
+
+    Args:
+        description: What is being done.
+        total: How many parts it has.
+
+    Yields:
+        A function that takes the number of parts that have been done since its last call.
+    """
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(description, total=total)
+        yield lambda parts: bars.advance(task, parts)
