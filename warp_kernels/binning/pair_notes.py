@@ -15,11 +15,11 @@ def note_pairs_kernel(
     call: int,
     pairs_limit: wp.int64,
     listed_limit: wp.int64,
-    totals: wp.array(dtype=wp.int64),
+    totals: wp.array(dtype=wp.int64),  # [1] pairs, or [2] and the Gaussians that have any; [0] without Gaussians
     # inputs and outputs
-    most_pairs: wp.array(dtype=wp.int64),
-    most_listed: wp.array(dtype=wp.int64),
-    overflow: wp.array(dtype=wp.float32),
+    most_pairs: wp.array(dtype=wp.int64),  # [calls]
+    most_listed: wp.array(dtype=wp.int64),  # [calls]
+    overflow: wp.array(dtype=wp.float32),  # [1]
 ):
     """One thread: the first total is that of the pairs, the second, where there is one, that of the Gaussians."""
     for k in range(totals.shape[0]):

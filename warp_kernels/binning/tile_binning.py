@@ -83,20 +83,20 @@ def binning_kernels(dtype: type, lanes: int):
         width: int,
         height: int,
         tile_size: int,
-        means2d: wp.array(dtype=vec2),
-        roots: wp.array(dtype=vec3),
-        extents: wp.array(dtype=vec2),
-        depths: wp.array(dtype=dtype),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-        features: wp.array2d(dtype=dtype),
-        rest: wp.array2d(dtype=dtype),
+        means2d: wp.array(dtype=vec2),  # [images · N]
+        roots: wp.array(dtype=vec3),  # [images · N]
+        extents: wp.array(dtype=vec2),  # [images · N]
+        depths: wp.array(dtype=dtype),  # [images · N]
+        opacities: wp.array(dtype=dtype),  # [images · N]
+        thermal_opacities: wp.array(dtype=dtype),  # [images · N]
+        features: wp.array2d(dtype=dtype),  # [images · N, A]
+        rest: wp.array2d(dtype=dtype),  # [images · N, B]; [0, 0]: there are no others
         # outputs
-        radii: wp.array(dtype=wp.vec2i),
-        tiles_per_gaussian: wp.array(dtype=wp.int32),
-        warp_totals: wp.array(dtype=Totals),
-        depth_keys: wp.array(dtype=dtype),
-        order: wp.array(dtype=wp.int32),
+        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
+        warp_totals: wp.array(dtype=Totals),  # [warps of the launch]; [0]: keys are written instead
+        depth_keys: wp.array(dtype=dtype),  # [2 · images · N], the first half; [0] with warp_totals
+        order: wp.array(dtype=wp.int32),  # [2 · images · N], the first half; [0] with warp_totals
     ):
         """With ``warp_totals`` notes each warp's pairs and Gaussians, without writes the keys to sort by."""
         index = wp.tid() + first
@@ -166,12 +166,12 @@ def binning_kernels(dtype: type, lanes: int):
     def compact_gaussians_kernel(
         first: int,
         room: int,
-        tiles_per_gaussian: wp.array(dtype=wp.int32),
-        totals: wp.array(dtype=Totals),
-        depths: wp.array(dtype=dtype),
+        tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
+        totals: wp.array(dtype=Totals),  # [warps of the count]
+        depths: wp.array(dtype=dtype),  # [images · N]
         # outputs
-        depth_keys: wp.array(dtype=dtype),
-        order: wp.array(dtype=wp.int32),
+        depth_keys: wp.array(dtype=dtype),  # [2 · ranks], the first half
+        order: wp.array(dtype=wp.int32),  # [2 · ranks], the first half
     ):
         """Lists the Gaussians with tiles in the order of their indices; what remains of the room is marked -1."""
         thread = wp.tid() + first
@@ -196,11 +196,11 @@ def binning_kernels(dtype: type, lanes: int):
 
     @wp.kernel(name="gather_counts", enable_backward=False, module="unique")
     def gather_counts_kernel(
-        sorted_gaussians: wp.array(dtype=wp.int32),
-        tiles_per_gaussian: wp.array(dtype=wp.int32),
+        sorted_gaussians: wp.array(dtype=wp.int32),  # [2 · ranks], the first half
+        tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
         # outputs
-        order: wp.array(dtype=wp.int32),
-        counts: wp.array(dtype=wp.int64),
+        order: wp.array(dtype=wp.int32),  # [ranks]
+        counts: wp.array(dtype=wp.int64),  # [ranks]
     ):
         rank = wp.tid()
         index = sorted_gaussians[rank]
@@ -228,9 +228,9 @@ def binning_kernels(dtype: type, lanes: int):
         by_slot: bool,
         masked: bool,
         capacity: int,
-        keys: wp.array(dtype=wp.int32),
-        values: wp.array(dtype=wp.int32),
-        owners: wp.array(dtype=wp.int32),
+        keys: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
+        values: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
+        owners: wp.array(dtype=wp.int32),  # [pairs]; [0] without by_slot
     ):
         """Writes a Gaussian's pairs with the tiles [start, end) of a row from ``slot`` on, as far as there is room."""
         # columns of pixels that the ellipse touches in each of the row's parts, and those that it does in all of them
@@ -282,18 +282,18 @@ def binning_kernels(dtype: type, lanes: int):
         by_slot: bool,
         masked: bool,
         capacity: int,
-        means2d: wp.array(dtype=vec2),
-        roots: wp.array(dtype=vec3),
-        extents: wp.array(dtype=vec2),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-        order: wp.array(dtype=wp.int32),
-        tiles_per_gaussian: wp.array(dtype=wp.int32),
-        pair_ends: wp.array(dtype=wp.int64),
+        means2d: wp.array(dtype=vec2),  # [images · N]
+        roots: wp.array(dtype=vec3),  # [images · N]
+        extents: wp.array(dtype=vec2),  # [images · N]
+        opacities: wp.array(dtype=dtype),  # [images · N]
+        thermal_opacities: wp.array(dtype=dtype),  # [images · N]
+        order: wp.array(dtype=wp.int32),  # [ranks]
+        tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
+        pair_ends: wp.array(dtype=wp.int64),  # [ranks]
         # outputs
-        keys: wp.array(dtype=wp.int32),
-        values: wp.array(dtype=wp.int32),
-        owners: wp.array(dtype=wp.int32),
+        keys: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
+        values: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
+        owners: wp.array(dtype=wp.int32),  # [pairs]; [0] without by_slot
     ):
         rank = wp.tid() + first
         lane = rank % lanes

@@ -11,14 +11,14 @@ def tile_ranges_kernel(
     num_tiles: int,
     by_slot: bool,
     masked: bool,
-    pair_ends: wp.array(dtype=wp.int64),
-    keys: wp.array(dtype=wp.int32),
-    values: wp.array(dtype=wp.int32),
-    owners: wp.array(dtype=wp.int32),
+    pair_ends: wp.array(dtype=wp.int64),  # [ranks]
+    keys: wp.array(dtype=wp.int32),  # [2 · capacity], the first half
+    values: wp.array(dtype=wp.int32),  # [2 · capacity], the first half
+    owners: wp.array(dtype=wp.int32),  # [capacity]; [0] without by_slot
     # outputs
-    tile_offsets: wp.array(dtype=wp.int32),
-    gaussian_ids: wp.array(dtype=wp.int32),
-    masks: wp.array(dtype=wp.uint8),
+    tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
+    gaussian_ids: wp.array(dtype=wp.int32),  # [capacity]
+    masks: wp.array(dtype=wp.uint8),  # [capacity]; [0]: not wanted
 ):
     """Offsets of each tile's pairs in the sorted list, and each sorted pair's Gaussian and mask; threads: capacity + 1.
 

@@ -137,20 +137,20 @@ def distribute_kernel(
         module="unique",
     )
     def distribute_records_kernel(
-        order: wp.array(dtype=wp.int32),
-        pair_ends: wp.array(dtype=wp.int64),
-        tiles_per_gaussian: wp.array(dtype=wp.int32),
-        records: wp.array(dtype=record),
-        roots: wp.array(dtype=vec3),
+        order: wp.array(dtype=wp.int32),  # [ranks]; [0] where records are those of Gaussians
+        pair_ends: wp.array(dtype=wp.int64),  # [ranks]; [0] where records are those of Gaussians
+        tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
+        records: wp.array(dtype=record),  # [pairs · records_per_pair], or [images · N] without records of pairs
+        roots: wp.array(dtype=vec3),  # [images · N]
         store: bool,
         # outputs
-        v_means2d: wp.array(dtype=vec2),
-        v_roots: wp.array(dtype=vec3),
-        v_opacities: wp.array(dtype=dtype),
-        v_thermal_opacities: wp.array(dtype=dtype),
-        v_features: wp.array(dtype=vecA),
-        v_rest: wp.array(dtype=vecB),
-        absolute: wp.array(dtype=vec2),
+        v_means2d: wp.array(dtype=vec2),  # [images · N]
+        v_roots: wp.array(dtype=vec3),  # [images · N]
+        v_opacities: wp.array(dtype=dtype),  # [images · N]
+        v_thermal_opacities: wp.array(dtype=dtype),  # [images · N]
+        v_features: wp.array(dtype=vecA),  # [images · N]
+        v_rest: wp.array(dtype=vecB),  # [images · N]; [0]: there are no other channels
+        absolute: wp.array(dtype=vec2),  # [images · N]; written with absgrad
     ):
         rank = wp.tid()
         g = int(-1)

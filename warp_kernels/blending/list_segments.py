@@ -23,7 +23,11 @@ CHUNK = 8
 
 
 @wp.func
-def list_of_block(block: int, tile_offsets: wp.array(dtype=wp.int32), segment: int):
+def list_of_block(
+    block: int,
+    tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
+    segment: int,
+):
     """What a block of threads walks.
 
     Returns:

@@ -111,7 +111,11 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> QueueFunctions:
         return place < bound
 
     @wp.func
-    def mask_of(place: int, bound: int, masks: wp.array(dtype=wp.uint8)):
+    def mask_of(
+        place: int,
+        bound: int,
+        masks: wp.array(dtype=wp.uint8),  # [pairs]
+    ):
         mask = int(0)
         if within(place, bound):
             mask = int(masks[place])
@@ -127,7 +131,7 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> QueueFunctions:
         candidates: int,
         mask: int,
         bound: int,
-        masks: wp.array(dtype=wp.uint8),
+        masks: wp.array(dtype=wp.uint8),  # [pairs]
     ):
         end = int(put)
         first = int(candidates)
@@ -141,7 +145,13 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> QueueFunctions:
         return end, first, own
 
     @wp.func
-    def take(queue: wp.uint64, lane: int, taken: int, put: int, gaussian_ids: wp.array(dtype=wp.int32)):
+    def take(
+        queue: wp.uint64,
+        lane: int,
+        taken: int,
+        put: int,
+        gaussian_ids: wp.array(dtype=wp.int32),  # [pairs]
+    ):
         count = wp.min(put - taken, LANES_CUDA)
         place = int(0)
         gaussian = int(0)
@@ -235,7 +245,11 @@ def record_functions(
         return int(wp.cast(x, word))
 
     @wp.func
-    def features_of(g: int, features: wp.array(dtype=vecA), rest: wp.array(dtype=vecB)):
+    def features_of(
+        g: int,
+        features: wp.array(dtype=vecA),  # [images · N]
+        rest: wp.array(dtype=vecB),  # [images · N]; [0]: there are no other channels
+    ):
         f = vecC()
         first = features[g]
         for c in range(first_channels):
@@ -254,12 +268,12 @@ def record_functions(
         place: int,
         g: int,
         middle: vec2,
-        means2d: wp.array(dtype=vec2),
-        packed_roots: wp.array(dtype=vec4),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-        features: wp.array(dtype=vecA),
-        rest: wp.array(dtype=vecB),
+        means2d: wp.array(dtype=vec2),  # [images · N]
+        packed_roots: wp.array(dtype=vec4),  # [images · N]
+        opacities: wp.array(dtype=dtype),  # [images · N]
+        thermal_opacities: wp.array(dtype=dtype),  # [images · N]
+        features: wp.array(dtype=vecA),  # [images · N]
+        rest: wp.array(dtype=vecB),  # [images · N]; [0]: there are no other channels
     ):
         warp_sync()  # all lanes have walked the records before
         if lane < count:

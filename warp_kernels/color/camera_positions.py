@@ -30,9 +30,9 @@ def camera_position_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
 
     @wp.kernel(name=f"camera_positions_{dtype.__name__}", enable_backward=False, module="unique")
     def camera_positions_kernel(
-        viewmats: wp.array(dtype=mat44),
+        viewmats: wp.array(dtype=mat44),  # [images]
         # outputs
-        camera_positions: wp.array(dtype=wp.vec3d),
+        camera_positions: wp.array(dtype=wp.vec3d),  # [images]
     ):
         image = wp.tid()
         back = inverse(viewmats[image])
@@ -40,10 +40,10 @@ def camera_position_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
 
     @wp.kernel(name=f"camera_position_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def camera_position_adjoint_kernel(
-        partial_sums: wp.array(dtype=wp.vec3d),
-        viewmats: wp.array(dtype=mat44),
+        partial_sums: wp.array(dtype=wp.vec3d),  # [images · STRANDS]
+        viewmats: wp.array(dtype=mat44),  # [images]
         # outputs
-        v_viewmats: wp.array(dtype=mat44),
+        v_viewmats: wp.array(dtype=mat44),  # [images]
     ):
         image = wp.tid()
         total = wp.vec3d()

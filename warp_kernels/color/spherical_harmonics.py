@@ -161,14 +161,14 @@ def color_kernel(dtype: type, many: bool) -> wp.Kernel:
         num_cameras: int,
         per_image: bool,
         degree: int,
-        means: wp.array(dtype=vec3),
-        camera_positions: wp.array(dtype=wp.vec3d),
-        sh0: wp.array2d(dtype=vec3),
-        rows: wp.array2d(dtype=vec3),
+        means: wp.array(dtype=vec3),  # [scenes · N]
+        camera_positions: wp.array(dtype=wp.vec3d),  # [images]
+        sh0: wp.array2d(dtype=vec3),  # [scenes · N or images · N, 1]
+        rows: wp.array2d(dtype=vec3),  # [scenes · N or images · N, K - lowest]
         lowest: int,
-        radii: wp.array(dtype=wp.vec2i),
+        radii: wp.array(dtype=wp.vec2i),  # [images · N]
         # outputs
-        colors: wp.array(dtype=vec3),
+        colors: wp.array(dtype=vec3),  # [images · N]
     ):
         thread = wp.tid() + first
         lane = thread % lanes
@@ -237,19 +237,19 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         num_cameras: int,
         per_image: bool,
         degree: int,
-        means: wp.array(dtype=vec3),
-        camera_positions: wp.array(dtype=wp.vec3d),
-        rows: wp.array2d(dtype=vec3),
-        radii: wp.array(dtype=wp.vec2i),
-        colors: wp.array(dtype=vec3),
-        v_colors: wp.array(dtype=vec3),
+        means: wp.array(dtype=vec3),  # [scenes · N]
+        camera_positions: wp.array(dtype=wp.vec3d),  # [images]
+        rows: wp.array2d(dtype=vec3),  # [scenes · N or images · N, K - lowest]
+        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        colors: wp.array(dtype=vec3),  # [images · N]
+        v_colors: wp.array(dtype=vec3),  # [images · N]
         lowest: int,
         store: bool,
         # outputs
-        v_sh0: wp.array2d(dtype=vec3),
-        v_rows: wp.array2d(dtype=vec3),
-        v_means: wp.array(dtype=vec3),
-        v_offsets: wp.array(dtype=vec3),
+        v_sh0: wp.array2d(dtype=vec3),  # [scenes · N or images · N, 1]
+        v_rows: wp.array2d(dtype=vec3),  # [scenes · N or images · N, K - lowest]
+        v_means: wp.array(dtype=vec3),  # [scenes · N]
+        v_offsets: wp.array(dtype=vec3),  # [images · N]; [0]: not wanted
     ):
         thread = wp.tid() + first
         inside = thread < means.shape[0]

@@ -218,14 +218,14 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
     @wp.kernel(name=f"image_loss_tiles_{dtype.__name__}", **OPTIONS)
     def tiles_kernel(
         first: int,
-        x0: wp.array3d(dtype=dtype),
-        x1: wp.array3d(dtype=dtype),
-        x2: wp.array3d(dtype=dtype),
-        x3: wp.array3d(dtype=dtype),
-        y0: wp.array3d(dtype=dtype),
-        y1: wp.array3d(dtype=dtype),
-        y2: wp.array3d(dtype=dtype),
-        y3: wp.array3d(dtype=dtype),
+        x0: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        x1: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        x2: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        x3: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        y0: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        y1: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        y2: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        y3: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
         e0: int,
         e1: int,
         e2: int,
@@ -237,8 +237,8 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         smooth_from: int,
         smooth_to: int,
         # outputs
-        sums: wp.array2d(dtype=dtype),
-        derivatives: wp.array3d(dtype=dtype),
+        sums: wp.array2d(dtype=dtype),  # [3 C, tiles]
+        derivatives: wp.array3d(dtype=dtype),  # [3 C, H, W]; [0, 0, 0]: not wanted
     ):
         block, thread = wp.tid()
         height, width = x0.shape[0], x0.shape[1]
@@ -281,10 +281,10 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         share3: dtype,
         smooth_share: dtype,
         num_pixels: int,
-        sums: wp.array(dtype=dtype),
+        sums: wp.array(dtype=dtype),  # [3 C]
         # outputs
-        losses: wp.array(dtype=dtype),
-        squared_errors: wp.array(dtype=dtype),
+        losses: wp.array(dtype=dtype),  # [TERMS + 1]
+        squared_errors: wp.array(dtype=dtype),  # [TERMS]
     ):
         """One thread a term, and one for |∂x| + |∂y|."""
         term = wp.tid()

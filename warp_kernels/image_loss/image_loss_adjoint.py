@@ -99,14 +99,14 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
     @wp.kernel(name=f"image_loss_tiles_adjoint_{dtype.__name__}", **OPTIONS)
     def tiles_adjoint_kernel(
         first: int,
-        x0: wp.array3d(dtype=dtype),
-        x1: wp.array3d(dtype=dtype),
-        x2: wp.array3d(dtype=dtype),
-        x3: wp.array3d(dtype=dtype),
-        y0: wp.array3d(dtype=dtype),
-        y1: wp.array3d(dtype=dtype),
-        y2: wp.array3d(dtype=dtype),
-        y3: wp.array3d(dtype=dtype),
+        x0: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        x1: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        x2: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        x3: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        y0: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        y1: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        y2: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        y3: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
         e0: int,
         e1: int,
         e2: int,
@@ -122,13 +122,13 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
         share2: dtype,
         share3: dtype,
         smooth_share: dtype,
-        derivatives: wp.array3d(dtype=dtype),
-        v_losses: wp.array(dtype=dtype),
+        derivatives: wp.array3d(dtype=dtype),  # [3 C, H, W]
+        v_losses: wp.array(dtype=dtype),  # [TERMS + 1]
         # outputs
-        v0: wp.array3d(dtype=dtype),
-        v1: wp.array3d(dtype=dtype),
-        v2: wp.array3d(dtype=dtype),
-        v3: wp.array3d(dtype=dtype),
+        v0: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        v1: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        v2: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
+        v3: wp.array3d(dtype=dtype),  # [H, W, channels of the pair]
     ):
         block, thread = wp.tid()
         height, width = x0.shape[0], x0.shape[1]

@@ -27,9 +27,9 @@ def strand_sum_kernel(dtype: type, length: int) -> wp.Kernel:
     @wp.kernel(name=f"strand_sums_{length}_{dtype.__name__}", enable_backward=False, module="unique")
     def strand_sums_kernel(
         num_gaussians: int,
-        records: wp.array(dtype=record),
+        records: wp.array(dtype=record),  # [images · N]
         # outputs
-        partial_sums: wp.array(dtype=record64),
+        partial_sums: wp.array(dtype=record64),  # [images · STRANDS]
     ):
         tid = wp.tid()
         image = tid // wp.static(STRANDS)

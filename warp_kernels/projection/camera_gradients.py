@@ -24,10 +24,10 @@ def camera_finish_kernel(dtype: type) -> wp.Kernel:
 
     @wp.kernel(name=f"finish_camera_gradients_{dtype.__name__}", enable_backward=False, module="unique")
     def finish_camera_gradients_kernel(
-        partial_sums: wp.array(dtype=record64),
+        partial_sums: wp.array(dtype=record64),  # [images · STRANDS]
         # outputs
-        v_viewmats: wp.array(dtype=mat44),
-        v_Ks: wp.array(dtype=mat33),
+        v_viewmats: wp.array(dtype=mat44),  # [images]
+        v_Ks: wp.array(dtype=mat33),  # [images]
     ):
         image = wp.tid()
         total = record64()

@@ -179,14 +179,14 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         first: int,
         num_gaussians: int,
         num_cameras: int,
-        means: wp.array(dtype=vec3),
-        quats: wp.array(dtype=vec4),
-        scales: wp.array(dtype=vec3),
-        covars: wp.array(dtype=vec6),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-        viewmats: wp.array(dtype=mat44),
-        Ks: wp.array(dtype=mat33),
+        means: wp.array(dtype=vec3),  # [scenes · N]
+        quats: wp.array(dtype=vec4),  # [scenes · N]; [0] with covars
+        scales: wp.array(dtype=vec3),  # [scenes · N]; [0] with covars
+        covars: wp.array(dtype=vec6),  # [scenes · N]; [0] without
+        opacities: wp.array(dtype=dtype),  # [scenes · N]
+        thermal_opacities: wp.array(dtype=dtype),  # [scenes · N]
+        viewmats: wp.array(dtype=mat44),  # [images]
+        Ks: wp.array(dtype=mat33),  # [images]
         width: int,
         height: int,
         eps2d: dtype,
@@ -195,12 +195,12 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         radius_clip: dtype,
         antialiased: bool,
         # outputs
-        means2d: wp.array(dtype=vec2),
-        depths: wp.array(dtype=dtype),
-        packed_roots: wp.array(dtype=vec4),
-        compensations: wp.array(dtype=dtype),
-        radii: wp.array(dtype=wp.vec2i),
-        extents: wp.array(dtype=vec2),
+        means2d: wp.array(dtype=vec2),  # [images · N]
+        depths: wp.array(dtype=dtype),  # [images · N]
+        packed_roots: wp.array(dtype=vec4),  # [images · N]
+        compensations: wp.array(dtype=dtype),  # [images · N]; [0]: not wanted
+        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        extents: wp.array(dtype=vec2),  # [images · N]
     ):
         index = wp.tid() + first
         image = index // num_gaussians

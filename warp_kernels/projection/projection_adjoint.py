@@ -81,30 +81,30 @@ def projection_adjoint_kernel(
         first: int,
         num_gaussians: int,
         num_cameras: int,
-        means: wp.array(dtype=vec3),
-        quats: wp.array(dtype=vec4),
-        scales: wp.array(dtype=vec3),
-        covars: wp.array(dtype=vec6),
-        viewmats: wp.array(dtype=mat44),
-        Ks: wp.array(dtype=mat33),
+        means: wp.array(dtype=vec3),  # [scenes · N]
+        quats: wp.array(dtype=vec4),  # [scenes · N]; [0] with covars
+        scales: wp.array(dtype=vec3),  # [scenes · N]; [0] with covars
+        covars: wp.array(dtype=vec6),  # [scenes · N]; [0] without
+        viewmats: wp.array(dtype=mat44),  # [images]
+        Ks: wp.array(dtype=mat33),  # [images]
         width: int,
         height: int,
         eps2d: dtype,
-        roots: wp.array(dtype=vec3),
-        compensations: wp.array(dtype=dtype),
-        radii: wp.array(dtype=wp.vec2i),
-        v_means2d: wp.array(dtype=vec2),
-        v_depths: wp.array(dtype=dtype),
-        v_roots: wp.array(dtype=vec3),
-        v_compensations: wp.array(dtype=dtype),
+        roots: wp.array(dtype=vec3),  # [images · N]
+        compensations: wp.array(dtype=dtype),  # [images · N]; [0] in the classic mode
+        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        v_means2d: wp.array(dtype=vec2),  # [images · N]; [0]: zeros, as in those below
+        v_depths: wp.array(dtype=dtype),  # [images · N]
+        v_roots: wp.array(dtype=vec3),  # [images · N]
+        v_compensations: wp.array(dtype=dtype),  # [images · N]
         store: bool,
         store_means: bool,
         # outputs
-        v_means: wp.array(dtype=vec3),
-        v_quats: wp.array(dtype=vec4),
-        v_scales: wp.array(dtype=vec3),
-        v_covars: wp.array(dtype=vec6),
-        v_cameras: wp.array(dtype=record),
+        v_means: wp.array(dtype=vec3),  # [scenes · N]
+        v_quats: wp.array(dtype=vec4),  # [scenes · N]
+        v_scales: wp.array(dtype=vec3),  # [scenes · N]
+        v_covars: wp.array(dtype=vec6),  # [scenes · N]
+        v_cameras: wp.array(dtype=record),  # [images · N]; [0]: not wanted
     ):
         thread = wp.tid() + first
         nearest = (thread // lanes) * wp.static(each * lanes) + thread % lanes

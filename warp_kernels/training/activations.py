@@ -61,14 +61,14 @@ def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"activate_{dtype.__name__}", enable_backward=False, module="unique")
     def activate_kernel(
         first: int,
-        log_scales: wp.array(dtype=vec3),
-        logits: wp.array(dtype=dtype),
-        seconds: wp.array(dtype=dtype),
+        log_scales: wp.array(dtype=vec3),  # [N]
+        logits: wp.array(dtype=dtype),  # [N]
+        seconds: wp.array(dtype=dtype),  # [N]; [0]: there is none
         is_offset: bool,
         # outputs
-        scales: wp.array(dtype=vec3),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
+        scales: wp.array(dtype=vec3),  # [N]
+        opacities: wp.array(dtype=dtype),  # [N]
+        thermal_opacities: wp.array(dtype=dtype),  # [N]; [0] where there are no seconds
     ):
         thread = wp.tid() + first
         inside = thread < logits.shape[0]
@@ -85,17 +85,17 @@ def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"activate_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def activate_adjoint_kernel(
         first: int,
-        scales: wp.array(dtype=vec3),
-        opacities: wp.array(dtype=dtype),
-        thermal_opacities: wp.array(dtype=dtype),
-        v_scales: wp.array(dtype=vec3),
-        v_opacities: wp.array(dtype=dtype),
-        v_thermal_opacities: wp.array(dtype=dtype),
+        scales: wp.array(dtype=vec3),  # [N]
+        opacities: wp.array(dtype=dtype),  # [N]
+        thermal_opacities: wp.array(dtype=dtype),  # [N]; [0] where there are no seconds
+        v_scales: wp.array(dtype=vec3),  # [N]; [0]: zeros
+        v_opacities: wp.array(dtype=dtype),  # [N]; [0]: zeros
+        v_thermal_opacities: wp.array(dtype=dtype),  # [N]; [0]: zeros
         is_offset: bool,
         # outputs
-        v_log_scales: wp.array(dtype=vec3),
-        v_logits: wp.array(dtype=dtype),
-        v_seconds: wp.array(dtype=dtype),
+        v_log_scales: wp.array(dtype=vec3),  # [N]
+        v_logits: wp.array(dtype=dtype),  # [N]
+        v_seconds: wp.array(dtype=dtype),  # [N]; [0] where there are no seconds
     ):
         thread = wp.tid() + first
         inside = thread < opacities.shape[0]

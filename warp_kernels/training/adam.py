@@ -31,11 +31,11 @@ def adam_coefficients_kernel(
     beta1: wp.float64,
     beta2: wp.float64,
     rates: Addresses,
-    blocked: wp.array(dtype=wp.float32),
+    blocked: wp.array(dtype=wp.float32),  # [1]
     # inputs and outputs
     steps: Addresses,
     # outputs
-    coefficients: wp.array(dtype=wp.vec2),
+    coefficients: wp.array(dtype=wp.vec2),  # [tensors]
 ):
     """Counts the step, and what a parameter's numbers share: rate / (1 - β1^t) and sqrt(1 - β2^t); each a thread."""
     if blocked[0] == 0.0:
@@ -58,8 +58,8 @@ def adam_update_kernel(
     beta2: wp.float32,
     share2: wp.float32,
     epsilon: wp.float32,
-    blocked: wp.array(dtype=wp.float32),
-    coefficients: wp.array(dtype=wp.vec2),
+    blocked: wp.array(dtype=wp.float32),  # [1]
+    coefficients: wp.array(dtype=wp.vec2),  # [tensors]
     gradients: Addresses,
     # inputs and outputs
     parameters: Addresses,

@@ -20,11 +20,11 @@ def covering_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"cover_{dtype.__name__}", enable_backward=False, module="unique")
     def cover_kernel(
         first: int,
-        decoded: wp.array2d(dtype=dtype),
-        alphas: wp.array(dtype=dtype),
-        base: wp.array2d(dtype=dtype),
+        decoded: wp.array2d(dtype=dtype),  # [pixels, C]
+        alphas: wp.array(dtype=dtype),  # [pixels]
+        base: wp.array2d(dtype=dtype),  # [pixels, C]; [0, C]: zeros
         # outputs
-        covered: wp.array2d(dtype=dtype),
+        covered: wp.array2d(dtype=dtype),  # [pixels, C]
     ):
         pixel = wp.tid() + first
         alpha = alphas[pixel]
@@ -37,12 +37,12 @@ def covering_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"cover_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def cover_adjoint_kernel(
         first: int,
-        decoded: wp.array2d(dtype=dtype),
-        alphas: wp.array(dtype=dtype),
-        v_covered: wp.array2d(dtype=dtype),
+        decoded: wp.array2d(dtype=dtype),  # [pixels, C]
+        alphas: wp.array(dtype=dtype),  # [pixels]
+        v_covered: wp.array2d(dtype=dtype),  # [pixels, C]
         # outputs
-        v_decoded: wp.array2d(dtype=dtype),
-        v_alphas: wp.array(dtype=dtype),
+        v_decoded: wp.array2d(dtype=dtype),  # [pixels, C]
+        v_alphas: wp.array(dtype=dtype),  # [pixels]
     ):
         pixel = wp.tid() + first
         alpha = alphas[pixel]

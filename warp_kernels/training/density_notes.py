@@ -24,12 +24,12 @@ def density_kernel(dtype: type) -> wp.Kernel:
         num_cameras: int,
         half_width: dtype,
         half_height: dtype,
-        blocked: wp.array(dtype=wp.float32),
-        gradients: wp.array(dtype=vec2),
-        radii: wp.array(dtype=wp.vec2i),
+        blocked: wp.array(dtype=wp.float32),  # [1]
+        gradients: wp.array(dtype=vec2),  # [cameras · N]
+        radii: wp.array(dtype=wp.vec2i),  # [cameras · N]
         # inputs and outputs
-        norm_sums: wp.array(dtype=wp.float32),
-        observations: wp.array(dtype=wp.float32),
+        norm_sums: wp.array(dtype=wp.float32),  # [N]
+        observations: wp.array(dtype=wp.float32),  # [N]
     ):
         gaussian = wp.tid() + first
         num_gaussians = norm_sums.shape[0]

@@ -30,17 +30,20 @@ def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     nearest, two = dtype(NEAREST), dtype(2.0)
 
     @wp.func
-    def depth(mean: vec3, viewmat: wp.array2d(dtype=dtype)):
+    def depth(
+        mean: vec3,
+        viewmat: wp.array2d(dtype=dtype),  # [4, 4]
+    ):
         return viewmat[2, 0] * mean[0] + viewmat[2, 1] * mean[1] + viewmat[2, 2] * mean[2] + viewmat[2, 3]
 
     @wp.kernel(name=f"join_moments_{channels}_{dtype.__name__}", enable_backward=False, module="unique")
     def join_kernel(
         first: int,
-        features: wp.array2d(dtype=dtype),
-        means: wp.array(dtype=vec3),
-        viewmat: wp.array2d(dtype=dtype),
+        features: wp.array2d(dtype=dtype),  # [N, d]
+        means: wp.array(dtype=vec3),  # [N]
+        viewmat: wp.array2d(dtype=dtype),  # [4, 4]
         # outputs
-        joined: wp.array2d(dtype=dtype),
+        joined: wp.array2d(dtype=dtype),  # [N, d + 2]
     ):
         gaussian = wp.tid() + first
         for c in range(wp.static(channels)):
@@ -52,12 +55,12 @@ def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"join_moments_adjoint_{channels}_{dtype.__name__}", enable_backward=False, module="unique")
     def join_adjoint_kernel(
         first: int,
-        means: wp.array(dtype=vec3),
-        viewmat: wp.array2d(dtype=dtype),
-        v_joined: wp.array2d(dtype=dtype),
+        means: wp.array(dtype=vec3),  # [N]
+        viewmat: wp.array2d(dtype=dtype),  # [4, 4]
+        v_joined: wp.array2d(dtype=dtype),  # [N, d + 2]
         # outputs
-        v_features: wp.array2d(dtype=dtype),
-        v_means: wp.array(dtype=vec3),
+        v_features: wp.array2d(dtype=dtype),  # [N, d]
+        v_means: wp.array(dtype=vec3),  # [N]
     ):
         gaussian = wp.tid() + first
         for c in range(wp.static(channels)):
@@ -91,14 +94,14 @@ def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"take_spreads_{channels}_{dtype.__name__}", enable_backward=False, module="unique")
     def take_kernel(
         first: int,
-        joined: wp.array2d(dtype=dtype),
-        alphas: wp.array(dtype=dtype),
+        joined: wp.array2d(dtype=dtype),  # [pixels, d + 2]
+        alphas: wp.array(dtype=dtype),  # [pixels]
         inverse_limit: dtype,
         share: dtype,
         lanes: int,
         # outputs
-        features: wp.array2d(dtype=dtype),
-        parts: wp.array(dtype=dtype),
+        features: wp.array2d(dtype=dtype),  # [pixels, d]
+        parts: wp.array(dtype=dtype),  # [num_warps(pixels)]
     ):
         pixel = wp.tid() + first
         spread = zero
@@ -115,15 +118,15 @@ def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"take_spreads_adjoint_{channels}_{dtype.__name__}", enable_backward=False, module="unique")
     def take_adjoint_kernel(
         first: int,
-        joined: wp.array2d(dtype=dtype),
-        alphas: wp.array(dtype=dtype),
+        joined: wp.array2d(dtype=dtype),  # [pixels, d + 2]
+        alphas: wp.array(dtype=dtype),  # [pixels]
         inverse_limit: dtype,
         share: dtype,
-        v_features: wp.array2d(dtype=dtype),
-        v_spread: wp.array(dtype=dtype),
+        v_features: wp.array2d(dtype=dtype),  # [pixels, d]
+        v_spread: wp.array(dtype=dtype),  # [1]
         # outputs
-        v_joined: wp.array2d(dtype=dtype),
-        v_alphas: wp.array(dtype=dtype),
+        v_joined: wp.array2d(dtype=dtype),  # [pixels, d + 2]
+        v_alphas: wp.array(dtype=dtype),  # [pixels]
     ):
         pixel = wp.tid() + first
         for c in range(wp.static(channels)):

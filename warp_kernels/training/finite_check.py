@@ -26,11 +26,11 @@ def note_bad_kernel(
     sizes: Counts,
     names: Counts,
     tensors: Addresses,
-    step: wp.array(dtype=wp.int64),
+    step: wp.array(dtype=wp.int64),  # [1]
     # inputs and outputs
-    first_bad_step: wp.array(dtype=wp.int64),
+    first_bad_step: wp.array(dtype=wp.int64),  # [names]
     # outputs
-    blocked: wp.array(dtype=wp.float32),
+    blocked: wp.array(dtype=wp.float32),  # [1]
 ):
     """Four numbers a thread; whatever thread finds something writes the same."""
     place, start = share_of(ends, wp.tid())

@@ -32,14 +32,14 @@ def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"gaussian_means_{dtype.__name__}", enable_backward=False, module="unique")
     def means_kernel(
         first: int,
-        log_scales: wp.array(dtype=vec3),
-        logits: wp.array(dtype=dtype),
-        seconds: wp.array(dtype=dtype),
+        log_scales: wp.array(dtype=vec3),  # [N]
+        logits: wp.array(dtype=dtype),  # [N]
+        seconds: wp.array(dtype=dtype),  # [N]; [0]: there is none
         is_offset: bool,
         share: dtype,
         lanes: int,
         # outputs
-        parts: wp.array2d(dtype=dtype),
+        parts: wp.array2d(dtype=dtype),  # [2, num_warps(N)]
     ):
         thread = wp.tid() + first
         opacity, scale = zero, zero
@@ -59,16 +59,16 @@ def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     @wp.kernel(name=f"gaussian_means_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def adjoint_kernel(
         first: int,
-        log_scales: wp.array(dtype=vec3),
-        logits: wp.array(dtype=dtype),
-        seconds: wp.array(dtype=dtype),
+        log_scales: wp.array(dtype=vec3),  # [N]
+        logits: wp.array(dtype=dtype),  # [N]
+        seconds: wp.array(dtype=dtype),  # [N]; [0]: there is none
         is_offset: bool,
-        v_means: wp.array(dtype=dtype),
+        v_means: wp.array(dtype=dtype),  # [2]
         share: dtype,
         # outputs
-        v_log_scales: wp.array(dtype=vec3),
-        v_logits: wp.array(dtype=dtype),
-        v_seconds: wp.array(dtype=dtype),
+        v_log_scales: wp.array(dtype=vec3),  # [N]
+        v_logits: wp.array(dtype=dtype),  # [N]
+        v_seconds: wp.array(dtype=dtype),  # [N]; [0] where there are no seconds
     ):
         thread = wp.tid() + first
         inside = thread < logits.shape[0]

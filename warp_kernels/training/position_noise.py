@@ -28,19 +28,19 @@ def noise_kernel(dtype: type) -> wp.Kernel:
     @wp.kernel(name=f"add_position_noise_{dtype.__name__}", enable_backward=False, module="unique")
     def add_noise_kernel(
         first: int,
-        quats: wp.array(dtype=vec4),
-        log_scales: wp.array(dtype=vec3),
-        logits: wp.array(dtype=dtype),
-        seconds: wp.array(dtype=dtype),
+        quats: wp.array(dtype=vec4),  # [N]
+        log_scales: wp.array(dtype=vec3),  # [N]
+        logits: wp.array(dtype=dtype),  # [N]
+        seconds: wp.array(dtype=dtype),  # [N]; [0]: there is none
         is_offset: bool,
-        normals: wp.array(dtype=vec3),
+        normals: wp.array(dtype=vec3),  # [N]
         strength: dtype,
-        rate: wp.array(dtype=wp.float32),
+        rate: wp.array(dtype=wp.float32),  # [1]
         steepness: dtype,
         threshold: dtype,
-        blocked: wp.array(dtype=wp.float32),
+        blocked: wp.array(dtype=wp.float32),  # [1]
         # inputs and outputs
-        means: wp.array(dtype=vec3),
+        means: wp.array(dtype=vec3),  # [N]
     ):
         if blocked[0] != 0.0:
             return
