@@ -4,8 +4,9 @@ import kornia
 import pytest
 import torch
 
-from thermosplat.fused.image_loss import warp_image_loss
-from thermosplat.losses.image_terms import image_loss
+from thermosplat.fused.image_loss import ImageTerm, warp_image_loss, warp_image_losses
+from thermosplat.losses.image_terms import image_loss, smoothness
+from warp_kernels.image_loss.image_loss_step import ImageLossSettings, image_losses
 
 
 def _images(height: int, width: int, channels: int, device: torch.device, dtype: torch.dtype) -> list[torch.Tensor]:
@@ -75,3 +76,50 @@ def test_no_gradient_wanted(device: torch.device) -> None:
     """Without a gradient nothing is kept for one."""
     render, target = _images(12, 12, 3, device, torch.float32)
     assert not warp_image_loss(render, target, 0.2).requires_grad
+
+
+@pytest.mark.parametrize(("count", "smoothed"), [(4, 3), (5, 4), (5, 0), (9, 8), (9, None)])
+def test_any_number_of_terms(device: torch.device, count: int, smoothed: int | None) -> None:
+    """Losses, squared errors, smoothness and gradients of each are those of kornia and torch in float64."""
+    pairs = [_images(17, 23, 1 + number % 3, device, torch.float64) for number in range(count)]
+    ours = [render.clone().requires_grad_() for render, _ in pairs]
+    theirs = [render.clone().requires_grad_() for render, _ in pairs]
+    terms = [
+        ImageTerm(f"term {number}", 0.5 + number, image, target)
+        for number, (image, (_, target)) in enumerate(zip(ours, pairs, strict=True))
+    ]
+    found = warp_image_losses(terms, 0.2, smoothed=smoothed, smoothness=0.3)
+    expected = []
+    for number, (image, (_, target)) in enumerate(zip(theirs, pairs, strict=True)):
+        ssim = kornia.metrics.ssim(image.permute(2, 0, 1)[None], target.permute(2, 0, 1)[None], 11).mean()
+        expected.append((0.5 + number) * (0.8 * (image - target).abs().mean() + 0.2 * (1 - ssim)))
+        error = (image.detach().clamp(0.0, 1.0) - target).square().mean()
+        torch.testing.assert_close(found.squared_errors[number], error, rtol=1e-12, atol=1e-14)
+    assert len(found.losses) == len(found.squared_errors) == count
+    torch.testing.assert_close(torch.stack(found.losses), torch.stack(expected), rtol=1e-12, atol=1e-13)
+    smooth = torch.zeros_like(expected[0]) if smoothed is None else 0.3 * smoothness(theirs[smoothed])
+    torch.testing.assert_close(found.smoothness, smooth, rtol=1e-12, atol=1e-13)
+    factors = torch.arange(1.0, count + 1.0, dtype=torch.float64, device=device)
+    ((factors * torch.stack(found.losses)).sum() + found.smoothness).backward()
+    ((factors * torch.stack(expected)).sum() + smooth).backward()
+    for image, wanted in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(image.grad, wanted.grad, rtol=1e-9, atol=1e-13)
+
+
+def test_one_image_in_several_launches(device: torch.device) -> None:
+    """Its gradients are added up."""
+    render, target = _images(12, 14, 3, device, torch.float64)
+    once, often = render.clone().requires_grad_(), render.clone().requires_grad_()
+    warp_image_loss(once, target, 0.2).backward()
+    sum(warp_image_losses([ImageTerm("a", 1.0, often, target)] * 6, 0.2).losses).backward()
+    torch.testing.assert_close(often.grad, 6 * once.grad, rtol=1e-12, atol=1e-15)
+
+
+def test_a_launch_refuses_what_it_has_no_place_for() -> None:
+    """It would leave terms out."""
+    settings = ImageLossSettings(0.2, 1.5, 1e-4, 9e-4, 0.0, (1.0,) * 5, (0.0,) * 5)
+    image = torch.zeros(8, 8, 1)
+    with pytest.raises(ValueError, match="1 to 4 images a launch, found 5"):
+        image_losses([image] * 5, [image] * 5, settings, image, image)
+    with pytest.raises(ValueError, match="at least one image loss"):
+        warp_image_losses([], 0.2)

@@ -10,7 +10,7 @@ KERNELS = Path(__file__).resolve().parents[2] / "warp_kernels"
 SHAPE = re.compile(r"#.*\[[^\]]+\]")
 """A comment with a shape in brackets."""
 
-ARRAYS = re.compile(r"\bwp\.array|\b(records_type|rows_a|rows_b)\b")
+ARRAYS = re.compile(r"\bwp\.array|_type\b|\brows_[ab]\b")
 """Annotations of arrays: Warp's own, and names of types that are made from them."""
 
 DECORATORS = ("wp.kernel", "wp.func")

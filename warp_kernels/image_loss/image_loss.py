@@ -54,7 +54,16 @@ def plane_functions(dtype: type):
     def step(image: image_type, axis: int) -> int: ...
 
     @wp.func
-    def plane(i0: image_type, i1: image_type, i2: image_type, i3: image_type, e0: int, e1: int, e2: int, c: int):
+    def plane(
+        i0: image_type,  # [H, W, channels of the pair]
+        i1: image_type,  # [H, W, channels of the pair]
+        i2: image_type,  # [H, W, channels of the pair]
+        i3: image_type,  # [H, W, channels of the pair]
+        e0: int,
+        e1: int,
+        e2: int,
+        c: int,
+    ):
         """Address of channel c, steps to the next row and to the next column."""
         at = wp.uint64(0)
         row = int(0)

@@ -48,6 +48,8 @@ class _Numbers:
     """What the launches share: sizes, and settings as kernel arguments."""
 
     def __init__(self, renders: Sequence[wp.array], settings: ImageLossSettings) -> None:
+        if not 1 <= len(renders) <= TERMS:
+            raise ValueError(f"renders must be 1 to {TERMS} images a launch, found {len(renders)}.")
         self.height, self.width, _ = renders[0].shape
         self.dtype, self.device = renders[0].dtype, renders[0].device
         ends = list(accumulate(render.shape[2] for render in renders))

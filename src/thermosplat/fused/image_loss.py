@@ -82,25 +82,37 @@ def warp_image_losses(
     """Image losses of several images of one size, by the same few kernels.
 
     Args:
-        terms: 1 to 4. Their images receive gradients.
+        terms: At least one; the kernels compare ``TERMS`` of them in a launch. Their images receive gradients.
         ssim_lambda: λ_s, the share of the SSIM term, 0 to 1.
         smoothed: The term whose image's mean |∂x| + |∂y| is a loss too (``losses.smoothness``).
         smoothness: The weight of that loss.
     """
-    settings = ImageLossSettings(
-        ssim_lambda,
-        SSIM_SIGMA,
-        C1,
-        C2,
-        EPSILON,
-        tuple(term.weight for term in terms),
-        tuple(term.charbonnier for term in terms),
-        smoothed,
-        smoothness,
-    )
-    results = _ImageLosses.apply(terms, settings, *(term.image for term in terms))
-    count = len(terms)
-    return ImageLosses(results[:count], results[count], results[count + 1 :])
+    losses: list[Tensor] = []
+    squared_errors: list[Tensor] = []
+    smooth: Tensor | None = None
+    for first in range(0, len(terms), TERMS):
+        members = terms[first : first + TERMS]
+        within = smoothed is not None and first <= smoothed < first + len(members)
+        settings = ImageLossSettings(
+            ssim_lambda,
+            SSIM_SIGMA,
+            C1,
+            C2,
+            EPSILON,
+            tuple(term.weight for term in members),
+            tuple(term.charbonnier for term in members),
+            smoothed - first if smoothed is not None and within else None,
+            smoothness,
+        )
+        results = _ImageLosses.apply(members, settings, *(term.image for term in members))
+        count = len(members)
+        losses += results[:count]
+        squared_errors += results[count + 1 :]
+        if smooth is None or within:
+            smooth = results[count]
+    if smooth is None:
+        raise ValueError("terms must hold at least one image loss, found none.")
+    return ImageLosses(tuple(losses), smooth, tuple(squared_errors))
 
 
 class _ImageLosses(torch.autograd.Function):
