@@ -50,6 +50,22 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Traceback" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("number", [errno.EACCES, errno.ENAMETOOLONG, errno.ELOOP, errno.EROFS, errno.ENOSPC])
+def test_what_the_system_refuses_is_a_sentence(number: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """The path, what the system says of it, and what helps; a long path is cut."""
+    assert run_command(failing(OSError(number, os.strerror(number), "p" * 500)), debug=False, one_line=True) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"Error: {'p' * 120}... (500 letters) cannot be used: {os.strerror(number)}. ")
+    assert "Traceback" not in said
+
+
+def test_other_errors_of_the_system_are_raised() -> None:
+    """What no user can mend stays as it is, and so does everything with --debug."""
+    for error, debug in ((OSError(errno.EBADF, "bad", "f"), False), (OSError(errno.EACCES, "no", "f"), True)):
+        with pytest.raises(OSError, match=error.strerror or ""):
+            run_command(failing(error), debug=debug)
+
+
 def test_ctrl_c_is_130(capsys: pytest.CaptureFixture[str]) -> None:
     """Ctrl-C outside the training ends quietly with the shell's code for it."""
     assert run_command(failing(KeyboardInterrupt()), debug=False) == 130

@@ -282,6 +282,32 @@ def test_run_without_its_configuration(run: Run, finished: Path, tmp_path: Path)
     assert "neither a config.yaml nor a checkpoint" in printed
 
 
+def test_resuming_beside_a_training_suggests_no_deletion(run: Run, tmp_path: Path) -> None:
+    """A run that has no checkpoint yet and is being trained is to be waited for, not to be overwritten."""
+    (tmp_path / "config.yaml").write_text("data: sample\n")
+    (tmp_path / LOCK_FILE).write_text("4711 elsewhere\n")
+    code, printed = run(train.main, "--resume", tmp_path)
+    assert code == 2
+    assert "is being trained by process 4711 on elsewhere" in printed
+    assert "--overwrite" not in printed
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["sample", *QUICK, "--result-dir", "r" * 300],
+        ["d" * 5000],
+        ["--resume", "r" * 300],
+    ],
+)
+def test_names_that_are_too_long(run: Run, words: list[str]) -> None:
+    """What the file system refuses is said in a sentence that shows the beginning of the name."""
+    code, printed = run(train.main, *words)
+    assert code == 2
+    assert "File name too long" in printed
+    assert len(printed) < 700
+
+
 @pytest.mark.usefixtures("unharmed")
 @pytest.mark.parametrize("main", [train.main, export.main])
 def test_edited_checkpoint(run: Run, finished: Path, tmp_path: Path, main: Callable[[list[str]], int]) -> None:

@@ -106,6 +106,22 @@ def test_another_capture_is_noticed(run: Run, finished: Path, tmp_path: Path) ->
     assert "Is this the capture" not in run(evaluate.main, finished, "--device", "cpu")[1]
 
 
+def test_a_palette_file_that_is_gone(run: Run, tmp_path: Path) -> None:
+    """The checkpoint holds the palette: the run is evaluated where its file is not, to the same numbers."""
+    rows = [[level, level, 255 - level] for level in range(0, 256, 15)]
+    palette, folder = tmp_path / "mine.json", tmp_path / "run"
+    palette.write_text(json.dumps({"lut": rows}))
+    words = ["--max-steps", 1, "--thermal.palette", palette, "--result-dir", folder]
+    assert run(train.main, "sample", *QUICK, *words)[0] == 0
+    palette.unlink()
+    code, printed = run(evaluate.main, folder, "--device", "cpu")
+    assert code == 0, printed
+    trained, evaluated = (
+        json.loads((folder / name).read_text()) for name in ("metrics.json", "stats/eval_000001.json")
+    )
+    assert evaluated["thermal"] == trained["thermal"]
+
+
 def test_capture_with_other_held_out_frames_is_another(run: Run, finished: Path, tmp_path: Path) -> None:
     """Also where the training frames are the same: its numbers are not the run's."""
     other = tmp_path / "fewer"

@@ -5,6 +5,7 @@ import dataclasses
 import errno
 import json
 import os
+import shutil
 import signal
 import time
 from collections.abc import Callable
@@ -322,6 +323,63 @@ def test_full_disk_at_the_end_names_what_there_is(
     resumed = Trainer.resume(config, capture, RunDirectory.open(tmp_path))
     resumed.train()
     assert_same_state(state_tensors(resumed), whole_run[12])
+
+
+def test_the_last_checkpoint_is_written_before_anything_else(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that pictures and PLY files would fill has room for it; what a killed run left lying goes, too."""
+    trainer = toy_trainer(tmp_path, toy_run_config(save_steps=(4,)), capture)
+    left = trainer.run.ckpts / ".step_000004.0123456789abcdef.tmp.pt"
+    left.write_bytes(b"x")
+
+    def evaluate(*args: Any, **kwargs: Any) -> None:
+        assert trainer.run.checkpoint(12).is_file()
+        assert not left.exists()
+        assert not any(trainer.run.renders.iterdir())
+        assert not any(trainer.run.ply.iterdir())
+        raise NotWrittenError("Could not write renders/a.png: No space left on device.")
+
+    monkeypatch.setattr(trainer_module, "evaluate_refined", evaluate)
+    monkeypatch.setattr(trainer, "_exporting", lambda: lambda: None)
+    with pytest.raises(UserError, match=r"renders/a\.png: No space left.* saved: .*step_000012\.pt"):
+        trainer.train()
+    assert_same_state(state_tensors(Trainer.resume(toy_run_config(), capture, trainer.run)), whole_run[12])
+
+
+@pytest.mark.parametrize("fate", ["renamed", "removed", "replaced"])
+@pytest.mark.parametrize("when", [6, 12])
+def test_a_result_folder_that_goes_away_ends_the_training_with_its_place(
+    tmp_path: Path, capture: Capture, whole_run: dict[int, Any], monkeypatch: pytest.MonkeyPatch, fate: str, when: int
+) -> None:
+    """Nothing is lost: the checkpoint is where the folder is now, or anew where it was, and not in another's run."""
+    folder = tmp_path / "run"
+    trainer = toy_trainer(folder, toy_run_config(save_steps=(4,)), capture)
+    genuine = trainer.logger.step
+
+    def step(record: Any) -> None:
+        genuine(record)
+        if record.step == when:
+            trainer.checkpoints.wait()
+            folder.rename(tmp_path / "gone")
+            if fate != "renamed":
+                shutil.rmtree(tmp_path / "gone")
+            if fate == "replaced":
+                folder.mkdir()
+                (folder / "config.yaml").write_text("another's")
+
+    monkeypatch.setattr(trainer.logger, "step", step)
+    became = f"renamed to {tmp_path / 'gone'}" if fate == "renamed" else "removed"
+    with pytest.raises(UserError, match=f"run was {became} during the training") as caught:
+        trainer.train()
+    now = tmp_path / {"renamed": "gone", "removed": "run", "replaced": "run_removed"}[fate]
+    assert f"saved to {now / 'ckpts' / f'step_{when:06d}.pt'}" in caught.value.message
+    assert caught.value.hint == f"Go on with: thermosplat-train --resume {now}"
+    resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(now))
+    assert_same_state(state_tensors(resumed), whole_run[when])
+    if fate == "replaced":
+        assert [entry.name for entry in folder.iterdir()] == ["config.yaml"]
+    assert not list(tmp_path.rglob("training.lock"))
 
 
 @pytest.mark.parametrize("looks_every", [1, 3])

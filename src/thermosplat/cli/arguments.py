@@ -86,7 +86,9 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
     from thermosplat.runs.run_directory import RunDirectory
 
     folder = str(first.resume)
-    run_config = RunDirectory.open(folder).read_config()
+    run = RunDirectory.open(folder)
+    run.check_is_free()  # before anybody is told to start again in its place
+    run_config = run.read_config()
     start = files_from_anywhere(dataclasses.replace(run_config, resume=folder, result_dir=folder))
     asked = files_from_anywhere(_parse(argv, start))
     if asked.overwrite:

@@ -1,5 +1,6 @@
 """How commands end: 0, 2 with a panel for a mistake of the user's, 128 + its number after a signal (130: Ctrl-C)."""
 
+import errno
 import io
 import os
 import sys
@@ -15,6 +16,20 @@ from thermosplat.errors import UserError
 from thermosplat.training.session.interruption import stop_signal, stop_signals
 
 USER_ERROR = 2
+_REFUSALS = {
+    errno.ENAMETOOLONG: "Give a shorter name.",
+    errno.ELOOP: "Its links lead in a circle: give a path without them.",
+    errno.ENOTDIR: "A file is in place of a folder: give another path.",
+    errno.EISDIR: "A folder is in place of a file: give another path.",
+    errno.EACCES: "See to it that it can be read and written, or give another path.",
+    errno.EPERM: "See to it that it can be read and written, or give another path.",
+    errno.EROFS: "Give a path on a disk that can be written to.",
+    errno.ENOSPC: "Free some space, or give a path on another disk.",
+    errno.EDQUOT: "Free some space, or give a path on another disk.",
+}
+"""Why the system may refuse a path, wherever that comes up, and what helps."""
+_SHOWN_NAME = 120
+"""Letters of a path that are shown."""
 
 
 def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False) -> int:
@@ -64,7 +79,12 @@ def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], No
     except (KeyboardInterrupt, OSError) as error:
         number = stop_signal(error)
         if number is None:
-            raise
+            if debug or not isinstance(error, OSError) or error.errno not in _REFUSALS or not error.filename:
+                raise
+            name = str(error.filename)
+            shown = name if len(name) <= _SHOWN_NAME else f"{name[:_SHOWN_NAME]}... ({len(name):,} letters)"
+            tell(f"{shown} cannot be used: {error.strerror}.", _REFUSALS[error.errno])
+            return USER_ERROR
         if isinstance(error, KeyboardInterrupt):
             with suppress(OSError):
                 print("Interrupted.", file=sys.stderr)

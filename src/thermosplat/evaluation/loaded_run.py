@@ -1,9 +1,14 @@
 """A finished or interrupted run, read back for evaluation, rendering and export."""
 
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import torch
 
 from thermosplat.config import TrainConfig
@@ -19,6 +24,7 @@ from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import RunDirectory, checkpoint_step
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.saved_gaussians import num_not_finite
+from thermosplat.spectra import BUILT_IN_PALETTES, SpectrumConfig
 from thermosplat.thermal.radiometry import PixelScale
 
 
@@ -67,9 +73,10 @@ class LoadedRun:
                 "Say where it lies now: --data FOLDER.",
             )
         config = self.config
-        capture = load_capture(
-            data or config.data, data_factor=config.data_factor, test_every=config.test_every, spectra=config.spectra
-        )
+        with _palettes_at_hand(config.spectra, self.scales) as spectra:
+            capture = load_capture(
+                data or config.data, data_factor=config.data_factor, test_every=config.test_every, spectra=spectra
+            )
         difference = other_frames(self.train_frames, capture)
         if not difference and not self.is_own(capture):
             difference = f"{capture.root} has other held-out frames."
@@ -150,6 +157,22 @@ def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> L
         corrections=checkpoint.training.corrections,
         notes=_notes(model),
     )
+
+
+@contextmanager
+def _palettes_at_hand(
+    spectra: Mapping[str, SpectrumConfig], scales: Mapping[str, PixelScale]
+) -> Iterator[dict[str, SpectrumConfig]]:
+    """Spectra with the palettes that a run stored in place of its palette files, which may be on another machine."""
+    with TemporaryDirectory() as folder:
+        found = dict(spectra)
+        for name, spectrum in spectra.items():
+            if name in scales and spectrum.palette is not None and spectrum.palette not in BUILT_IN_PALETTES:
+                path = Path(folder) / f"{name}.json"
+                levels = scales[name].palette.colors.astype(np.float64) * 255  # as many digits as come back equal
+                path.write_text(json.dumps({"lut": levels.tolist()}), encoding="utf-8")
+                found[name] = replace(spectrum, palette=str(path))
+        yield found
 
 
 def _notes(model: SceneModel) -> tuple[str, ...]:

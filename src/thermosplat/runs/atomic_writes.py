@@ -28,6 +28,11 @@ _SHOWN_STEM = 40
 class NotWrittenError(UserError):
     """A file or folder could not be written: a full disk, no permission. What was there before is as it was."""
 
+    @property
+    def disk_is_full(self) -> bool:
+        """Whether it would be written if there were more room."""
+        return isinstance(self.__cause__, OSError) and self.__cause__.errno in (errno.ENOSPC, errno.EDQUOT)
+
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Write a file so that its name only ever holds a complete one.

@@ -63,6 +63,8 @@ class SavedTraining:
     """Whether density control may still add Gaussians."""
     offsets_dropped: bool = False
     """Whether opacity offsets that are zero stay zero."""
+    budget_due: tuple[str, ...] = ()
+    """What a budget is to leave out before the next step (``AutoBudget.do_what_is_due``)."""
     trimmed: bool = False
     """Whether the model is as small as a budget leaves it at the end."""
     best_validation: tuple[float, int] = (-math.inf, 0)
@@ -187,6 +189,7 @@ class _Reader:
             "corrections": (_or_none(_are_tensors), "tensors or None"),
             "growing": (_is_bool, "true or false"),
             "offsets_dropped": (_is_bool, "true or false"),
+            "budget_due": (_are_due, "parts of a budget"),
             "trimmed": (_is_bool, "true or false"),
             "best_validation": (_is_validation, "a number of decibels and a step"),
             "seconds": (_are_seconds, "numbers of seconds"),
@@ -240,6 +243,10 @@ def _are_sets(value: Any) -> bool:
 
 def _are_names(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(item, str) for item in value)
+
+
+def _are_due(value: Any) -> bool:
+    return isinstance(value, tuple) and set(value) <= {"prune", "drop_offsets", "reduce_features"}
 
 
 def _is_validation(value: Any) -> bool:

@@ -15,7 +15,8 @@ import math
 import os
 import platform
 import shlex
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +36,20 @@ if TYPE_CHECKING:
 _PACKAGES = ("torch", "warp-lang", "numpy", "kornia", "pycolmap", "opencv-contrib-python-headless")
 
 
+class FolderGoneError(UserError):
+    """A result folder is no longer where it was when its training began.
+
+    Args:
+        path: Where it was.
+        now: Where it is; None: it was removed.
+    """
+
+    def __init__(self, path: Path, now: Path | None) -> None:
+        became = "removed" if now is None else f"renamed to {now}"
+        super().__init__(f"The result folder {path} was {became} during the training.")
+        self.now = now
+
+
 class RunDirectory:
     """Paths of one run. The folders are made when they are first asked for.
 
@@ -44,6 +59,8 @@ class RunDirectory:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(os.path.expanduser(path))  # as a shell leaves it in --result-dir=~/run, and YAML
+        self._opened: int | None = None
+        """The locked folder, by whatever name."""
 
     @classmethod
     def create(cls, path: str | Path, overwrite: bool = False) -> "RunDirectory":
@@ -87,7 +104,8 @@ class RunDirectory:
             )
         return run
 
-    def locked(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def locked(self) -> Iterator[None]:
         """Around what trains here: no other process does meanwhile. The result folder is made.
 
         Raises:
@@ -95,7 +113,50 @@ class RunDirectory:
         """
         self._check_is_no_file()
         self._make()
-        return run_lock(self.path)
+        with run_lock(self.path):
+            if self._opened is not None:
+                yield
+                return
+            self._opened = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                yield
+            finally:
+                os.close(self._opened)
+                self._opened = None
+
+    def check_is_free(self) -> None:
+        """Whether nobody trains here.
+
+        Raises:
+            UserError: Another process does.
+        """
+        with self.locked():
+            pass
+
+    def check_is_there(self) -> None:
+        """Whether the folder is still the one that was locked.
+
+        Raises:
+            FolderGoneError: It was renamed, removed or replaced.
+        """
+        if self._opened is None or _is_folder(self.path, self._opened):
+            return
+        now = Path(os.readlink(f"/proc/self/fd/{self._opened}"))
+        raise FolderGoneError(self.path, now if _is_folder(now, self._opened) else None)
+
+    def move(self, now: Path | None) -> None:
+        """Write somewhere else from now on.
+
+        Args:
+            now: The folder. None: a new one where it was; beside that if another run has begun there.
+        """
+        if now is None:
+            now = self.path.with_name(f"{self.path.name}_removed") if self.config_yaml.exists() else self.path
+        self.path = now
+        self._make()
+        if self._opened is not None:
+            os.close(self._opened)
+            self._opened = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
 
     def holds_a_run(self) -> bool:
         """Whether a training run has written here."""
@@ -239,6 +300,14 @@ class RunDirectory:
         """
         text = json.dumps(finite_or_null(value), indent=2, allow_nan=False) + "\n"
         write_text(path, text)
+
+
+def _is_folder(path: Path, opened: int) -> bool:
+    """Whether a path leads to an open folder."""
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(opened))
+    except OSError:
+        return False
 
 
 def checkpoint_step(path: Path) -> int:

@@ -34,8 +34,9 @@ def run_lock(folder: Path) -> Iterator[None]:
         yield
     finally:
         if taken is not None:
-            if _is_still(taken, path):  # not where the folder was renamed, and another one made in its place
-                path.unlink(missing_ok=True)  # before it is let go, so that nobody's else is deleted
+            for name in (path, Path(os.readlink(f"/proc/self/fd/{taken}"))):  # the folder may have been renamed
+                if _is_still(taken, name):
+                    name.unlink(missing_ok=True)  # before it is let go, so that nobody's else is deleted
             os.close(taken)
 
 

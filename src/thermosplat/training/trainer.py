@@ -29,7 +29,7 @@ from thermosplat.refinement.camera_report import write_cameras
 from thermosplat.refinement.corrected_capture import corrected_capture
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
-from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.runs.run_directory import FolderGoneError, RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.budget.auto_budget import AutoBudget
 from thermosplat.training.captured_steps import CapturedSteps
@@ -167,14 +167,19 @@ class Trainer:
         started = time.perf_counter() - state.seconds.wall
         try:
             self.lpips, remark = find_lpips(config.lpips_weights, self.device)
+            self.run.sweep()
             self.run.write_config(config)
             self.run.write_environment(self.device)
             self.logger.start(state.step)
             self._greet(remark)
+            if self.budget is not None:
+                self.budget.do_what_is_due(self.sh_degree)
             while state.step < config.max_steps:
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
                 self.checkpoints.look()
+                if self._looks_at_guard(state.step):
+                    self._stop_if_folder_gone()
                 if state.step < config.max_steps:
                     saving = state.step in config.save_steps
                     with going_on_without(self.logger.say), self._saving() if saving else nullcontext():
@@ -182,13 +187,16 @@ class Trainer:
                             self._evaluate()
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
+            self._save()  # before pictures and other files take what room there is
             with naming_the_newest_checkpoint(self.run):
-                # whatever goes wrong in here, what was trained is kept
-                with meanwhile(partial(self.checkpoints.write, *self._checkpoint())), meanwhile(self._exporting()):
+                with meanwhile(self._exporting()):
                     judged = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
                 state.seconds.wall = time.perf_counter() - started
                 write_regions(self.run, self.model, judged.capture, state.step, self.sh_degree, self.device)
-                return self._finish(judged)
+                metrics = self._finish(judged)
+            self.run.sweep()
+            self._stop_if_folder_gone()
+            return metrics
         except (KeyboardInterrupt, Exception) as error:
             if (number := stop_signal(error)) is not None:
                 with deferred_interrupts(redeliver=False):
@@ -305,7 +313,8 @@ class Trainer:
     def _save(self) -> Path:
         """Write a checkpoint of the steps done, at once."""
         with naming_the_newest_checkpoint(self.run), deferred_interrupts():
-            return self.checkpoints.write(*self._checkpoint())
+            self._stop_if_folder_gone()
+            return self.checkpoints.write_last(self.run, *self._checkpoint())
 
     # ---- when it goes wrong ------------------------------------------------------------------------------------------
 
@@ -335,6 +344,16 @@ class Trainer:
             f"Check the images and the pose of that frame, then go on with: {self.run.resume_command()} "
             "Or start again with smaller learning rates (--optimizer.means-lr and the others).",
         )
+
+    def _stop_if_folder_gone(self) -> None:
+        """Raise if the result folder was renamed or removed; what was trained is saved where it is now, or anew."""
+        try:
+            self.run.check_is_there()
+        except FolderGoneError as gone:
+            self.run.move(gone.now)
+            self._stop_if_not_finite()
+            message = f"{gone.message} What was trained is saved to {self._save()}."
+            raise UserError(message, f"Go on with: {self.run.resume_command()}") from gone
 
     def _out_of_memory(self) -> UserError:
         """Save what there is; the error says what would need less memory."""

@@ -59,6 +59,7 @@ class TrainingState:
         step_on_device: int64 scalar, the number of the step that is being done.
         growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
         offsets_dropped: Whether opacity offsets that are zero stay zero.
+        budget_due: What a budget is to leave out after the step done and has not left out yet: memory ended before.
         trimmed: Whether what the training images do not miss was dropped after the last step (``AutoBudget.finish``).
         best_validation: Best PSNR of withheld training views so far [dB], and its step.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
@@ -105,6 +106,7 @@ class TrainingState:
         self.step = 0
         self.growing = True
         self.offsets_dropped = False
+        self.budget_due: tuple[str, ...] = ()
         self.trimmed = False
         self.best_validation = (-math.inf, 0)
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
@@ -175,6 +177,7 @@ class TrainingState:
             corrections=self.corrections.state_dict() if self.corrections is not None else None,
             growing=self.growing,
             offsets_dropped=self.offsets_dropped,
+            budget_due=self.budget_due,
             trimmed=self.trimmed,
             best_validation=self.best_validation,
             seconds=asdict(self.seconds),
@@ -218,6 +221,7 @@ class TrainingState:
             self.corrections.load_state_dict(training.corrections or {})
         self.growing = training.growing
         self.offsets_dropped = training.offsets_dropped
+        self.budget_due = training.budget_due
         self.trimmed = training.trimmed
         self.best_validation = training.best_validation
         self.seconds = Seconds(**training.seconds or {})

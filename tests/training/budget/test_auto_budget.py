@@ -9,9 +9,11 @@ import pytest
 import torch
 
 from thermosplat.config import AutoBudgetConfig, LossConfig, TrainConfig
+from thermosplat.errors import UserError
 from thermosplat.image_quality.metrics import psnr
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.scene.model import SceneModel
+from thermosplat.training.budget.auto_budget import AutoBudget
 from thermosplat.training.budget.image_change import ImageChange
 from thermosplat.training.budget.offset_shrinkage import drop_offsets
 from thermosplat.training.session.interruption import TrainingInterrupted
@@ -294,6 +296,30 @@ def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
     assert fixed.budget is None
     fixed.train()
     assert path.stat().st_size < 0.5 * fixed.run.checkpoint(40).stat().st_size
+
+
+@pytest.mark.parametrize("part", ["_prune", "drop_offsets", "reduce_features"])
+def test_what_memory_was_too_small_for_is_made_up_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    """A removal that memory ends is done first of all when the run goes on: it ends as one that was never stopped."""
+    config, capture = budget_config(20, offset_change=0.01, feature_change=0.05), many_frames(toy_capture(), FRAMES)
+    whole = toy_trainer(tmp_path / "whole", config, capture)
+    whole.train()
+    trainer = toy_trainer(tmp_path / "stopped", config, capture)
+
+    def exhausted(*_: object) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory.")
+
+    monkeypatch.setattr(AutoBudget, part, exhausted)
+    with pytest.raises(UserError, match="Out of memory at step 10"):
+        trainer.train()
+    monkeypatch.undo()
+    due = load_checkpoint(trainer.run.checkpoint(9)).training.budget_due
+    assert due[0] == part.removeprefix("_")
+    resumed = Trainer.resume(config, capture, trainer.run)
+    resumed.train()
+    assert_same_state(state_tensors(resumed), state_tensors(whole))
 
 
 def test_a_finished_run_is_trimmed_once_and_may_go_on(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Checkpoints beside the training: one at a time, of the state they were begun with, and no failure forgotten."""
 
+import errno
 import os
 import signal
 import threading
@@ -108,6 +109,39 @@ def test_what_there_is_to_go_on_from_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=both) as caught, naming_the_newest_checkpoint(run):
         fail(run.checkpoint(9), {})
     assert run.resume_command() in caught.value.hint
+
+
+def test_older_checkpoints_make_room_for_the_last_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a full disk the oldest goes first, and is named; the newest stays, whatever happens."""
+    run, said = RunDirectory.create(tmp_path), list[str]()
+    for step in (4, 8, 10, 12):
+        run.checkpoint(step).write_bytes(b"x")
+
+    def save(path: Path, state: dict[str, Any]) -> Path:
+        if len(run.checkpoints()) > state["room"]:
+            raise NotWrittenError(f"Could not write {path}.") from OSError(errno.ENOSPC, "No space left on device")
+        return save_checkpoint(path, state)
+
+    monkeypatch.setattr(checkpoint_writer, "save_checkpoint", save)
+    writer = CheckpointWriter(said.append)
+    writer.write_last(run, run.checkpoint(20), {"room": 2})
+    assert [path.name for path in run.checkpoints()] == ["step_000010.pt", "step_000012.pt", "step_000020.pt"]
+    assert [line.split()[4] for line in said] == [str(run.checkpoint(4)), str(run.checkpoint(8))]
+    run.checkpoint(20).unlink()
+    with pytest.raises(NotWrittenError, match="Could not write"):
+        writer.write_last(run, run.checkpoint(20), {"room": 0})
+    assert [path.name for path in run.checkpoints()] == ["step_000012.pt"]
+
+
+def test_a_disk_that_cannot_be_written_to_costs_no_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only room helps against a full disk; nothing is deleted for another reason."""
+    run = RunDirectory.create(tmp_path)
+    for step in (4, 8):
+        run.checkpoint(step).write_bytes(b"x")
+    monkeypatch.setattr(checkpoint_writer, "save_checkpoint", fail)
+    with pytest.raises(NotWrittenError):
+        CheckpointWriter(print).write_last(run, run.checkpoint(20), {})
+    assert len(run.checkpoints()) == 2
 
 
 def test_state_that_cannot_be_gathered_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -79,16 +79,24 @@ class AutoBudget:
         """
         if self._validates_at(step):
             self._validate(step, sh_degree)
-        if self._growth_is_over(step):
-            self._stop_growing()
         is_last = step == max(self._prune_steps, default=0)
-        if is_last:
+        if is_last or self._growth_is_over(step):
             self._stop_growing()
         if self.prunes_at(step) and not self.state.growing:  # a short run may have far to grow after its first share
-            self._prune(sh_degree)
-        if is_last:
-            self.drop_offsets(sh_degree)
-            self.reduce_features(sh_degree)
+            self.state.budget_due = ("prune", "drop_offsets", "reduce_features") if is_last else ("prune",)
+        self.do_what_is_due(sh_degree)
+
+    def do_what_is_due(self, sh_degree: int) -> None:
+        """Leave out what is to be left out after the step done. What memory is too small for stays due in a checkpoint.
+
+        Args:
+            sh_degree: Degree of the spherical harmonics in use.
+        """
+        actions = {"prune": self._prune, "drop_offsets": self.drop_offsets, "reduce_features": self.reduce_features}
+        while self.state.budget_due:
+            first, *others = self.state.budget_due
+            actions[first](sh_degree)
+            self.state.budget_due = tuple(others)
 
     def finish(self, sh_degree: int) -> None:
         """Drop what is not needed once training is over, all of it or nothing; again only after further steps.
@@ -157,9 +165,9 @@ class AutoBudget:
     def remove(self, removed: Mapping[str, Tensor]) -> None:
         """Remove Gaussians, by masks [N] by name of the set."""
         state = self.state
-        prune_sets(state.gaussian_sets, state.optimizers, removed)
-        for name, strategy in state.strategies.items():
-            strategy.forget(len(state.gaussian_sets[name]))
+        for name, mask in removed.items():  # where memory ends between two sets, each is whole
+            prune_sets(state.gaussian_sets, state.optimizers, {name: mask})
+            state.strategies[name].forget(len(state.gaussian_sets[name]))
 
     def drop_offsets(self, sh_degree: int) -> None:
         """Make those opacity offsets zero, for good, that the training images do not miss.

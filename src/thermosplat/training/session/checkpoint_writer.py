@@ -69,6 +69,30 @@ class CheckpointWriter:
                 save_checkpoint(path, state)
         return path
 
+    def write_last(self, run: RunDirectory, path: Path, state: dict[str, Any]) -> Path:
+        """As ``write``, of the last checkpoint of a training: on a full disk older ones make room for it.
+
+        The oldest goes first. The newest stays, from which the run could go on if there were no room at all.
+
+        Args:
+            run: The run.
+            path: The file.
+            state: Its content.
+
+        Raises:
+            NotWrittenError: If it could not be written.
+        """
+        older = [file for file in run.checkpoints() if file != path][:-1]
+        while True:
+            try:
+                return self.write(path, state)
+            except NotWrittenError as error:
+                if not error.disk_is_full or not older:
+                    raise
+                oldest = older.pop(0)
+                oldest.unlink(missing_ok=True)
+                self._say(f"The disk is full: {oldest} was deleted to make room for {path.name}.")
+
     def look(self) -> None:
         """Tell what went wrong with a write that has ended, without waiting for one that has not."""
         if self._writing is not None and self._writing.done():
