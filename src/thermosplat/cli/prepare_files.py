@@ -153,5 +153,5 @@ def run_check(arguments: CheckArguments) -> int:
     capture = capture_at(arguments.capture)
     say("check", check(capture))
     print(f"Look at {shlex.quote(str(capture.check / 'index.html'))}")
-    say_next("train", capture)
+    say_next("train" if capture.sparse.is_dir() else "prepare sfm", capture)
     return 0
