@@ -1,6 +1,8 @@
 """Depths and labels beside a rendered capture."""
 
 import dataclasses
+import io
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -118,3 +120,20 @@ def test_damage_is_told_when_the_capture_is_loaded(tmp_path: Path) -> None:
     (root / "ground_truth" / "0000.npz").write_text("x")
     with pytest.raises(UserError, match=r"ground_truth/0000\.npz is damaged"):
         load_capture(root)
+
+
+def test_arrays_that_claim_too_much(tmp_path: Path) -> None:
+    """Neither the archive's size nor the array's own is taken on trust."""
+    capture = with_truth(tmp_path)
+    path = tmp_path / "ground_truth" / "a.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("label.npy", "w") as file:
+        for _ in range(300):
+            file.write(bytes(1 << 20))
+    with pytest.raises(UserError, match="label would unpack to 314,572,800 bytes; 268,435,456 are possible"):
+        read_ground_truth(capture, capture.train[0])
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (70_000, 70_000)})
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("label.npy", header.getvalue() + bytes(64))
+    with pytest.raises(UserError, match="is damaged or of another kind"):
+        read_ground_truth(capture, capture.train[0])

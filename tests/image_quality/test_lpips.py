@@ -152,3 +152,30 @@ def test_unusable_weights_are_users_errors(tmp_path: Path) -> None:
     torch.save([1, 2], tmp_path / "list.pth")
     with pytest.raises(UserError, match="not a state dict"):
         find_lpips(tmp_path / "list.pth")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda state: {7: torch.zeros(3)}, "neither torchvision's AlexNet nor"),
+        (lambda state: state | {7: "seven"}, None),
+        (lambda state: state | {"features.3.weight": [1.0]}, r"features\.3\.weight .* holds no tensor"),
+        (lambda state: state | {"features.3.weight": torch.zeros(192, 64, 3, 3)}, r"shape \[192, 64, 3, 3\]"),
+        (lambda state: state | {"features.3.bias": torch.zeros(191)}, r"expected are numbers of shape \[192\]"),
+        (
+            lambda state: {key: value for key, value in state.items() if "bias" not in key},
+            r"0\.bias .* holds no tensor",
+        ),
+        (lambda state: state | {"features.0.bias": torch.full((64,), torch.nan)}, "no finite number"),
+        (lambda state: state | {"features.0.bias": torch.zeros(64, dtype=torch.int64)}, "no finite number"),
+        (lambda state: state | {"features.0.bias": torch.zeros(64).to_sparse()}, "sparse"),
+    ],
+)
+def test_weights_of_another_shape(tmp_path, change, says):
+    """Dictionaries that are not quite a backbone are told by the entry that is wrong."""
+    torch.save(change(backbone("alex")), tmp_path / "alexnet.pth")
+    if says is None:
+        assert find_lpips(tmp_path / "alexnet.pth")[0] is not None
+        return
+    with pytest.raises(UserError, match=says):
+        find_lpips(tmp_path / "alexnet.pth")

@@ -158,3 +158,21 @@ def test_scale_of_a_checkpoint_of_version_0_1(span: tuple[float, float] | None, 
     """It had temperatures only."""
     old = {"kind": "color", "palette": FLIR_IRON.colors.tolist(), "range_celsius": span}
     assert PixelScale.from_state_dict(json.loads(json.dumps(old))) == PixelScale("color", FLIR_IRON, span, unit)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("a.json", '{"lut": [[1, 2, ' + "9" * 400 + "], [1, 2, 3]]}", "is not a palette"),
+        ("a.json", '{"lut": [[1, 2, ' + "9" * 5001 + "], [1, 2, 3]]}", "is not a palette"),
+        ("a.json", '{"lut": ' + "[" * 100_000 + "]" * 100_000 + "}", "is not a palette"),
+        ("a.csv", "1,2,3\n" * 5000, "has 5,000 rows; a palette has 4,096 entries at most"),
+        ("a.csv", '"' + "1" * 200_000 + '",2,3\n', "is not a palette"),
+        ("a.csv", "1,2,3\n" * 3_000_000, "is not a palette"),
+    ],
+)
+def test_palettes_of_any_size(tmp_path, name, text, says):
+    """Long numbers, deep lists and long files end as a sentence."""
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UserError, match=says):
+        load_palette(tmp_path / name, "thermal")

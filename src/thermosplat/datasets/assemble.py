@@ -1,6 +1,7 @@
 """From a listing of files to a capture in memory: read, interpret, rectify, shrink, divide."""
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from itertools import compress
 from numbers import Integral
 from pathlib import Path
@@ -13,10 +14,12 @@ from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.capture_notes import distortion_notes, pairing_notes
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.images.image_files import resize
+from thermosplat.datasets.images.image_folders import shown_path
 from thermosplat.datasets.images.msx import msx_notes
 from thermosplat.datasets.images.spectrum_files import read_spectrum
 from thermosplat.datasets.images.spectrum_images import SpectrumPixels, SpectrumReading
 from thermosplat.datasets.lens import rectification, shrunk
+from thermosplat.datasets.plausible_cameras import check_camera, outlying_notes
 from thermosplat.datasets.splits import divide, hold_out_mask
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS, SpectrumConfig, label
@@ -58,7 +61,8 @@ def assemble(
         raise UserError(message, "Are images and model of the same capture, under the same names?")
     for frame in frames:
         for shot in frame.shots.values():
-            _check_camera(shot, root)
+            check_camera(shot, root)
+    _check_files_once(frames, root)
     mask = hold_out_mask(frames, test_every)
     readings = {
         spectrum: reading
@@ -72,7 +76,12 @@ def assemble(
     shown = [bool(frame.views) for frame in views]  # a lone file may be of no use
     views, mask = list(compress(views, shown)), list(compress(mask, shown))
     train, test = divide(views, mask)
-    notes = [*listing.notes, *pairing_notes(views, spectra), *distortion_notes(frames)]
+    notes = [
+        *listing.notes,
+        *pairing_notes(views, spectra),
+        *distortion_notes(frames),
+        *outlying_notes(frames, root),
+    ]
     for reading in readings.values():
         notes += reading.notes
     notes += _edge_notes(readings)
@@ -134,26 +143,24 @@ def _frame(
     return Frame(files.name, views)
 
 
-def _check_camera(shot: Shot, root: Path) -> None:
-    """No render looks like an image whose camera has no focal length or no place."""
-    focal = shot.lens.focal_lengths()
-    if not (np.isfinite(shot.lens.params).all() and min(focal) > 0 and min(shot.lens.width, shot.lens.height) > 0):
-        raise UserError(
-            f"The camera of {shot.path.relative_to(root)} is impossible: {shot.lens.model} of "
-            f"{shot.lens.width}x{shot.lens.height} px with the parameters {list(shot.lens.params)}.",
-            "Focal lengths are positive and in pixels. Calibrate it anew (colmap), or correct the file that states it.",
-        )
-    if not np.isfinite(shot.viewmat).all():
-        raise UserError(
-            f"The pose of {shot.path.relative_to(root)} is not finite.", "Register the images anew (colmap mapper)."
-        )
+def _check_files_once(frames: Sequence[FrameFiles], root: Path) -> None:
+    """A file of two frames could be trained on and held out, under two names."""
+    owners: dict[str, tuple[Path, str]] = {}
+    for frame in frames:
+        for shot in frame.shots.values():
+            path, owner = owners.setdefault(os.path.realpath(shot.path), (shot.path, frame.name))
+            if owner != frame.name:
+                raise UserError(
+                    f"{shown_path(path, root)} and {shown_path(shot.path, root)} of two frames are one file.",
+                    "Remove one of the two frames, or give it an image of its own.",
+                )
 
 
 def _check_size(shot: Shot, image: NDArray[Any], root: Path) -> None:
     height, width = image.shape[:2]
     if not shot.lens.fits(width, height):
         raise UserError(
-            f"{shot.path.relative_to(root)} is {width}x{height} but its camera was calibrated at "
+            f"{shown_path(shot.path, root)} is {width}x{height} but its camera was calibrated at "
             f"{shot.lens.width}x{shot.lens.height}, another aspect.",
             "Is it the right image folder? Images may be scaled, not cropped, after colmap has seen them.",
         )
@@ -174,7 +181,7 @@ def _check_borrowed_camera(
     if same_size or (shot.lens.fits(width, height) and (registered or lender is None)):
         return
     raise UserError(
-        f"{shot.path.relative_to(root)} is {width}x{height}"
+        f"{shown_path(shot.path, root)} is {width}x{height}"
         + ("" if lender is None else f", its {label(leading)} image {lender.image.shape[1]}x{lender.image.shape[0]},")
         + f" and no {label(spectrum)} camera is in the model or its rig.",
         f"If the {label(spectrum)} images are registered to the {label(leading)} ones: --{spectrum}.aligned. "

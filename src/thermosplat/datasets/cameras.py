@@ -9,6 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+FARTHEST_CAMERA = 1e12
+"""Largest distance of a camera from the origin [world units]: in float32, squares of larger ones soon overflow."""
+
 
 @dataclass(frozen=True)
 class Camera:

@@ -7,6 +7,10 @@ a camera there, without lens distortion):
     label              which kind of hard case the pixel belongs to, a key of ``LABELS``
 """
 
+import io
+import lzma
+import math
+import struct
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -22,6 +26,8 @@ from thermosplat.errors import UserError
 
 FOLDER = "ground_truth"
 LABELS = {0: "unlabelled", 1: "glass", 2: "poster", 3: "hidden heat", 4: "plastic", 5: "specular"}
+_LARGEST = 1 << 28
+"""Most bytes of an array: depths in float64 of 33 megapixels."""
 _DEPTH, _LABEL = "depth_", "label"
 _REMEDY = f"Make it anew, or move {FOLDER}/ away to evaluate without it."
 
@@ -88,11 +94,10 @@ def _arrays(path: Path, depths: Sequence[str]) -> dict[str, NDArray[Any]]:
     """The labels and those of the depths that a file has, whatever their sizes."""
     wanted = f"Expected a NumPy archive (.npz) with the arrays {_LABEL} and {' or '.join(depths)}"
     try:
-        with zipfile.ZipFile(path):  # numpy takes other files too, and says of the rest that they could be pickled
-            pass
-        with np.load(path) as file:
-            held = {name: file[name] for name in (*depths, _LABEL) if name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        held = _unpacked(path, (*depths, _LABEL))
+    except UserError:
+        raise
+    except _DAMAGE as error:
         size = f"{path.stat().st_size:,} bytes"
         raise UserError(f"{path} is damaged or of another kind ({size}). {wanted}.", _REMEDY) from error
     if _LABEL not in held or len(held) < 2:
@@ -103,6 +108,45 @@ def _arrays(path: Path, depths: Sequence[str]) -> dict[str, NDArray[Any]]:
             found = f"{array.dtype} of shape {list(array.shape)}"
             raise UserError(f"{path}: {name} holds {found}, expected numbers [H, W].", _REMEDY)
     return held
+
+
+_DAMAGE = (
+    *(OSError, ValueError, EOFError, MemoryError, RuntimeError, NotImplementedError, KeyError, SyntaxError),
+    *(OverflowError, TypeError, RecursionError, struct.error, zipfile.BadZipFile, zlib.error, lzma.LZMAError),
+)
+"""What ``zipfile`` and NumPy raise for archives that are damaged, encrypted, or no archives."""
+
+
+def _unpacked(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Those of the arrays that an archive has; none is unpacked that claims to be larger than it may be.
+
+    The size that the archive states is what ``zipfile`` unpacks at most, and the size in the array's own header is
+    compared with it before memory is taken.
+    """
+    arrays = {}
+    with zipfile.ZipFile(path) as archive:
+        held = {entry.filename: entry for entry in archive.infolist()}
+        for name in names:
+            entry = held.get(f"{name}.npy")
+            if entry is None:
+                continue
+            if entry.file_size > _LARGEST:
+                raise UserError(
+                    f"{path}: {name} would unpack to {entry.file_size:,} bytes; {_LARGEST:,} are possible.", _REMEDY
+                )
+            with archive.open(entry) as packed:
+                content = io.BytesIO(packed.read())
+            version = np.lib.format.read_magic(content)
+            read_header = (
+                np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            )
+            shape, _, dtype = read_header(content)
+            stated = math.prod(shape) * dtype.itemsize
+            if dtype.hasobject or stated != len(content.getbuffer()) - content.tell():
+                raise ValueError("objects, or another size than the header's")
+            content.seek(0)
+            arrays[name] = np.load(content, allow_pickle=False)
+    return arrays
 
 
 def _nearest(array: NDArray[Any], height: int, width: int) -> NDArray[Any]:

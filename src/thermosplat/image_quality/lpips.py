@@ -31,6 +31,11 @@ _BLOCKS: dict[Net, list[list[tuple[int, int, int]]]] = {
         [(24, 1, 1), (26, 1, 1), (28, 1, 1)],
     ],
 }
+_SHAPES: dict[Net, list[tuple[int, int]]] = {
+    "alex": [(64, 11), (192, 5), (384, 3), (256, 3), (256, 3)],
+    "vgg": [(n, 3) for n in (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)],
+}
+"""Filters of each convolution and their side [px], as torchvision defines the networks."""
 _POOLS: dict[Net, tuple[int | None, ...]] = {"alex": (None, 3, 3, None, None), "vgg": (None, 2, 2, 2, 2)}
 _SMALLEST_SIDE: dict[Net, int] = {"alex": 31, "vgg": 16}  # below it the last layers have no pixel left [px]
 _CACHE_PATTERNS: tuple[tuple[Net, str], ...] = (("alex", "alexnet-owt-*.pth"), ("vgg", "vgg16-*.pth"))
@@ -61,7 +66,7 @@ class Lpips:
         self._net = _which_net(backbone)
         self._normalize = normalize
         self._convolutions = {
-            index: (backbone[f"features.{index}.weight"].to(device), backbone[f"features.{index}.bias"].to(device))
+            index: tuple(backbone[f"features.{index}.{part}"].to(device, torch.float32) for part in ("weight", "bias"))
             for block in _BLOCKS[self._net]
             for index, _, _ in block
         }
@@ -155,11 +160,36 @@ def _load_backbone(path: Path) -> dict[str, Tensor]:
 
 def _which_net(backbone: dict[str, Tensor]) -> Net:
     """The network whose convolutions the state dict has."""
-    convolutions = {key for key in backbone if key.startswith("features.") and key.endswith(".weight")}
+    keys = [key for key in backbone if isinstance(key, str)]
+    convolutions = {key for key in keys if key.startswith("features.") and key.endswith(".weight")}
     for net, blocks in _BLOCKS.items():
         if convolutions == {f"features.{index}.weight" for block in blocks for index, _, _ in block}:
+            _check_shapes(backbone, net)
             return net
     raise UserError("The LPIPS backbone weights are neither torchvision's AlexNet nor its VGG16.", _WEIGHTS_HINT)
+
+
+def _check_shapes(backbone: dict[str, Tensor], net: Net) -> None:
+    """Refuse weights of a network whose layers have the right names and are others."""
+    channels = 3
+    layers = zip([index for block in _BLOCKS[net] for index, _, _ in block], _SHAPES[net], strict=True)
+    for index, (filters, side) in layers:
+        for part, shape in (("weight", (filters, channels, side, side)), ("bias", (filters,))):
+            name = f"features.{index}.{part}"
+            found = backbone.get(name)
+            if not isinstance(found, Tensor):
+                what = "no tensor"
+            elif found.shape != shape or found.layout != torch.strided or found.device.type == "meta":
+                what = f"a tensor of shape {list(found.shape)} ({found.layout}, {found.device.type})"
+            elif not found.is_floating_point() or not found.isfinite().all():
+                what = "what is no finite number"
+            else:
+                continue
+            raise UserError(
+                f"{name} of the LPIPS backbone weights holds {what}; expected are numbers of shape {list(shape)}.",
+                _WEIGHTS_HINT,
+            )
+        channels = filters
 
 
 def _unit_length(features: Tensor) -> Tensor:

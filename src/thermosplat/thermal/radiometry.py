@@ -20,6 +20,9 @@ from thermosplat.thermal.palette_inverse import TABLE_SIZE, Curve, nearest_point
 
 _TABLE_SAMPLES = 512
 """Points of the curve that compete for a cell of the table."""
+_MOST_ENTRIES = 4096
+"""Of a palette that is read: cameras have 120 to 256. The inverse takes time in proportion."""
+_LARGEST_PALETTE_FILE = 1 << 24
 _CHUNK = 1 << 13
 """Pixels treated at once, so that the intermediate arrays stay in the cache."""
 
@@ -160,13 +163,23 @@ def load_palette(path: str | Path, spectrum: str) -> Palette:
     path = Path(path)
     hint = f'Give a JSON file {{"lut": [[r, g, b], ...]}} or a CSV with r,g,b rows (0-255) to --{spectrum}.palette.'
     try:
-        text = path.read_text(encoding="utf-8-sig")  # spreadsheets begin a CSV with a byte-order mark
+        if path.exists() and not path.is_file():
+            raise UserError(f"Cannot read the palette {path}: it is no file.", hint)
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_PALETTE_FILE + 1)
+        if len(content) > _LARGEST_PALETTE_FILE:
+            raise ValueError("too large for a palette")
+        text = content.decode("utf-8-sig")  # spreadsheets begin a CSV with a byte-order mark
         rows = json.loads(text)["lut"] if path.suffix.lower() == ".json" else _csv_rows(text)
         levels = np.array(rows, np.float64)
+    except UserError:
+        raise
     except OSError as error:
         raise UserError(f"Cannot read the palette {path}: {error.strerror or error}.", hint) from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
         raise UserError(f"{path} is not a palette.", hint) from error
+    if len(levels.shape) == 2 and len(levels) > _MOST_ENTRIES:
+        raise UserError(f"{path} has {len(levels):,} rows; a palette has {_MOST_ENTRIES:,} entries at most.", hint)
     if levels.ndim != 2 or levels.shape[1:] != (3,) or len(levels) < 2:
         raise UserError(f"{path} is not a palette: expected rows of three levels, got shape {levels.shape}.", hint)
     if not (levels.min() >= 0 and levels.max() <= 255):

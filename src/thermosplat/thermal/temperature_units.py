@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.config.values import shown
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS, COUNTS, TEMPERATURE_UNITS
 
@@ -23,6 +24,8 @@ _TO_CELSIUS: dict[str, tuple[float, float]] = {
 _SPELLINGS = {"k": "kelvin", "c": "celsius", "degc": "celsius", "°c": "celsius", "dn": COUNTS}
 _POSSIBLE_CELSIUS = (-150.0, 3000.0)
 """Temperatures [°C] outside of which a stated unit must be wrong; a clear sky reads as low as about -100."""
+_LARGEST_JSON = 1 << 26
+"""Most bytes of a JSON file: a transforms file has about 600 for a frame."""
 _USUAL_CELSIUS = (-60.0, 600.0)
 """Temperatures [°C] within which values are taken for a unit that nobody stated."""
 
@@ -123,7 +126,7 @@ def read_statement(path: Path, spectrum: str) -> RadiometricStatement:
     if not path.is_file():
         return RadiometricStatement()
     content = read_json(path)
-    unit = _unit(str(content["unit"]), path, spectrum) if "unit" in content else None
+    unit = _unit(content["unit"], path, spectrum) if "unit" in content else None
     span = celsius_range(content, path, "palette_min_C", "palette_max_C")
     return RadiometricStatement(unit, span)
 
@@ -135,9 +138,14 @@ def read_json(path: Path) -> dict[str, Any]:
         UserError: The file cannot be read or holds something else.
     """
     try:
-        content = json.loads(path.read_bytes())  # in UTF-8, with a byte-order mark or without, or UTF-16
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path} is not readable JSON: {error}.", "Restore it, or export it again.") from error
+        with path.open("rb") as file:
+            text = file.read(_LARGEST_JSON + 1)
+        if len(text) > _LARGEST_JSON:
+            raise ValueError(f"it has more than {_LARGEST_JSON:,} bytes")
+        content = json.loads(text)  # in UTF-8, with a byte-order mark or without, or UTF-16
+    except (OSError, ValueError, RecursionError) as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise UserError(f"{path} is not readable JSON: {reason}.", "Restore it, or export it again.") from error
     if not isinstance(content, dict):
         raise UserError(f"{path} must hold a JSON object, found a {type(content).__name__}.", "Is it the right file?")
     return content
@@ -155,20 +163,22 @@ def celsius_range(content: dict[str, Any], path: Path, low_key: str, high_key: s
         low, high = float(content[low_key]), float(content[high_key])
         if not (math.isfinite(low) and math.isfinite(high)):
             raise ValueError(f"not finite: {low}, {high}")
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise UserError(f"{path} must give both {low_key} and {high_key} as numbers [°C].") from error
     if not low < high:
         raise UserError(f"{path}: {low_key} ({low:g}) must be below {high_key} ({high:g}).")
     return low, high
 
 
-def _unit(text: str, path: Path, spectrum: str) -> str:
+def _unit(stated: Any, path: Path, spectrum: str) -> str:
     """A unit by its name, whatever the case and hyphenation ("centi-Kelvin")."""
-    plain = text.strip().lower().replace("-", "").replace("_", "").replace(" ", "")
+    plain = (
+        (stated if isinstance(stated, str) else "").strip().lower().replace("-", "").replace("_", "").replace(" ", "")
+    )
     if plain in _SPELLINGS:
         return _SPELLINGS[plain]
     for unit in (*_TO_CELSIUS, COUNTS):
         if plain == unit:
             return unit
     known = ", ".join((*_TO_CELSIUS, COUNTS))
-    raise UserError(f"{path} names the unit {text!r}; known are {known}.", f"Or say it with --{spectrum}.unit.")
+    raise UserError(f"{path} names the unit {shown(stated)}; known are {known}.", f"Or say it with --{spectrum}.unit.")

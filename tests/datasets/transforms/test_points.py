@@ -117,7 +117,7 @@ def test_a_model_without_points_beside_it(tmp_path):
     [
         ({"ply_file_path": 5}, r"ply_file_path of .*transforms_thermal\.json must be a file name, found 5"),
         ({"applied_transform": [1, 2]}, r"applied_transform of .* must be a 3x4 matrix of numbers, found \[1, 2\]"),
-        ({"applied_transform": "flip"}, "applied_transform of .* must be a 3x4 matrix of numbers, found flip"),
+        ({"applied_transform": "flip"}, "applied_transform of .* must be a 3x4 matrix of numbers, found 'flip'"),
     ],
 )
 def test_wrong_kinds_of_values(tmp_path, content, says):

@@ -98,3 +98,9 @@ def test_frames_in_both_lists_are_held_out(tmp_path):
     capture = load(tmp_path, train_filenames=[0, 1, 2], test_filenames=[0])
     assert numbers(capture.train) == [1, 2]
     assert any("1 of 8 frames" in note and "they are held out" in note for note in capture.notes)
+
+
+def test_all_training_images_are_held_out_too(tmp_path):
+    """The list of training images is there, and says what is wrong with it."""
+    with pytest.raises(UserError, match=r"All 3 images of train_filenames of .* are in a list of held-out images, too"):
+        load(tmp_path, train_filenames=[0, 1, 2], val_filenames=[0, 1, 2, 3])

@@ -15,7 +15,7 @@ from thermosplat.datasets.cameras import camera_center
 from thermosplat.datasets.colmap.damage import damage_after_failure, damage_before_reading
 from thermosplat.datasets.images.image_folders import describe_folder
 from thermosplat.datasets.lens import Lens
-from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points
+from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points, starting_places
 from thermosplat.errors import UserError
 
 MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse")
@@ -117,10 +117,12 @@ def with_points(model: ColmapModel) -> tuple[ColmapModel, list[str]]:
     """The model, with random points and a note if it has none to start from: poses may come from elsewhere."""
     centers = np.array([camera_center(image.viewmat) for image in model.images])
     centers = centers[np.isfinite(centers).all(axis=-1)]
-    if len(model.points) >= MIN_POINTS or not len(centers):
+    places, found = starting_places(model.points), len(model.points)
+    if places >= MIN_POINTS or not len(centers):
         return model, []
     points, colors = random_points(centers)
-    note = f"The COLMAP model in {model.folder} has {len(model.points)} points: {STARTING_RANDOM}"
+    where = "" if found < MIN_POINTS else f" in {places} places"
+    note = f"The COLMAP model in {model.folder} has {found:,} points{where}: {STARTING_RANDOM}"
     return replace(model, points=points, point_colors=colors), [note]
 
 

@@ -5,6 +5,7 @@ The model's image names say which is which: rgb/0001.png and thermal/0001.png, b
 of a spectrum that is not in the model have the stems of the first ones and share their camera.
 """
 
+import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -181,9 +182,9 @@ def _find_file(root: Path, name: PurePosixPath) -> Path | None:
     """The file of a registered image: below images/ or the capture's folder, perhaps inside train/ or test/."""
     for base in (image_folder(root, "images"), root):
         path, *divided = (base / name.parent / folder / name.name for folder in ("", *SPLIT_FOLDERS))
-        if path.is_file():
+        if os.path.isfile(path):  # False also for a name that is too long
             return path
-        found = [path for path in divided if path.is_file()]
+        found = [path for path in divided if os.path.isfile(path)]
         if len(found) > 1:
             first, second = (path.relative_to(root) for path in found)
             raise UserError(

@@ -31,7 +31,7 @@ _set_log_level(1)  # fatal errors only
 
 def list_images(folder: Path, *, recursive: bool = False) -> list[Path]:
     """Image files in a folder, sorted by name; empty where there is no such folder."""
-    if not folder.is_dir():
+    if not os.path.isdir(folder):  # also for a name that is too long
         return []
     entries = _files_below(folder) if recursive else folder.iterdir()
     return sorted(path for path in entries if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."))

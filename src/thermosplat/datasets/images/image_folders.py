@@ -64,7 +64,7 @@ def looked_for(root: Path, name: str, spectra: Mapping[str, SpectrumConfig], exa
     if found is None:
         nor = f" (nor {', '.join(f'{other}/' for other in sorted(others))})" if others else ""
         return f"There is no {usual}/{nor}. {_folders(root)}", f"put them into {usual}/"
-    like = "" if example is None else f" The other images are called like {_relative(example, root)}."
+    like = "" if example is None else f" The other images are called like {shown_path(example, root)}."
     leading = next(iter(spectra))
     wanted = (
         "images that are in the COLMAP model"
@@ -80,11 +80,11 @@ def _images_in(folder: Path) -> str | None:
         return None
     images = list_images(folder, recursive=True)
     if images:
-        return f"{folder.name}/ holds {len(images)} images (first: {_relative(images[0], folder.parent)})."
+        return f"{folder.name}/ holds {len(images)} images (first: {shown_path(images[0], folder.parent)})."
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     if not files:
         return f"{folder.name}/ is empty."
-    first = f" (first: {_relative(files[0], folder.parent)}; read are {' '.join(sorted(IMAGE_SUFFIXES))})"
+    first = f" (first: {shown_path(files[0], folder.parent)}; read are {' '.join(sorted(IMAGE_SUFFIXES))})"
     return f"{folder.name}/ holds {len(files)} files and no image{first}."
 
 
@@ -94,5 +94,11 @@ def _folders(root: Path) -> str:
     return f"Found: {', '.join(describe_folder(path) for path in folders) or 'no folders'}."
 
 
-def _relative(path: Path, root: Path) -> str:
+def shown_path(path: Path, root: Path) -> str:
+    """A file's path as messages show it: below the capture's folder where it lies there.
+
+    Args:
+        path: The file.
+        root: The capture's folder.
+    """
     return str(path.relative_to(root) if path.is_relative_to(root) else path)

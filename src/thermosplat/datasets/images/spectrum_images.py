@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.images.capture_palette import ChosenPalette, palette_notes
+from thermosplat.datasets.images.dead_pixels import range_without_dead_pixels
 from thermosplat.datasets.images.image_files import resize
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS, COUNTS, SpectrumConfig, folder_names, unit_label
@@ -104,7 +105,7 @@ def interpret(
             return _color_reading(name, files, config, palette, statement, unit, notes)
         return _grey_reading(files, config, palette, grey_range, unit, notes)
     if any(file.raw is not None for file in files):
-        return _raw_reading(files, config, palette, unit, notes)
+        return _raw_reading(name, files, config, palette, unit, notes)
     return _grey_reading(files, config, palette, grey_range, unit, notes)
 
 
@@ -230,8 +231,20 @@ def _grey_reading(
     return SpectrumReading(scale, tuple(pixels), tuple(notes))
 
 
+def _measured(file: SpectrumFile, unit: str, config: SpectrumConfig) -> NDArray[np.float32]:
+    """Values of a file in the unit in which they are reported, or as they are where they have none."""
+    raw = np.asarray(file.raw)
+    measured = to_measured(raw, unit, config.factor)
+    return raw.astype(np.float32) if measured is None else measured
+
+
 def _raw_reading(
-    files: Sequence[SpectrumFile], config: SpectrumConfig, palette: ChosenPalette, unit: str, notes: list[str]
+    name: str,
+    files: Sequence[SpectrumFile],
+    config: SpectrumConfig,
+    palette: ChosenPalette,
+    unit: str,
+    notes: list[str],
 ) -> SpectrumReading:
     """Radiometric values, normalised by the user's range or by the extremes of the whole capture.
 
@@ -246,19 +259,25 @@ def _raw_reading(
         sample = np.concatenate([np.ravel(raw[::2, ::2]) for raw in raws])
         low, high = (float(end) for end in np.percentile(sample, [0.1, 99.9]))
     else:
-        extremes = np.array([extreme for raw in raws for extreme in (raw.min(), raw.max())])
-        ends = to_measured(extremes, unit, config.factor)
-        span = low, high = float(np.min(ends)), float(np.max(ends))  # type: ignore[arg-type]
+        having = [file for file in files if file.raw is not None]
+        found = range_without_dead_pixels([_measured(file, unit, config) for file in having])
+        span = low, high = found.low, found.high
+        if found.first is not None:
+            where = having[found.first].raw_path or having[found.first].path
+            notes.append(
+                f"{found.outside:,} lone values lie far beyond all others (first: {where.name}) and are taken for dead "
+                f"pixels: the range is {low:,.6g} to {high:,.6g} {unit_label(measured_unit(unit) or unit)}; "
+                f"--{name}.range says otherwise."
+            )
     width = max(high - low, 1e-6)
     pixels: list[SpectrumPixels | None] = []
     for file in files:
         if file.raw is None:
             pixels.append(None)
             continue
-        measured = to_measured(file.raw, unit, config.factor)
-        values = file.raw.astype(np.float32) if measured is None else measured
+        values = _measured(file, unit, config)
         image = np.asarray(np.clip((values - low) / width, 0, 1)[..., None], np.float32)
-        pixels.append(SpectrumPixels(image, measured))
+        pixels.append(SpectrumPixels(image, None if measured_unit(unit) is None else values))
     return SpectrumReading(_scale("scalar", palette, span, unit, config), tuple(pixels), tuple(notes))
 
 

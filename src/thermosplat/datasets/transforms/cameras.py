@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.config.values import shortened, shown
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.datasets.lens import Lens
 from thermosplat.errors import UserError
@@ -38,7 +39,7 @@ def frame_viewmat(entry: dict[str, Any], path: Path, number: int) -> NDArray[np.
     """World-to-camera pose with OpenCV axes from the camera-to-world pose with OpenGL axes."""
     try:
         pose = np.array(entry["transform_matrix"], np.float64)
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise UserError(f"Frame {number} of {path} has no transform_matrix of numbers.", _POSE) from error
     if pose.shape not in ((4, 4), (3, 4)):
         raise UserError(f"Frame {number} of {path}: transform_matrix must be 4x4, got shape {pose.shape}.", _POSE)
@@ -71,14 +72,14 @@ def frame_lens(entry: dict[str, Any], content: dict[str, Any], path: Path, numbe
         raise UserError(f"Frame {number} of {path} has no focal length (fl_x, fl_y).", _INTRINSICS) from error
     except (TypeError, ValueError, OverflowError) as error:
         raise UserError(
-            f"Frame {number} of {path} has intrinsics that are no numbers: {error}.", _INTRINSICS
+            f"Frame {number} of {path} has intrinsics that are no numbers: {shortened(str(error))}.", _INTRINSICS
         ) from error
     model = str(stated.get("camera_model") or "OPENCV")
     if model in _PINHOLE_MODELS:
         return Lens("PINHOLE", pinhole, *size)
     if model not in (*_PINHOLE_MODELS, *_SAME_AS, *_DISTORTION):
         raise UserError(
-            f"Frame {number} of {path} has the camera model {model!r}, which is not known.",
+            f"Frame {number} of {path} has the camera model {shown(model)}, which is not known.",
             f"Known are {', '.join((*_PINHOLE_MODELS, *_SAME_AS, *_DISTORTION))}: "
             "undistort the images to one of them (colmap image_undistorter gives PINHOLE).",
         )

@@ -1,5 +1,6 @@
 """The image files of a transforms file's frames: those that it names, and those in the spectra's folders."""
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -116,7 +117,7 @@ class TransformsImages:
         if not stated:
             return None
         path = self._root / stated
-        if path.is_file():
+        if os.path.isfile(path):  # False also for a name that is too long
             return path
         return next((file for file in list_images(path.parent) if file.stem == path.name), None)
 

@@ -1,19 +1,20 @@
 """Starting points for captures with a transforms file: its point cloud, a COLMAP model beside it, or random ones."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import cv2  # noqa: F401  before pycolmap, see lens.py
 import numpy as np
-import pycolmap
 from numpy.typing import NDArray
 
+from thermosplat.config.values import shown
 from thermosplat.datasets.cameras import camera_center
 from thermosplat.datasets.colmap.model import ColmapModel, read_model
 from thermosplat.datasets.frame_files import FrameFiles, Shot
 from thermosplat.datasets.images.image_names import stem_key
-from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points
+from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points, starting_places
+from thermosplat.datasets.transforms.point_cloud import read_point_cloud
 from thermosplat.errors import UserError
 
 _AGREEMENT = 0.02
@@ -37,12 +38,12 @@ def transforms_points(
     stated = content.get("ply_file_path")
     if stated is not None and not isinstance(stated, str):
         raise UserError(
-            f"ply_file_path of {root / file} must be a file name, found {str(stated)[:60]}.",
+            f"ply_file_path of {root / file} must be a file name, found {shown(stated)}.",
             "Correct it, or remove it.",
         )
     notes: list[str] = []
     for name in dict.fromkeys((stated or "sparse_pc.ply", "sparse_pc.ply")):
-        if (root / name).is_file():
+        if os.path.isfile(root / name):  # False also for a name that is too long
             return *_ply_points(root / name), notes
         if name == stated:
             notes.append(f"ply_file_path of {file} is {stated}, which does not exist.")
@@ -51,8 +52,9 @@ def transforms_points(
         model = read_model(model_folder)
         points = (model.points @ applied[:, :3].T + applied[:, 3]).astype(np.float32)
         reason = "has other poses"
-        if len(points) < MIN_POINTS:
-            reason = f"has {len(points)} points"
+        if starting_places(points) < MIN_POINTS:
+            where = "" if len(points) < MIN_POINTS else f" in fewer than {MIN_POINTS} places"
+            reason = f"has {len(points):,} points{where}"
         elif _same_world(model, applied, frames, root):
             return points, model.point_colors, notes
         notes.append(f"The COLMAP model beside {file} {reason}: it is not used.")
@@ -61,20 +63,15 @@ def transforms_points(
 
 
 def _ply_points(path: Path) -> Points:
-    model = pycolmap.Reconstruction()
-    try:
-        model.import_PLY(path)
-    except (ValueError, RuntimeError, IndexError) as error:
+    points, colors = read_point_cloud(path)
+    places = starting_places(points)
+    if places < MIN_POINTS:
+        where = "" if len(points) < MIN_POINTS else f" in {places} places"
         raise UserError(
-            f"{path} is not a readable point cloud.", "Expected a PLY with x, y, z, red, green, blue."
-        ) from error
-    points = list(model.points3D.values())
-    if len(points) < MIN_POINTS:
-        raise UserError(
-            f"{path} holds {len(points)} points; at least {MIN_POINTS} are needed.",
+            f"{path} holds {len(points):,} points{where}; at least {MIN_POINTS} are needed.",
             "Remove it to start from random points around the cameras.",
         )
-    return np.array([p.xyz for p in points], np.float32), np.array([p.color for p in points], np.uint8)
+    return points, colors
 
 
 def _applied(content: dict[str, Any], path: Path) -> NDArray[np.float64]:
@@ -82,11 +79,11 @@ def _applied(content: dict[str, Any], path: Path) -> NDArray[np.float64]:
     stated = content.get("applied_transform", np.eye(4)[:3])
     try:
         applied = np.array(stated, np.float64)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         applied = np.empty(0)
     if applied.shape not in ((3, 4), (4, 4)):
         raise UserError(
-            f"applied_transform of {path} must be a 3x4 matrix of numbers, found {str(stated)[:60]}.",
+            f"applied_transform of {path} must be a 3x4 matrix of numbers, found {shown(stated)}.",
             "Correct it, or remove it if the poses are those of the COLMAP model.",
         )
     return applied[:3]

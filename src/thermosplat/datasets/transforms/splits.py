@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from thermosplat.config.values import shortened, shown
 from thermosplat.datasets.frame_files import FrameFiles, Split
 from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES
 from thermosplat.errors import UserError
@@ -53,10 +54,15 @@ def stated_splits(
         if unknown:
             raise UserError(
                 f"{key} of {path} names {len(unknown)} images that fit none of its frames, or several "
-                f"(first: {unknown[0]}).",
+                f"(first: {shortened(unknown[0])}).",
                 f"Write them as the frames' file_path does, or {_WITHOUT_LISTS}.",
             )
     notes = []
+    if both and "train" not in splits.values():
+        raise UserError(
+            f"All {len(both)} images of train_filenames of {path} are in a list of held-out images, too.",
+            f"Take those to train on out of the other list, or {_WITHOUT_LISTS}.",
+        )
     if both:
         notes.append(
             f"{len(both)} of {len(names)} frames of {path.name} are in train_filenames and in a list of held-out "
@@ -102,7 +108,7 @@ def with_splits_from_names(frames: Sequence[FrameFiles], names: Sequence[PurePos
         names: Path of each one's image.
     """
     words = [
-        {*frame.name.lower().replace("-", "_").split("_"), *_folders(name)}
+        {*_called(frame, name).lower().replace("-", "_").split("_"), *_folders(name)}
         for frame, name in zip(frames, names, strict=True)
     ]
     held_out = [bool(word & _EVAL_WORDS) for word in words]
@@ -110,6 +116,11 @@ def with_splits_from_names(frames: Sequence[FrameFiles], names: Sequence[PurePos
     if not (any(held_out) and any(trained)):
         return list(frames)
     return [replace(frame, split="test" if test else "train") for frame, test in zip(frames, held_out, strict=True)]
+
+
+def _called(frame: FrameFiles, name: PurePosixPath) -> str:
+    """A frame's name, which may have its folders in it; without those around the capture."""
+    return name.stem if name.is_absolute() else frame.name
 
 
 def _folders(name: PurePosixPath) -> list[str]:
@@ -121,7 +132,7 @@ def _strings(content: dict[str, Any], key: str, path: Path) -> list[str]:
     stated = content.get(key) or []
     if not isinstance(stated, list) or not all(isinstance(name, str) for name in stated):
         raise UserError(
-            f"{key} of {path} must be a list of file names, found {str(stated)[:60]}.",
+            f"{key} of {path} must be a list of file names, found {shown(stated)}.",
             f"Write them as the frames' file_path does, or {_WITHOUT_LISTS}.",
         )
     return stated

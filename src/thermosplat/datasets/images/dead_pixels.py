@@ -1,0 +1,51 @@
+"""The range of measured values without dead pixels, of which one alone would flatten all images."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_WINDOW = 3
+"""Side of the median's window [px]: up to four pixels in nine, or two in a corner, do not reach it."""
+_BEYOND = 1.0
+"""Share of the range of the medians by which a value must lie beyond it to be left out. Open choice: noise and edges
+stay within, so that a range without dead pixels is that of all values, to the bit."""
+
+
+@dataclass(frozen=True)
+class ValueRange:
+    """Least and largest value, and where values beyond them are.
+
+    Args:
+        low: Least value.
+        high: Largest value.
+        outside: How many values lie beyond.
+        first: Number of the first image that has one; None: there are none.
+    """
+
+    low: float
+    high: float
+    outside: int = 0
+    first: int | None = None
+
+
+def range_without_dead_pixels(images: Sequence[NDArray[np.float32]]) -> ValueRange:
+    """Extremes of all images, without lone pixels that lie further out than the range of the others is wide.
+
+    Args:
+        images: Measured values, each [H, W] float32, finite.
+    """
+    smooth = [cv2.medianBlur(np.ascontiguousarray(image), _WINDOW) for image in images]
+    inner_low, inner_high = min(float(image.min()) for image in smooth), max(float(image.max()) for image in smooth)
+    width = inner_high - inner_low
+    least, most = (inner_low - _BEYOND * width, inner_high + _BEYOND * width) if width > 0 else (-np.inf, np.inf)
+    inside = [image[(image >= least) & (image <= most)] for image in images]
+    outside = [image.size - values.size for image, values in zip(images, inside)]
+    return ValueRange(
+        min(float(values.min()) for values in inside if values.size),
+        max(float(values.max()) for values in inside if values.size),
+        sum(outside),
+        next((number for number, count in enumerate(outside) if count), None),
+    )
