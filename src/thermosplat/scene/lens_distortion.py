@@ -90,3 +90,20 @@ def undistorted_positions(height: int, width: int, K: Tensor, coefficients: Tens
         squared = point.square().sum(dim=-1, keepdim=True)
         point = seen / (1.0 + coefficients[0] * squared + coefficients[1] * squared.square())
     return point * focals + center
+
+
+def distorted_positions(positions: Tensor, K: Tensor, coefficients: Tensor) -> Tensor:
+    """Where in the distorted image points of the pinhole image lie.
+
+    Args:
+        positions: x and y [px], shape [..., 2].
+        K: Intrinsics [px], shape [3, 3].
+        coefficients: k1 and k2, shape [2].
+
+    Returns:
+        x and y [px], shape [..., 2].
+    """
+    focals, center = torch.stack([K[0, 0], K[1, 1]]), K[:2, 2]
+    point = (positions - center) / focals
+    squared = point.square().sum(dim=-1, keepdim=True)
+    return point * (1.0 + coefficients[0] * squared + coefficients[1] * squared.square()) * focals + center

@@ -1,0 +1,112 @@
+"""Who may use the model now: renders take turns, and a model that is being trained is rendered between two steps."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, Protocol, TypeVar
+
+Result = TypeVar("Result")
+TRAINING_SHARE = 0.05
+"""Share of the time of training that renders for viewers may take."""
+
+
+class Turns(Protocol):
+    """Lets work with the model be done, one piece at a time."""
+
+    def run(self, work: Callable[[], Result]) -> Result:
+        """Do work when it may be done, and wait for it.
+
+        Args:
+            work: What renders; it runs in this or another thread.
+
+        Raises:
+            ViewingEnded: Nothing can be rendered any more.
+        """
+
+
+class ViewingEnded(Exception):
+    """The model is no longer there to be rendered."""
+
+
+class OneAtATime:
+    """Turns at a model that nobody changes: each in the thread that asks."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+
+    def run(self, work: Callable[[], Result]) -> Result:
+        """Do work when nobody else does."""
+        with self._lock:
+            return work()
+
+
+class BetweenSteps:
+    """Turns at a model that is trained: the thread that trains takes them between its steps.
+
+    They take at most a share of the time that passes. A long one is paid for by a pause after it.
+
+    Args:
+        share: Of the time, for all turns together; 1 where nothing waits for them.
+    """
+
+    def __init__(self, share: float = TRAINING_SHARE) -> None:
+        self.share = share
+        self._waiting: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
+        self._arrived = threading.Condition()
+        self._ended = False
+        self._next = 0.0
+
+    def run(self, work: Callable[[], Result]) -> Result:
+        """Let the thread that trains do the work."""
+        done: Future[Result] = Future()
+        with self._arrived:
+            if self._ended:
+                raise ViewingEnded
+            self._waiting.append((work, done))
+            self._arrived.notify_all()
+        return done.result()
+
+    def take(self) -> None:
+        """Between two steps: do one waiting piece of work, if the share allows it now."""
+        if self._waiting and time.perf_counter() >= self._next:
+            self._take_one()
+
+    def take_until(self, until: Callable[[], bool]) -> None:
+        """While training pauses: do what is waiting as it comes, until something is true.
+
+        Args:
+            until: Asked after each piece of work, and ten times a second.
+        """
+        while not until():
+            with self._arrived:
+                self._arrived.wait_for(lambda: bool(self._waiting), timeout=0.1)
+            self._take_one()
+
+    def wake(self) -> None:
+        """Let ``take_until`` ask again at once."""
+        with self._arrived:
+            self._arrived.notify_all()
+
+    def end(self) -> None:
+        """No more turns: who waits for one is told so."""
+        with self._arrived:
+            self._ended = True
+            left, self._waiting = self._waiting, deque()
+        for _, done in left:
+            done.set_exception(ViewingEnded())
+
+    def _take_one(self) -> None:
+        try:
+            work, done = self._waiting.popleft()
+        except IndexError:
+            return
+        started = time.perf_counter()
+        try:
+            done.set_result(work())
+        except Exception as error:
+            done.set_exception(error)
+        finally:
+            now = time.perf_counter()
+            self._next = now + (now - started) * (1 / self.share - 1)

@@ -1,0 +1,113 @@
+"""Values become the colours of their palette; ranges, isotherms, thresholds, wipe and blend do what they say."""
+
+import numpy as np
+import pytest
+
+from thermosplat.errors import UserError
+from thermosplat.pictures.color_bar import color_bar, tick_labels, tick_values
+from thermosplat.pictures.display_palettes import DISPLAY_PALETTES, display_palette
+from thermosplat.thermal.radiometry import FLIR_IRON, GREY
+from thermosplat.viewer.display import Display, compared, isotherms, picture_range
+from thermosplat.viewer.layers import Layer, LayerImage
+
+RAMP = np.linspace(10, 30, 201, dtype=np.float32)[None].repeat(40, axis=0)
+
+
+def layer(field: np.ndarray = RAMP, span: tuple[float, float] | None = (10.0, 30.0)) -> LayerImage:
+    return LayerImage(Layer("image", "thermal"), field, None, FLIR_IRON, span, "°C", "temperature")
+
+
+def test_palettes_have_their_ends() -> None:
+    """White hot is black where it is cold; black hot the other way; FLIR Iron goes through its nine stops."""
+    ends = {name: np.rint(255 * display_palette(name).to_color(np.array([0.0, 1.0]))) for name in DISPLAY_PALETTES}
+    assert ends["white hot"].tolist() == [[0, 0, 0], [255, 255, 255]]
+    assert ends["black hot"].tolist() == [[255, 255, 255], [0, 0, 0]]
+    assert ends["viridis"].tolist() == [[68, 1, 84], [253, 231, 37]]
+    np.testing.assert_allclose(255 * display_palette("iron").to_color(64 / 255), (144, 2, 164), atol=0.5)
+    with pytest.raises(UserError, match="no palette"):
+        display_palette("pink")
+
+
+def test_a_value_has_its_palettes_color() -> None:
+    """In the middle of the range is the middle of the palette, within one level."""
+    for display in (Display(), Display("white hot"), Display("viridis", "locked", (0.0, 40.0))):
+        picture = display.picture(layer())
+        low, high = display.range_of(layer())
+        expected = 255 * display.palette_of(layer()).to_color((RAMP[0] - low) / (high - low))
+        assert np.abs(picture[0] - expected).max() <= 1.5
+
+
+def test_ranges() -> None:
+    """The capture's, the picture's percentiles, and locked ones; missing values have no colour of the palette."""
+    assert Display().range_of(layer()) == (10.0, 30.0)
+    low, high = Display(range_mode="automatic").range_of(layer())
+    assert (low, high) == pytest.approx((10.2, 29.8), abs=0.05)
+    assert Display().range_of(layer(span=None)) == pytest.approx((10.2, 29.8), abs=0.05)
+    assert Display(range_mode="locked", locked=(1.0, 2.0)).range_of(layer()) == (1.0, 2.0)
+    holes = RAMP.copy()
+    holes[:, 50:] = np.nan
+    assert picture_range(holes)[1] < 15.0
+    assert len(np.unique(Display().picture(layer(holes))[:, 50:].reshape(-1, 3), axis=0)) == 1
+    assert picture_range(np.full((2, 2), np.nan)) == (0.0, 1.0)
+
+
+def test_isotherms_lie_where_values_pass_a_step() -> None:
+    """On a ramp of 0.1 degrees a pixel, lines of 5 degrees lie 50 pixels apart."""
+    columns = np.flatnonzero(isotherms(RAMP - 0.05, 5.0)[0])
+    np.testing.assert_array_equal(columns, [0, 50, 100, 150])
+    plain, lined = Display("white hot").picture(layer()), Display("white hot", isotherms=5.0).picture(layer())
+    assert (plain != lined).any(axis=-1)[0].sum() in (3, 4)
+
+
+def test_a_threshold_greys_the_rest() -> None:
+    """Values between the ends keep their colours, all others are grey."""
+    shown = Display(threshold=(18.0, 22.0)).picture(layer())[0]
+    is_grey = (shown == shown[:, :1]).all(axis=-1)
+    inside = (RAMP[0] >= 18) & (RAMP[0] <= 22)
+    assert not is_grey[inside].any()
+    assert is_grey[~inside].all()
+
+
+def test_pseudo_colors_are_inverted_only_where_needed() -> None:
+    """The capture's palette over the capture's range needs no values; everything else does."""
+    assert not Display().needs_values(FLIR_IRON)
+    assert not Display("iron").needs_values(FLIR_IRON)
+    for display in (Display("iron"), Display(isotherms=1.0), Display(threshold=(0, 1)), Display(range_mode="locked")):
+        assert display.needs_values(GREY)
+
+
+def test_wipe_and_blend() -> None:
+    """A wipe has the first up to its edge; a blend mixes; a smaller second picture is brought to size."""
+    first, second = np.full((4, 10, 3), 200, np.uint8), np.full((2, 5, 3), 100, np.uint8)
+    wiped = compared(first, second, "wipe", 0.3)
+    assert (wiped[:, :3] == 200).all()
+    assert (wiped[:, 3:] == 100).all()
+    assert (compared(first, second, "blend", 0.25) == 175).all()
+    assert compared(first, second, "off", 0.5) is first
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [(20.0, 41.5, ["20", "25", "30", "35", "40"]), (0.0, 1.0, ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"])],
+)
+def test_ticks_are_round_numbers(low: float, high: float, ticks: list[str]) -> None:
+    """Multiples of 1, 2, 2.5 or 5 times a power of ten, inside the range."""
+    assert tick_labels(tick_values(low, high)) == ticks
+
+
+def test_ticks_of_odd_ranges() -> None:
+    """Quarters have their digits; an empty range has one tick; a falling one is ticked as well."""
+    assert tick_labels(tick_values(0.0, 1.0, 5)) == ["0.00", "0.25", "0.50", "0.75", "1.00"]
+    assert tick_values(3.0, 3.0) == [3.0]
+    assert tick_values(4.0, 0.0) == tick_values(0.0, 4.0)
+
+
+def test_a_color_bar_shows_its_palette() -> None:
+    """Hot on top, cold below, of the height that was asked for."""
+    bar = color_bar(FLIR_IRON, 20.0, 41.5, "°C", 300)
+    assert bar.shape[0] == 300
+    column = bar[:, bar.shape[1] // 4].astype(int).sum(axis=-1)
+    inside = column[27:284]
+    assert inside[0] > 600
+    assert inside[-1] < 20
+    assert (np.diff(inside) <= 2).all()  # levels are rounded, channel by channel

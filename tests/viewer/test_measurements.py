@@ -1,0 +1,128 @@
+"""Spots, lines and areas give the numbers of the pixels that they cover, and go into files whole."""
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from thermosplat.thermal.radiometry import FLIR_IRON
+from thermosplat.viewer.layers import Layer, LayerImage
+from thermosplat.viewer.measurements import covered_values, marked_picture, measure, save_measurements, value_at
+from thermosplat.viewer.session import ViewSession, Wish
+from viewed_toy import moved, toy_session, viewed_toy
+
+FIELD = np.arange(60, dtype=np.float32).reshape(6, 10)
+THERMAL = Layer("image", "thermal")
+
+
+def layer(field: np.ndarray | None = FIELD) -> LayerImage:
+    colors = np.zeros((6, 10, 3), np.float32) if field is None else None
+    return LayerImage(THERMAL, field, colors, FLIR_IRON, (0.0, 60.0), "°C", "temperature")
+
+
+def test_the_value_under_a_point() -> None:
+    """Pixels are half-open squares, and the last one has the border; outside there is nothing."""
+    assert value_at(layer(), 0.0, 0.0) == 0.0
+    assert value_at(layer(), 0.1, 0.0) == 1.0
+    assert value_at(layer(), 1.0, 1.0) == 59.0
+    assert value_at(layer(), 1.01, 0.5) is None
+    assert value_at(layer(None), 0.5, 0.5) is None
+    assert value_at(layer(np.full((6, 10), np.nan, np.float32)), 0.5, 0.5) is None
+
+
+def test_an_area_covers_its_rectangle() -> None:
+    """Both corners are in, whichever way it was drawn; minimum, maximum, mean and deviation are numpy's."""
+    for corners in ([(0.2, 0.2), (0.45, 0.6)], [(0.45, 0.6), (0.2, 0.2)]):
+        made = measure(layer(), "area", corners, "A1")
+        assert made is not None
+        part = FIELD[1:4, 2:5]
+        assert (made.minimum, made.maximum, made.mean, made.count) == (part.min(), part.max(), part.mean(), 9)
+        assert made.std == pytest.approx(part.std())
+        assert made.text == "23.00 °C (12.00 to 34.00, std 8.21)"
+
+
+def test_a_line_has_its_pixels_in_order() -> None:
+    """From one end to the other, without gaps."""
+    values = covered_values(FIELD, "line", [(0.05, 0.05), (0.95, 0.05)])
+    np.testing.assert_array_equal(values, FIELD[0])
+    steep = covered_values(FIELD, "line", [(0.05, 0.95), (0.25, 0.05)])
+    assert len(steep) == 6
+    assert (steep[0], steep[-1]) == (50.0, 2.0)
+
+
+def test_pixels_without_a_value_do_not_count() -> None:
+    """NaNs are left out, and where there is nothing else there is no measurement."""
+    field = FIELD.copy()
+    field[:, :5] = np.nan
+    made = measure(layer(field), "area", [(0.0, 0.0), (0.99, 0.1)], "A1")
+    assert made is not None
+    assert (made.minimum, made.count) == (5.0, 5)
+    assert measure(layer(field), "spot", [(0.1, 0.1)], "S1") is None
+    assert measure(layer(None), "spot", [(0.1, 0.1)], "S1") is None
+
+
+def test_files_hold_all_digits_and_the_marks(tmp_path: Path) -> None:
+    """The CSV gives back each number; the PNG is larger than the picture by its legend and has the marks."""
+    made = measure(layer(FIELD / np.float32(3)), "area", [(0.2, 0.2), (0.45, 0.6)], "A1")
+    assert made is not None
+    picture = np.zeros((60, 100, 3), np.uint8)
+    marked = marked_picture(picture, [(made, [(0.2, 0.2), (0.5, 0.2), (0.5, 0.6), (0.2, 0.6)])], (FLIR_IRON, 0, 20, ""))
+    table, image = save_measurements(tmp_path / "m", "one", [made], marked)
+    (row,) = csv.DictReader(table.open(encoding="utf-8"))
+    assert (float(row["mean"]), float(row["std"]), int(row["pixels"])) == (made.mean, made.std, 9)
+    assert (row["unit"], row["layer"], row["quantity"]) == ("°C", "thermal", "temperature")
+    written = cv2.imread(str(image))[..., ::-1]
+    np.testing.assert_array_equal(written, marked)
+    assert written.shape[1] > 100
+    assert (written[12:36, 20:50] > 200).any()
+    assert not picture.any()
+
+
+@pytest.fixture
+def session() -> ViewSession:
+    made = toy_session(viewed_toy())
+    made.wish = Wish(THERMAL, Layer("image", "rgb"))
+    made.render(made.renderer.scene.start(), 48, 36)
+    return made
+
+
+def test_a_session_reads_and_numbers(session: ViewSession) -> None:
+    """The cursor reads the field; spots are S1, S2; a deleted number is used again only at the end."""
+    assert session.shown is not None
+    field = session.shown.layers[THERMAL].field
+    assert field is not None
+    value, text = session.probe(0.5, 0.5)  # type: ignore[misc]
+    assert value == field[18, 24]
+    assert text == f"{value:.2f} °C"
+    names = [session.measure("spot", [(0.4, 0.5)]), session.measure("spot", [(0.5, 0.5)])]
+    assert [made.name for made in names if made] == ["S1", "S2"]
+    session.measurements.pop(0)
+    again = session.measure("spot", [(0.5, 0.4)])
+    assert again is not None
+    assert again.name == "S3"
+
+
+def test_a_mark_stays_on_its_object(session: ViewSession) -> None:
+    """The point under a spot projects back onto it, and moves with the scene when the camera moves."""
+    made = session.measure("spot", [(0.5, 0.5)])
+    assert made is not None
+    (point,) = made.points
+    start = session.renderer.scene.start()
+    seen = start.viewmat @ np.array([*point, 1.0])
+    assert seen[:2] == pytest.approx([0, 0], abs=1e-5)
+    assert seen[2] > 0
+    shown = session.render(moved(start, 0.1), 48, 36)
+    picture = session.marked(shown)
+    assert picture.shape[1] > 48
+
+
+def test_a_wipe_reads_what_it_shows(session: ViewSession) -> None:
+    """Left of the edge the first layer, right of it the second, which has colours and no value."""
+    session.wish = dataclasses.replace(session.wish, comparison="wipe", share=0.5)
+    session.render(session.renderer.scene.start(), 48, 36)
+    assert session.probe(0.4, 0.5) is not None
+    assert session.probe(0.6, 0.5) is None
+    assert session.measure("spot", [(0.6, 0.5)]) is None
