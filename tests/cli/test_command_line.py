@@ -9,11 +9,18 @@ from pathlib import Path
 import pytest
 
 from thermosplat import __version__
-from thermosplat.cli import benchmark, evaluate, export, render, train
+from thermosplat.cli import benchmark, evaluate, export, prepare, render, train
 
 pytestmark = pytest.mark.usefixtures("stoppable")
 
-COMMANDS = {"train": train, "evaluate": evaluate, "render": render, "export": export, "benchmark": benchmark}
+COMMANDS = {
+    "train": train,
+    "evaluate": evaluate,
+    "render": render,
+    "export": export,
+    "prepare": prepare,
+    "benchmark": benchmark,
+}
 
 INTERRUPTED_IMPORT = """
 import os, signal, sys

@@ -10,6 +10,8 @@ from repository_documents import NAMES, REPOSITORY, code_blocks, read, without_c
 from thermosplat.cli.benchmark import BenchmarkArguments
 from thermosplat.cli.evaluate import EvalArguments
 from thermosplat.cli.export import ExportArguments
+from thermosplat.cli.prepare_cameras import CalibrateArguments, RegisterArguments, SfmArguments
+from thermosplat.cli.prepare_files import CheckArguments, ImportArguments, PairArguments
 from thermosplat.cli.render import RenderArguments
 from thermosplat.config import TrainConfig
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
@@ -57,6 +59,8 @@ def _flags_of_programs() -> dict[str, set[str]]:
     commands = {"eval": EvalArguments, "render": RenderArguments, "export": ExportArguments}
     for name, arguments in {**commands, "benchmark": BenchmarkArguments}.items():
         flags[f"thermosplat-{name}"] = {*_train_flags(arguments), "--help", *({"--set"} if name == "benchmark" else ())}
+    steps = [ImportArguments, PairArguments, CalibrateArguments, SfmArguments, RegisterArguments, CheckArguments]
+    flags["thermosplat-prepare"] = {"--help"}.union(*(_train_flags(arguments) for arguments in steps))
     for path in (REPOSITORY / "benchmarks").rglob("*.py"):
         flags[path.name] = set(re.findall(r'"(--[a-z-]+)"', path.read_text(encoding="utf-8")))
     return flags

@@ -6,12 +6,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from camera_folders import centikelvin, scene, write_photograph, write_two_cameras, write_values
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder
-from thermosplat.prepare.check import PAGE, SHEET, check, estimate_of
+from thermosplat.prepare.check import PAGE, SHEET, check, estimate_of, recommend
 from thermosplat.prepare.findings import (
     Finding,
     count_dead_pixels,
@@ -22,6 +23,7 @@ from thermosplat.prepare.findings import (
 )
 from thermosplat.prepare.import_files import import_files
 from thermosplat.prepare.pairing import pair_frames
+from thermosplat.prepare.whole_files import write_whole
 
 RNG = np.random.default_rng(7)
 WORLD = cv2.resize(RNG.integers(0, 255, (160, 420, 3), np.uint8), (1680, 640), interpolation=cv2.INTER_CUBIC)
@@ -159,3 +161,17 @@ def test_msx() -> None:
     ]
     assert "MSX is probably on" in warnings(msx_findings(engraved))
     assert msx_findings([(photograph, flat) for photograph in photographs]) == []
+
+
+def test_recommendations(capture: CaptureFolder) -> None:
+    """A registered rig is to be refined, unless a board has measured it; drift asks for levels."""
+    recommend(capture, [])
+    assert not capture.train_yaml.exists()
+    write_whole(capture.marker("register"), b"{}")
+    drift = Finding("warning", "", {"spectra": {"thermal": {"exposure": "level"}}})
+    recommend(capture, [drift])
+    settings = yaml.safe_load(capture.train_yaml.read_text())
+    assert settings == {"refine": ["rig", "intrinsics"], "spectra": {"thermal": {"exposure": "level"}}}
+    capture.calibration_json.write_text("{}")
+    recommend(capture, [])
+    assert not capture.train_yaml.exists()

@@ -11,6 +11,7 @@ from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.foreign_flags import refuse_foreign_flags
 from thermosplat.cli.spectrum_flags import named_spectra, refuse_unknown_spectra, with_groups
 from thermosplat.config import TrainConfig
+from thermosplat.config.capture_settings import with_recommendations
 from thermosplat.config.checks import check_config
 from thermosplat.config.files import files_from_anywhere, load_config
 from thermosplat.errors import UserError
@@ -73,7 +74,10 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
             f"{name} has resume: {preset.resume}, which no configuration file can ask for.",
             f"Take that line out and give the flag: thermosplat-train --resume {shlex.quote(preset.resume)}",
         )
+    preset, recommended = with_recommendations(preset, first.data)
     config = files_from_anywhere(dataclasses.replace(_parse(argv, preset), config=preset.config))
+    if recommended is not None:
+        print(f"Settings of {recommended} are taken where the command line says nothing else.")
     if not config.data:
         raise UserError(
             "No capture given.", 'Say which: thermosplat-train FOLDER, or "thermosplat-train sample" for a first try.'

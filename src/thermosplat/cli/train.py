@@ -93,9 +93,11 @@ def _capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Traine
             spectra=config.spectra,
         )
         with importing():
+            from thermosplat.prepare.quick_check import quick_notes
             from thermosplat.training.trainer import Trainer
 
-        return reading.result(), Trainer
+        capture = reading.result()
+        return replace(capture, notes=(*capture.notes, *quick_notes(capture, config.spectra))), Trainer
 
 
 def _new_trainer(config: "TrainConfig", capture: "Capture", trainer_class: type["Trainer"]) -> "Trainer":

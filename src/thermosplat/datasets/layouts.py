@@ -1,5 +1,6 @@
 """Which layout a folder has, by looking at it."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -72,7 +73,8 @@ def _unknown_layout(root: Path, spectra: Mapping[str, SpectrumConfig]) -> UserEr
         f"{root} is no capture of a known layout. Looked for {_in_words([first, *others])}, "
         f"{_in_words(['images/', *others])}, and transforms_thermal.json or transforms.json. "
         f"Found: {found or 'nothing'}.",
-        "Give the folder that holds them; the layouts are in docs/data-layouts.md.",
+        "Give the folder that holds them; the layouts are in docs/data-layouts.md. The untouched files of two cameras "
+        f"become a capture with thermosplat-prepare {shlex.quote(str(root))}",
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from rich.progress import track
 
@@ -16,7 +17,7 @@ from thermosplat.prepare.contact_sheet import row, sheet, shown_thermal
 from thermosplat.prepare.findings import Finding, msx_findings, texture_findings, thermal_findings
 from thermosplat.prepare.plane_warp import PlaneWarp, read_warps
 from thermosplat.prepare.sensor_orientation import find_orientation
-from thermosplat.prepare.steps import StepReport, require_step, run_step
+from thermosplat.prepare.steps import StepReport, read_marker, require_step, run_step
 from thermosplat.prepare.whole_files import write_png, write_whole
 from thermosplat.spectra import COUNTS, label
 from thermosplat.thermal.temperature_units import read_statement, to_measured
@@ -51,7 +52,10 @@ def check(capture: CaptureFolder) -> StepReport:
         "check",
         lambda: _check(capture),
         settings={},
-        inputs=[capture.marker("import"), capture.frames_csv, capture.pairs_csv, capture.root / "sparse"],
+        inputs=[
+            *(capture.marker(step) for step in ("import", "pair", "calibrate", "sfm", "register")),
+            *(capture.frames_csv, capture.pairs_csv, capture.root / "sparse"),
+        ],
         outputs=[capture.check / PAGE],
     )
 
@@ -67,12 +71,26 @@ def _check(capture: CaptureFolder) -> list[str]:
     findings += texture_findings(read)
     if pairs:
         findings += _pair_findings(capture, pairs)
+    recommend(capture, findings)
     estimate = estimate_of(findings)
     pictures = _pictures(capture, pairs)
     if pictures:
         write_png(capture.check / SHEET, sheet([picture for _, picture in pictures]))
     write_whole(capture.check / PAGE, check_page(capture.root.name, findings, estimate, pictures).encode())
     return [*(f"{'! ' if one.level == 'warning' else ''}{one.sentence}" for one in findings), estimate]
+
+
+def recommend(capture: CaptureFolder, findings: Sequence[Finding]) -> None:
+    """Write train.yaml: what helps against the findings, and to refine a rig that no board has measured."""
+    settings: dict[str, Any] = {}
+    for one in findings:
+        settings |= one.recommends
+    if read_marker(capture, "register") is not None and not capture.calibration_json.exists():
+        settings["refine"] = ["rig", "intrinsics"]
+    if settings:
+        write_whole(capture.train_yaml, yaml.safe_dump(settings, sort_keys=True).encode())
+    else:
+        capture.train_yaml.unlink(missing_ok=True)
 
 
 def estimate_of(findings: Sequence[Finding]) -> str:

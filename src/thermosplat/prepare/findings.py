@@ -1,7 +1,7 @@
 """What the images of a capture say about how it will train, in sentences."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import cv2
@@ -24,7 +24,7 @@ _DEAD_STEPS = 8.0
 """How many times further from its neighbours than pixels are in the median a dead pixel lies, in most images."""
 _DEAD_SHARE = 0.1
 """Share of the image's range that it lies from them at least; small objects may lie nearer."""
-_DRIFT = 0.25
+DRIFT_SHARE = 0.25
 """Share of the scene's own spread that the level of images may vary by, before it is called drift."""
 
 
@@ -35,10 +35,12 @@ class Finding:
     Args:
         level: "fact" for information, "warning" for what will go wrong.
         sentence: What was found, and for a warning what to do.
+        recommends: Settings of the training that help, as train.yaml has them.
     """
 
     level: Level
     sentence: str
+    recommends: Mapping[str, Any] = field(default_factory=dict)
 
 
 def thermal_findings(images: Mapping[str, NDArray[Any]], unit: str | None) -> list[Finding]:
@@ -71,14 +73,16 @@ def thermal_findings(images: Mapping[str, NDArray[Any]], unit: str | None) -> li
         found.append(
             Finding("warning", f"{dead:,} thermal pixels differ from their neighbours in most images: they are dead.")
         )
-    drift, spread = level_drift(list(images.values()))
-    if drift > _DRIFT * spread and len(images) >= 5:
+    alive = [image for name, image in images.items() if name not in constant]
+    drift, spread = level_drift(alive) if alive else (0.0, 0.0)
+    if drift > DRIFT_SHARE * spread and len(alive) >= 5:
         found.append(
             Finding(
                 "warning",
                 f"The level of thermal images varies by {drift:,.{digits + 1}f} {unit} (standard deviation), the scene "
                 f"by {spread:,.{digits + 1}f}. If the scene is the same in all, the sensor drifts: train with "
-                "--thermal.exposure level.",
+                "--thermal.exposure level, as train.yaml recommends.",
+                {"spectra": {"thermal": {"exposure": "level"}}},
             )
         )
     return found

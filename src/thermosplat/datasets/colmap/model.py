@@ -134,9 +134,14 @@ def missing_model(root: Path, images: Path) -> UserError:
         images: Its folder of images.
     """
     found = ", ".join(describe_folder(folder) for folder in sorted(root.iterdir()) if folder.is_dir()) or "no folders"
-    return UserError(
+    message = (
         f"No COLMAP model in {root}. Looked for cameras.bin or cameras.txt in: {', '.join(MODEL_FOLDERS)}. "
-        f"Found: {found}.",
+        f"Found: {found}."
+    )
+    if (root / "prepared").is_dir():
+        return UserError(message, f"Go on with its preparation: thermosplat-prepare sfm {shlex.quote(str(root))}")
+    return UserError(
+        message,
         f"Make one: colmap automatic_reconstructor --workspace_path {shlex.quote(str(root))} "
         f"--image_path {shlex.quote(str(images))} --dense 0",
     )
