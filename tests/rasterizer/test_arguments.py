@@ -302,5 +302,47 @@ def test_more_than_the_kernels_can_number() -> None:
     colors = scene["colors"].expand(n, 3)
     with pytest.raises(UserError, match="67,108,864 Gaussians in each of 64 images of 23 x 18 px are more than"):
         rasterization(**tensors, **views, colors=colors, width=23, height=18)
-    with pytest.raises(UserError, match="1 Gaussians in each of 1 images of 1 x 3000000000 px are more than"):
-        rasterization(**random_scene(n=1) | {"width": 1, "height": 3_000_000_000, "backgrounds": None})
+    views = {name: scene[name].expand(256, *scene[name].shape[1:]) for name in ("viewmats", "Ks")}
+    with pytest.raises(UserError, match="1 Gaussians in each of 256 images of 1 x 16777216 px are more than"):
+        rasterization(**scene | views | {"width": 1, "height": 2**24, "backgrounds": None})
+
+
+@pytest.mark.parametrize("value", [2**24 + 1, 3_000_000_000, 2**70, 10**5000], ids=["next", "wide", "wider", "endless"])
+def test_sizes_have_a_limit(value: int) -> None:
+    """Beyond it a pixel has no place of its own in float32; sizes that torch cannot take are told the same way."""
+    for name in ("width", "height"):
+        with pytest.raises(UserError, match=rf"^{name} must be at most 16,777,216 pixels, got .{{1,80}}\.$"):
+            rasterization(**scene_with(**{name: value}))
+
+
+@pytest.mark.parametrize("name", ["means", "opacities", "colors", "viewmats", "backgrounds"])
+def test_sparse_tensors_are_named(name: str) -> None:
+    """Torch's own words would be of a memory format."""
+    tensors = scene_with(backgrounds=torch.zeros(2, 3))
+    tensors["viewmats"], tensors["Ks"] = (tensors[one].expand(2, *tensors[one].shape[1:]) for one in ("viewmats", "Ks"))
+    with pytest.raises(UserError, match=rf"^{name} must be a dense tensor, got one of layout sparse_coo\."):
+        rasterization(**tensors | {name: tensors[name].to_sparse()})
+
+
+def test_other_devices_are_named() -> None:
+    """Of all tensors."""
+    scene = {name: one.to("meta") if isinstance(one, torch.Tensor) else one for name, one in scene_with().items()}
+    with pytest.raises(UserError, match=r"means must be on the CPU or on a CUDA device, got meta"):
+        rasterization(**scene)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_backgrounds_are_finite(value: float) -> None:
+    """Every pixel would be what they are; a gradient is no obstacle to looking."""
+    scene = scene_with()
+    backgrounds = torch.zeros(len(scene["viewmats"]), scene["colors"].shape[-1])
+    backgrounds[0, 1] = value
+    with pytest.raises(UserError, match="backgrounds must be finite"):
+        rasterization(**scene | {"backgrounds": backgrounds.requires_grad_()})
+    assert rasterization(**scene | {"backgrounds": torch.ones_like(backgrounds)})[0].isfinite().all()
+
+
+def test_numbers_too_large_for_a_float() -> None:
+    """Python's whole numbers have no end."""
+    with pytest.raises(UserError, match=r"^far_plane must be a number, got 1000+\.\.\.\.$"):
+        rasterization(**scene_with(far_plane=10**400))

@@ -47,7 +47,7 @@ class RGBTRender(NamedTuple):
 
 
 @not_compiled
-def rasterization(
+def rasterization(  # noqa: D417 (one sentence has the eleven arguments that are not supported)
     means: Tensor,  # [..., N, 3]
     quats: Tensor | None,  # [..., N, 4]
     scales: Tensor | None,  # [..., N, 3]
@@ -92,6 +92,10 @@ def rasterization(
     CPU and on CUDA, in float32 or float64; all tensors have the dtype and device of ``means``. A Gaussian with anything
     non-finite is invisible and counted in ``info["num_nonfinite"]``; before a non-finite camera all of them are.
 
+    Not supported, and only there for gsplat's signature: sparse_grad, distributed, segmented, with_ut, with_eval3d,
+    radial_coeffs, tangential_coeffs, thin_prism_coeffs, ftheta_coeffs, rolling_shutter, viewmats_rs. Undistort images
+    first.
+
     Args:
         means: Centres, [..., N, 3], world units.
         quats: Rotations (w, x, y, z) of any length, [..., N, 4]. Ignored (may be None) when ``covars`` is given.
@@ -102,8 +106,8 @@ def rasterization(
             a pair of the first coefficient [..., (C,) N, 1, 3] and the others [..., (C,) N, K - 1, 3].
         viewmats: World-to-camera, OpenCV axes, [..., C, 4, 4].
         Ks: Intrinsics, [..., C, 3, 3], px.
-        width: Image width [px].
-        height: Image height [px].
+        width: Image width [px], at most 2²⁴.
+        height: Image height [px], at most 2²⁴.
         near_plane: Gaussians nearer than this are not drawn [world units].
         far_plane: Gaussians farther than this are not drawn [world units].
         radius_clip: Gaussians whose radii are both at most this are not drawn [px].
@@ -111,25 +115,15 @@ def rasterization(
         sh_degree: Active degree, 0 to 3; None: ``colors`` are final values.
         packed: Accepted for gsplat's sake; the result and its layout are those of ``packed=False``.
         tile_size: 8, 16 or 32 [px]; changes speed only.
-        backgrounds: Colours behind everything, [..., C, D].
+        backgrounds: Colours behind everything, [..., C, D]; finite, which is checked on the CPU alone, as a CUDA device
+            would have to be waited for.
         render_mode: "RGB", "D" (accumulated depth), "ED" (expected depth), "RGB+D" or "RGB+ED".
-        sparse_grad: Not supported.
         absgrad: Sums of a traversal's absolute per-pixel gradients add up in ``info["means2d"].absgrad`` like .grad.
         rasterize_mode: "classic", or "antialiased": opacities are scaled by what ``eps2d`` adds to the area
             (Mip-Splatting).
         channel_chunk: At most so many channels are blended in one traversal (never more than 32).
-        distributed: Not supported.
         camera_model: "pinhole" or "ortho".
-        segmented: Not supported.
         covars: Symmetric covariances, [..., N, 3, 3], world units²; only the upper triangle is read.
-        with_ut: Not supported.
-        with_eval3d: Not supported.
-        radial_coeffs: Not supported: undistort images first.
-        tangential_coeffs: Not supported.
-        thin_prism_coeffs: Not supported.
-        ftheta_coeffs: Not supported.
-        rolling_shutter: Not supported.
-        viewmats_rs: Not supported.
         deterministic: Gradients are the same to the bit on every run, also on CUDA, where that takes more memory (a
             record of D + 6 numbers for each pair of a Gaussian and a part of a tile) and time. On the CPU always so.
 

@@ -19,6 +19,9 @@ SH_DEGREE_MAX = 3
 INDEX_MAX = 2**31
 """Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
 
+SIZE_MAX = 2**24
+"""Width and height of an image, at most [px]: float32 holds the pixels' places up to there."""
+
 CHOICES: dict[str, tuple[Any, ...]] = {
     "render_mode": get_args(RenderMode),
     "rasterize_mode": get_args(RasterizeMode),
@@ -92,7 +95,9 @@ def checked_sizes(**sizes: Any) -> list[int]:
     pixels = [as_whole(size) for size in sizes.values()]
     for name, whole in zip(sizes, pixels, strict=True):
         if type(whole) is not int or whole < 1:
-            raise UserError(f"{name} must be a positive whole number of pixels, got {whole!r}.")
+            raise UserError(f"{name} must be a positive whole number of pixels, got {_shown(whole)}.")
+        if whole > SIZE_MAX:
+            raise UserError(f"{name} must be at most {SIZE_MAX:,} pixels, got {_shown(whole)}.")
     return pixels
 
 
@@ -112,13 +117,31 @@ def checked_limits(**limits: Any) -> dict[str, float]:
     for name, value in limits.items():
         try:
             numbers[name] = math.nan if isinstance(value, str) else float(value)
-        except (TypeError, ValueError, RuntimeError):  # what torch raises of several numbers
+        except (TypeError, ValueError, RuntimeError, OverflowError):  # what torch raises of several numbers
             numbers[name] = math.nan
         if math.isnan(numbers[name]):
-            raise UserError(f"{name} must be a number, got {value}.")
+            raise UserError(f"{name} must be a number, got {_shown(value)}.")
     if numbers["eps2d"] < 0:
         raise UserError(f"eps2d must be at least 0 px², got {numbers['eps2d']}.")
     return numbers
+
+
+def _shown(value: Any) -> str:
+    """An argument as a message shows it, in one short line."""
+    try:
+        text = " ".join((value if isinstance(value, str) else repr(value)).split())
+    except ValueError:  # of a number with thousands of digits
+        text = type(value).__name__
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def _check_tensor(name: str, tensor: Any) -> None:
+    """Checks that an argument is a tensor whose numbers lie in memory."""
+    if not isinstance(tensor, Tensor):
+        raise UserError(f"{name} must be a torch.Tensor, got {type(tensor).__name__}.")
+    if tensor.layout is not torch.strided:
+        layout = str(tensor.layout).removeprefix("torch.")
+        raise UserError(f"{name} must be a dense tensor, got one of layout {layout}.", f"Use {name}.to_dense().")
 
 
 def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, meaning: str = "") -> None:
@@ -134,8 +157,7 @@ def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, m
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    if not isinstance(tensor, Tensor):
-        raise UserError(f"{name} must be a torch.Tensor, got {type(tensor).__name__}.")
+    _check_tensor(name, tensor)
     if tensor.shape != shape:
         letters = f" = {meaning}" if meaning else ""
         raise UserError(f"{name} must have shape {list(shape)}{letters}, got {list(tensor.shape)}.")
@@ -171,8 +193,9 @@ def check_scene(
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    if not isinstance(means, Tensor):
-        raise UserError(f"means must be a torch.Tensor, got {type(means).__name__}.")
+    _check_tensor("means", means)
+    if means.device.type not in ("cpu", "cuda"):
+        raise UserError(f"means must be on the CPU or on a CUDA device, got {means.device}.")
     if means.dim() < 2 or means.shape[-1] != 3:
         raise UserError(f"means must have shape [..., N, 3], got {list(means.shape)}.")
     if means.dtype not in (torch.float32, torch.float64):
@@ -221,8 +244,9 @@ def check_colors(
     """
     if isinstance(colors, tuple) and len(colors) == 2 and sh_degree is not None:
         return _check_pair(name, *colors, means, cameras, sh_degree)
-    if not isinstance(colors, Tensor):
+    if isinstance(colors, tuple):
         raise UserError(f"{name} must be a torch.Tensor, got {type(colors).__name__}.")
+    _check_tensor(name, colors)
     batch, count = tuple(means.shape[:-2]), means.shape[-2]
     tail = 1 if sh_degree is None else 2
     per_camera = colors.dim() == len(batch) + 2 + tail
@@ -265,6 +289,8 @@ def check_backgrounds(
 ) -> None:
     """Checks the colours behind everything.
 
+    Whether they are finite is asked for on the CPU alone: a CUDA device would have to finish its work for the answer.
+
     Args:
         backgrounds: [..., C, D] or None.
         colors: checked colours or, with ``sh_degree``, coefficients; they fix D.
@@ -278,6 +304,8 @@ def check_backgrounds(
     if backgrounds is not None:
         channels = 3 if sh_degree is not None or isinstance(colors, tuple) else colors.shape[-1]
         check_shape("backgrounds", backgrounds, (*means.shape[:-2], cameras, channels), means)
+        if backgrounds.device.type == "cpu" and not backgrounds.detach().isfinite().all():
+            raise UserError("backgrounds must be finite, found a NaN or an infinity: every pixel would show it.")
 
 
 def checked_settings(
