@@ -165,11 +165,9 @@ def load_palette(path: str | Path, spectrum: str) -> Palette:
     try:
         if path.exists() and not path.is_file():
             raise UserError(f"Cannot read the palette {path}: it is no file.", hint)
-        with path.open("rb") as file:
-            content = file.read(_LARGEST_PALETTE_FILE + 1)
-        if len(content) > _LARGEST_PALETTE_FILE:
+        if path.stat().st_size > _LARGEST_PALETTE_FILE:
             raise ValueError("too large for a palette")
-        text = content.decode("utf-8-sig")  # spreadsheets begin a CSV with a byte-order mark
+        text = path.read_text(encoding="utf-8-sig")  # spreadsheets begin a CSV with a byte-order mark
         rows = json.loads(text)["lut"] if path.suffix.lower() == ".json" else _csv_rows(text)
         levels = np.array(rows, np.float64)
     except UserError:

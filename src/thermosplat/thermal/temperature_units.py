@@ -138,11 +138,9 @@ def read_json(path: Path) -> dict[str, Any]:
         UserError: The file cannot be read or holds something else.
     """
     try:
-        with path.open("rb") as file:
-            text = file.read(_LARGEST_JSON + 1)
-        if len(text) > _LARGEST_JSON:
+        if path.stat().st_size > _LARGEST_JSON:
             raise ValueError(f"it has more than {_LARGEST_JSON:,} bytes")
-        content = json.loads(text)  # in UTF-8, with a byte-order mark or without, or UTF-16
+        content = json.loads(path.read_bytes())  # in UTF-8, with a byte-order mark or without, or UTF-16
     except (OSError, ValueError, RecursionError) as error:
         reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
         raise UserError(f"{path} is not readable JSON: {reason}.", "Restore it, or export it again.") from error

@@ -37,7 +37,7 @@ def read_regular_file(path: Path) -> bytes:
         if status.st_size > LARGEST:
             raise UserError(f"{path} has {status.st_size:,} bytes; images have {LARGEST:,} at most.", _RESTORE)
         with open(path, "rb") as file:
-            return file.read(LARGEST)
+            return file.read(status.st_size)  # no more: room for what is asked for is taken first
     except (OSError, ValueError) as error:
         if isinstance(error, UserError):
             raise
