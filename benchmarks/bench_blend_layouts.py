@@ -18,7 +18,7 @@ import warp as wp
 
 from scenes.benchmark_scenes import BenchmarkScene, garden_scene
 from scenes.trained_scene import trained_scene
-from thermosplat.rasterizer.binning import bin_tiles
+from thermosplat.rasterizer.binning import tile_lists
 from thermosplat.rasterizer.projection import Project, ProjectInputs
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.torch_bridge.streams import on_torch_stream
@@ -52,7 +52,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
             scene.intrinsics(width, height)[None], ProjectInputs(settings, (), (1,), nullcontext()),
         )  # fmt: skip
     flat = scene.features(max(channels for channels, _ in args.channels))
-    bins, memory = bin_tiles(arrays, opacities, thermal, flat, settings, args.tile_size)
+    bins, memory = tile_lists(arrays, opacities, thermal, flat, settings, args.tile_size)
     longest = int(torch.diff(memory["tile_offsets"]).max())
     rows = []
     for channels, thermal_channels in args.channels:

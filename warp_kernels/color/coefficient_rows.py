@@ -12,6 +12,7 @@ a thread has its own row's numbers in a few wide reads, and waits for nobody.
 
 import warp as wp
 
+from warp_kernels.constants import SH_DEGREE_MAX
 from warp_kernels.machinery.lanes import scalar_name
 from warp_kernels.machinery.loading import made_once
 
@@ -192,7 +193,7 @@ def row_sum_function(dtype: type):
         ``row_sum(rows, lowest, row, b, active, start)``: start + Σ b[k] rows[row, k - lowest] over lowest <= k <
         active, where rows begin with the coefficient ``lowest``, 0 or 1.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector((SH_DEGREE_MAX + 1) ** 2, dtype)
 
     @wp.func_native(f"using S = {scalar_name(dtype)};{SUM}")
     def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3) -> vec3: ...
@@ -213,7 +214,7 @@ def row_adjoint_function(dtype: type):
         returns the dot products of rows[row, k - lowest] with v, by k; that of 0, whose basis is constant, is left out.
         A row that is not ``used`` is not read and has a gradient of zero.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector((SH_DEGREE_MAX + 1) ** 2, dtype)
 
     @wp.func_native(f"using S = {scalar_name(dtype)}; constexpr int block = {BLOCK};{ADJOINT}")
     def row_adjoint(

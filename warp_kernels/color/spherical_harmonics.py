@@ -7,6 +7,7 @@ max(Σ_k basis_k(d) · coefficient_k + 0.5, 0) for the unit direction d from the
 import warp as wp
 
 from warp_kernels.color.coefficient_rows import row_adjoint_function, row_sum_function
+from warp_kernels.constants import SH_DEGREE_MAX
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lanes import LANES_CUDA, warp_sync
 from warp_kernels.machinery.loading import made_once
@@ -30,7 +31,7 @@ def basis_functions(dtype: type):
         ``(basis, basis_adjoint)``: basis(d, degree) -> 16 values, zero above the degree; basis_adjoint(d, degree, v)
         -> gradient to d for the gradient v to the values.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector((SH_DEGREE_MAX + 1) ** 2, dtype)
     one, two, three = (dtype(x) for x in (1.0, 2.0, 3.0))
     c0, c1 = dtype(C0), dtype(C1)
     c20, c21, c22 = (dtype(x) for x in C2)
@@ -223,7 +224,7 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         ``rows`` begin with the coefficient ``lowest``; where that is 1, ``v_sh0`` takes the gradient of degree 0. It
         is launched over ``whole_warps``.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector(16, dtype)
+    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector((SH_DEGREE_MAX + 1) ** 2, dtype)
     basis, basis_adjoint = basis_functions(dtype)
     direction = direction_function(dtype)
     row_adjoint = row_adjoint_function(dtype)

@@ -10,6 +10,7 @@ from thermosplat.config.spectrum_checks import check_spectra
 from thermosplat.config.values import shown
 from thermosplat.errors import UserError
 from thermosplat.spectra import label, latent_channels
+from warp_kernels.constants import SH_DEGREE_MAX
 
 _AT_LEAST: dict[str, float] = {
     "max_steps": 1,
@@ -48,7 +49,7 @@ _AT_LEAST: dict[str, float] = {
 }
 _AT_MOST: dict[str, float] = {
     "seed": 2**63 - 1,  # what torch's generators take
-    "sh_degree": 3,  # what the renderer's kernels evaluate
+    "sh_degree": SH_DEGREE_MAX,  # what the renderer's kernels evaluate
     "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory
     "decoder.hidden_layers": 64,
 }

@@ -14,8 +14,9 @@ from torch import Tensor
 
 from thermosplat.runs.atomic_writes import write_atomically
 from thermosplat.scene.packed_parameters import sh_degrees
+from warp_kernels.constants import SH_DEGREE_MAX
 
-REST_COEFFICIENTS = 15  # SH degrees 1 to 3
+REST_COEFFICIENTS = (SH_DEGREE_MAX + 1) ** 2 - 1  # SH degrees 1 to the highest
 
 
 def properties(rest_coefficients: int) -> tuple[str, ...]:

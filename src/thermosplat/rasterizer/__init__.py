@@ -2,5 +2,6 @@
 
 from thermosplat.rasterizer.api import RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.rasterizer.pair_capacity import PairCapacity
+from thermosplat.rasterizer.project import project
 
-__all__ = ["PairCapacity", "RGBTRender", "rasterization", "rasterization_rgbt"]
+__all__ = ["PairCapacity", "RGBTRender", "project", "rasterization", "rasterization_rgbt"]

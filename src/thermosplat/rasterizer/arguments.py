@@ -8,14 +8,12 @@ import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from warp_kernels.constants import TILE_SIZES
-from warp_kernels.projection.projection import ProjectionSettings
+from warp_kernels.constants import SH_DEGREE_MAX, TILE_SIZES
+from warp_kernels.projection.projection import CameraModel, ProjectionSettings
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
-CameraModel = Literal["pinhole", "ortho"]
 
-SH_DEGREE_MAX = 3
 INDEX_MAX = 2**31
 """Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
 

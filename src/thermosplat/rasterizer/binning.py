@@ -31,7 +31,7 @@ class TileLists(NamedTuple):
         return [(getattr(self.bins, name), self.tensors[name]) for name in names]
 
 
-def bin_tiles(
+def tile_lists(
     projected: ProjectedArrays,
     opacities: Tensor,
     thermal_opacities: Tensor,

@@ -8,7 +8,7 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor
 
-from thermosplat.rasterizer.binning import TileLists, bin_tiles
+from thermosplat.rasterizer.binning import TileLists, tile_lists
 from thermosplat.rasterizer.blending import Blend, BlendedTensors, BlendInputs
 from thermosplat.rasterizer.info import RasterizationInfo, conics, isect_ids, num_nonfinite
 from thermosplat.rasterizer.pair_capacity import active_pair_capacity
@@ -171,7 +171,7 @@ class ProjectedScene:
         """The lists of Gaussians, made once; the features of the first call are checked for being finite."""
         if self._lists is None:
             capacity = active_pair_capacity()
-            self._lists = bin_tiles(
+            self._lists = tile_lists(
                 self._arrays,
                 self.opacities,
                 self.opacities if self.thermal_opacities is None else self.thermal_opacities,

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
-from thermosplat.rasterizer.arguments import checked_settings
-from thermosplat.rasterizer.projected_scene import Drawn, ProjectedScene
+from thermosplat.rasterizer import project
+from thermosplat.rasterizer.projected_scene import ProjectedScene
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.views import Coefficients
@@ -124,37 +124,15 @@ def _up_to(shN: Tensor, degrees: Tensor) -> Tensor:
 
 def _projected(gaussians: Gaussians, coefficients: Coefficients, view: ViewTensors, sh_degree: int) -> ProjectedScene:
     """The set projected to one camera, which says who is seen, with its colours of every degree up to ``sh_degree``."""
-    viewmats, Ks = view.viewmat[None], view.K[None]
-    settings = checked_settings(
+    return project(
         gaussians.means,
         gaussians.quats,
         gaussians.scales,
-        None,
         gaussians.opacities,
-        viewmats,
-        Ks,
-        width=view.width,
-        height=view.height,
-        near_plane=0.01,
-        far_plane=1e10,
-        radius_clip=0.0,
-        eps2d=0.3,
-        sh_degree=None,
-        tile_size=16,
-        render_mode="RGB",
-        rasterize_mode="classic",
-        camera_model="pinhole",
-    )
-    return ProjectedScene(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.scales,
-        None,
-        gaussians.opacities,
-        gaussians.largest_opacities if gaussians.second_opacities else None,
-        viewmats,
-        Ks,
-        settings,
-        16,
-        drawn=[Drawn(coefficients, degree, per_camera=False) for degree in range(sh_degree + 1)],
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        drawn={f"colors of degree {degree}": (coefficients, degree) for degree in range(sh_degree + 1)},
+        thermal_opacities=gaussians.largest_opacities if gaussians.second_opacities else None,
     )
