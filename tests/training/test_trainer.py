@@ -347,6 +347,21 @@ def test_the_last_checkpoint_is_written_before_anything_else(
     assert_same_state(state_tensors(Trainer.resume(toy_run_config(), capture, trainer.run)), whole_run[12])
 
 
+def test_an_evaluation_that_a_kill_prevented_is_made_up_for(tmp_path: Path, capture: Capture) -> None:
+    """The checkpoint of a step may be there before its evaluation: the resumed run begins with that."""
+    config = toy_run_config(save_steps=(4,), eval_steps=(4,))
+    toy_trainer(tmp_path, config, capture).train()
+    numbers, lines = tmp_path / "stats" / "step_000004.json", tmp_path / "metrics.jsonl"
+    before, evaluation = lines.read_text(), numbers.read_bytes()
+    numbers.unlink()
+    (tmp_path / "ckpts" / "step_000012.pt").unlink()
+    Trainer.resume(config, capture, RunDirectory.open(tmp_path)).train()
+    assert numbers.read_bytes() == evaluation
+    after = lines.read_text()
+    evaluated = [[json.loads(line) for line in text.splitlines() if "evaluation" in line] for text in (before, after)]
+    assert evaluated[0] == evaluated[1]
+
+
 @pytest.mark.parametrize("fate", ["renamed", "removed", "replaced"])
 @pytest.mark.parametrize("when", [6, 12])
 def test_a_result_folder_that_goes_away_ends_the_training_with_its_place(

@@ -170,10 +170,13 @@ class Trainer:
             self.run.sweep()
             self.run.write_config(config)
             self.run.write_environment(self.device)
-            self.logger.start(state.step)
+            evaluates = state.step == config.max_steps or self._lacks_evaluation()
+            self.logger.start(state.step, evaluates=evaluates)
             self._greet(remark)
             if self.budget is not None:
                 self.budget.do_what_is_due(self.sh_degree)
+            if self._lacks_evaluation():  # a resumed run that was killed between a checkpoint and its evaluation
+                self._evaluate()
             while state.step < config.max_steps:
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
@@ -283,6 +286,12 @@ class Trainer:
         self.logger.evaluation(step, judged.metrics)
         self.run.write_json(self.run.stats / f"step_{step:06d}.json", judged.metrics)
         return judged
+
+    def _lacks_evaluation(self) -> bool:
+        """Whether the step done, one in the middle of the run, was to be evaluated and was not."""
+        step = self.state.step
+        due = 0 < step < self.config.max_steps and step in self.config.eval_steps
+        return due and not (self.run.stats / f"step_{step:06d}.json").is_file()
 
     def corrected_capture(self) -> Capture:
         """The capture with its cameras as they are believed to be now."""

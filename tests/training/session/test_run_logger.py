@@ -230,6 +230,15 @@ def test_missing_tensorboard_is_a_hint(tmp_path: Path, monkeypatch: pytest.Monke
     assert _entries(tmp_path)[0]["step"] == 5
 
 
+def test_an_evaluation_that_is_made_again_is_told_once(tmp_path: Path) -> None:
+    """A run that was killed behind its last evaluation writes the line anew; that of a step in the middle stays."""
+    lines = [{"step": 4, "loss": 1.0}, {"step": 4, "evaluation": {}}, {"step": 5, "loss": 1.0}]
+    for evaluates, kept in ((False, lines[:2]), (True, lines[:1])):
+        (tmp_path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines) + '{"step": 4')
+        _logger(tmp_path)[0].start(4, evaluates=evaluates)
+        assert _entries(tmp_path) == kept
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_full_disk_costs_lines_not_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines that cannot be written are told once, those of TensorBoard too, and every step goes on being said."""

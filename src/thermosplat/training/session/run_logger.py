@@ -101,15 +101,16 @@ class RunLogger:
         self._late: StepRecord | None = None
         self._lines_lost = False
 
-    def start(self, step: int) -> None:
+    def start(self, step: int, *, evaluates: bool = False) -> None:
         """Open the files; drop lines of metrics.jsonl from after the step that a resumed run starts from.
 
         Args:
             step: Steps already done; 0 for a new run.
+            evaluates: The run is evaluated again at that step; a line of an earlier evaluation there is dropped, too.
         """
         path = self.run.metrics_jsonl
         if path.is_file():
-            kept = [line for line in path.read_text(encoding="utf-8").splitlines() if _line_step(line) <= step]
+            kept = [line for line in path.read_text(encoding="utf-8").splitlines() if _is_before(line, step, evaluates)]
             text = "".join(line + "\n" for line in kept)
             write_text(path, text)
         if self._tensorboard:
@@ -310,9 +311,10 @@ def _number(name: str, value: float) -> str:
     return f"MAE {digits} {unit_label(name.removeprefix(MAE))}"
 
 
-def _line_step(line: str) -> float:
-    """Step of a line of metrics.jsonl; infinity for one that a crash cut off."""
+def _is_before(line: str, step: int, evaluates: bool) -> bool:
+    """Whether a line of metrics.jsonl is of steps that are not done again; one that a crash cut off is not."""
     try:
-        return json.loads(line)["step"]
+        entry = json.loads(line)
+        return entry["step"] < step or (entry["step"] == step and not (evaluates and "evaluation" in entry))
     except (ValueError, KeyError, TypeError):
-        return math.inf
+        return False
