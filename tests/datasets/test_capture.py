@@ -103,3 +103,22 @@ def test_data_factors_are_whole_numbers(tmp_path, factor):
     """2.5 would shrink by something else than it says."""
     with pytest.raises(UserError, match=r"must be a whole number of at least 1, got"):
         load_capture(write_rgbt_scenes(tmp_path, 2), data_factor=factor)
+
+
+@pytest.mark.parametrize("data", ["x" * 5000, "a\0b", "/dev/null"])
+def test_folders_of_impossible_names(data):
+    """No system's error reaches the user."""
+    with pytest.raises(UserError, match=r"The capture .* (does not exist|is a file, not a folder)") as caught:
+        load_capture(data)
+    assert len(str(caught.value)) < 300
+
+
+def test_a_folder_that_cannot_be_read(tmp_path, monkeypatch):
+    """The system's reason, and the path."""
+
+    def denied(*_):
+        raise PermissionError(13, "Permission denied", str(tmp_path / "images"))
+
+    monkeypatch.setattr("thermosplat.datasets.list_capture", denied)
+    with pytest.raises(UserError, match=r"Cannot read .*images: Permission denied"):
+        load_capture(tmp_path)

@@ -145,10 +145,14 @@ def test_an_unknown_unit_names_the_spectrums_flag(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", [{"a": 1}, {"a": "x", "b": 2}, {"a": 3, "b": 2}, {"a": 2, "b": 2}, {"a": 0, "b": float("inf")}]
+    "content",
+    [
+        *({"a": 1}, {"a": "x", "b": 2}, {"a": 3, "b": 2}, {"a": 2, "b": 2}, {"a": 0, "b": float("inf")}),
+        *({"a": -1e308, "b": 1e308}, {"a": 0, "b": 1e30}, {"a": -300, "b": 20}, {"a": 0, "b": 10**400}),
+    ],
 )
 def test_bad_ranges_are_named(tmp_path, content):
-    """Half a range, words, the wrong order, no span, or one without an end."""
+    """Half a range, words, the wrong order, no span, one without an end, or beyond all temperatures."""
     with pytest.raises(UserError, match=r"bounds\.json"):
         celsius_range(content, tmp_path / "bounds.json", "a", "b")
 

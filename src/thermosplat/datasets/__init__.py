@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
+from thermosplat.config.values import shortened
 from thermosplat.datasets.assemble import assemble
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.ground_truth import check_ground_truth
@@ -16,6 +17,8 @@ __all__ = ["SAMPLE", "Capture", "Frame", "View", "load_capture"]
 
 SAMPLE = "sample"
 """Name by which `load_capture` finds the small capture that comes with the package."""
+_LONGEST_PATH = 4096
+"""Characters of a path on Linux; a longer one is shown shortened."""
 
 
 def load_capture(
@@ -40,16 +43,24 @@ def load_capture(
         root, name = Path(str(files("thermosplat").joinpath("sample"))), SAMPLE
     else:
         root = Path(os.path.expanduser(data))  # pathlib's own fails where there is no such user
-        name = root.resolve().name
+        name = ""
     if not str(data):
         raise UserError("No capture given.", "Name a folder, or take the one in the package: thermosplat-train sample")
-    if not root.is_dir():
-        what = "is a file, not a folder" if root.exists() else "does not exist"
+    if not os.path.isdir(root):  # False also for a name that is too long
+        what = "is a file, not a folder" if os.path.exists(root) else "does not exist"
+        shown = str(root) if len(str(root)) <= _LONGEST_PATH else shortened(str(root))
         raise UserError(
-            f"The capture {root} {what}.",
+            f"The capture {shown} {what}.",
             "Give the folder that holds rgb/ or images/; for a first try: thermosplat-train sample",
         )
-    listing = list_capture(root, spectra)
-    capture = assemble(root, name, listing, data_factor=data_factor, test_every=test_every, spectra=spectra)
-    check_ground_truth(capture)
+    try:
+        listing = list_capture(root, spectra)
+        name = name or root.resolve().name
+        capture = assemble(root, name, listing, data_factor=data_factor, test_every=test_every, spectra=spectra)
+        check_ground_truth(capture)
+    except OSError as error:
+        where = error.filename or root
+        raise UserError(
+            f"Cannot read {where}: {error.strerror or error}.", "May you read it, and is the disk there?"
+        ) from error
     return capture

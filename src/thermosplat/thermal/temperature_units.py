@@ -24,6 +24,9 @@ _TO_CELSIUS: dict[str, tuple[float, float]] = {
 _SPELLINGS = {"k": "kelvin", "c": "celsius", "degc": "celsius", "°c": "celsius", "dn": COUNTS}
 _POSSIBLE_CELSIUS = (-150.0, 3000.0)
 """Temperatures [°C] outside of which a stated unit must be wrong; a clear sky reads as low as about -100."""
+_ABSOLUTE_ZERO = -273.15
+_HOTTEST_RANGE = 10_000.0
+"""Highest end of a stated range [°C]: beyond the range of any thermal camera."""
 _LARGEST_JSON = 1 << 26
 """Most bytes of a JSON file: a transforms file has about 600 for a frame."""
 _USUAL_CELSIUS = (-60.0, 600.0)
@@ -165,6 +168,12 @@ def celsius_range(content: dict[str, Any], path: Path, low_key: str, high_key: s
         raise UserError(f"{path} must give both {low_key} and {high_key} as numbers [°C].") from error
     if not low < high:
         raise UserError(f"{path}: {low_key} ({low:g}) must be below {high_key} ({high:g}).")
+    if low < _ABSOLUTE_ZERO or high > _HOTTEST_RANGE:
+        raise UserError(
+            f"{path}: {low_key} ({low:g}) and {high_key} ({high:g}) must lie between {_ABSOLUTE_ZERO:g} and "
+            f"{_HOTTEST_RANGE:,.0f} °C.",
+            "Are they in °C?",
+        )
     return low, high
 
 
