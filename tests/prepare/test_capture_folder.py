@@ -35,3 +35,12 @@ def test_missing_and_damaged_tables(tmp_path: Path) -> None:
     capture.frames_csv.write_text(capture.frames_csv.read_text().replace("320", "wide"))
     with pytest.raises(UserError, match=r"Line 3 of .*frames.csv is damaged"):
         capture.read_frames()
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "a/../../b.png"])
+def test_names_stay_inside_the_capture(tmp_path: Path, name: str) -> None:
+    """A table from a stranger leads nowhere else."""
+    capture = CaptureFolder(tmp_path)
+    capture.write_pairs([PairRow("a.jpg", name)])
+    with pytest.raises(UserError, match=r"Line 2 of .*pairs.csv is damaged"):
+        capture.read_pairs()

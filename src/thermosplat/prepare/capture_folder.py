@@ -18,7 +18,7 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TypeVar, get_args
 
 from thermosplat.errors import UserError
@@ -190,6 +190,10 @@ def _row(record: dict[str, str | None], kind: type[Row]) -> Row:
         if text:
             kinds = get_args(field.type) or (field.type,)
             values[field.name] = next(number for number in (int, float, str) if number in kinds)(text)
+    for name in ("file", "rgb", "thermal"):
+        path = PurePosixPath(str(values.get(name, "")))
+        if path.is_absolute() or ".." in path.parts:
+            raise ValueError(f"{path} leads out of the capture")
     return kind(**values)  # type: ignore[arg-type]
 
 

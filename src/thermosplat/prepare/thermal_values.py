@@ -167,6 +167,14 @@ def unit_sentence(meaning: Meaning, file: SourceFile) -> str:
             hint = " Workswell's usual convention, unverified here, is --unit celsius --scale 0.025 --offset -100."
         stated = "" if meaning.stated else "; their unit could not be told"
         return f"Thermal values are sensor counts without degrees{stated}. --unit, --scale and --offset say more.{hint}"
+    if file.kind == "flir":
+        camera = read_flir(file.path).camera
+        return (
+            f"Temperatures were computed from the counts of FLIR files, for an emissivity of {camera.emissivity:.2f}, "
+            f"{camera.reflected - ZERO_CELSIUS:.0f} °C reflected and {camera.distance:.1f} m, as the first file says."
+        )
+    if file.kind == "dji":
+        return "Temperatures were read from DJI's files by an installed program."
     how = "as stated" if meaning.stated else "judged by the values; --unit says otherwise"
     degrees = measured_unit(meaning.unit)
     return f"Thermal values were read as {meaning.unit} ({how}) and are kept as {degrees and 'temperatures'}."
