@@ -15,6 +15,7 @@ from thermosplat.datasets.capture_notes import distortion_notes, pairing_notes
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.images.image_files import resize
 from thermosplat.datasets.images.image_folders import shown_path
+from thermosplat.datasets.images.jpeg_warnings import check_jpegs
 from thermosplat.datasets.images.msx import msx_notes
 from thermosplat.datasets.images.spectrum_files import read_spectrum
 from thermosplat.datasets.images.spectrum_images import SpectrumPixels, SpectrumReading
@@ -69,6 +70,7 @@ def assemble(
         for spectrum, settings in spectra.items()
         if (reading := read_spectrum(root, spectrum, settings, frames, listing)) is not None
     }
+    check_jpegs([path for frame in frames for shot in frame.shots.values() for path in (shot.path, shot.raw) if path])
     views = []
     for index, frame in enumerate(frames):
         pixels = {spectrum: reading.pixels[index] for spectrum, reading in readings.items()}

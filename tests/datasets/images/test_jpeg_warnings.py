@@ -1,13 +1,16 @@
 """JPEG files whose decoder fills what is missing are refused by name."""
 
+import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from capture_folders import HEIGHT, WIDTH, write_transforms
+from thermosplat.datasets import load_capture
 from thermosplat.datasets.images import jpeg_warnings
-from thermosplat.datasets.images.image_files import read_image, read_images
+from thermosplat.datasets.images.image_files import read_image
 from thermosplat.datasets.images.jpeg_warnings import check_jpegs
 from thermosplat.errors import UserError
 
@@ -37,9 +40,27 @@ def test_zeroed_data_is_refused_by_name(tmp_path, capfd, progressive):
     assert read_image(bad).shape == (200, 300, 3)
     capfd.readouterr()
     with pytest.raises(UserError, match=r"bad\.jpg is damaged \(Corrupt JPEG data"):
-        read_images([good, bad])
+        check_jpegs([good, bad])
     with pytest.raises(UserError, match=r"bad\.jpg"):  # not only the first time
         check_jpegs([good, bad])
+
+
+@pytest.mark.parametrize("spectrum", ["images", "thermal"])
+def test_a_capture_with_a_damaged_jpeg(tmp_path, capfd, spectrum):
+    """Any image of any spectrum; nothing is trained on what a decoder made up."""
+    content = write_transforms(tmp_path)
+    for number, frame in enumerate(content["frames"]):
+        for key in ("file_path", "thermal_file_path"):
+            frame[key] = frame[key].replace(".png", ".jpg")
+            noise = np.random.default_rng(number).integers(0, 256, (HEIGHT, WIDTH), np.uint8)
+            (tmp_path / frame[key]).write_bytes(cv2.imencode(".jpg", noise)[1].tobytes())
+    (tmp_path / "transforms_thermal.json").write_text(json.dumps(content))
+    assert len(load_capture(tmp_path).train) == 6
+    path = tmp_path / spectrum / "frame_train_00003.jpg"
+    path.write_bytes(zeroed(path.read_bytes(), 100))
+    with pytest.raises(UserError, match=rf"{spectrum}/frame_train_00003\.jpg is damaged \(Corrupt JPEG data"):
+        load_capture(tmp_path)
+    capfd.readouterr()
 
 
 def test_whole_files_are_looked_at_once(tmp_path, monkeypatch):

@@ -19,7 +19,6 @@ from thermosplat.datasets.images.image_bytes import (
     lacks_photometric_tag,
     read_regular_file,
 )
-from thermosplat.datasets.images.jpeg_warnings import check_jpegs
 from thermosplat.errors import UserError
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
@@ -81,13 +80,10 @@ def read_images(paths: Iterable[Path]) -> list[NDArray[Any]]:
     """`read_image` of many files, several at a time.
 
     Raises:
-        UserError: As ``read_image``; also of a JPEG whose decoder fills what is missing.
+        UserError: As ``read_image``. JPEG files whose decoder fills gaps pass; ``check_jpegs`` finds them.
     """
-    paths = list(paths)
     with ThreadPoolExecutor() as pool:
-        images = list(pool.map(read_image, paths))
-    check_jpegs(paths)
-    return images
+        return list(pool.map(read_image, paths))
 
 
 def resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
