@@ -4,7 +4,10 @@ import numpy as np
 import pycolmap
 import pytest
 
+from capture_folders import write_image, write_transforms
+from thermosplat.datasets import load_capture
 from thermosplat.datasets.lens import Lens, rectification, shrunk
+from thermosplat.errors import UserError
 
 
 def test_pinhole_models_are_used_as_they_are():
@@ -80,3 +83,13 @@ def test_shrunk_rounds_sizes_and_keeps_the_true_ratio():
     assert small.fy == pytest.approx(40 * 6 / 25)
     assert shrunk(camera, 1) == camera
     assert shrunk(camera, 1000).width == 1
+
+
+def test_sides_that_cannot_be_resampled(tmp_path):
+    """OpenCV counts positions of resampled images with 16 bits."""
+    content = write_transforms(tmp_path, 2, w=32_800, h=8, fl_x=20_000.0, fl_y=20_000.0, k1=0.01, cx=16_400.0, cy=4.0)
+    for frame in content["frames"]:
+        write_image(tmp_path / frame["file_path"], np.zeros((8, 32_800), np.uint8))
+        (tmp_path / frame["thermal_file_path"]).unlink()
+    with pytest.raises(UserError, match=r"frame_.*\.png is 32800x8 and its lens distorted"):
+        load_capture(tmp_path)

@@ -27,6 +27,9 @@ from thermosplat.spectra import CELSIUS, SpectrumConfig, label
 
 LEAST_SIDE = 6
 """Least width and height of an image [px]: SSIM's window of 11 px is reflected by 5 at the borders (ssim.py)."""
+LONGEST_RESAMPLED = 16_000
+"""Most pixels of a side that is undistorted: OpenCV resamples to 32,766, and COLMAP's pinhole image has up to twice
+the side."""
 
 
 def assemble(
@@ -194,6 +197,12 @@ def _check_borrowed_camera(
 def _view(spectrum: str, shot: Shot, exposure: SpectrumPixels, data_factor: int) -> View:
     image, values = exposure.image, exposure.values
     height, width = image.shape[:2]
+    if shot.lens.distorted and max(width, height) > LONGEST_RESAMPLED:
+        raise UserError(
+            f"{shot.path.name} is {width}x{height} and its lens distorted ({shot.lens.model}); images are undistorted "
+            f"up to {LONGEST_RESAMPLED:,} px wide and high.",
+            "Undistort them before (colmap image_undistorter), or shrink them.",
+        )
     ideal = rectification(shot.lens, width, height)
     camera = shrunk(ideal.camera, data_factor)
     if min(camera.width, camera.height) < LEAST_SIDE:

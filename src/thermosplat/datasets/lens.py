@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from thermosplat.datasets.cameras import Camera
 
 PINHOLE_MODELS = frozenset({"PINHOLE", "SIMPLE_PINHOLE"})
+_ROWS = 256
+"""Rows of an image that are undistorted at once."""
 _ASPECT_TOLERANCE = 0.01
 """Share by which a file's aspect may differ from its camera's: RGBT-Scenes has 633x476 beside 640x480."""
 
@@ -97,10 +99,14 @@ def rectification(lens: Lens, width: int, height: int) -> Rectification:
     camera = _pinhole(ideal)
     scale = np.array([width / lens.width, height / lens.height])
     camera = camera.resized(max(1, round(ideal.width * scale[0])), max(1, round(ideal.height * scale[1])))
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
-    seen = source.img_from_cam(rays.reshape(-1, 3)) * scale - 0.5
-    return Rectification(camera, seen.reshape(camera.height, camera.width, 2).astype(np.float32))
+    maps = np.empty((camera.height, camera.width, 2), np.float32)
+    for start in range(0, camera.height, _ROWS):  # rays take several times the memory of the maps
+        rows = np.arange(start, min(start + _ROWS, camera.height))
+        x, y = np.meshgrid(np.arange(camera.width) + 0.5, rows + 0.5)
+        rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
+        seen = source.img_from_cam(rays.reshape(-1, 3)) * scale - 0.5
+        maps[start : start + _ROWS] = seen.reshape(len(rows), camera.width, 2)
+    return Rectification(camera, maps)
 
 
 def shrunk(camera: Camera, factor: int) -> Camera:
