@@ -203,6 +203,15 @@ def test_wrong_folders(tmp_path: Path, capture: CaptureFolder) -> None:
     refused(write_two_cameras(tmp_path / "few", 3), capture, r"^3 usable photographs .* at least 5")
 
 
+def test_our_own_folders_are_no_sources(tmp_path: Path, capture: CaptureFolder) -> None:
+    """A prepared capture and a training's results."""
+    other = CaptureFolder(tmp_path / "other")
+    import_files(write_two_cameras(tmp_path / "in"), other)
+    refused(other.root, capture, "is a capture that thermosplat-prepare made")
+    (tmp_path / "run" / "ckpts").mkdir(parents=True)
+    refused(tmp_path / "run", capture, "is the result folder of a training")
+
+
 def test_one_spectrum_only(tmp_path: Path, capture: CaptureFolder) -> None:
     """Thermal files alone, and photographs alone."""
     write_two_cameras(tmp_path / "in")

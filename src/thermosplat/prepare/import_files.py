@@ -68,6 +68,7 @@ def import_files(folder: Path | None, capture: CaptureFolder, options: ImportOpt
     """
     options = options or ImportOptions()
     _check_place(capture)
+    _refuse_our_own(folder)
     roots = [Path(path) for path in options.folders.values()] if options.folders or folder is None else [folder]
     return run_step(
         capture,
@@ -86,6 +87,20 @@ def _check_place(capture: CaptureFolder) -> None:
         raise UserError(
             f"{capture.root} holds other files, and no capture that thermosplat-prepare began.",
             "Name a folder that is not there yet: --out CAPTURE",
+        )
+
+
+def _refuse_our_own(folder: Path | None) -> None:
+    """Refuse captures that are being prepared and result folders in the place of the cameras' files."""
+    if folder is not None and (folder / "prepared").is_dir():
+        raise UserError(
+            f"{folder} is a capture that thermosplat-prepare made, not a folder of cameras' files.",
+            f"Go on with a step of it, such as thermosplat-prepare pair {folder}, or give the cameras' folder again.",
+        )
+    if folder is not None and (folder / "ckpts").is_dir():
+        raise UserError(
+            f"{folder} is the result folder of a training, not a folder of cameras' files.",
+            "Give the folder that the cameras' files were copied to.",
         )
 
 
