@@ -104,15 +104,40 @@ def warp_image_losses(
             smoothed - first if smoothed is not None and within else None,
             smoothness,
         )
-        results = _ImageLosses.apply(members, settings, *(term.image for term in members))
-        count = len(members)
-        losses += results[:count]
-        squared_errors += results[count + 1 :]
+        results = _Results.of(_ImageLosses.apply(members, settings, *(term.image for term in members)), len(members))
+        losses += results.losses
+        squared_errors += results.squared_errors
         if smooth is None or within:
-            smooth = results[count]
+            smooth = results.smoothness
     if smooth is None:
         raise ValueError("terms must hold at least one image loss, found none.")
     return ImageLosses(tuple(losses), smooth, tuple(squared_errors))
+
+
+class _Results(NamedTuple):
+    """What the function of one launch returns side by side, or the gradients to it."""
+
+    losses: tuple[Any, ...]
+    smoothness: Any
+    squared_errors: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, tensors: Sequence[Any], count: int) -> "_Results":
+        """From so many losses, the smoothness, and as many squared errors."""
+        return cls(tuple(tensors[:count]), tensors[count], tuple(tensors[count + 1 :]))
+
+
+class _Saved(NamedTuple):
+    """What the adjoint reads."""
+
+    images: tuple[Tensor, ...]
+    targets: tuple[Tensor, ...]
+    derivatives: Tensor
+
+    @classmethod
+    def of(cls, tensors: Sequence[Tensor], count: int) -> "_Saved":
+        """From so many images, as many targets, and the derivatives."""
+        return cls(tuple(tensors[:count]), tuple(tensors[count : 2 * count]), tensors[-1])
 
 
 class _ImageLosses(torch.autograd.Function):
@@ -149,9 +174,9 @@ class _ImageLosses(torch.autograd.Function):
         count = len(ctx.firsts)
         if all(gradient is None for gradient in gradients):
             return (None,) * (2 + count)
-        images, targets = ctx.saved_tensors[:count], ctx.saved_tensors[count : 2 * count]
-        derivatives = ctx.saved_tensors[-1]
-        v_losses = _side_by_side([*gradients[:count], *[gradients[count]] * (TERMS + 1 - count)])
+        images, targets, derivatives = _Saved.of(ctx.saved_tensors, count)
+        v = _Results.of(gradients, count)
+        v_losses = _side_by_side([*v.losses, *[v.smoothness] * (TERMS + 1 - count)])
         v_images = [
             torch.empty_like(image, memory_format=torch.contiguous_format)
             if image.shape[-1] == target.shape[-1]

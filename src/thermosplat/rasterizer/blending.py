@@ -4,6 +4,7 @@ As in rasterization_functions, only what is saved keeps memory alive; the arrays
 memory, wherever it is by then.
 """
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -52,6 +53,43 @@ class BlendedTensors(NamedTuple):
     thermal_alphas: Tensor | None
 
 
+class BlendSaved(NamedTuple):
+    """What the adjoint reads: arrays with their tensors when they are saved, the tensors when they come back."""
+
+    means2d: Any
+    packed_roots: Any
+    opacities: Any
+    thermal_opacities: Any
+    features: Any
+    rest: Any
+    extents: Any
+    images: list[Any]
+    """Of the images only those that are read, so that users may change the renders in place."""
+    lists: list[Any]
+    states: Any
+
+
+class BlendGradients(NamedTuple):
+    """Gradients to what ``Blend`` takes."""
+
+    means2d: Tensor
+    roots: Tensor
+    opacities: Tensor
+    thermal_opacities: Tensor | None
+    features: Tensor
+    rest: Tensor | None
+    inputs: None = None
+
+
+class ImagesOfOpacity(NamedTuple):
+    """The images that are blended with one opacity: arrays with their tensors [..., C, H, W, channels]."""
+
+    render: tuple[ArrayView, Tensor]
+    transmittance: tuple[ArrayView, Tensor]
+    last_pairs: tuple[ArrayView, Tensor]
+    alphas: tuple[ArrayView, Tensor]
+
+
 class Blend(torch.autograd.Function):
     """Blending with one opacity or two; see ``blending_step``. Returns the fields of ``BlendedTensors``."""
 
@@ -69,12 +107,14 @@ class Blend(torch.autograd.Function):
         dtype, settings = means2d.dtype, inputs.settings
         scalar = kinds_of(dtype).scalar
         channels = features.shape[-1] + (0 if rest is None else rest.shape[-1])
-        images = _make_images(means2d, settings, (channels, inputs.thermal_channels))
+        first = _make_images(means2d, settings, channels)
+        second = _make_images(means2d, settings, inputs.thermal_channels) if inputs.thermal_channels > 0 else None
         projected, lists = inputs.projected, inputs.lists
         ctx.opacities = view(opacities, scalar)
         ctx.thermal_opacities = ctx.opacities if thermal_opacities is None else view(thermal_opacities, scalar)
         ctx.features = view(features, vector_of(features.shape[-1], dtype))
         ctx.rest = None if rest is None else view(rest, vector_of(rest.shape[-1], dtype))
+        images = [*first, *(second or ())]
         ctx.blended = blending_step.BlendedArrays(*[array for array, _ in images])
         ctx.projected, ctx.bins = projected, lists.bins
         ctx.inputs, ctx.turns = (settings, inputs.shown_means2d), inputs.turns
@@ -82,36 +122,40 @@ class Blend(torch.autograd.Function):
         with launches_on_torch_stream(means2d.device):
             ctx.walk = blending_step.blend(*step, rest=ctx.rest)
         ctx.set_materialize_grads(False)
-        keep(
-            ctx,
-            (projected.means2d, means2d),
-            (projected.packed_roots, inputs.packed_roots),
-            (ctx.opacities, opacities),
-            (ctx.thermal_opacities, thermal_opacities),
-            (ctx.features, features),
-            (ctx.rest, rest),
-            (projected.extents, None if means2d.is_cuda else inputs.extents),  # which only a row of pixels asks for
-            # Of the images only those that the adjoint reads, so that users may change the renders in place.
-            *images[1:3],
-            *images[5:7],
-            *lists.read_by_adjoint(),
-            (ctx.walk.states, ctx.walk.states.release()),
+        read = [first.transmittance, first.last_pairs]
+        if second is not None:
+            read += [second.transmittance, second.last_pairs]
+        saved = BlendSaved(
+            means2d=(projected.means2d, means2d),
+            packed_roots=(projected.packed_roots, inputs.packed_roots),
+            opacities=(ctx.opacities, opacities),
+            thermal_opacities=(ctx.thermal_opacities, thermal_opacities),
+            features=(ctx.features, features),
+            rest=(ctx.rest, rest),
+            extents=(projected.extents, None if means2d.is_cuda else inputs.extents),  # only a row of pixels asks
+            images=read,
+            lists=lists.read_by_adjoint(),
+            states=(ctx.walk.states, ctx.walk.states.release()),
         )
-        render, transmittance, _, alphas = (image for _, image in images[:4])
-        render_rest = thermal_render = thermal_alphas = None
+        keep(ctx, saved)
+        render, render_rest = first.render[1], None
         if rest is not None:
             render, render_rest = render[..., : features.shape[-1]], render[..., features.shape[-1] :]
-        if len(images) > 4:
-            thermal_render, thermal_alphas = images[4][1], images[7][1]
-        return BlendedTensors(render, render_rest, alphas, transmittance, thermal_render, thermal_alphas)
+        return BlendedTensors(
+            render=render,
+            rest=render_rest,
+            alphas=first.alphas[1],
+            transmittance=first.transmittance[1],
+            thermal_render=None if second is None else second.render[1],
+            thermal_alphas=None if second is None else second.alphas[1],
+        )
 
     @staticmethod
     @once_differentiable
     @in_turns
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        held = kept(ctx)
-        means2d, packed_roots, *opacities = held[:4]
-        features, rest = held[4:6]
+        saved, v = kept(ctx), BlendedTensors(*gradients)  # type: ignore[arg-type]
+        means2d, features, rest = saved.means2d, saved.features, saved.rest
         ctx.projected.roots.place(ctx.projected.packed_roots.ptr)
         settings, shown_means2d = ctx.inputs
         projected = (ctx.projected.means2d, ctx.projected.roots)
@@ -119,31 +163,36 @@ class Blend(torch.autograd.Function):
         # Stored where a thread has a Gaussian and not a rank; many features' gradients are always added to.
         by_slot = ctx.bins.slots is not None
         make = torch.zeros_like if by_slot else torch.empty_like
-        shapes = (means2d, packed_roots[..., :3], *opacities)
-        found = [None if one is None else make(one, memory_format=torch.contiguous_format) for one in shapes]
-        for one in (features, rest):
-            added = one is not None and features_apart(one.shape[-1], by_slot)
-            found.append(None if one is None else torch.zeros_like(one) if added else make(one))
+        form = torch.contiguous_format
+        thermal_opacities = saved.thermal_opacities
+        found = BlendGradients(
+            means2d=make(means2d, memory_format=form),
+            roots=make(saved.packed_roots[..., :3], memory_format=form),
+            opacities=make(saved.opacities, memory_format=form),
+            thermal_opacities=None if thermal_opacities is None else make(thermal_opacities, memory_format=form),
+            features=_gradient_of_features(features, make, by_slot),
+            rest=None if rest is None else _gradient_of_features(rest, make, by_slot),
+        )
         absolute = None if shown_means2d is None else torch.zeros_like(means2d)
-        v_render, v_rest, v_alphas, v_transmittance, v_thermal_render, v_thermal_alphas = gradients
-        if v_transmittance is not None:
-            v_alphas = -v_transmittance if v_alphas is None else v_alphas - v_transmittance
+        v_alphas = v.alphas
+        if v.transmittance is not None:
+            v_alphas = -v.transmittance if v_alphas is None else v_alphas - v.transmittance
         blended, dtype = ctx.blended, means2d.dtype
         images = (
             (blended.transmittance, v_alphas),
-            (blended.thermal_render, v_thermal_render),
-            (blended.thermal_transmittance, v_thermal_alphas),
+            (blended.thermal_render, v.thermal_render),
+            (blended.thermal_transmittance, v.thermal_alphas),
         )
         kinds = (vector_of(1 if one is None else one.shape[-1], dtype) for one in (features, rest))
         with launches_on_torch_stream(means2d.device) as device:
-            for array, gradient in zip(arrays, found, strict=True):
+            for array, gradient in zip(arrays, found[:-1], strict=True):
                 if gradient is not None:
                     array.grad = view(gradient, array.dtype)
             for array, given in images:
                 lend(array, given)
             v_images = [
                 nothing(kind, 2, device) if given is None else given_view(given, kind, *blended.last_pairs.shape)
-                for kind, given in zip(kinds, (v_render, v_rest), strict=True)
+                for kind, given in zip(kinds, (v.render, v.rest), strict=True)
             ]
             sums = None if absolute is None else view(absolute, kinds_of(dtype).vec2)
             step = (ctx.projected, *arrays[2:5], ctx.bins, settings, blended, ctx.walk)
@@ -153,24 +202,25 @@ class Blend(torch.autograd.Function):
         if absolute is not None:  # added up as .grad is: a call with many channels blends several times
             earlier = getattr(shown_means2d, "absgrad", None)
             shown_means2d.absgrad = absolute if earlier is None else earlier + absolute
-        return *found, None
+        return found
 
 
-def _make_images(
-    means2d: Tensor, settings: ProjectionSettings, channels: tuple[int, int]
-) -> list[tuple[ArrayView, Tensor]]:
-    """For each opacity with channels a render, transmittance, last pairs and alphas, [..., C, H, W, channels]."""
+def _gradient_of_features(features: Tensor, make: Callable[[Tensor], Tensor], by_slot: bool) -> Tensor:
+    """Memory for a gradient; that to many features is added to."""
+    return torch.zeros_like(features) if features_apart(features.shape[-1], by_slot) else make(features)
+
+
+def _make_images(means2d: Tensor, settings: ProjectionSettings, channels: int) -> ImagesOfOpacity:
+    """Render, transmittance, last pairs and alphas of an opacity, not initialised."""
     scalar = kinds_of(means2d.dtype).scalar
     rows = (settings.num_images * settings.height, settings.width)
     shape = (*means2d.shape[:-2], settings.height, settings.width)
-    images = []
-    for count in channels:
-        if count > 0:
-            single = (*shape, 1)
-            images += [
-                (means2d.new_empty((*shape, count)), vector_of(count, means2d.dtype)),
-                (means2d.new_empty(single), scalar),
-                (means2d.new_empty(single, dtype=torch.int32), wp.int32),
-                (means2d.new_empty(single), scalar),
-            ]
-    return [(view(image, kind, *rows), image) for image, kind in images]
+    render = means2d.new_empty((*shape, channels))
+    transmittance, alphas = means2d.new_empty((*shape, 1)), means2d.new_empty((*shape, 1))
+    last_pairs = means2d.new_empty((*shape, 1), dtype=torch.int32)
+    return ImagesOfOpacity(
+        render=(view(render, vector_of(channels, means2d.dtype), *rows), render),
+        transmittance=(view(transmittance, scalar, *rows), transmittance),
+        last_pairs=(view(last_pairs, wp.int32, *rows), last_pairs),
+        alphas=(view(alphas, scalar, *rows), alphas),
+    )

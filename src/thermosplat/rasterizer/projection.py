@@ -82,6 +82,38 @@ class ProjectInputs(NamedTuple):
     """The scene's lock; see ``in_turns``."""
 
 
+class ProjectSaved(NamedTuple):
+    """What the adjoint reads: arrays with their tensors when they are saved, the tensors when they come back."""
+
+    means: Any
+    quats: Any
+    scales: Any
+    covars: Any
+    viewmats: Any
+    Ks: Any
+    packed_roots: Any
+    """Of means2d and depths the adjoint reads only the gradients."""
+    compensations: Any
+    radii: Any
+    colors: list[Any]
+    coefficients: list[Any]
+
+
+class ProjectGradients(NamedTuple):
+    """Gradients to what ``Project`` takes, in front of those to the coefficients."""
+
+    means: Tensor | None
+    quats: Tensor | None
+    scales: Tensor | None
+    covars: Tensor | None
+    opacities: None
+    """They do not move what is projected; they are blended with."""
+    thermal_opacities: None
+    viewmats: Tensor | None
+    Ks: Tensor | None
+    inputs: None = None
+
+
 class Project(torch.autograd.Function):
     """Projection, and colours in the view directions; see ``projection_step`` and ``color_step``.
 
@@ -129,49 +161,49 @@ class Project(torch.autograd.Function):
         ctx.mark_non_differentiable(projected.radii, projected.extents, packed_roots)
         ctx.set_materialize_grads(False)
         ctx.inputs, ctx.gaussians, ctx.projected, ctx.colors, ctx.turns = inputs, g, p, c, inputs.turns
-        keep(
-            ctx,
-            (g.means, means),
-            (g.quats, quats),
-            (g.scales, scales),
-            (g.covars, covars),
-            (g.viewmats, viewmats),
-            (g.Ks, Ks),
-            # Of means2d and depths the adjoint reads only the gradients.
-            (p.packed_roots, packed_roots),
-            (p.compensations, projected.compensations),
-            (p.radii, projected.radii),
-            *zip([arrays.colors for arrays in c], colors, strict=True),
-            *zip([array for arrays in c for array in (arrays.sh0, arrays.shN)], coefficients, strict=True),
+        saved = ProjectSaved(
+            means=(g.means, means),
+            quats=(g.quats, quats),
+            scales=(g.scales, scales),
+            covars=(g.covars, covars),
+            viewmats=(g.viewmats, viewmats),
+            Ks=(g.Ks, Ks),
+            packed_roots=(p.packed_roots, packed_roots),
+            compensations=(p.compensations, projected.compensations),
+            radii=(p.radii, projected.radii),
+            colors=list(zip([arrays.colors for arrays in c], colors, strict=True)),
+            coefficients=list(
+                zip([array for arrays in c for array in (arrays.sh0, arrays.shN)], coefficients, strict=True)
+            ),
         )
+        keep(ctx, saved)
         return *projected, *colors, p
 
     @staticmethod
     @once_differentiable
     @in_turns
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        means, quats, scales, covars, viewmats, Ks, *held = kept(ctx)
-        count = len(ProjectedTensors._fields)
-        *v_projected, _radii, _extents, _packed_roots = gradients[:count]
-        v_colors, coefficients = gradients[count:-1], held[3 + len(ctx.colors) :]
+        saved, count = kept(ctx), len(ProjectedTensors._fields)
+        means, scales = saved.means, saved.scales
+        v_projected, v_colors = ProjectedTensors(*gradients[:count]), gradients[count:-1]  # type: ignore[arg-type]
         to_gaussians, to_cameras = any(ctx.needs_input_grad[:4]), any(ctx.needs_input_grad[6:8])
         g, p, settings = ctx.gaussians, ctx.projected, ctx.inputs.settings
         p.roots.place(p.packed_roots.ptr)
-        v_viewmats, v_Ks = _zeros(viewmats, to_cameras), _zeros(Ks, to_cameras)
+        v_viewmats, v_Ks = _zeros(saved.viewmats, to_cameras), _zeros(saved.Ks, to_cameras)
         v_quats, v_scales, v_covars = None, None, None
         with launches_on_torch_stream(means.device):
             if v_viewmats is not None:
                 g.viewmats.grad = view(v_viewmats, g.viewmats.dtype)
-            v_means, v_coefficients = _color_adjoints(ctx, means, coefficients, v_colors)
+            v_means, v_coefficients = _color_adjoints(ctx, means, saved.coefficients, v_colors)
             if to_gaussians or to_cameras:
                 added = v_means is not None
                 v_means = torch.empty_like(means) if v_means is None else v_means
-                v_quats, v_covars = _empty(quats), _empty(covars)
-                v_roots = v_projected[2]
+                v_quats, v_covars = _empty(saved.quats), _empty(saved.covars)
+                v_roots = v_projected.roots
                 if v_roots is not None and scales is not None and settings.num_cameras == 1:
                     # A thread reads its Gaussian's gradient before it writes: where there was one to the root, one to
                     # the scales. Nobody else has it: roots are not shown.
-                    v_roots = v_projected[2] = v_roots.contiguous()
+                    v_roots = v_roots.contiguous()
                     v_scales = v_roots.view_as(scales)
                 else:
                     v_scales = _empty(scales)
@@ -180,13 +212,15 @@ class Project(torch.autograd.Function):
                     if gradient is not None:
                         array.grad = view(gradient, array.dtype)
                 outputs = (p.means2d, p.depths, p.roots, p.compensations)
-                for array, gradient in zip(outputs, v_projected, strict=True):
+                given = (v_projected.means2d, v_projected.depths, v_roots, v_projected.compensations)
+                for array, gradient in zip(outputs, given, strict=True):
                     if gradient is not None:
                         lend(array, gradient)
                 project_adjoint(g, settings, p, store=True, add_to_means=added)
                 take_back(*inputs, *outputs)
         take_back(g.means, g.viewmats)
-        return v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks, None, *v_coefficients
+        found = ProjectGradients(v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks)
+        return *found, *v_coefficients
 
 
 def _color_adjoints(

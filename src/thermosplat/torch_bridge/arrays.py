@@ -144,19 +144,31 @@ def take_back(*arrays: ArrayView | None) -> None:
             array.grad = None
 
 
-def keep(ctx: Any, *kept: tuple[ArrayView | None, Tensor | None]) -> None:
+Kept = tuple[ArrayView | None, Tensor | None]
+"""An array and the tensor whose memory it is of; None: there is none, or it is not read."""
+
+
+def keep(ctx: Any, saved: tuple[Any, ...]) -> None:
     """Saves tensors for the backward pass, and the arrays of their memory, which do not keep it alive.
 
     Args:
         ctx: of an autograd function.
-        *kept: arrays and tensors, in pairs; None for one that is not read.
+        saved: a named tuple; each field is an array with its tensor (``Kept``), or a list of such.
     """
-    ctx.arrays = [array for array, _ in kept]
-    ctx.save_for_backward(*[tensor for _, tensor in kept])
+    flat: list[Kept] = []
+    for field in saved:
+        if isinstance(field, list):
+            flat += field
+        else:
+            flat.append(field)
+    ctx.saved_kind = type(saved)
+    ctx.saved_lengths = [len(field) if isinstance(field, list) else None for field in saved]
+    ctx.arrays = [array for array, _ in flat]
+    ctx.save_for_backward(*[tensor for _, tensor in flat])
 
 
-def kept(ctx: Any) -> tuple[Any, ...]:
-    """What ``keep`` saved, in its order; the arrays are of that memory again.
+def kept(ctx: Any) -> Any:
+    """What ``keep`` saved; the arrays are of that memory again.
 
     What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
 
@@ -164,13 +176,16 @@ def kept(ctx: Any) -> tuple[Any, ...]:
         ctx: of an autograd function.
 
     Returns:
-        The tensors or None, to be held while the arrays are read: where they were recomputed, nobody else does.
+        The named tuple, with tensors or None, or lists of them, in its fields; to be held while the arrays are read:
+        where tensors were recomputed, nobody else holds them.
     """
     tensors = ctx.saved_tensors
     for array, tensor in zip(ctx.arrays, tensors, strict=True):
         if tensor is not None and tensor.data_ptr() != array.ptr:
             array.place(tensor.data_ptr())
-    return tensors
+    rest = iter(tensors)
+    fields = [next(rest) if length is None else [next(rest) for _ in range(length)] for length in ctx.saved_lengths]
+    return ctx.saved_kind(*fields)
 
 
 def in_turns(backward: Backward) -> Backward:
