@@ -1,8 +1,7 @@
 """Camera poses of the photographs: structure from motion, as one step of preparing a capture.
 
 The database of features and matches lies in ``prepared/sfm-<digest>/``, where the digest stands for the photographs and
-what is known of their cameras. An interrupted step goes on with it. The finished model lies in ``sparse/0``, and a copy
-in ``prepared/photographs``, from which ``register`` starts however often it is done.
+what is known of their cameras. An interrupted step goes on with it. The finished model lies in ``sparse/0``.
 """
 
 import shutil
@@ -26,11 +25,6 @@ FEWEST_PHOTOGRAPHS = 3
 _RETAKE = "Take more photographs: small steps, each showing most of what the one before shows (docs/capturing.md)."
 
 
-def photographs_model(capture: CaptureFolder) -> Path:
-    """Folder of the model that has the photographs only."""
-    return capture.root / "prepared" / "photographs"
-
-
 def run_sfm(capture: CaptureFolder, *, mapper: Mapper = "incremental") -> StepReport:
     """Find the poses of the photographs and write ``sparse/0``.
 
@@ -47,7 +41,7 @@ def run_sfm(capture: CaptureFolder, *, mapper: Mapper = "incremental") -> StepRe
         lambda: _sfm(capture, mapper),
         settings={"mapper": mapper},
         inputs=[capture.images(LEADING), capture.frames_csv, capture.calibration_json],
-        outputs=[capture.sparse / "images.bin", photographs_model(capture) / "images.bin"],
+        outputs=[capture.sparse / "images.bin"],
     )
 
 
@@ -99,7 +93,6 @@ def _sfm(capture: CaptureFolder, mapper: Mapper) -> list[str]:
             raise _no_model(capture, count, lost)
         model = adjusted(models[0], fixed)
         model.extract_colors_for_all_images(images)
-    write_model(model, photographs_model(capture))
     write_model(model, capture.sparse)
     shutil.rmtree(work / "models", ignore_errors=True)
     return _findings(model, count, lost)
