@@ -30,4 +30,4 @@ def test_a_calibrated_lens_holds_for_its_size_only() -> None:
     rows = [FrameRow("rgb", "a.jpg", "a", 400, 300), FrameRow("rgb", "b.jpg", "b", 800, 600)]
     (calibrated, _), (other, _) = cameras_of(rows, lens)
     assert tuple(calibrated.params) == lens.params
-    assert other.model.name == "RADIAL"
+    assert other.model.name == "SIMPLE_RADIAL"

@@ -21,8 +21,8 @@ class CalibrateArguments(CaptureArguments):
 class SfmArguments(CaptureArguments):
     """Find the camera poses of the photographs (structure from motion)."""
 
-    mapper: Literal["incremental", "global"] = "incremental"
-    """COLMAP's mapper: one photograph after the other, or all at once."""
+    mapper: Literal["auto", "incremental", "global"] = "auto"
+    """COLMAP's mapper: one photograph after the other, or all at once; auto tries the second where the first fails."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,23 @@ def run_sfm(arguments: SfmArguments) -> int:
 
 def run_register(arguments: RegisterArguments) -> int:
     """``thermosplat-prepare register``; returns the exit code."""
-    raise _not_yet("register")
+    with importing():
+        from thermosplat.prepare.register import register
+
+    capture = capture_at(arguments.capture)
+    say("register", register(capture))
+    print(f"Next: thermosplat-prepare check {shlex.quote(str(capture.root))}")
+    return 0
 
 
 def find_cameras(capture: "CaptureFolder") -> None:
     """The steps between pairing and checking, of ``thermosplat-prepare FOLDER``: sfm, then register."""
-    raise _not_yet("sfm")
+    with importing():
+        from thermosplat.prepare.register import register
+        from thermosplat.prepare.sfm import run_sfm
+
+    say("sfm", run_sfm(capture))
+    say("register", register(capture))
 
 
 def _not_yet(step: str) -> UserError:

@@ -23,10 +23,12 @@ STAGES = (
     ((*_DIRECTION, "k1"), ((6, 3.0),) * 6),
     (UNKNOWNS, ((4, 1.5),) * 6 + ((3, 0.8),) * 6),
 )
-"""Which unknowns change, and step by step how far an edge is looked for [px] and the scale of the robust weight [px].
+"""Which unknowns change, and step by step how far an edge is looked for and the scale of the robust weight. Both are
+pixels of an image that is 320 px wide: in larger images they are larger, in smaller ones the same.
 The lens follows when the direction is about right: with all unknowns from the start, wrong matches bend it."""
 LEAST_SLOPE = 0.25
 """Slope [contrasts per pixel] below which there is no edge."""
+_WIDTH = 320
 _FEWEST_MATCHES = 200
 _STEP = 0.5
 _MARGIN = 4
@@ -37,7 +39,7 @@ _TRANSLATION = 0.3
 """Usual baseline in median depths, at most."""
 
 
-Stage = tuple[Sequence[str], Sequence[tuple[int, float]]]
+Stage = tuple[Sequence[str], Sequence[tuple[float, float]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,8 @@ def align(
     """
     usual = RigCamera.looking_along(camera.width, camera.height, 1.0)
     information = _prior(edges, camera)
-    steps = [(names, window) for names, windows in stages for window in windows]
+    finer = max(1.0, camera.width / _WIDTH)
+    steps = [(names, (finer * reach, finer * scale)) for names, windows in stages for reach, scale in windows]
     deviations = np.zeros(len(UNKNOWNS))
     with progress_bar("alignment", len(steps)) as advance:
         for names, (reach, scale) in steps:
@@ -142,7 +145,7 @@ def _profiles(
 
 
 def _matches(
-    camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]], reach: int
+    camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]], reach: float
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Edge points that find an edge: their numbers, its offset [px] along the normal, and the normal."""
     chosen, pixels, normals = _projected(camera, edges)

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from thermosplat.prepare.rig_camera import Array, RigCamera
 from thermosplat.prepare.stereo_edges import EdgePoints
 
-WORKING_WIDTH = 128
+WORKING_WIDTH = 96
 """Width [px] at which edges are compared."""
 _FOCAL_LENGTHS = tuple(0.55 * 1.07**step for step in range(28))
 """In image widths: from 85° to 18° of view."""
 _QUARTERS = (0.0, 90.0, 180.0, 270.0)
 _ROLLS = (-6.0, -3.0, 0.0, 3.0, 6.0)
-_COARSE_FRAMES, _FINE_FRAMES = 10, 20
+_COARSE_FRAMES, _FINE_FRAMES = 8, 20
 _SATURATION = 0.1
 """Slope [contrasts per pixel] from which an edge counts fully."""
 _LEAST_COVERED = 0.05

@@ -14,10 +14,8 @@ import pycolmap
 from thermosplat.datasets.lens import Lens
 from thermosplat.prepare.capture_folder import FrameRow
 
-CAMERA_MODEL = "RADIAL"
-"""One focal length, the principal point and two radial terms. Tangential terms trade against the principal point: on
-a rendered rig whose principal point is 4 px off, OPENCV with the point held turns all cameras by 0.29°, RADIAL with
-the point refined by 0.05°."""
+CAMERA_MODEL = "SIMPLE_RADIAL"
+"""One focal length and one radial term while photographs are added: with more, the first few bend the lens."""
 _GUESS = 1.2
 _FILM_DIAGONAL = math.hypot(36, 24)
 
@@ -40,6 +38,14 @@ def cameras_of(
     return [(_camera(rows[0], calibrated), rows) for rows in groups.values()]
 
 
+def guessed_anew(camera: pycolmap.Camera) -> pycolmap.Camera:
+    """The camera with a guess instead of the focal length that EXIF states: it may be of an image that was cropped."""
+    params = [_GUESS * max(camera.width, camera.height), camera.width / 2, camera.height / 2, 0.0]
+    guess = pycolmap.Camera(model=CAMERA_MODEL, params=params, width=camera.width, height=camera.height)
+    guess.camera_id = camera.camera_id
+    return guess
+
+
 def _camera(row: FrameRow, calibrated: Lens | None) -> pycolmap.Camera:
     if calibrated is not None and (calibrated.width, calibrated.height) == (row.width, row.height):
         camera = calibrated.colmap_camera()
@@ -48,7 +54,7 @@ def _camera(row: FrameRow, calibrated: Lens | None) -> pycolmap.Camera:
     focal_length = _GUESS * max(row.width, row.height)
     if row.focal_length_35mm:
         focal_length = row.focal_length_35mm / _FILM_DIAGONAL * math.hypot(row.width, row.height)
-    params = [focal_length, row.width / 2, row.height / 2, 0.0, 0.0]
+    params = [focal_length, row.width / 2, row.height / 2, 0.0]
     camera = pycolmap.Camera(model=CAMERA_MODEL, params=params, width=row.width, height=row.height)
     camera.has_prior_focal_length = bool(row.focal_length_35mm)
     return camera

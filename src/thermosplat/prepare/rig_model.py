@@ -59,9 +59,10 @@ def with_thermal(
             image.frame_id = frame.frame_id
             made.add_image(image)
         made.register_frame(frame.frame_id)
-    for point in model.points3D.values():
-        made.add_point3D(point.xyz, point.track, point.color)
-    made.update_point_3d_errors()
+    for point_id, point in model.points3D.items():
+        made.add_point3D_with_id(point_id, point)
+        for element in point.track.elements:
+            made.images[element.image_id].set_point3D_for_point2D(element.point2D_idx, point_id)
     return made
 
 

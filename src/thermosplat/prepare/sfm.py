@@ -13,7 +13,7 @@ import pycolmap
 from thermosplat.errors import UserError
 from thermosplat.prepare.calibration_file import read_calibration
 from thermosplat.prepare.capture_folder import LEADING, CaptureFolder
-from thermosplat.prepare.mapping import Mapper, MappingOptions, adjusted, map_photographs
+from thermosplat.prepare.mapping import Mapper, adjusted, map_photographs
 from thermosplat.prepare.matching import enter_photographs, extract, match, quiet_colmap
 from thermosplat.prepare.photograph_cameras import cameras_of
 from thermosplat.prepare.steps import StepReport, fingerprint, run_step
@@ -25,12 +25,12 @@ FEWEST_PHOTOGRAPHS = 3
 _RETAKE = "Take more photographs: small steps, each showing most of what the one before shows (docs/capturing.md)."
 
 
-def run_sfm(capture: CaptureFolder, *, mapper: Mapper = "incremental") -> StepReport:
+def run_sfm(capture: CaptureFolder, *, mapper: Mapper = "auto") -> StepReport:
     """Find the poses of the photographs and write ``sparse/0``.
 
     Args:
         capture: The capture; its photographs are imported.
-        mapper: COLMAP's "incremental" or "global" mapping.
+        mapper: COLMAP's "incremental" or "global" mapping, or "auto": global where incremental leaves many out.
 
     Raises:
         UserError: There are too few photographs, or they make no model; with what was found.
@@ -87,7 +87,7 @@ def _sfm(capture: CaptureFolder, mapper: Mapper) -> list[str]:
         enter_photographs(database, cameras)
         extract(database, images)
         match(database)
-        models = map_photographs(database, images, work / "models", count, MappingOptions(mapper, fixed))
+        models = map_photographs(database, images, work / "models", mapper, fixed)
         lost = reasons(database, models)
         if not models:
             raise _no_model(capture, count, lost)

@@ -23,6 +23,9 @@ BEST_ANGLE = 8.0
 _FEWEST_SHARED_POINTS = 30
 _BLOCK, _PENALTY = 5, 8
 """Block size [px] of semi-global matching, and its smoothness penalty per block pixel (OpenCV's documentation)."""
+_OUTLINE, _STEP_OF_OUTLINE = 9, 0.08
+"""An outline is where disparities differ by this share within so many pixels. Warm or cold, things differ from what is
+behind them more often than print differs from print."""
 _LOW, _HIGH = 3.0, 6.0
 """Thresholds of Canny's detector [grey levels per pixel]."""
 _SIDES_LIMIT = 2000
@@ -43,20 +46,6 @@ class EdgePoints:
     frame: NDArray[np.int64]
     points: Array
     along: Array
-
-    def of(self, frames: Sequence[int]) -> "EdgePoints":
-        """The points of some photographs, whose numbers stay."""
-        chosen = np.isin(self.frame, list(frames))
-        return EdgePoints(self.frame[chosen], self.points[chosen], self.along[chosen])
-
-    def thinned(self, most: int) -> "EdgePoints":
-        """At most so many points per photograph, chosen by a fixed seed."""
-        generator = np.random.default_rng(0)
-        chosen = np.concatenate(
-            [generator.permutation(np.flatnonzero(self.frame == frame))[:most] for frame in np.unique(self.frame)]
-            or [np.zeros(0, np.int64)]
-        )
-        return EdgePoints(self.frame[chosen], self.points[chosen], self.along[chosen])
 
 
 def photograph_edges(
@@ -80,12 +69,21 @@ def photograph_edges(
         for number, image in enumerate(images):
             partner = _partner(model, image, images, seen)
             if partner is not None:
-                points, along = _edges(model, image, partner, folder, width)
-                found.append(EdgePoints(np.full(len(points), number), points, along).thinned(most))
+                points, along, outline = _edges(model, image, partner, folder, width)
+                chosen = _chosen(outline, most)
+                found.append(EdgePoints(np.full(len(chosen), number), points[chosen], along[chosen]))
             advance(1)
     empty = EdgePoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
     parts = [empty, *found]
     return EdgePoints(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("frame", "points", "along")))
+
+
+def _chosen(outline: NDArray[np.bool_], most: int) -> NDArray[np.int64]:
+    """At most so many points by a fixed seed: half of them on outlines, if there are so many."""
+    generator = np.random.default_rng(0)
+    on, off = (generator.permutation(np.flatnonzero(kind)) for kind in (outline, ~outline))
+    first = on[: max(most // 2, most - len(off))]
+    return np.concatenate([first, off[: most - len(first)]])
 
 
 def _points_of(image: pycolmap.Image) -> set[int]:
@@ -127,8 +125,8 @@ class _Box:
 
 def _edges(
     model: pycolmap.Reconstruction, image: pycolmap.Image, partner: pycolmap.Image, folder: Path, width: int
-) -> tuple[Array, Array]:
-    """Edge points of one photograph, and the points along their edges, in its camera's axes."""
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Edge points of one photograph, points along their edges, in its camera's axes, and which are on outlines."""
     camera = model.cameras[image.camera_id]
     f = camera.mean_focal_length() * min(1.0, width / camera.width)
     left_axes, right_axes, baseline = _rectifying(image, partner)
@@ -155,11 +153,14 @@ def _edges(
     )
     disparity = matcher.compute(left, right).astype(np.float32) / 16
     disparity[disparity <= max(least, 0.5)] = 0
-    in_front = cv2.dilate(disparity, np.ones((_BLOCK, _BLOCK), np.uint8))
+    around = np.ones((_BLOCK, _BLOCK), np.uint8)
+    in_front = cv2.dilate(disparity, around)
+    behind = cv2.erode(np.where(disparity > 0, disparity, np.float32(1e6)), np.ones((_OUTLINE, _OUTLINE), np.uint8))
     pixels, normals = _canny(left, in_front > 0)
     at = np.floor(pixels).astype(int)
-    nearest = in_front[at[:, 1], at[:, 0]]
-    pixels, normals, nearest = pixels[nearest > 0], normals[nearest > 0], nearest[nearest > 0]
+    nearest, farthest = (disparities[at[:, 1], at[:, 0]] for disparities in (in_front, behind))
+    pixels, normals, farthest, nearest = (kept[nearest > 0] for kept in (pixels, normals, farthest, nearest))
+    outline = nearest - farthest > np.maximum(_STEP_OF_OUTLINE * nearest, 1.5)
     depth = f * baseline / nearest
     tangents = np.column_stack([-normals[:, 1], normals[:, 0]])
     corner = np.array([box.left, box.top])
@@ -167,7 +168,7 @@ def _edges(
         np.column_stack([(p + corner) / f, np.ones(len(p))]) * depth[:, None] @ left_axes
         for p in (pixels, pixels + 2 * tangents)
     )
-    return points, along
+    return points, along, outline
 
 
 def _rectifying(image: pycolmap.Image, partner: pycolmap.Image) -> tuple[Array, Array, float]:
