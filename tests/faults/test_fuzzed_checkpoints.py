@@ -1,6 +1,6 @@
 """Damaged and edited checkpoints: a result or one sentence, never a traceback, a hang, or content that changed unseen.
 
-    THERMOSPLAT_FUZZ_CASES=2000 pytest tests/faults/test_fuzzed_checkpoints.py
+    THERMOSPLAT_FUZZ_CASES=2000 pytest -s tests/faults/test_fuzzed_checkpoints.py --timeout 0 -o faulthandler_timeout=0
 
 Each case has a number, which is its seed, so that one that fails can be repeated alone.
 """
@@ -33,7 +33,7 @@ CASES = int(os.environ.get("THERMOSPLAT_FUZZ_CASES", "120"))
 STEP = 3
 CONFIG = toy_run_config()
 LIMIT_SECONDS = 5.0
-"""For a case."""
+"""Of a processor, for a case: a busy machine takes longer."""
 LIMIT_BYTES = 2 * 2**30
 """Of memory, for all of them together."""
 
@@ -192,7 +192,7 @@ def test_fuzzed_checkpoints(original: Path, capture: Capture, tmp_path: Path) ->
         path.write_bytes(content if damage is None else damage(content, chance))
         if damage is None:
             chance.choice(EDITS)(path, chance)
-        started = time.monotonic()
+        started = time.process_time()
         try:
             if damage is None:
                 used(run, capture)
@@ -200,9 +200,11 @@ def test_fuzzed_checkpoints(original: Path, capture: Capture, tmp_path: Path) ->
                 refused += not unchanged_or_refused(path, before, run)
         except Exception as error:
             failed.append(f"case {case}: {type(error).__name__}: {error}")
-        if time.monotonic() - started > LIMIT_SECONDS:
-            failed.append(f"case {case}: {time.monotonic() - started:.1f} s")
+        if time.process_time() - started > LIMIT_SECONDS:
+            failed.append(f"case {case}: {time.process_time() - started:.1f} s")
         shutil.rmtree(run)
+        if case % 200 == 199:
+            print(f"{case + 1} cases, failed: {failed}", flush=True)
     assert not failed
     assert refused > 0.4 * (CASES // 2)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 < LIMIT_BYTES

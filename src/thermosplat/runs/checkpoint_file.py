@@ -83,6 +83,15 @@ def on_host(state: Any) -> Any:
     return state
 
 
+def num_stored_bytes(state: Any) -> int:
+    """Bytes of the tensors in a checkpoint's content; its file is a little larger."""
+    if isinstance(state, torch.Tensor):
+        return state.numel() * state.element_size()
+    if isinstance(state, dict):
+        return sum(map(num_stored_bytes, state.values()))
+    return sum(map(num_stored_bytes, state)) if isinstance(state, list | tuple) else 0
+
+
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoint:
     """Read a checkpoint.
 

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -131,6 +132,25 @@ def test_older_checkpoints_make_room_for_the_last_one(tmp_path: Path, monkeypatc
     with pytest.raises(NotWrittenError, match="Could not write"):
         writer.write_last(run, run.checkpoint(20), {"room": 0})
     assert [path.name for path in run.checkpoints()] == ["step_000012.pt"]
+
+
+def test_no_checkpoint_is_deleted_in_vain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the older ones together are too small for the last one, all of them stay."""
+    run = RunDirectory.create(tmp_path)
+    for step in (4, 8, 10):
+        run.checkpoint(step).write_bytes(b"x" * 100)
+
+    def save(path: Path, state: dict[str, Any]) -> Path:
+        raise NotWrittenError(f"Could not write {path}.") from OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(checkpoint_writer, "save_checkpoint", save)
+    monkeypatch.setattr(checkpoint_writer.shutil, "disk_usage", lambda path: SimpleNamespace(free=50))
+    with pytest.raises(NotWrittenError):
+        CheckpointWriter(print).write_last(run, run.checkpoint(20), {"means": torch.zeros(63)})
+    assert len(run.checkpoints()) == 3
+    with pytest.raises(NotWrittenError):
+        CheckpointWriter(print).write_last(run, run.checkpoint(20), {"means": torch.zeros(62)})
+    assert len(run.checkpoints()) == 2
 
 
 def test_a_disk_that_cannot_be_written_to_costs_no_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ A write that is under way holds a copy of the state in the host's memory, and no
 while training goes on is said and no more: the state is in memory, and space may be free at the next step that saves.
 """
 
+import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import Any
 
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import NotWrittenError
-from thermosplat.runs.checkpoint_file import on_host, save_checkpoint
+from thermosplat.runs.checkpoint_file import num_stored_bytes, on_host, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.session.interruption import deferred_interrupts
 
@@ -72,7 +73,8 @@ class CheckpointWriter:
     def write_last(self, run: RunDirectory, path: Path, state: dict[str, Any]) -> Path:
         """As ``write``, of the last checkpoint of a training: on a full disk older ones make room for it.
 
-        The oldest goes first. The newest stays, from which the run could go on if there were no room at all.
+        The oldest goes first. The newest stays, from which the run could go on. Where all others together do not make
+        enough room, none goes.
 
         Args:
             run: The run.
@@ -83,11 +85,13 @@ class CheckpointWriter:
             NotWrittenError: If it could not be written.
         """
         older = [file for file in run.checkpoints() if file != path][:-1]
+        needed = num_stored_bytes(state)
         while True:
             try:
                 return self.write(path, state)
             except NotWrittenError as error:
-                if not error.disk_is_full or not older:
+                room = shutil.disk_usage(run.ckpts).free + sum(file.stat().st_size for file in older)
+                if not error.disk_is_full or not older or room < needed:
                     raise
                 oldest = older.pop(0)
                 oldest.unlink(missing_ok=True)
