@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_folders import celsius, centikelvin, scene, write_photograph, write_two_cameras, write_values
+from camera_folders import celsius, centikelvin, exif_segment, scene, write_photograph, write_two_cameras, write_values
 from flir_jpeg import write_flir_jpeg
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
@@ -65,10 +65,14 @@ def test_arrangements(tmp_path: Path, capture: CaptureFolder, photograph: str, t
 def test_flir_files_alone(tmp_path: Path, capture: CaptureFolder) -> None:
     """Photographs come out of the radiometric files, under the names of their thermal images."""
     for number in range(5):
-        write_flir_jpeg(tmp_path / "in" / f"FLIR{number:04d}.jpg", COUNTS + number, photograph=scene(number, 96, 72))
+        path = tmp_path / "in" / f"FLIR{number:04d}.jpg"
+        content = write_flir_jpeg(path, COUNTS + number, photograph=scene(number, 96, 72)).read_bytes()
+        path.write_bytes(content[:2] + exif_segment(make="FLIR", focal_length=6.5) + content[2:])
     import_files(tmp_path / "in", capture)
     assert names(capture, "rgb") == [f"FLIR{number:04d}.jpg" for number in range(5)]
     assert [Path(name).stem for name in names(capture, "thermal")] == [f"FLIR{number:04d}" for number in range(5)]
+    assert {row.focal_length_mm for row in capture.read_frames("rgb")} == {None}  # EXIF has the thermal lens's
+    assert {row.focal_length_mm for row in capture.read_frames("thermal")} == {6.5}
     shown = read_image(capture.images("rgb") / "FLIR0003.jpg")
     assert np.abs(shown.astype(int) - scene(3, 96, 72)).mean() < 8
 

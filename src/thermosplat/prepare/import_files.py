@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -167,7 +167,8 @@ def _find(folder: Path | None, capture: CaptureFolder, options: ImportOptions) -
     if photographs < LEAST_PHOTOGRAPHS:
         raise UserError(
             f"{photographs} usable photographs were found in {folder or options.folders[LEADING]}; "
-            f"a scene needs at least {LEAST_PHOTOGRAPHS}, from different places, and 30 or more to look good.",
+            f"a scene needs at least {LEAST_PHOTOGRAPHS}, from different places, and 30 or more to look good."
+            f"{''.join(f' {sentence}' for sentence in sentences)}",
             "Take more (docs/capturing.md), or name the right folders: --rgb DIR --thermal DIR",
         )
     return Groups({spectrum: tuple(files) for spectrum, files in found.items()}), sentences
@@ -261,7 +262,8 @@ def _embedded(capture: CaptureFolder, files: Sequence[SourceFile], thermal: Sequ
         target = capture.images(LEADING) / f"{PurePosixPath(row.file).stem}{ending}"
         write_whole(target, content)
         height, width = read_image(target).shape[:2]
-        rows.append(file.row(LEADING, target.name, width, height))
+        photograph = file.row(LEADING, target.name, width, height)
+        rows.append(replace(photograph, focal_length_mm=None, focal_length_35mm=None))  # EXIF has the thermal lens's
     return rows
 
 

@@ -23,6 +23,8 @@ Pairs = list[tuple[FrameRow, FrameRow]]
 _ENOUGH = 0.8
 """Share of the rarer spectrum's images that a rule must pair to be taken without being asked for."""
 _SHOWN = 5
+_EQUAL_CLOCKS = 0.05
+"""Difference [s] up to which two clocks agree."""
 
 
 def pair_frames(capture: CaptureFolder, rule: Rule = "auto") -> StepReport:
@@ -135,6 +137,8 @@ def _clock_of(pairs: Pairs) -> str:
     if not differences:
         return ""
     middle = differences[len(differences) // 2]
+    if abs(middle) < _EQUAL_CLOCKS:
+        return ""
     return f"; the thermal clock is {_ahead(middle)}"
 
 
@@ -173,7 +177,7 @@ def seconds(row: FrameRow) -> float | None:
 
 
 def _ahead(difference: float) -> str:
-    if abs(difference) < 0.05:
+    if abs(difference) < _EQUAL_CLOCKS:
         return "with that of the photographs"
     return f"{abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} that of the photographs"
 
