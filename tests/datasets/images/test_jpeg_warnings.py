@@ -1,6 +1,7 @@
 """JPEG files whose decoder fills what is missing are refused by name."""
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -43,6 +44,16 @@ def test_zeroed_data_is_refused_by_name(tmp_path, capfd, progressive):
         check_jpegs([good, bad])
     with pytest.raises(UserError, match=r"bad\.jpg"):  # not only the first time
         check_jpegs([good, bad])
+
+
+@pytest.mark.parametrize(("count", "is_damage"), [(1, False), (16, False), (40, True), (400, True)])
+def test_a_few_bytes_before_the_end_mark_are_no_damage(tmp_path, capfd, count, is_damage):
+    """Phones write them; the picture is whole. Many are what is left of a picture that lost its place."""
+    content = jpeg(0)
+    (path,) = written(tmp_path, phone=content[:-2] + b"\x55" * count + content[-2:])
+    with pytest.raises(UserError, match=r"phone\.jpg is damaged") if is_damage else nullcontext():
+        check_jpegs([path])
+    capfd.readouterr()
 
 
 @pytest.mark.parametrize("spectrum", ["images", "thermal"])

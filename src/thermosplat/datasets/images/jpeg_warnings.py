@@ -5,6 +5,7 @@ their size, and its standard error is read. Other threads' output is not touched
 """
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -21,6 +22,9 @@ _DAMAGE = (b"Corrupt JPEG data", b"Premature end", b"Inconsistent progression")
 """How libjpeg's warnings about the picture begin; others are about its description."""
 _NO_DAMAGE = b"ICC"
 """In a warning about a colour profile, which is not used."""
+_EXTRANEOUS = re.compile(rb"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
+_TOLERATED = 16
+"""Bytes between the picture's data and the end mark (0xd9) that are no damage: cameras and phones write a few there."""
 _Stamp = tuple[str, int, int]
 _whole: set[_Stamp] = set()
 """Files of this process that were found whole, with the time of their last change and their size."""
@@ -76,7 +80,15 @@ def _warnings(paths: Sequence[Path]) -> dict[Path, str]:
         )
     warned = {}
     for path, said in zip(paths, parts):
-        lines = [line for line in said.splitlines() if line.startswith(_DAMAGE) and _NO_DAMAGE not in line]
+        lines = [line for line in said.splitlines() if _tells_damage(line)]
         if lines:
             warned[path] = lines[0].decode(errors="replace")
     return warned
+
+
+def _tells_damage(line: bytes) -> bool:
+    """Whether a warning means that pixels are wrong."""
+    if not line.startswith(_DAMAGE) or _NO_DAMAGE in line:
+        return False
+    extraneous = _EXTRANEOUS.match(line)
+    return extraneous is None or int(extraneous[1]) > _TOLERATED
