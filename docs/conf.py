@@ -49,7 +49,7 @@ SIDEBAR = {
         "docs/results",
         "docs/accuracy",
     ],
-    "Understand": ["docs/method", "docs/kernels", "docs/migrating"],
+    "Understand": ["docs/method", "docs/kernels", "docs/warp", "docs/migrating"],
     "Reference": ["docs/api/*"],
     "Contribute": [
         "CONTRIBUTING",
