@@ -33,8 +33,8 @@ def test_without_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "pattern"),
     [
-        ("refine: [", "not readable YAML"),
-        ("[]", "may have the settings refine and spectra only"),
+        ("refine: [", "train.yaml cannot be read as YAML"),
+        ("[]", "train.yaml"),
         ("result_dir: /elsewhere", "may have the settings refine and spectra only"),
         ("spectra: {thermal: {palette: /etc/passwd}}", "of thermal it may have exposure, unit, range only"),
         ("spectra: {nir: {unit: counts}}", "of a known spectrum"),

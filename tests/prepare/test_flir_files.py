@@ -82,6 +82,12 @@ def test_damaged_files(tmp_path: Path) -> None:
     path.write_bytes(content[: at + 2] + b"\xff\x7f" + content[at + 4 :])  # a width of 32,767 px
     with pytest.raises(UserError, match=r"radiometric data in .*short.jpg is damaged"):
         read_flir(path)
+    path = write_flir_jpeg(tmp_path / "bomb.jpg", COUNTS, storage="png")
+    content = path.read_bytes()
+    at = content.index(b"\x89PNG") + 16
+    path.write_bytes(content[:at] + b"\0\0\xff\xff\0\0\xff\xff" + content[at + 8 :])  # a PNG of 4 gigapixels
+    with pytest.raises(UserError, match=r"bomb.jpg is damaged: its image is not one of 64x48 px"):
+        read_flir(path)
     with pytest.raises(UserError, match=r"dark.jpg: The radiometric calibration is impossible: emissivity"):
         read_flir(write_flir_jpeg(tmp_path / "dark.jpg", COUNTS, camera={0x20: 0.0}))
     (tmp_path / "plain.jpg").write_bytes(cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes())

@@ -9,11 +9,10 @@ import os
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from thermosplat.config.checks import check_config
 from thermosplat.config.schema import TrainConfig
 from thermosplat.config.values import fill
+from thermosplat.config.yaml_files import read_yaml
 from thermosplat.errors import UserError
 
 RECOMMENDED = "train.yaml"
@@ -39,17 +38,17 @@ def with_recommendations(preset: TrainConfig, data: str) -> tuple[TrainConfig, P
         return preset, None
     hint = f"Correct or remove it; thermosplat-prepare check {path.parent} writes it again."
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise UserError(f"{path} is not readable YAML.", hint) from error
+        values = read_yaml(path)
+    except UserError as error:
+        raise UserError(error.message, hint) from error
     _refuse_others(values, preset, path, hint)
     config = fill(preset, values, source=str(path))
     check_config(dataclasses.replace(config, data=config.data or data), source=str(path))
     return config, path
 
 
-def _refuse_others(values: Any, preset: TrainConfig, path: Path, hint: str) -> None:
-    if not isinstance(values, dict) or not set(values) <= set(_GROUPS):
+def _refuse_others(values: dict[str, Any], preset: TrainConfig, path: Path, hint: str) -> None:
+    if not set(values) <= set(_GROUPS):
         raise UserError(f"{path} may have the settings {' and '.join(_GROUPS)} only.", hint)
     spectra = values.get("spectra", {})
     for name, group in spectra.items() if isinstance(spectra, dict) else ():

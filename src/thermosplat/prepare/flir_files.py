@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.images.flir_metadata import fff_file, fff_record
+from thermosplat.datasets.images.image_bytes import LARGEST, read_regular_file
 from thermosplat.errors import UserError
 from thermosplat.thermal.planck_counts import RadiometricCamera
 
@@ -80,12 +81,11 @@ def read_flir(path: Path) -> FlirImage:
         UserError: The file cannot be read, or its radiometric data is missing or damaged.
     """
     try:
-        fff = fff_file(path.read_bytes())
+        fff = fff_file(read_regular_file(path))
         counts, camera = _counts(fff_record(fff, _RAW)), _camera(fff_record(fff, _CAMERA))
-    except OSError as error:
-        raise UserError(f"Cannot read {path}: {error.strerror or error}.") from error
     except UserError as error:
-        raise UserError(f"{path}: {error.message}", error.hint) from error
+        named = error.message if str(path) in error.message else f"{path}: {error.message}"
+        raise UserError(named, error.hint) from error
     except (struct.error, LookupError, ValueError) as error:
         raise UserError(
             f"The radiometric data in {path} is damaged: {error}",
@@ -102,11 +102,11 @@ def _counts(record: bytes) -> NDArray[np.uint16]:
     order = _order(record)
     width, height = struct.unpack_from(order + "HH", record, 2)
     pixels = record[_PIXELS_AT:]
+    if 2 * width * height > LARGEST or _claimed_size(pixels) not in (None, (width, height)):
+        raise ValueError(f"its image is not one of {width}x{height} px with 16 bits.")  # before memory is taken
     if pixels.startswith(b"\x89PNG"):
         image: Any = cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_UNCHANGED)
         counts = None if image is None else image.byteswap()  # FLIR writes them in the other order than PNG says
-    elif pixels[:4] in (b"II*\0", b"MM\0*"):
-        counts = cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_UNCHANGED)
     elif pixels.startswith(_JPEG_LS):
         counts = _decode_jpeg_ls(pixels)
     else:
@@ -116,6 +116,16 @@ def _counts(record: bytes) -> NDArray[np.uint16]:
     if counts is None or counts.dtype != np.uint16 or counts.shape != (height, width) or counts.size == 0:
         raise ValueError(f"its image is not one of {width}x{height} px with 16 bits.")
     return counts
+
+
+def _claimed_size(pixels: bytes) -> tuple[int, int] | None:
+    """Width and height that a compressed image's header states; None for plain pixels."""
+    if pixels.startswith(b"\x89PNG"):
+        return struct.unpack_from(">II", pixels, 16)
+    if pixels.startswith(_JPEG_LS):
+        height, width = struct.unpack_from(">HH", pixels, 7)
+        return width, height
+    return None
 
 
 def _decode_jpeg_ls(pixels: bytes) -> NDArray[np.uint16]:

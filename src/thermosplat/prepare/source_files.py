@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
+from thermosplat.datasets.images.image_bytes import read_regular_file
 from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES, list_images, read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import FrameRow
@@ -154,7 +155,7 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
         header = read_header(path)
         kind: Kind = "values" if header.is_radiometric else "grey" if header.channels == 1 else "color"
         if path.suffix.lower() in (".jpg", ".jpeg"):
-            content = path.read_bytes()
+            content = read_regular_file(path)
             exif = parse_exif(content)
             if not is_whole_jpeg(content):
                 return "it is cut off"
