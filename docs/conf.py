@@ -42,6 +42,7 @@ SIDEBAR = {
         "docs/prepar*",
         "docs/data-layouts",
         "docs/spectra",
+        "docs/exports",
         "docs/conventions",
         "docs/comparing-methods",
         "docs/troubleshooting",

@@ -1,6 +1,7 @@
 """thermosplat-eval, -render and -export on runs on the sample capture; every mistake ends with code 2."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from importlib.resources import files
@@ -178,12 +179,49 @@ def test_render_along_a_path(run: Run, finished: Path) -> None:
 
 def test_export_elsewhere(run: Run, finished: Path, tmp_path: Path) -> None:
     """thermosplat-export writes the asked-for spectrum into the asked-for folder, the same as training did."""
-    code, printed = run(export.main, finished, "--spectra", "thermal", "--output", tmp_path / "out")
+    unfitted = ["--fit-passes", 0]
+    code, printed = run(export.main, finished, "--spectra", "thermal", "--output", tmp_path / "out", *unfitted)
     assert code == 0
     assert "Gaussians" in printed
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["splat_thermal.ply"]
     original = finished / "ply" / "splat_thermal.ply"
     assert (tmp_path / "out" / "splat_thermal.ply").read_bytes() == original.read_bytes()
-    assert run(export.main, finished, "--modality", "thermal", "--output", tmp_path / "small", "--compact")[0] == 0
+    assert (
+        run(export.main, finished, "--modality", "thermal", "--output", tmp_path / "small", "--compact", *unfitted)[0]
+        == 0
+    )
     small = tmp_path / "small" / "splat_thermal.ply"
     assert small.stat().st_size < 0.35 * original.stat().st_size  # 17 of 62 properties
+
+
+def test_export_fits_colors(run: Run, finished: Path, tmp_path: Path) -> None:
+    """The fit is on unless it is switched off; both distances from the exact render are printed."""
+    code, printed = run(export.main, finished, "--spectra", "rgb", "--output", tmp_path, "--fit-passes", 1)
+    assert code == 0
+    before, after = (float(re.search(rf"([\d.]+) dB {word}", printed)[1]) for word in ("before the fit", "from the"))
+    assert after > before
+    assert (tmp_path / "splat_rgb.ply").read_bytes() != (finished / "ply" / "splat_rgb.ply").read_bytes()
+
+
+def test_export_of_other_formats(run: Run, finished: Path) -> None:
+    """They lie in exports/; values are a setting of PLY."""
+    code, _ = run(export.main, finished, "--format", "spz", "--fit-passes", 0)
+    assert code == 0
+    assert {path.name for path in (finished / "exports").iterdir()} == {"splat_rgb.spz", "splat_thermal.spz"}
+    code, printed = run(export.main, finished, "--format", "glb", "--values")
+    assert code == 2
+    assert "--values is a setting of PLY, not of glb." in printed
+    code, printed = run(export.main, finished, "--fit-passes", -1)
+    assert code == 2
+    assert "--fit-passes must be at least 0, found -1." in printed
+
+
+def test_export_of_values(run: Run, finished: Path, tmp_path: Path) -> None:
+    """Every file has the temperatures that CloudCompare shows, within the range of the palette."""
+    plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install ".[test]")')
+    assert run(export.main, finished, "--values", "--fit-passes", 0, "--output", tmp_path)[0] == 0
+    for name in ("rgb", "thermal"):
+        vertex = plyfile.PlyData.read(str(tmp_path / f"splat_{name}.ply"))["vertex"]
+        celsius = vertex["scalar_thermal_celsius"]
+        assert -50 < celsius.min() <= celsius.max() < 200
+        assert celsius.std() > 0

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from thermosplat.export.ply import Splats, write_splats
+from splat_scenes import random_splats
+from thermosplat.export.ply import write_splats
 
 plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install ".[test]")')
 
@@ -16,23 +17,6 @@ INRIA_ORDER = (
     + [f"f_rest_{i}" for i in range(45)]
     + ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
 )
-
-
-def random_splats(count: int, sh_degree: int) -> Splats:
-    generator = torch.Generator().manual_seed(1)
-
-    def normal(*shape: int) -> torch.Tensor:
-        return torch.randn(*shape, generator=generator)
-
-    bases = (sh_degree + 1) ** 2
-    return Splats(
-        normal(count, 3),
-        normal(count, 4),
-        normal(count, 3),
-        normal(count),
-        normal(count, 1, 3),
-        normal(count, bases - 1, 3),
-    )
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1, 3])
@@ -100,3 +84,15 @@ def test_empty_scene(tmp_path: Path) -> None:
     """No Gaussians make a valid file with no vertices."""
     written = write_splats(tmp_path / "splat.ply", random_splats(0, 2))
     assert plyfile.PlyData.read(str(written.path))["vertex"].count == 0
+
+
+def test_scalars_follow_the_properties(tmp_path: Path) -> None:
+    """Further values, of the Gaussians that are written, stand behind what viewers of splats read."""
+    splats = random_splats(7, 1)
+    splats.logit_opacities[:] = 0.0
+    splats.means[2] = torch.nan
+    celsius = torch.arange(7.0) + 20.0
+    written = write_splats(tmp_path / "splat.ply", splats, scalars={"scalar_thermal_celsius": celsius})
+    vertex = plyfile.PlyData.read(str(written.path))["vertex"]
+    assert [prop.name for prop in vertex.properties] == [*INRIA_ORDER, "scalar_thermal_celsius"]
+    np.testing.assert_array_equal(vertex["scalar_thermal_celsius"], [20, 21, 23, 24, 25, 26])

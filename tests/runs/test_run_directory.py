@@ -46,6 +46,7 @@ def test_overwrite_leaves_what_other_trainers_wrote(tmp_path: Path) -> None:
         *("stats/eval_000100_shed.json", "stats/regions_000100_shed.json", "renders/eval_000100/b.png"),
         *("renders/eval_000100_shed/b.png", "ply/splat_rgb.ply", "videos/ellipse_both_000100.mp4"),
         *("ply/splat_nir.ply", "videos/interp_rgb-nir-red_edge_000100.mp4", "refined/cameras.txt"),
+        *("exports/splat_rgb.compressed.ply", "exports/orthomosaic_thermal.tif"),
         *("stats/.eval_000100.0123456789abcdef.tmp.json", "renders/eval_000100/.a.0123456789abcdef.tmp.png"),
         *("videos/test_rgb_000100_shed/desk_0001.png", "tb/events.out.tfevents.17.host.1.0.thermosplat", "config.yaml"),
     ]
@@ -53,6 +54,7 @@ def test_overwrite_leaves_what_other_trainers_wrote(tmp_path: Path) -> None:
         *("ckpts/ckpt_6999_rank0.pt", "stats/val_step6999.json", "renders/val_step6999_0000.png", "renders/mine/b.png"),
         *(
             "ply/point_cloud_6999.ply",
+            "exports/scene.glb",
             "videos/traj_6999.mp4",
             "videos/train_my_clip_1.mp4",
             "tb/events.out.tfevents.17.host.1.0",
@@ -68,7 +70,7 @@ def test_overwrite_leaves_what_other_trainers_wrote(tmp_path: Path) -> None:
     assert not (tmp_path / "renders" / "eval_000100").exists()
 
 
-@pytest.mark.parametrize("folder", ["ckpts", "stats", "renders", "ply", "videos", "refined", "tb"])
+@pytest.mark.parametrize("folder", ["ckpts", "stats", "renders", "ply", "exports", "videos", "refined", "tb"])
 def test_nothing_is_deleted_or_written_through_a_link(tmp_path: Path, folder: str) -> None:
     """A folder of the run that leads outside is refused by --overwrite and by what writes there."""
     run = _finished_run(tmp_path / "run")
@@ -174,7 +176,7 @@ def test_folders_exist_when_asked_for(tmp_path: Path) -> None:
     """Every folder property gives a folder one can write into, of its own name."""
     run = RunDirectory.create(tmp_path)
     assert list(tmp_path.iterdir()) == []
-    for name in ("ckpts", "stats", "renders", "ply", "videos", "tb"):
+    for name in ("ckpts", "stats", "renders", "ply", "exports", "videos", "tb"):
         assert getattr(run, name).is_dir()
         assert getattr(run, name).name == name
 

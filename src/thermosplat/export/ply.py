@@ -5,15 +5,14 @@ to 3 channel by channel (padded with zeros where the model has fewer), opacity a
 the wxyz quaternion. Positions are in the frame of the capture's own camera poses (COLMAP's, for a COLMAP model).
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from thermosplat.export.splats import Splats, WrittenSplats, is_drawable, used_coefficients
 from thermosplat.runs.atomic_writes import write_atomically
-from thermosplat.scene.packed_parameters import sh_degrees
 from warp_kernels.constants import SH_DEGREE_MAX
 
 REST_COEFFICIENTS = (SH_DEGREE_MAX + 1) ** 2 - 1  # SH degrees 1 to the highest
@@ -36,42 +35,17 @@ def properties(rest_coefficients: int) -> tuple[str, ...]:
 
 
 PROPERTIES = properties(REST_COEFFICIENTS)
-INVISIBLE_OPACITY = 1.0 / 255.0
-"""Fainter Gaussians never reach the renderer's smallest blended alpha, 1/255 (3DGS, gsplat)."""
-
-
-@dataclass(frozen=True)
-class Splats:
-    """Gaussians that carry spherical-harmonic colours only: what a third-party viewer can draw."""
-
-    means: Tensor
-    """Centres [world units], shape [N, 3]."""
-    quats: Tensor
-    """Rotations wxyz, not necessarily normalised, shape [N, 4]."""
-    log_scales: Tensor
-    """Logarithms of the standard deviations [world units], shape [N, 3]."""
-    logit_opacities: Tensor
-    """Opacities before the sigmoid, shape [N]."""
-    sh0: Tensor
-    """SH coefficients of degree 0, shape [N, 1, 3]."""
-    shN: Tensor
-    """SH coefficients of degrees 1 and up, shape [N, K-1, 3], K <= 16."""
-
-
-@dataclass(frozen=True)
-class WrittenPly:
-    """What became of the Gaussians."""
-
-    path: Path
-    """The file."""
-    num_gaussians: int
-    """Gaussians in the file."""
-    num_dropped: int
-    """Gaussians left out: a value that is not finite, or an opacity below 1/255."""
 
 
 @torch.no_grad()
-def write_splats(path: Path, splats: Splats, comments: Iterable[str] = (), *, compact: bool = False) -> WrittenPly:
+def write_splats(
+    path: Path,
+    splats: Splats,
+    comments: Iterable[str] = (),
+    *,
+    compact: bool = False,
+    scalars: Mapping[str, Tensor] | None = None,
+) -> WrittenSplats:
     """Write Gaussians as PLY; the file appears at once and whole.
 
     Args:
@@ -79,15 +53,20 @@ def write_splats(path: Path, splats: Splats, comments: Iterable[str] = (), *, co
         splats: The Gaussians.
         comments: Lines for the header; text outside ASCII is written as "?".
         compact: Leave out the SH degrees that are zero everywhere.
+        scalars: Further properties by name, [N] each, behind the others. CloudCompare shows them as scalar fields
+            where their names begin with "scalar_". Some viewers want the 62 properties and no more.
 
     Returns:
         The path and how many Gaussians went in and were left out.
     """
-    rest = _used_coefficients(splats.shN) if compact else REST_COEFFICIENTS
+    rest = used_coefficients(splats.shN) if compact else REST_COEFFICIENTS
     table = _table(splats, rest)
-    drawable = _drawable(table, splats.logit_opacities).cpu().numpy()
+    drawable = is_drawable(table, splats.logit_opacities).cpu().numpy()
+    further = scalars or {}
+    if further:
+        table = torch.cat([table, *(values[:, None].to(table) for values in further.values())], dim=1)
     rows = table.cpu().numpy()[drawable].astype("<f4", copy=False)  # chosen on the host: no second table on the device
-    header = _header(len(rows), comments, properties(rest))
+    header = _header(len(rows), comments, (*properties(rest), *further))
 
     def write(temporary: Path) -> None:
         with temporary.open("wb") as file:
@@ -95,13 +74,7 @@ def write_splats(path: Path, splats: Splats, comments: Iterable[str] = (), *, co
             file.write(rows.data)  # as they lie in memory: so large a write goes past the file's buffer
 
     write_atomically(path, write)
-    return WrittenPly(path, len(rows), len(table) - len(rows))
-
-
-def _used_coefficients(shN: Tensor) -> int:
-    """Coefficients of a channel above degree 0, up to the highest degree that is not zero everywhere."""
-    degree = int(sh_degrees(shN).max()) if shN.numel() > 0 else 0
-    return (degree + 1) ** 2 - 1
+    return WrittenSplats(path, len(rows), len(table) - len(rows))
 
 
 def _table(splats: Splats, rest_coefficients: int) -> Tensor:
@@ -120,14 +93,17 @@ def _table(splats: Splats, rest_coefficients: int) -> Tensor:
     return table
 
 
-def _drawable(table: Tensor, logit_opacities: Tensor) -> Tensor:
-    """Mask [N] of the rows that a viewer can show: all values finite, and not too faint."""
-    lowest, highest = torch.aminmax(table, dim=1)  # NaN where there is one
-    return torch.isfinite(lowest) & torch.isfinite(highest) & (torch.sigmoid(logit_opacities) >= INVISIBLE_OPACITY)
-
-
 def _header(count: int, comments: Iterable[str], names: Iterable[str]) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0"]
-    lines += [f"comment {' '.join(comment.split())}" for comment in comments]
+    lines += comment_lines(comments)
     lines += [f"element vertex {count}", *(f"property float {name}" for name in names), "end_header"]
     return ("\n".join(lines) + "\n").encode("ascii", errors="replace")
+
+
+def comment_lines(comments: Iterable[str]) -> list[str]:
+    """Lines of a PLY header that say something to people.
+
+    Args:
+        comments: What they say; line ends become spaces.
+    """
+    return [f"comment {' '.join(comment.split())}" for comment in comments]

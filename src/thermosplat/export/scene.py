@@ -3,27 +3,33 @@
 The model decodes features per pixel, after blending; a PLY holds a colour per Gaussian, before blending. What the file
 carries is therefore an approximation wherever there are decoders: each Gaussian's own features are decoded as if they
 alone filled a pixel (A_f = f). A hybrid photograph adds that decoded colour to the SH colour; other spectra have the
-decoded colour only, seen at their own opacity. Scenes without decoders are exported exactly.
+decoded colour only, seen at their own opacity. Scenes without decoders are exported exactly. ``fitted_colors`` makes
+the approximation a better one.
 """
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.export.ply import Splats, WrittenPly, write_splats
-from thermosplat.scene.gaussians import SH_C0, Gaussians
+from thermosplat.export.ply import write_splats
+from thermosplat.export.splats import Splats, WrittenSplats
+from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import label
+from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 
 SceneSplats = dict[str, tuple[Splats, list[str]]]
 """By spectrum Gaussians, of tensors of their own, and the comments of the file's header."""
 Scales = Mapping[str, PixelScale]
+Colors = Literal["palette", "scalar"]
+"""How a spectrum that is no photograph is shown: in the colours of its palette, or as its intensity, black to white."""
 
 
 def export_scene(
@@ -33,7 +39,7 @@ def export_scene(
     scales: Scales,
     spectra: Iterable[str] | None = None,
     compact: bool = False,
-) -> dict[str, WrittenPly]:
+) -> dict[str, WrittenSplats]:
     """Write ``splat_<spectrum>.ply`` for each spectrum.
 
     Args:
@@ -52,32 +58,47 @@ def export_scene(
     return write_scene(scene_splats(model, scales, spectra), folder, compact=compact)
 
 
-def scene_splats(model: SceneModel, scales: Scales, spectra: Iterable[str] | None = None) -> SceneSplats:
+def scene_splats(
+    model: SceneModel, scales: Scales, spectra: Iterable[str] | None = None, *, colors: Colors = "palette"
+) -> SceneSplats:
     """What :func:`write_scene` writes."""
     return {
-        name: (spectrum_splats(model, name, scales), _comments(model, name, scales[name]))
+        name: (
+            spectrum_splats(model, name, scales, colors=colors),
+            header_comments(model, name, scales[name], colors=colors),
+        )
         for name in (model.spectra if spectra is None else spectra)
     }
 
 
-def write_scene(scene: SceneSplats, folder: Path, *, compact: bool = False) -> dict[str, WrittenPly]:
-    """The files of :func:`export_scene`, side by side; in any thread, as it does not touch the model."""
+def write_scene(
+    scene: SceneSplats, folder: Path, *, compact: bool = False, scalars: Mapping[str, Tensor] | None = None
+) -> dict[str, WrittenSplats]:
+    """The files of :func:`export_scene`, side by side; in any thread, as it does not touch the model.
+
+    Args:
+        scene: What to write.
+        folder: Where.
+        compact: As ``ply.write_splats``.
+        scalars: Further properties of every file (``ply.write_splats``).
+    """
     with ThreadPoolExecutor() as threads:
         writing = {
-            name: threads.submit(write_splats, folder / f"splat_{name}.ply", *splats, compact=compact)
+            name: threads.submit(write_splats, folder / f"splat_{name}.ply", *splats, compact=compact, scalars=scalars)
             for name, splats in scene.items()
         }
     return {name: file.result() for name, file in writing.items()}
 
 
 @torch.no_grad()
-def spectrum_splats(model: SceneModel, name: str, scales: Scales) -> Splats:
+def spectrum_splats(model: SceneModel, name: str, scales: Scales, *, colors: Colors = "palette") -> Splats:
     """Gaussians that show one spectrum by spherical harmonics alone; no tensor is a parameter of the model.
 
     Args:
         model: The trained scene.
         name: The spectrum to show.
         scales: What pixel values mean: a decoded scalar goes through its palette.
+        colors: Palette or scalar. Pseudo-colours of a model without decoders stay, whatever is asked.
 
     Raises:
         UserError: The spectrum is not modelled.
@@ -90,26 +111,67 @@ def spectrum_splats(model: SceneModel, name: str, scales: Scales) -> Splats:
     gaussians = model.gaussians(model.set_of(name))
     sh0, shN = gaussians.sh_coeffs_of(name)
     if model.decoders is not None:
-        decoded = model.decoders.image(name, _decoder_input(model, gaussians))
+        decoded = decoded_features(model, name, gaussians.features)
         if name == model.photograph and model.decoder_config.hybrid:
             sh0 = sh0 + decoded[:, None] / SH_C0
         else:
-            sh0, shN = _constant_color(_colors(decoded, scales[name]), shN)
+            sh0, shN = _constant_color(shown_colors(decoded, scales[name], colors), shN)
     columns = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logits_in(name), sh0, shN)
     return Splats(*(column.detach() for column in columns))
 
 
-def _decoder_input(model: SceneModel, gaussians: Gaussians) -> Tensor:
-    """Features as the decoders take them; where they also want a viewing direction, none: zero."""
-    features = gaussians.expanded(gaussians.features)
-    return torch.nn.functional.pad(features, (0, 3)) if model.decoder_config.view_direction else features
+def decoded_features(model: SceneModel, name: str, features: Tensor) -> Tensor:
+    """What a spectrum's decoder makes of features that fill a pixel alone, [N, C].
+
+    Args:
+        model: A scene with decoders.
+        name: The spectrum.
+        features: As the Gaussians hold them, [N, d] or coordinates [N, r].
+
+    Raises:
+        ValueError: The scene has no decoders.
+    """
+    if model.decoders is None:
+        raise ValueError("This scene has no decoders.")
+    expanded = model.gaussians(model.set_of(name)).expanded(features)
+    if model.decoder_config.view_direction:  # none: zero
+        expanded = torch.nn.functional.pad(expanded, (0, 3))
+    return model.decoders.image(name, expanded)
 
 
-def _colors(decoded: Tensor, scale: PixelScale) -> Tensor:
-    """Decoded values [N, C] as colours [N, 3]: scalars go through the palette."""
-    if decoded.shape[-1] == 3:
-        return decoded
-    return torch.as_tensor(scale.palette.to_color(decoded[:, 0].cpu().numpy())).to(decoded)
+def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -> Tensor:
+    """Pixels of a model as the colours of splats, [..., 3].
+
+    Args:
+        image: Values in [0, 1], [..., C], C as the scale says.
+        scale: What they mean.
+        colors: Palette or scalar; photographs are as they are.
+    """
+    if scale.kind == "photograph" or (scale.kind == "color" and colors == "palette"):
+        return image
+    intensity = pixel_intensity(image, scale)
+    if colors == "scalar":
+        return intensity[..., None].expand(*intensity.shape, 3).to(image)
+    return torch.as_tensor(scale.palette.to_color(intensity.cpu().numpy())).to(image)
+
+
+def spectrum_values(model: SceneModel, name: str, scales: Scales) -> Tensor:
+    """What each Gaussian measures in a spectrum [its unit], [N]: decoded from its own features, or from its harmonics.
+
+    Args:
+        model: The trained scene.
+        name: A spectrum that is measured.
+        scales: What pixel values mean.
+
+    Raises:
+        ValueError: The spectrum has no unit.
+    """
+    splats = spectrum_splats(model, name, scales)
+    shown = (0.5 + SH_C0 * splats.sh0[:, 0]).clamp(0, 1)
+    scale = scales[name]
+    if scale.kind == "scalar" and model.decoders is None:
+        return torch.as_tensor(scale.value(shown.mean(dim=-1)))
+    return torch.as_tensor(scale.value(torch.as_tensor(scale.palette.to_intensity(shown.cpu().numpy()))))
 
 
 def _constant_color(color: Tensor, shN: Tensor) -> tuple[Tensor, Tensor]:
@@ -117,12 +179,20 @@ def _constant_color(color: Tensor, shN: Tensor) -> tuple[Tensor, Tensor]:
     return (color[:, None] - 0.5) / SH_C0, torch.zeros_like(shN)
 
 
-def _comments(model: SceneModel, name: str, scale: PixelScale) -> list[str]:
+def header_comments(model: SceneModel, name: str, scale: PixelScale, *, colors: Colors = "palette") -> list[str]:
+    """What a file says about its splats: the spectrum, its palette and range, how exact its colours are.
+
+    Args:
+        model: The trained scene.
+        name: The spectrum.
+        scale: What its pixel values mean.
+        colors: How it is shown.
+    """
     comments = [f"thermosplat {name}"]
     if model.decoders is not None:
-        comments.append("colors approximate the model: features are decoded per Gaussian, not per blended pixel")
+        comments.append("colors approximate the model, which decodes features per pixel, after blending")
     if scale.kind != "photograph":
-        if scale.kind == "color" or model.decoders is not None:
+        if colors == "palette" and (scale.kind == "color" or model.decoders is not None):
             stops = np.rint(255 * scale.palette.to_color(np.linspace(0.0, 1.0, 9))).astype(int)
             listed = " ".join(f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in stops)
             comments.append(f"{name}_palette lowest to highest: {listed}")

@@ -4,7 +4,8 @@ ckpts/step_030000.pt   checkpoints           config.yaml       the resolved conf
 stats/                 metrics per step      environment.json  versions, device and threads
 renders/               PNG strips            metrics.jsonl     one line per log interval and evaluation
 ply/                   exported Gaussians    metrics.json      the final numbers
-videos/                camera paths          regions.json      errors by region, where there is ground truth
+exports/               other formats, maps    regions.json      errors by region, where there is ground truth
+videos/                camera paths
 refined/               refined cameras, as a COLMAP model
 tb/                    TensorBoard events     training.lock     the process that trains here, as long as it does
 """
@@ -196,6 +197,11 @@ class RunDirectory:
     def ply(self) -> Path:
         """Folder of the exported Gaussians."""
         return self._folder("ply")
+
+    @property
+    def exports(self) -> Path:
+        """Folder of what other programs open, PLY splats apart."""
+        return self._folder("exports")
 
     @property
     def videos(self) -> Path:

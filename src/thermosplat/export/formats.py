@@ -1,0 +1,59 @@
+"""The formats of splats by name: how their files end, and what writes them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from thermosplat.export.compressed_ply import write_compressed_ply
+from thermosplat.export.glb import write_glb
+from thermosplat.export.ply import write_splats
+from thermosplat.export.sog import write_sog
+from thermosplat.export.splats import Splats, WrittenSplats
+from thermosplat.export.spz import write_spz
+from thermosplat.export.usd import write_usd
+
+SplatFormat = Literal["ply", "compressed-ply", "spz", "sog", "glb", "usd"]
+SPLAT_FORMATS: tuple[SplatFormat, ...] = get_args(SplatFormat)
+
+
+@dataclass(frozen=True)
+class Described:
+    """Splats with what their file shall say about them."""
+
+    splats: Splats
+    """The Gaussians."""
+    spectrum: str
+    """Name of the spectrum that they show."""
+    comments: Sequence[str] = ()
+    """For the header, where the format has room for text."""
+    antialiased: bool = False
+    """They were trained with antialiased rasterization."""
+
+
+_WRITERS: dict[SplatFormat, tuple[str, Callable[[Path, Described], WrittenSplats]]] = {
+    "ply": (".ply", lambda path, scene: write_splats(path, scene.splats, scene.comments)),
+    "compressed-ply": (
+        ".compressed.ply",
+        lambda path, scene: write_compressed_ply(path, scene.splats, scene.comments),
+    ),
+    "spz": (".spz", lambda path, scene: write_spz(path, scene.splats, antialiased=scene.antialiased)),
+    "sog": (".sog", lambda path, scene: write_sog(path, scene.splats, antialiased=scene.antialiased)),
+    "glb": (".glb", lambda path, scene: write_glb(path, scene.splats, name=f"splat_{scene.spectrum}")),
+    "usd": (".usd", lambda path, scene: write_usd(path, scene.splats, name=f"splat_{scene.spectrum}")),
+}
+
+
+def write_format(format: SplatFormat, folder: Path, scene: Described) -> WrittenSplats:
+    """Write ``splat_<spectrum>`` in a format; the file appears at once and whole.
+
+    Args:
+        format: Which one.
+        folder: Where to write; made where there is none.
+        scene: The splats.
+
+    Raises:
+        UserError: The format cannot hold the scene, or what writes it is not installed.
+    """
+    suffix, write = _WRITERS[format]
+    return write(folder / f"splat_{scene.spectrum}{suffix}", scene)

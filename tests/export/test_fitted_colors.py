@@ -1,0 +1,84 @@
+"""Splats whose harmonics are fitted to the exact render."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.errors import UserError
+from thermosplat.export.fitted_colors import fit_splats
+from thermosplat.export.scene import spectrum_splats
+from thermosplat.export.splat_rendering import render_splats
+from thermosplat.scene.model import SceneModel
+from toy_run import many_frames
+from toy_scene import toy_capture, toy_config, toy_frame, toy_model
+
+
+def decoding_model(capture: Capture) -> SceneModel:
+    """A model whose decoders add much, and unlike in every pixel."""
+    model = toy_model(toy_config(decoder={"hybrid_bias": 0.0}), capture)
+    with torch.no_grad():
+        for parameter in model.decoders.parameters():
+            parameter *= 3.0
+    return model
+
+
+def cameras(name: str, capture_kind: str = "color") -> tuple[list[ViewTensors], Capture]:
+    capture = many_frames(toy_capture(thermal_kind=capture_kind), 6)
+    views = [toy_frame(dataclasses.replace(capture, train=(frame,))).views[name] for frame in capture.train]
+    return views, capture
+
+
+@pytest.mark.parametrize(("name", "kind"), [("rgb", "color"), ("thermal", "color"), ("thermal", "scalar")])
+def test_the_fit_comes_nearer_to_the_exact_render(name: str, kind: str) -> None:
+    """By decibels, in photographs, pseudo-colours and values through a palette; only harmonics change."""
+    views, capture = cameras(name, kind)
+    model = decoding_model(capture)
+    scale = capture.scales[name]
+    fit = fit_splats(model, name, scale, views, sh_degree=1, passes=30)
+    assert fit.after > fit.before + 3.0
+    unfitted = spectrum_splats(model, name, capture.scales)
+    for part in ("means", "quats", "log_scales", "logit_opacities"):
+        torch.testing.assert_close(getattr(fit.splats, part), getattr(unfitted, part), rtol=0, atol=0)
+    assert not fit.splats.sh0.requires_grad
+    assert all(parameter.grad is None for parameter in model.parameters())
+
+
+def test_the_numbers_are_those_of_the_images() -> None:
+    """PSNR before the fit is that of the splats' image against the model's, rounded to 8 bits."""
+    views, capture = cameras("rgb")
+    model = decoding_model(capture)
+    fit = fit_splats(model, "rgb", capture.scales["rgb"], views[:1], sh_degree=1, measured=views[2:3], passes=1)
+    with torch.no_grad():
+        exact = model.render({"rgb": views[2]}, sh_degree=1).images["rgb"].clamp(0, 1)
+        shown = render_splats(spectrum_splats(model, "rgb", capture.scales), views[2]).clamp(0, 1)
+    expected = -10 * torch.log10((shown - (exact * 255).round() / 255).square().mean()).item()
+    assert fit.before == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_scalar_is_fitted_as_intensity() -> None:
+    """With --colors scalar the splats are grey: the model's value, not its palette."""
+    views, capture = cameras("thermal", "scalar")
+    model = decoding_model(capture)
+    fit = fit_splats(model, "thermal", capture.scales["thermal"], views, sh_degree=0, colors="scalar", passes=30)
+    assert fit.after > fit.before
+    torch.testing.assert_close(fit.splats.sh0[..., 0], fit.splats.sh0[..., 2], rtol=0, atol=1e-4)
+
+
+def test_no_views_are_no_fit() -> None:
+    """Without training views of the spectrum there is nothing to fit to; the message says how to go on."""
+    _, capture = cameras("rgb")
+    model = decoding_model(capture)
+    with pytest.raises(UserError, match="--fit-passes 0"):
+        fit_splats(model, "rgb", capture.scales["rgb"], [], sh_degree=1)
+
+
+def test_what_is_exact_already_stays() -> None:
+    """Where no pass comes nearer, the splats are returned as they were: here those of a decoder that adds nothing."""
+    views, capture = cameras("rgb")
+    model = toy_model(toy_config(decoder={"hybrid_bias": -20.0}), capture)
+    fit = fit_splats(model, "rgb", capture.scales["rgb"], views, sh_degree=1, passes=1)
+    assert fit.after == fit.before > 50
+    torch.testing.assert_close(fit.splats.sh0, spectrum_splats(model, "rgb", capture.scales).sh0, rtol=0, atol=0)
