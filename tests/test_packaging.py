@@ -79,7 +79,9 @@ def test_all_imported_packages_are_declared() -> None:
     """Third-party modules that the package imports are dependencies, or extras imported where they are used."""
     modules = {"yaml": "PyYAML", "cv2": "opencv-contrib-python-headless", "warp": "warp-lang", "PIL": "Pillow"}
     extras = PROJECT["optional-dependencies"]
-    declared = PROJECT["dependencies"] + [line for name in ("video", "pillow", "tensorboard") for line in extras[name]]
+    declared = PROJECT["dependencies"] + [
+        line for name in ("video", "viewer", "pillow", "tensorboard") for line in extras[name]
+    ]
     names = {re.split(r"[<>=\[;]", line)[0].lower() for line in declared}
     files = [path for folder in ("src/thermosplat", "warp_kernels") for path in (REPOSITORY / folder).rglob("*.py")]
     imported = {module for path in files for module in _imports(path)}

@@ -8,6 +8,7 @@ COMMANDS = {
     "train": "thermosplat.cli.train",
     "eval": "thermosplat.cli.evaluate",
     "render": "thermosplat.cli.render",
+    "view": "thermosplat.cli.view",
     "export": "thermosplat.cli.export",
     "benchmark": "thermosplat.cli.benchmark",
 }

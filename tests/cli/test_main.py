@@ -43,4 +43,4 @@ def test_mistakes_end_with_2() -> None:
 def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     """--help without a command."""
     assert main(["--help"]) == 0
-    assert "prepare|train|eval|render|export|benchmark" in capsys.readouterr().out
+    assert "prepare|train|eval|render|view|export|benchmark" in capsys.readouterr().out

@@ -13,6 +13,7 @@ from thermosplat.cli.export import ExportArguments
 from thermosplat.cli.prepare_cameras import CalibrateArguments, RegisterArguments, SfmArguments
 from thermosplat.cli.prepare_files import CheckArguments, ImportArguments, PairArguments
 from thermosplat.cli.render import RenderArguments
+from thermosplat.cli.view import ViewArguments
 from thermosplat.config import TrainConfig
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
@@ -55,8 +56,8 @@ def test_the_dotted_flags_in_the_documents_exist() -> None:
 
 def _flags_of_programs() -> dict[str, set[str]]:
     """What every command and every benchmark accepts, by its name."""
-    flags = {"thermosplat-train": {*_train_flags(), "--debug", "--help"}}
-    commands = {"eval": EvalArguments, "render": RenderArguments, "export": ExportArguments}
+    flags = {"thermosplat-train": {*_train_flags(), "--viewer", "--viewer-host", "--debug", "--help"}}
+    commands = {"eval": EvalArguments, "render": RenderArguments, "export": ExportArguments, "view": ViewArguments}
     for name, arguments in {**commands, "benchmark": BenchmarkArguments}.items():
         flags[f"thermosplat-{name}"] = {*_train_flags(arguments), "--help", *({"--set"} if name == "benchmark" else ())}
     steps = [ImportArguments, PairArguments, CalibrateArguments, SfmArguments, RegisterArguments, CheckArguments]

@@ -50,3 +50,6 @@ def test_the_readme_has_the_example_of_a_trained_scene(tmp_path: Path, monkeypat
         assert image.shape == (38, 50, 3)  # type: ignore[attr-defined]
         assert image.isfinite().all()  # type: ignore[attr-defined]
         assert not image.requires_grad  # type: ignore[attr-defined]
+    (viewing,) = [code for name, code in EXAMPLES if name == "docs/viewer.md" and "load_run(" in code]
+    exec(viewing, names)
+    assert names["image"].unit == "°C"  # type: ignore[attr-defined]

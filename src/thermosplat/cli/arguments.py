@@ -10,6 +10,7 @@ import tyro
 from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.foreign_flags import refuse_foreign_flags
 from thermosplat.cli.spectrum_flags import named_spectra, refuse_unknown_spectra, with_groups
+from thermosplat.cli.viewer_flags import LOCAL_HOST, with_viewer_port
 from thermosplat.config import TrainConfig
 from thermosplat.config.capture_settings import with_recommendations
 from thermosplat.config.checks import check_config
@@ -40,6 +41,12 @@ class TrainArguments(TrainConfig):
 
     data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")] = ""
     overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    viewer: Annotated[int | None, tyro.conf.arg(metavar="[PORT]")] = None
+    """Show the training in the browser as it goes on, at this port of this machine, 8080 without a number. None: do
+    not."""
+    viewer_host: str = LOCAL_HOST
+    """Address of the viewer. Others than this machine's own can be reached from elsewhere: the page's address then has
+    a random token in it."""
     debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Show the traceback of an error."""
 
@@ -119,7 +126,7 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
 def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
     refuse_unknown_spectra(argv, default.spectra)
     start = TrainArguments(**{field.name: getattr(default, field.name) for field in dataclasses.fields(TrainConfig)})
-    argv = with_groups(argv, default.spectra)
+    argv = with_viewer_port(with_groups(argv, default.spectra))
     arguments = parse_command_line(TrainArguments, argv, prog="thermosplat-train", default=start)
     return TrainConfig(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(TrainConfig)})
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import print_last, run_command
 from thermosplat.cli.host_settings import importing, prepare_host, without_garbage_collection
+from thermosplat.cli.viewer_flags import viewer_flags
 from thermosplat.config.files import data_from_anywhere
 from thermosplat.errors import UserError
 from thermosplat.spectra import label
@@ -51,13 +52,15 @@ def _train(argv: list[str]) -> int:
             capture, trainer_class = _capture_and_trainer(config)
         make = _new_trainer if config.resume is None else _resumed_trainer
         trainer = make(config, capture, trainer_class)
+    from thermosplat.cli.watched_training import watched
     from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
 
     try:
         with stop_signals(), trainer.run.locked():  # the signals again: pycolmap has been imported
             if config.resume is None:  # last, when nothing in the input can stop the run any more: it may delete here
                 trainer.run.create(trainer.run.path, overwrite=config.overwrite)
-            metrics = trainer.train()
+            with watched(trainer, viewer_flags(argv)):
+                metrics = trainer.train()
     except TrainingInterrupted as stop:
         print_last(
             f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}"

@@ -139,8 +139,28 @@ def load_run(folder: str, *, step: int | None = None, device: str = "auto") -> L
     """
     chosen = choose_device(device)
     directory = RunDirectory.open(folder)
+    return _loaded(directory, _checkpoint(directory, step), chosen)
+
+
+def load_run_of_checkpoint(file: Path, *, device: str = "auto") -> LoadedRun:
+    """Read a checkpoint that may lie outside of a run.
+
+    Args:
+        file: The checkpoint. Its result folder is the one that it lies in: RUN of RUN/ckpts/FILE, else its own folder.
+        device: As ``--device``.
+
+    Raises:
+        UserError: There is no such file, it is damaged or something else, or there is no such device.
+    """
+    chosen = choose_device(device)
+    if not file.is_file():
+        raise UserError(f"There is no checkpoint {file}.", "Give a result folder, or one of its ckpts/*.pt.")
+    return _loaded(RunDirectory(file.parent.parent if file.parent.name == "ckpts" else file.parent), file, chosen)
+
+
+def _loaded(directory: RunDirectory, file: Path, chosen: torch.device) -> LoadedRun:
     start_warp()
-    checkpoint = load_checkpoint(_checkpoint(directory, step), chosen)
+    checkpoint = load_checkpoint(file, chosen)
     with damage_explained("scales"):
         scales = {name: PixelScale.from_state_dict(scale) for name, scale in checkpoint.scales.items()}
     model = SceneModel.from_checkpoint(checkpoint, chosen).eval()

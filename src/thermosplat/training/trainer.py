@@ -115,6 +115,8 @@ class Trainer:
             self.steps = CapturedSteps(self.device_step, len(self.frames))
         self.checkpoints = CheckpointWriter(self.logger.say)
         self.lpips: Lpips | None = None
+        self.between_steps: Callable[[Trainer], object] | None = None
+        """Called after each step but the last, when the model is whole, by the thread that trains."""
         self._warm = False
 
     @classmethod
@@ -188,6 +190,8 @@ class Trainer:
                     with going_on_without(self.logger.say), self._saving() if saving else nullcontext():
                         if state.step in config.eval_steps:
                             self._evaluate()
+                    if self.between_steps is not None:
+                        self.between_steps(self)
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
             self._save()  # before pictures and other files take what room there is
@@ -318,6 +322,15 @@ class Trainer:
     def _saving(self) -> AbstractContextManager[None]:
         """Around what leaves the model as it is: begin to write a checkpoint of the steps done."""
         return self.checkpoints.beginning(*self._checkpoint())
+
+    def save(self) -> Path:
+        """Write a checkpoint between two steps; the file.
+
+        Raises:
+            UserError: It cannot be written, or a loss was NaN or infinite.
+        """
+        self._stop_if_not_finite()
+        return self._save()
 
     def _save(self) -> Path:
         """Write a checkpoint of the steps done, at once."""

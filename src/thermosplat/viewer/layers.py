@@ -196,19 +196,20 @@ def image_layer(
         values: As of ``LayerRenderer.render``.
         valid: Mask [H, W] of the pixels that are there; None: all.
     """
-    image = image.clamp(0, 1)
-    if scale.kind == "photograph" or (scale.kind == "color" and not values):
-        colors = image if valid is None else torch.where(valid[..., None], image, 0.0)
-        return LayerImage(layer, None, colors.cpu().numpy(), scale.palette, scale.range or (0.0, 1.0))
-    intensity = pixel_intensity(image, scale)  # evaluation.held_out.RenderedView.intensity, whose errors are the MAE
-    measured = scale.measured_unit
-    field = intensity if measured is None else scale.value(intensity)
-    if valid is not None:
-        field = torch.where(valid, field, torch.nan)
+    image, measured = image.clamp(0, 1), scale.measured_unit
     span = scale.range if measured is not None and scale.range is not None else (0.0, 1.0)
     unit = "" if measured is None else unit_label(measured)
     quantity = "intensity" if measured is None else "temperature" if unit == "°C" else measured
     decimals = 2 if unit == "°C" else 3
+    if scale.kind == "photograph" or (scale.kind == "color" and not values):
+        colors = (image if valid is None else torch.where(valid[..., None], image, 0.0)).cpu().numpy()
+        if scale.kind == "photograph":
+            return LayerImage(layer, None, colors, scale.palette, None)
+        return LayerImage(layer, None, colors, scale.palette, span, unit, quantity, decimals)
+    intensity = pixel_intensity(image, scale)  # evaluation.held_out.RenderedView.intensity, whose errors are the MAE
+    field = intensity if measured is None else scale.value(intensity)
+    if valid is not None:
+        field = torch.where(valid, field, torch.nan)
     return LayerImage(layer, field.cpu().numpy(), None, scale.palette, span, unit, quantity, decimals)
 
 

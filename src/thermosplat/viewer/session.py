@@ -240,14 +240,12 @@ class ViewSession:
         return marked_picture(shown.picture, marks, self.legend(shown))
 
     def legend(self, shown: Shown) -> tuple[Palette, float, float, str] | None:
-        """Palette, ends and unit of the first layer; None where it has colours only."""
-        layer = shown.wish.first
-        image, display = shown.layers[layer], self.display(layer)
-        if image.field is None and image.range is not None and self.renderer.scene.scales[layer.spectrum].range is None:
-            return None
-        if image.field is None:
-            return None
-        return display.palette_of(image), *display.range_of(image), image.unit or image.quantity
+        """Palette, ends and unit of the first layer that has values; None where all have colours only."""
+        for layer in shown.wish.layers[:2]:
+            image, display = shown.layers[layer], self.display(layer)
+            if image.field is not None or image.quantity not in ("", "features"):
+                return display.palette_of(image), *display.range_of(image), image.unit or image.quantity
+        return None
 
 
 def outline(made: Measurement) -> list[Pixel]:

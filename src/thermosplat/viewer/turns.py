@@ -107,6 +107,9 @@ class BetweenSteps:
             done.set_result(work())
         except Exception as error:
             done.set_exception(error)
+        except BaseException:  # Ctrl-C: nothing is rendered any more
+            done.set_exception(ViewingEnded())
+            raise
         finally:
             now = time.perf_counter()
             self._next = now + (now - started) * (1 / self.share - 1)

@@ -1,0 +1,83 @@
+"""thermosplat-view: a trained scene in the browser, from anywhere, with its temperatures."""
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from thermosplat.cli.host_settings import importing, prepare_host
+from thermosplat.cli.program import run_program
+from thermosplat.errors import UserError
+
+
+@dataclass(frozen=True)
+class ViewArguments:
+    """Look at a trained scene in the browser: every spectrum, depth, errors, and temperatures under the cursor.
+
+    Examples:
+      thermosplat-view results/shed/thermosplat
+      thermosplat-view results/shed/thermosplat/ckpts/step_030000.pt
+      thermosplat-view splat.ply
+    """
+
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|CHECKPOINT|PLY")]
+    """Result folder of thermosplat-train, one of its checkpoints, or a PLY file of 3D Gaussians."""
+    step: int | None = None
+    """Checkpoint of the run to take. None: the last one."""
+    data: str | None = None
+    """Folder of the capture, if it has moved since the training."""
+    device: str = "auto"
+    """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    out: str | None = None
+    """Folder for measurements, pictures, videos and bookmarks. None: RUN/measurements."""
+    host: str = "127.0.0.1"
+    """Address to serve at. Others than this machine's own can be reached from elsewhere: the page's address then has a
+    random token in it."""
+    port: int = 8080
+    """Port to serve at, or the next one that is free."""
+    debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Show the traceback of an error."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        argv: Arguments without the program's name. None: the process's.
+
+    Returns:
+        The exit code: 130 after Ctrl-C, which ends it.
+    """
+    return run_program(ViewArguments, _view, argv, prog="thermosplat-view")
+
+
+def _view(arguments: ViewArguments) -> int:
+    if not 0 <= arguments.port <= 65535:
+        raise UserError(f"--port must lie between 0 and 65535, found {arguments.port}.")
+    prepare_host()
+    with importing():
+        from thermosplat.viewer.front_end import Viewer
+        from thermosplat.viewer.opening import open_scene
+
+    scene, folder, notes = open_scene(
+        arguments.scene, step=arguments.step, data=arguments.data, device=arguments.device
+    )
+    for note in notes:
+        print(note)
+    folder = folder if arguments.out is None else Path(arguments.out).expanduser()
+    viewer = Viewer(scene, folder, host=arguments.host, port=arguments.port)
+    print(f"{scene.name}: {viewer.url}", flush=True)
+    print("Ctrl-C ends the viewer.", flush=True)
+    try:
+        threading.Event().wait()
+    finally:
+        viewer.stop()
+    return 0
+
+
+if __name__ == "__main__":
+    import sys
+
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""The flags of thermosplat-train that show the training in the browser: --viewer [PORT] and --viewer-host."""
+
+import re
+from dataclasses import dataclass
+
+LOCAL_HOST = "127.0.0.1"
+DEFAULT_PORT = 8080
+_FLAG, _HOST_FLAG = "--viewer", "--viewer-host"
+
+
+@dataclass(frozen=True)
+class ViewerFlags:
+    """Where a training is shown."""
+
+    port: int | None
+    """None: nowhere."""
+    host: str = LOCAL_HOST
+    """Address to serve at."""
+
+
+def with_viewer_port(argv: list[str]) -> list[str]:
+    """A command line in which ``--viewer`` has a port, as the parser wants it.
+
+    Args:
+        argv: Arguments without the program's name.
+    """
+    words: list[str] = []
+    for number, word in enumerate(argv):
+        words.append(word)
+        if word == _FLAG and not re.fullmatch(r"\d+|None", argv[number + 1] if number + 1 < len(argv) else ""):
+            words.append(str(DEFAULT_PORT))
+    return words
+
+
+def viewer_flags(argv: list[str]) -> ViewerFlags:
+    """What a command line that was understood says of the viewer; of several the last.
+
+    Args:
+        argv: Arguments without the program's name.
+    """
+    words = with_viewer_port(argv)
+    port, host = _last(words, _FLAG), _last(words, _HOST_FLAG) or _last(words, _HOST_FLAG.replace("-h", "_h"))
+    return ViewerFlags(None if port in (None, "None") else int(port or 0), host or LOCAL_HOST)
+
+
+def _last(words: list[str], flag: str) -> str | None:
+    """The last value of a flag, given as the next word or after "="."""
+    found = None
+    for word, following in zip(words, [*words[1:], ""]):
+        if word == flag:
+            found = following
+        elif word.startswith(f"{flag}="):
+            found = word.removeprefix(f"{flag}=")
+    return found

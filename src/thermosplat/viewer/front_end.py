@@ -1,0 +1,170 @@
+"""The viewer as a web server: every tab of a browser gets a session of its own, and loses it when it is closed."""
+
+import math
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from thermosplat.novel_views.bookmarks import Bookmark, write_bookmarks
+from thermosplat.viewer.door import DEFAULT_PORT, Door, address, open_server
+from thermosplat.viewer.layers import LayerRenderer, available_layers
+from thermosplat.viewer.session import ViewSession, start_wish
+from thermosplat.viewer.training_watch import TrainingWatch
+from thermosplat.viewer.turns import OneAtATime, Turns
+from thermosplat.viewer.viewed_scene import ViewedScene
+from thermosplat.viewer.visitor import Visitor, orbit
+
+if TYPE_CHECKING:
+    import viser
+
+ACCENT = (226, 88, 34)
+"""Colour of the controls: flame."""
+
+
+@dataclass
+class Shared:
+    """What all visitors of a viewer have in common.
+
+    Attributes:
+        renderer: Renders the scene.
+        folder: Where files go that visitors save.
+        turns: When the model may be rendered.
+        watch: The training that goes on; None: none does.
+        bookmarks: One list for all.
+    """
+
+    renderer: LayerRenderer
+    folder: Path
+    turns: Turns
+    watch: TrainingWatch | None = None
+    bookmarks: list[Bookmark] = field(default_factory=list)
+
+    @property
+    def scene(self) -> ViewedScene:
+        """The scene."""
+        return self.renderer.scene
+
+    @property
+    def bookmarks_file(self) -> Path:
+        """Where bookmarks are kept."""
+        return self.folder / "bookmarks.json"
+
+    def save_bookmarks(self) -> None:
+        """Write the bookmarks that there are."""
+        write_bookmarks(self.bookmarks_file, self.bookmarks)
+
+
+class Viewer:
+    """A scene on a page of its own.
+
+    Args:
+        scene: What is seen.
+        folder: Where measurements, pictures and bookmarks go.
+        host: Address to serve at. Other than this machine's own, the page's address has a token.
+        port: Port to begin with; the next free one is taken.
+        watch: The training that goes on; None: nobody changes the scene.
+        bookmarks: Those that there are already.
+
+    Raises:
+        UserError: viser is not installed, or the address cannot be served at.
+    """
+
+    def __init__(
+        self,
+        scene: ViewedScene,
+        folder: Path,
+        *,
+        host: str = "127.0.0.1",
+        port: int = DEFAULT_PORT,
+        watch: TrainingWatch | None = None,
+        bookmarks: list[Bookmark] | None = None,
+    ) -> None:
+        turns = OneAtATime() if watch is None else watch.turns
+        self.shared = Shared(LayerRenderer(scene), folder, turns, watch, bookmarks or [])
+        self.visitors: dict[int, Visitor] = {}
+        self._changing = threading.Lock()
+        self._door = Door(host, {"probe": self._probe, "wipe": self._wipe, "over": self._over})
+        self.server: viser.ViserServer = open_server(host, port, self._door)
+        self.url = address(self.server, self._door)
+        """What to open in a browser."""
+        self._furnish()
+        self.server.on_client_connect(self._enter)
+        self.server.on_client_disconnect(self._leave)
+        if watch is not None:
+            watch.on_change = self._model_changed
+            watch.has_viewers = lambda: bool(self.visitors)
+
+    def stop(self) -> None:
+        """Close the page for everybody."""
+        with self._changing:
+            visitors, self.visitors = self.visitors, {}
+        if self.shared.watch is not None:
+            self.shared.watch.turns.end()
+        for visitor in visitors.values():
+            visitor.leave()
+        self.server.stop()
+
+    def _furnish(self) -> None:
+        """What is the same for everybody: colours, where the camera begins, which way is up."""
+        server, scene = self.server, self.shared.scene
+        server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=ACCENT)
+        server.scene.set_up_direction(tuple(scene.up))
+        server.scene.world_axes.visible = False
+        start = scene.start()
+        position, look_at = orbit(start, scene)
+        server.initial_camera.position = position
+        server.initial_camera.look_at = look_at
+        server.initial_camera.fov = math.radians(start.fov_y)
+        server.initial_camera.near = max(1e-3, 0.01 * scene.frame_spacing)
+
+    def _enter(self, client: "viser.ClientHandle") -> None:
+        layers = available_layers(self.shared.scene)
+        session = ViewSession(self.shared.renderer, self.shared.turns, start_wish(layers))
+        visitor = Visitor(client, session, self.shared)
+        with self._changing:
+            if client.client_id not in self.server.get_clients():  # gone already
+                return
+            self.visitors[client.client_id] = visitor
+        visitor.begin()
+
+    def _leave(self, client: "viser.ClientHandle") -> None:
+        with self._changing:
+            visitor = self.visitors.pop(client.client_id, None)
+        if visitor is not None:
+            visitor.leave()
+
+    def _model_changed(self) -> None:
+        for visitor in list(self.visitors.values()):
+            visitor.model_changed()
+
+    # ---- what the page asks ------------------------------------------------------------------------------------------
+
+    def _asking(self, words: dict[str, str]) -> Visitor | None:
+        key = words.get("key", "")
+        return next((visitor for visitor in list(self.visitors.values()) if visitor.key == key), None)
+
+    def _probe(self, words: dict[str, str]) -> Any:
+        visitor = self._asking(words)
+        found = None if visitor is None else visitor.session.probe(number(words, "x"), number(words, "y"))
+        return {} if found is None else {"value": found[0], "text": found[1]}
+
+    def _wipe(self, words: dict[str, str]) -> Any:
+        visitor = self._asking(words)
+        if visitor is not None:
+            visitor.set_share(min(max(number(words, "share"), 0.0), 1.0))
+        return {}
+
+    def _over(self, words: dict[str, str]) -> Any:
+        visitor = self._asking(words)
+        if visitor is not None:
+            visitor.lay_photograph(words.get("on") == "1")
+        return {}
+
+
+def number(words: dict[str, str], name: str) -> float:
+    """A number of a query; NaN, which is nowhere, for what is none."""
+    try:
+        return float(words.get(name, "nan"))
+    except ValueError:
+        return float("nan")

@@ -1,0 +1,155 @@
+"""Controls of measuring: a tool for the mouse, the list of what was measured, and the files it is saved to."""
+
+import html
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from thermosplat.errors import UserError
+from thermosplat.viewer.measurements import Measurement, Pixel, covered_values, save_measurements
+
+if TYPE_CHECKING:
+    from thermosplat.viewer.visitor import Visitor
+
+_TOOLS = {"Move": None, "Spot": "spot", "Line": "line", "Area": "area"}
+_HINTS = {
+    None: "The mouse moves the camera. The value under the cursor is shown.",
+    "spot": "Click a point of the picture.",
+    "line": "Click both ends of a line.",
+    "area": "Drag a rectangle over the picture.",
+}
+_COLORS = {"spot": (255, 255, 255), "line": (255, 210, 60), "area": (90, 220, 255)}
+
+
+class MeasurePanel:
+    """The tab "Measure".
+
+    Args:
+        visitor: Whose it is.
+    """
+
+    def __init__(self, visitor: "Visitor") -> None:
+        import viser
+
+        self.visitor = visitor
+        gui = visitor.client.gui
+        self._first_end: Pixel | None = None
+        self._marks: dict[str, list[Any]] = {}
+        self._plot: Any = None
+        self.tool = gui.add_button_group("Tool", tuple(_TOOLS))
+        self.hint = gui.add_markdown(_HINTS[None])
+        self.table = gui.add_html("")
+        self.save = gui.add_button("Save as CSV and PNG", icon=viser.Icon.DEVICE_FLOPPY, disabled=True)
+        self.delete = gui.add_button("Delete the last", disabled=True)
+        self.tool.on_click(lambda event: self._take(_TOOLS[event.target.value]))
+        self.save.on_click(lambda _: self._save())
+        self.delete.on_click(lambda _: self._delete())
+
+    def _take(self, shape: str | None) -> None:
+        """Let clicks, or rectangles that are drawn, be measurements of a shape."""
+        scene = self.visitor.client.scene
+        scene.remove_click_callback()
+        scene.remove_rect_select_callback()
+        self._first_end = None
+        self.hint.content = _HINTS[shape]
+        if shape == "area":
+            scene.on_rect_select()(lambda event: self._measure("area", [event.screen_min, event.screen_max]))
+        elif shape is not None:
+            scene.on_click()(lambda event: self._clicked(shape, event.screen_pos))
+
+    def _clicked(self, shape: str, place: Pixel) -> None:
+        if shape == "spot":
+            self._measure(shape, [place])
+        elif self._first_end is None:
+            self._first_end = place
+            self.hint.content = "Click the other end."
+        else:
+            first, self._first_end = self._first_end, None
+            self.hint.content = _HINTS["line"]
+            self._measure(shape, [first, place])
+
+    def _measure(self, shape: Any, places: list[Pixel]) -> None:
+        session = self.visitor.session
+        shown = session.shown
+        made = session.measure(shape, places)
+        if made is None or shown is None:
+            self.visitor.tell("Nothing to measure there", "Choose a layer of values, and wait until the picture rests.")
+            return
+        self._mark(made)
+        self._list()
+        image = shown.layers[session.layer_at(places[0][0])]
+        if shape == "line" and image.field is not None:
+            self._draw_profile(made, covered_values(image.field, "line", places))
+
+    def _mark(self, made: Measurement) -> None:
+        """Put a mark on the object that was measured."""
+        if not made.points:
+            return
+        scene, name = self.visitor.client.scene, f"/measured/{made.name}"
+        points = np.array(made.points)
+        parts: list[Any] = [scene.add_label(name, f"{made.name}  {made.text.partition(' (')[0]}", position=points[0])]
+        if made.shape != "spot":
+            corners = points if made.shape == "line" else np.concatenate([points, points[:1]])
+            segments = np.stack([corners[:-1], corners[1:]], axis=1)
+            color = _COLORS[made.shape]
+            parts.append(
+                scene.add_line_segments(f"{name}/lines", segments - points[0], colors=color, thickness=2.5,
+                                        thickness_units="screen")
+            )  # fmt: skip
+            parts[-1].position = (0.0, 0.0, 0.0)
+        self._marks[made.name] = parts
+
+    def _list(self) -> None:
+        rows = "".join(
+            f"<tr><td style='padding:2px 8px 2px 0;font-weight:600'>{html.escape(m.name)}</td>"
+            f"<td style='padding:2px 8px 2px 0;opacity:.75'>{html.escape(m.layer)}</td>"
+            f"<td style='text-align:right'>{html.escape(m.text)}</td></tr>"
+            for m in self.visitor.session.measurements
+        )
+        self.table.content = (
+            f"<table style='width:100%;font-size:12px;padding:0 12px;font-variant-numeric:tabular-nums'>{rows}</table>"
+            if rows
+            else ""
+        )
+        self.save.disabled = self.delete.disabled = not rows
+
+    def _draw_profile(self, made: Measurement, values: Any) -> None:
+        """The values along a line, as a plot."""
+        if self._plot is not None:
+            self._plot.remove()
+        along = np.linspace(0, 100, len(values))
+        self._plot = self.visitor.client.gui.add_uplot(
+            (along, np.asarray(values, np.float64)),
+            ({"label": "% of the line"}, {"label": made.unit or made.quantity, "stroke": "#e25822", "width": 2}),
+            title=f"{made.name}, {made.layer}",
+            scales={"x": {"time": False}},
+            aspect=1.7,
+        )
+
+    def _delete(self) -> None:
+        session = self.visitor.session
+        if not session.measurements:
+            return
+        gone = session.measurements.pop()
+        for part in reversed(self._marks.pop(gone.name, [])):
+            part.remove()
+        if gone.shape == "line" and self._plot is not None:
+            self._plot.remove()
+            self._plot = None
+        self._list()
+
+    def _save(self) -> None:
+        session = self.visitor.session
+        shown = session.shown
+        if shown is None or not session.measurements:
+            return
+        stem = f"measurements_{time.strftime('%Y%m%d_%H%M%S')}_{self.visitor.client.client_id}"
+        try:
+            table, image = save_measurements(
+                self.visitor.shared.folder, stem, session.measurements, session.marked(shown)
+            )
+        except UserError as error:
+            self.visitor.tell("Not saved", error.message)
+            return
+        self.visitor.tell("Saved", f"{table} and {image.name}")

@@ -1,0 +1,55 @@
+"""From what a user names to a scene: a run, a checkpoint or a PLY file."""
+
+from pathlib import Path
+
+from thermosplat.datasets.capture import Capture
+from thermosplat.errors import UserError
+from thermosplat.evaluation.loaded_run import LoadedRun, load_run, load_run_of_checkpoint
+from thermosplat.runs.devices import choose_device
+from thermosplat.viewer.splat_file import open_splats
+from thermosplat.viewer.viewed_scene import ViewedScene
+
+FOLDER = "measurements"
+"""Of a run, where a viewer saves files."""
+
+
+def open_scene(
+    named: str, *, step: int | None = None, data: str | None = None, device: str = "auto"
+) -> tuple[ViewedScene, Path, list[str]]:
+    """What a user wants to look at.
+
+    Args:
+        named: A result folder, a checkpoint (.pt) or a PLY file.
+        step: Which checkpoint of a run; None: the last.
+        data: Where the capture lies now; None: where it lay.
+        device: As ``--device``.
+
+    Returns:
+        The scene; the folder for measurements; lines to tell the user.
+
+    Raises:
+        UserError: There is no such thing, or it cannot be read.
+    """
+    path = Path(named).expanduser()
+    if path.suffix.lower() == ".ply":
+        return open_splats(path, choose_device(device)), path.parent / f"{path.stem}_{FOLDER}", []
+    is_checkpoint = path.suffix == ".pt" and not path.is_dir()
+    if is_checkpoint and step is not None:
+        raise UserError(f"{path} is one checkpoint, and --step chooses one of a run.", "Give one of the two.")
+    run = load_run_of_checkpoint(path, device=device) if is_checkpoint else load_run(named, step=step, device=device)
+    capture, notes = _photographs(run, data)
+    scales = dict(run.scales)
+    name = run.directory.path.resolve().name
+    scene = ViewedScene(f"{name}, step {run.step:,}", run.model, run.sh_degree, scales, run.device, capture)
+    return scene, run.directory.path / FOLDER, [*run.notes, *notes]
+
+
+def _photographs(run: LoadedRun, data: str | None) -> tuple[Capture | None, list[str]]:
+    """The run's capture; without it everything but the photographs can be looked at."""
+    try:
+        capture = run.capture(data)
+    except UserError as error:
+        if data is not None:
+            raise
+        return None, [f"No photographs are shown: {error.message} {error.hint}"]
+    return capture, list(capture.notes)

@@ -1,0 +1,122 @@
+"""Gaussians of a PLY file in the layout of 3D Gaussian Splatting, ours or anybody's, as a model to look at.
+
+The file is data from a stranger: its header is bounded, its counts are compared with its size before memory is taken,
+and Gaussians with a value that is not finite are left out.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from thermosplat.config import DecoderConfig, ModelConfig
+from thermosplat.errors import UserError
+from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.model import SceneModel
+from thermosplat.spectra import Spectrum
+from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.viewer.viewed_scene import ViewedScene
+
+SPECTRUM = "rgb"
+"""What the colours of a PLY file are shown as."""
+_LONGEST_HEADER = 64 << 10
+_TYPES = {
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+}
+_NEEDED = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+           "rot_0", "rot_1", "rot_2", "rot_3")  # fmt: skip
+_HINT = "Expected a binary PLY of 3D Gaussians (x, f_dc_0, opacity, scale_0, rot_0 ...), as thermosplat-export writes."
+
+
+def open_splats(path: Path, device: torch.device) -> ViewedScene:
+    """The scene of a PLY file.
+
+    Args:
+        path: The file.
+        device: Where to put it.
+
+    Raises:
+        UserError: It is no such file, or damaged.
+    """
+    rows = _read(path)
+    names = rows.dtype.names or ()
+
+    def columns(*wanted: str) -> torch.Tensor:
+        return torch.from_numpy(np.stack([rows[name].astype(np.float32) for name in wanted], axis=-1))
+
+    rest = sum(1 for name in names if re.fullmatch(r"f_rest_\d+", name))
+    if rest not in (0, 9, 24, 45) or any(f"f_rest_{index}" not in names for index in range(rest)):
+        raise UserError(f"{path} has {rest} SH coefficients f_rest_*; 0, 9, 24 or 45 are expected.", _HINT)
+    degree = {0: 0, 9: 1, 24: 2, 45: 3}[rest]
+    higher = torch.zeros(len(rows), 0, 3)
+    if rest:
+        higher = columns(*(f"f_rest_{index}" for index in range(rest))).view(len(rows), 3, rest // 3).transpose(1, 2)
+    parameters = {
+        "means": columns("x", "y", "z"),
+        "quats": columns("rot_0", "rot_1", "rot_2", "rot_3"),
+        "log_scales": columns("scale_0", "scale_1", "scale_2"),
+        "logit_opacities": columns("opacity")[:, 0],
+        "sh0": columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None],
+        "shN": higher.contiguous(),
+    }
+    finite = torch.stack([value.flatten(1).isfinite().all(1) if value.dim() > 1 else value.isfinite()
+                          for value in parameters.values()]).all(dim=0)  # fmt: skip
+    if not finite.any():
+        raise UserError(f"{path} holds no Gaussian whose values are all finite.", _HINT)
+    gaussians = Gaussians({name: value[finite] for name, value in parameters.items()})
+    spectrum = Spectrum(SPECTRUM, 3, "photograph", "shared", (0, 0), None)
+    config = ModelConfig(gaussian_sets="separate", feature_dim=0)
+    model = SceneModel(config, DecoderConfig(), [spectrum], {SPECTRUM: gaussians}).to(device).eval()
+    return ViewedScene(path.name, model, degree, {SPECTRUM: PixelScale("photograph")}, device)
+
+
+def _read(path: Path) -> NDArray[Any]:
+    """The vertices of a PLY file, by the names of their properties."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(_LONGEST_HEADER)
+            size = path.stat().st_size
+            count, fields, start = _header(path, header)
+            kind = np.dtype(fields)
+            if count * kind.itemsize > size - start:
+                raise UserError(f"{path} is cut off: {count} Gaussians do not fit into it.", "Copy or export it again.")
+            file.seek(start)
+            return np.fromfile(file, kind, count)
+    except OSError as error:
+        raise UserError(
+            f"Cannot read {path}: {error.strerror or error}.", "Give a RUN, a checkpoint or a PLY."
+        ) from error
+
+
+def _header(path: Path, header: bytes) -> tuple[int, list[tuple[str, str]], int]:
+    """Number of vertices, their fields, and where they begin in the file."""
+    end = re.search(rb"end_header\r?\n", header)
+    if not header.startswith(b"ply") or end is None:
+        raise UserError(f"{path} is not a PLY file.", _HINT)
+    lines = [line.split() for line in header[: end.start()].decode("ascii", "replace").splitlines()]
+    orders = {"binary_little_endian": "<", "binary_big_endian": ">"}
+    order = next((orders.get(line[1], "") for line in lines if line[:1] == ["format"] and len(line) > 1), "")
+    elements = [number for number, line in enumerate(lines) if line[:1] == ["element"]]
+    first = lines[elements[0]] if elements else []
+    if not order or len(first) != 3 or first[1] != "vertex" or not first[2].isdigit():
+        raise UserError(f"{path} is not a binary PLY whose first element is vertex.", _HINT)
+    last = elements[1] if len(elements) > 1 else len(lines)
+    properties = [line for line in lines[elements[0] : last] if line[:1] == ["property"]]
+    if any(len(line) != 3 or line[1] not in _TYPES for line in properties):
+        raise UserError(f"{path} has vertices with lists or unknown types.", _HINT)
+    names = [line[2] for line in properties]
+    missing = [name for name in _NEEDED if name not in names]
+    if missing or len(set(names)) != len(names):
+        what = f"lacks the property {missing[0]}" if missing else "has a property twice"
+        raise UserError(f"{path} {what}: it holds no 3D Gaussians.", _HINT)
+    return int(first[2]), [(line[2], order + _TYPES[line[1]]) for line in properties], end.end()
