@@ -225,3 +225,20 @@ def test_export_of_values(run: Run, finished: Path, tmp_path: Path) -> None:
         celsius = vertex["scalar_thermal_celsius"]
         assert -50 < celsius.min() <= celsius.max() < 200
         assert celsius.std() > 0
+
+
+def test_export_of_maps(run: Run, finished: Path, tmp_path: Path) -> None:
+    """Both spectra on one grid, in local coordinates; flags of maps are refused elsewhere."""
+    rasterio = pytest.importorskip("rasterio", reason='rasterio is not installed (pip install ".[maps]")')
+    words = ["--format", "orthomosaic", "--gsd", 0.05, "--extent", -1, -1, 1, 0.5, "--output", tmp_path]
+    code, printed = run(export.main, finished, *words)
+    assert code == 0
+    assert "The map is in local coordinates" in printed
+    for name, bands in (("rgb", 3), ("thermal", 1)):
+        with rasterio.open(tmp_path / f"orthomosaic_{name}.tif") as file:
+            assert (file.count, file.height, file.width) == (bands, 30, 40)
+            assert file.bounds == (-1, -1, 1, 0.5)
+            assert file.crs is None
+    code, printed = run(export.main, finished, "--gsd", 0.05)
+    assert code == 2
+    assert "--gsd is a setting of maps, not of ply." in printed

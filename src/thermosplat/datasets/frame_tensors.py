@@ -29,6 +29,7 @@ class ViewTensors:
         intensity: [H, W] float32 scalar intensity in [0, 1]; None of photographs.
         values: [H, W] float32 measured values in the unit of the spectrum's scale; of views that have them only.
         distortion: [2] float32, k1 and k2 of a lens that is no pinhole (``scene.lens_distortion``).
+        orthographic: Rays are parallel: x, y [world units] in camera axes times fx, fy [px per unit] plus cx, cy.
     """
 
     viewmat: Tensor
@@ -39,6 +40,7 @@ class ViewTensors:
     intensity: Tensor | None = None
     values: Tensor | None = None
     distortion: Tensor | None = None
+    orthographic: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ def views_by_camera(views: Mapping[str, "ViewTensors"]) -> list[list[str]]:
 
 def _same_camera(one: "ViewTensors", other: "ViewTensors") -> bool:
     return (
-        (one.width, one.height) == (other.width, other.height)
+        (one.width, one.height, one.orthographic) == (other.width, other.height, other.orthographic)
         and torch.equal(one.K, other.K)
         and torch.equal(one.viewmat, other.viewmat)
         and _same_lens(one.distortion, other.distortion)

@@ -18,6 +18,8 @@ def view_directions(view: "ViewTensors") -> Tensor:
     Returns:
         Directions, shape [H, W, 3].
     """
+    if view.orthographic:
+        return view.viewmat[2, :3].expand(view.height, view.width, 3)
     device = view.K.device
     x = (torch.arange(view.width, device=device) + 0.5 - view.K[0, 2]) / view.K[0, 0]
     y = (torch.arange(view.height, device=device) + 0.5 - view.K[1, 2]) / view.K[1, 1]

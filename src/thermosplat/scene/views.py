@@ -72,6 +72,7 @@ def render_view(
         backgrounds=backgrounds,
         absgrad=rendering.absgrad,
         rasterize_mode=rendering.rasterize_mode,
+        camera_model="ortho" if view.orthographic else "pinhole",
         deterministic=rendering.deterministic,
     )
     return image.squeeze(0), alpha.squeeze(0), info  # [0] would have its gradient copied into zeros
@@ -102,6 +103,7 @@ def render_view_depth(
         packed=False,
         render_mode="ED",
         rasterize_mode=rendering.rasterize_mode,
+        camera_model="ortho" if view.orthographic else "pinhole",
         deterministic=rendering.deterministic,
     )
     return depth[0, ..., 0]
@@ -145,6 +147,7 @@ def render_two_opacities(
         backgrounds=rendering.backgrounds,
         absgrad=rendering.absgrad,
         rasterize_mode=rendering.rasterize_mode,
+        camera_model="ortho" if view.orthographic else "pinhole",
         deterministic=rendering.deterministic,
     )
 

@@ -1,0 +1,59 @@
+"""thermosplat-export --format orthomosaic: maps of each spectrum as GeoTIFF."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from thermosplat.cli.export import ExportArguments
+    from thermosplat.evaluation.loaded_run import LoadedRun
+
+PIXELS_BY_DEFAULT = 1000
+"""Along the longer side of a map without --gsd."""
+
+
+def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) -> None:
+    """Write ``orthomosaic_<spectrum>.tif`` for the chosen spectra, all on one grid.
+
+    Args:
+        arguments: The command's.
+        loaded: The run.
+        folder: Where to write.
+
+    Raises:
+        UserError: The capture cannot be read, an argument is impossible, or rasterio is missing.
+    """
+    import numpy as np
+
+    from thermosplat.export.georeference import georeferenced_frame
+    from thermosplat.export.geotiff import rasterio_module
+    from thermosplat.export.map_frame import camera_centres, local_frame, map_extent
+    from thermosplat.export.orthomosaic import MapGrid, render_map, write_map
+
+    rasterio_module()  # to say that it is missing before anything is rendered
+    capture = loaded.capture(arguments.data)
+    for note in capture.notes:
+        print(note)
+    names = arguments.chosen(list(loaded.model.spectra))
+    leading = next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
+    frame = georeferenced_frame(capture, leading) if arguments.up is None else None
+    if frame is None:
+        frame = local_frame(capture, leading, arguments.up)
+        print(f"The map is in local coordinates, in world units. {frame.note}")
+    else:
+        print(f"The map is georeferenced. {frame.note}")
+    extent = arguments.extent or map_extent(frame, capture)
+    pixel = arguments.gsd
+    if pixel is None:
+        pixel = max(extent[2] - extent[0], extent[3] - extent[1]) / PIXELS_BY_DEFAULT
+    top = arguments.top
+    if top is None:
+        top = float(frame.to_map(camera_centres(capture, leading)[0])[:, 2].max())
+    grid = MapGrid.covering(frame, extent, pixel, top)
+    for name in names:
+        scale = loaded.scales[name]
+        picture = render_map(loaded.model, name, scale, grid, sh_degree=loaded.sh_degree)
+        path = folder / f"orthomosaic_{name}.tif"
+        write_map(path, picture, name, scale, grid)
+        unit = "colours" if len(picture) == 3 else scale.measured_unit or "intensity"
+        covered = np.isfinite(picture[0]).mean()
+        print(f"{path}: {grid.width:,} x {grid.height:,} pixels of {pixel:.4g}, {unit}, {covered:.0%} covered")

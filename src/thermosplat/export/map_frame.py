@@ -1,0 +1,121 @@
+"""The frame of a map: where east, north and up are in the world of a capture, and what part of it the map shows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.datasets.capture import Capture
+from thermosplat.errors import UserError
+
+Vector = NDArray[np.float64]
+
+_LOOKING_DOWN = 0.8
+"""Mean of unit viewing directions this long: all cameras look about one way, as those of a flight over a field do."""
+_BOUNDS_PERCENTILES = (1.0, 99.0)
+"""Of the sparse points along each axis; what lies outside are mostly outliers."""
+_MARGIN = 0.02
+"""Of the extent, on each side."""
+
+
+@dataclass(frozen=True)
+class MapFrame:
+    """A similarity from the capture's world to a map: ``scale * rotation @ x + offset``.
+
+    Map coordinates are east, north and up; metres where the map is georeferenced, world units otherwise.
+    """
+
+    rotation: Vector
+    """[3, 3]; its rows are the directions of east, north and up in the world."""
+    scale: float = 1.0
+    """Map units per world unit."""
+    offset: Vector | None = None
+    """Map coordinates of the world's origin, [3]; None: zero."""
+    crs: str | None = None
+    """The map's coordinate system, such as "EPSG:32632"; None: local coordinates."""
+    note: str = ""
+    """How the frame was found, in a sentence."""
+
+    def to_map(self, points: NDArray[np.floating]) -> Vector:
+        """Map coordinates of world points, both [..., 3]."""
+        mapped = self.scale * (np.asarray(points, np.float64) @ self.rotation.T)
+        return mapped if self.offset is None else mapped + self.offset
+
+    def to_world(self, points: NDArray[np.floating]) -> Vector:
+        """World coordinates of map points, both [..., 3]."""
+        centred = np.asarray(points, np.float64)
+        if self.offset is not None:
+            centred = centred - self.offset
+        return centred @ self.rotation / self.scale
+
+
+def camera_centres(capture: Capture, spectrum: str) -> tuple[Vector, Vector]:
+    """Centres [V, 3] and viewing directions [V, 3] of a spectrum's training cameras, in the world.
+
+    Args:
+        capture: The capture.
+        spectrum: The spectrum.
+
+    Raises:
+        UserError: It has no training views.
+    """
+    viewmats = [frame.views[spectrum].viewmat for frame in capture.train if spectrum in frame.views]
+    if not viewmats:
+        raise UserError(f"{capture.name} has no training views of {spectrum} to find the ground by.")
+    poses = np.linalg.inv(np.stack(viewmats))
+    return poses[:, :3, 3], poses[:, :3, 2]
+
+
+def local_frame(capture: Capture, spectrum: str, up: tuple[float, float, float] | None = None) -> MapFrame:
+    """A map frame in world units, from the cameras alone.
+
+    Cameras that all look one way look down. Others are held upright: up is the mean of what is up in their images.
+
+    Args:
+        capture: The capture.
+        spectrum: Whose training cameras are looked at.
+        up: What is up in the world; None: found by the cameras.
+
+    Raises:
+        UserError: ``up`` is zero, or there are no training views.
+    """
+    if up is not None:
+        if not np.isfinite(up).all() or np.linalg.norm(up) == 0:
+            raise UserError(f"--up must be a direction, found {' '.join(f'{x:g}' for x in up)}.", "Give --up 0 0 1.")
+        return MapFrame(_with_up(np.array(up)), note="Up is as given.")
+    _, directions = camera_centres(capture, spectrum)
+    mean = directions.mean(axis=0)
+    if np.linalg.norm(mean) > _LOOKING_DOWN:
+        return MapFrame(_with_up(-mean), note="Down is where the cameras look: all look about one way.")
+    viewmats = np.stack([frame.views[spectrum].viewmat for frame in capture.train if spectrum in frame.views])
+    return MapFrame(_with_up(-viewmats[:, 1, :3].mean(axis=0)), note="Up is what is up in the cameras' images.")
+
+
+def _with_up(up: Vector) -> Vector:
+    """A rotation whose last row is a direction, and whose first is as near to the world's x as can be."""
+    up = up / np.linalg.norm(up)
+    x = np.eye(3)[0] if abs(up[0]) < 0.9 else np.eye(3)[1]
+    east = x - (x @ up) * up
+    east /= np.linalg.norm(east)
+    return np.stack([east, np.cross(up, east), up])
+
+
+def map_extent(frame: MapFrame, capture: Capture) -> tuple[float, float, float, float]:
+    """West, south, east and north of what the capture saw: its sparse points without outliers, and a margin.
+
+    Args:
+        frame: The map's frame.
+        capture: The capture.
+    """
+    return tuple(np.concatenate(_bounds(frame.to_map(capture.points)[:, :2])).tolist())
+
+
+def scene_bounds(capture: Capture) -> tuple[Vector, Vector]:
+    """Lowest and highest world coordinates [3] of what the capture saw: its sparse points without outliers."""
+    return _bounds(capture.points.astype(np.float64))
+
+
+def _bounds(points: Vector) -> tuple[Vector, Vector]:
+    low, high = np.percentile(points, _BOUNDS_PERCENTILES, axis=0)
+    margin = _MARGIN * (high - low)
+    return low - margin, high + margin

@@ -1,0 +1,169 @@
+"""Maps of a trained scene: each spectrum rendered from above by parallel rays, exactly, decoders included."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.errors import UserError
+from thermosplat.export.geotiff import write_geotiff
+from thermosplat.export.map_frame import MapFrame
+from thermosplat.scene.model import SceneModel
+from thermosplat.thermal.intensity import pixel_intensity
+from thermosplat.thermal.radiometry import PixelScale
+
+MOST_PIXELS = 1 << 28
+"""Of a map: 1 GiB per band."""
+LEAST_COVER = 0.9
+"""Pixels that Gaussians cover less are NaN: their values would be mixed with the black behind."""
+_TILE = 2048
+"""Side of what is rendered at once [px]."""
+
+
+@dataclass(frozen=True)
+class MapGrid:
+    """The pixels of a map."""
+
+    frame: MapFrame
+    """Its coordinates."""
+    west: float
+    """Left edge."""
+    north: float
+    """Upper edge."""
+    pixel: float
+    """Side of a pixel, the ground sampling distance [map units]."""
+    width: int
+    """Columns."""
+    height: int
+    """Rows."""
+    top: float
+    """Height [map units] from which the map is seen; what lies above is left out."""
+
+    @classmethod
+    def covering(
+        cls, frame: MapFrame, extent: tuple[float, float, float, float], pixel: float, top: float
+    ) -> "MapGrid":
+        """The grid of an extent.
+
+        Args:
+            frame: The map's coordinates.
+            extent: West, south, east, north.
+            pixel: Ground sampling distance.
+            top: Height from which the map is seen.
+
+        Raises:
+            UserError: The extent is empty, or has too many pixels.
+        """
+        west, south, east, north = extent
+        if not (np.isfinite(extent).all() and west < east and south < north):
+            found = " ".join(f"{x:g}" for x in extent)
+            raise UserError(f"--extent must be WEST SOUTH EAST NORTH, rising, found {found}.")
+        if not (np.isfinite(pixel) and pixel > 0):
+            raise UserError(f"--gsd must be greater than 0, found {pixel:g}.")
+        width, height = (max(1, round(span / pixel)) for span in (east - west, north - south))
+        if width * height > MOST_PIXELS:
+            fitting = pixel * (width * height / MOST_PIXELS) ** 0.5
+            raise UserError(
+                f"A map of {width:,} x {height:,} pixels is too large (more than {MOST_PIXELS:,}).",
+                f"Give a larger --gsd, at least {fitting:.3g}, or a smaller --extent.",
+            )
+        return cls(frame, west, north, pixel, width, height, top)
+
+    def view(self, left: int, upper: int, width: int, height: int, device: torch.device | str) -> ViewTensors:
+        """The camera of a part of the map: parallel rays downwards.
+
+        Colours that change with the viewing direction are those seen from above the middle of the whole map.
+
+        Args:
+            left: First column of the part.
+            upper: First row.
+            width: Columns.
+            height: Rows.
+            device: Where to put the tensors.
+        """
+        middle = np.array(
+            [self.west + self.width * self.pixel / 2, self.north - self.height * self.pixel / 2, self.top]
+        )
+        rotation = np.diag([1.0, -1.0, -1.0]) @ self.frame.rotation  # right is east, down is south, forward is down
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = rotation
+        viewmat[:3, 3] = -rotation @ self.frame.to_world(middle)
+        focal = self.frame.scale / self.pixel  # [px per world unit]
+        K = np.array([[focal, 0, self.width / 2 - left], [0, focal, self.height / 2 - upper], [0, 0, 1]])
+        return ViewTensors(
+            viewmat=torch.as_tensor(viewmat, dtype=torch.float32, device=device),
+            K=torch.as_tensor(K, dtype=torch.float32, device=device),
+            width=width,
+            height=height,
+            orthographic=True,
+        )
+
+    def tiles(self) -> Iterator[tuple[int, int, int, int]]:
+        """Left column, upper row, columns and rows of the parts that are rendered one after the other."""
+        for upper in range(0, self.height, _TILE):
+            for left in range(0, self.width, _TILE):
+                yield left, upper, min(_TILE, self.width - left), min(_TILE, self.height - upper)
+
+
+@torch.no_grad()
+def render_map(
+    model: SceneModel, name: str, scale: PixelScale, grid: MapGrid, *, sh_degree: int
+) -> NDArray[np.float32]:
+    """A spectrum from above.
+
+    Args:
+        model: The trained scene.
+        name: The spectrum.
+        scale: What its pixel values mean.
+        grid: The map.
+        sh_degree: Highest SH degree in use.
+
+    Returns:
+        [B, H, W]: colours in [0, 1] of a photograph, else one band: measured values, or intensities in [0, 1] where
+        nothing is measured. NaN where Gaussians cover less than 90%.
+    """
+    bands = 3 if scale.kind == "photograph" else 1
+    picture = np.full((bands, grid.height, grid.width), np.nan, np.float32)
+    for left, upper, width, height in grid.tiles():
+        rendered = model.render(
+            {name: grid.view(left, upper, width, height, model.background.device)}, sh_degree=sh_degree
+        )
+        image = rendered.images[name].clamp(0, 1)
+        if bands == 1:
+            intensity = pixel_intensity(image, scale)
+            image = (intensity if scale.measured_unit is None else scale.value(intensity))[..., None]
+        seen = (rendered.alphas[name] >= LEAST_COVER).expand_as(image).to(image.device)
+        part = torch.where(seen, image, torch.nan).permute(2, 0, 1).cpu().numpy()
+        picture[:, upper : upper + height, left : left + width] = part
+    return picture
+
+
+def write_map(path: Path, picture: NDArray[np.float32], name: str, scale: PixelScale, grid: MapGrid) -> None:
+    """Write what :func:`render_map` rendered as GeoTIFF.
+
+    Args:
+        path: The file, ``*.tif``.
+        picture: [B, H, W].
+        name: The spectrum.
+        scale: What its pixel values mean.
+        grid: The map.
+
+    Raises:
+        UserError: rasterio is not installed.
+    """
+    unit = scale.measured_unit
+    write_geotiff(
+        path,
+        picture,
+        west=grid.west,
+        north=grid.north,
+        pixel=grid.pixel,
+        crs=grid.frame.crs,
+        names=["red", "green", "blue"] if len(picture) == 3 else [f"{name} {unit or 'intensity'}"],
+        unit=unit,
+        tags={"SOFTWARE": "thermosplat", "SPECTRUM": name, "FRAME": grid.frame.note},
+    )

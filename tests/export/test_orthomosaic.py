@@ -1,0 +1,180 @@
+"""Maps of a made scene whose temperatures are known, local and georeferenced."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from thermosplat.config import ModelConfig
+from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.errors import UserError
+from thermosplat.export.map_frame import MapFrame, local_frame, map_extent
+from thermosplat.export.orthomosaic import MapGrid, render_map, write_map
+from thermosplat.scene.gaussians import SH_C0, Gaussians
+from thermosplat.scene.model import SceneModel
+from toy_scene import toy_capture, toy_config
+
+SPACING = 0.05
+LOW, HIGH = 10.0, 30.0  # of the toy capture's scale
+
+
+def celsius_at(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """The truth: a slope to the east, and a square that is 6 °C warmer in the north-east."""
+    return 14.0 + 2.0 * east + 6.0 * ((east > 0.2) & (east < 1.0) & (north > 0.3) & (north < 1.1))
+
+
+def field_model(rotation: np.ndarray) -> tuple[SceneModel, Capture]:
+    """A field of 4 by 3 units of opaque Gaussians; a roof of cold ones hangs over it at height 5."""
+    axis_x, axis_y = np.arange(-2, 2, SPACING) + SPACING / 2, np.arange(-1.5, 1.5, SPACING) + SPACING / 2
+    east, north = (values.ravel() for values in np.meshgrid(axis_x, axis_y))
+    ground = np.stack([east, north, np.zeros_like(east)], axis=1)
+    means = (
+        np.concatenate([ground, ground + np.array([0, 0, 5.0])]) @ rotation
+    )  # rows of the rotation are the map's axes
+    shares = (celsius_at(east, north) - LOW) / (HIGH - LOW)
+    gray = np.concatenate([shares, np.zeros_like(shares)])
+    count = len(means)
+    colors = torch.tensor(gray, dtype=torch.float32)[:, None, None].expand(-1, 1, 3)
+    parameters = {
+        "means": torch.tensor(means, dtype=torch.float32),
+        "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        "log_scales": torch.full((count, 3), float(np.log(0.7 * SPACING))),
+        "logit_opacities": torch.full((count,), 6.0),
+        "sh0": (colors - 0.5) / SH_C0,
+        "shN": torch.zeros(count, 0, 3),
+    }
+    capture = toy_capture(thermal_kind="scalar")
+    config = toy_config(gaussian_sets="separate", feature_dim=0)
+    spectra = list(SceneModel.from_capture(config, capture, "cpu").spectra.values())
+    sets = {spectrum.name: Gaussians(parameters) for spectrum in spectra}
+    return SceneModel(dataclasses.replace(ModelConfig(), **vars(config.model)), config.decoder, spectra, sets), capture
+
+
+def tilted() -> np.ndarray:
+    """Axes of the map in a world that lies askew."""
+    axes = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    return axes * np.sign(np.linalg.det(axes))
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.5])
+def test_temperatures_of_a_map_are_the_truth(scale: float) -> None:
+    """Each pixel of the ground has its own temperature, whatever the world's axes and unit; beside it there is NaN."""
+    rotation = tilted()
+    model, capture = field_model(rotation)
+    frame = MapFrame(rotation, scale, np.array([500_000.0, 5_000_000.0, 100.0]))
+    extent = (499_993.75, 4_999_993.75, 500_006.25, 5_000_006.25)
+    pixel = 0.04 * scale
+    grid = MapGrid.covering(frame, extent, pixel, top=100.0 + 3.0 * scale)
+    celsius = render_map(model, "thermal", capture.scales["thermal"], grid, sh_degree=0)[0]
+    east = (grid.west + (np.arange(grid.width) + 0.5) * pixel - 500_000.0) / scale
+    north = (grid.north - (np.arange(grid.height) + 0.5) * pixel - 5_000_000.0) / scale
+    truth = celsius_at(*np.meshgrid(east, north))
+    inside = (np.abs(east) < 1.9)[None] & (np.abs(north) < 1.4)[:, None]
+    assert np.isfinite(celsius[inside]).all()
+    assert np.isnan(celsius[(np.abs(north) > 1.7)]).all()
+    error = np.abs(celsius - truth)[inside]
+    assert np.median(error) < 0.1
+    edges = np.abs(np.diff(truth, axis=1, append=truth[:, -1:])) + np.abs(np.diff(truth, axis=0, append=truth[-1:]))
+    far = ~_widened(edges > 1.0, 4)
+    assert np.abs(celsius - truth)[inside & far].max() < 0.3
+    assert error.max() > 1.0  # the square's edges are blurred: the map is no copy of the truth
+
+
+def _widened(mask: np.ndarray, pixels: int) -> np.ndarray:
+    for axis in (0, 1):
+        mask = np.logical_or.reduce([np.roll(mask, shift, axis) for shift in range(-pixels, pixels + 1)])
+    return mask
+
+
+def test_tiles_meet_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A map that is rendered in parts is the map that is rendered at once."""
+    model, capture = field_model(np.eye(3))
+    grid = MapGrid.covering(MapFrame(np.eye(3)), (-2.0, -1.5, 2.0, 1.5), 0.05, top=3.0)
+    whole = render_map(model, "rgb", capture.scales["rgb"], grid, sh_degree=0)
+    monkeypatch.setattr("thermosplat.export.orthomosaic._TILE", 33)
+    parts = render_map(model, "rgb", capture.scales["rgb"], grid, sh_degree=0)
+    assert whole.shape == (3, 60, 80)
+    np.testing.assert_allclose(parts, whole, atol=2e-6)
+
+
+def test_what_lies_above_the_top_is_left_out() -> None:
+    """From above the roof its cold is seen, from below it the ground."""
+    model, capture = field_model(np.eye(3))
+    means = []
+    for top in (3.0, 8.0):
+        grid = MapGrid.covering(MapFrame(np.eye(3)), (-1.0, -1.0, 1.0, 1.0), 0.1, top=top)
+        means.append(render_map(model, "thermal", capture.scales["thermal"], grid, sh_degree=0).mean())
+    assert means[0] > 13.0
+    assert means[1] == pytest.approx(LOW, abs=0.2)
+
+
+def test_files_have_coordinates_units_and_gaps(tmp_path: Path) -> None:
+    """rasterio reads back the place of each pixel, what the band is, and which pixels hold nothing."""
+    rasterio = pytest.importorskip("rasterio", reason='rasterio is not installed (pip install ".[maps]")')
+    scale = toy_capture(thermal_kind="scalar").scales["thermal"]
+    frame = MapFrame(np.eye(3), 1.0, np.zeros(3), "EPSG:32632", "a note")
+    grid = MapGrid.covering(frame, (500_000.0, 5_000_000.0, 500_002.0, 5_000_001.0), 0.5, top=9.0)
+    picture = np.array([[[20.0, 21.0, np.nan, 23.0], [10.0, 11.0, 12.0, 13.0]]], np.float32)
+    write_map(tmp_path / "map.tif", picture, "thermal", scale, grid)
+    with rasterio.open(tmp_path / "map.tif") as file:
+        np.testing.assert_array_equal(file.read(), picture)
+        assert np.isnan(file.nodata)
+        assert file.crs.to_epsg() == 32632
+        assert file.xy(0, 0) == (500_000.25, 5_000_000.75)
+        assert (file.descriptions, file.units) == (("thermal celsius",), ("celsius",))
+        assert file.tags()["FRAME"] == "a note"
+    assert [path.name for path in tmp_path.iterdir()] == ["map.tif"]
+
+
+def looking(direction: np.ndarray, count: int = 6) -> Capture:
+    """The toy capture before cameras in a row that look one way."""
+    capture = toy_capture()
+    z = direction / np.linalg.norm(direction)
+    x = np.cross([0.3, 1.0, 0.2], z)
+    x /= np.linalg.norm(x)
+    frames = []
+    for index in range(count):
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = np.stack([x, np.cross(z, x), z])
+        viewmat[:3, 3] = -viewmat[:3, :3] @ np.array([index, 0.0, 5.0])
+        views = {n: dataclasses.replace(v, viewmat=viewmat) for n, v in capture.train[0].views.items()}
+        frames.append(Frame(f"f{index}", views))
+    return dataclasses.replace(capture, train=tuple(frames))
+
+
+def test_cameras_of_a_flight_look_down() -> None:
+    """Where all look one way, that way is down; a given direction goes before."""
+    down = np.array([0.1, 0.2, -1.0])
+    frame = local_frame(looking(down), "rgb")
+    np.testing.assert_allclose(frame.rotation[2], -down / np.linalg.norm(down), atol=1e-9)
+    np.testing.assert_allclose(frame.rotation @ frame.rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(frame.rotation) == pytest.approx(1.0)
+    np.testing.assert_allclose(local_frame(looking(down), "rgb", (0, 2, 0)).rotation[2], [0, 1, 0], atol=1e-12)
+    west, south, east, north = map_extent(frame, looking(down))
+    assert west < east
+    assert south < north
+
+
+def test_cameras_around_a_scene_are_held_upright() -> None:
+    """Where they look all ways, up is the mean of their images' up."""
+    capture = looking(np.array([1.0, 0.0, 0.0]))
+    other = looking(np.array([-1.0, 0.0, 0.0]))
+    both = dataclasses.replace(capture, train=(*capture.train, *other.train))
+    ups = -np.stack([frame.views["rgb"].viewmat[1, :3] for frame in both.train]).mean(axis=0)
+    np.testing.assert_allclose(local_frame(both, "rgb").rotation[2], ups / np.linalg.norm(ups), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("extent", "pixel", "message"),
+    [
+        ((0, 0, 1, 1), 0.0, "--gsd must be greater than 0"),
+        ((1, 0, 0, 1), 0.1, "--extent must be WEST SOUTH EAST NORTH"),
+        ((0, 0, 1000, 1000), 0.01, "is too large"),
+    ],
+)
+def test_impossible_grids_are_explained(extent: tuple[float, ...], pixel: float, message: str) -> None:
+    """The sentence names the flag."""
+    with pytest.raises(UserError, match=message):
+        MapGrid.covering(MapFrame(np.eye(3)), extent, pixel, top=1.0)  # type: ignore[arg-type]
