@@ -13,6 +13,7 @@ import pytest
 
 from sample_runs import QUICK, STEPS, Run
 from thermosplat.cli import evaluate, export, render, train
+from thermosplat.novel_views.bookmarks import Bookmark, write_bookmarks
 
 
 @pytest.mark.parametrize("main", [evaluate.main, render.main, export.main])
@@ -242,3 +243,39 @@ def test_export_of_maps(run: Run, finished: Path, tmp_path: Path) -> None:
     code, printed = run(export.main, finished, "--gsd", 0.05)
     assert code == 2
     assert "--gsd is a setting of maps, not of ply." in printed
+
+
+def test_render_layouts_and_bookmarks(run: Run, finished: Path, tmp_path: Path) -> None:
+    """A path through the viewer's bookmarks, as a wipe with colour bar and title."""
+    write_bookmarks(tmp_path / "marks.json", [Bookmark(n, _before_desk(x), 40.0) for n, x in (("a", 0.0), ("b", 0.4))])
+    words = ["--path", tmp_path / "marks.json", "--format", "png", "--frames", 3]
+    code, printed = run(render.main, finished, *words, "--layout", "wipe", "--color-bar", "--title", "Desk 20 °C")
+    assert code == 0
+    folder = finished / "videos" / f"bookmarks-wipe_rgb-thermal_{STEPS:06d}"
+    assert str(folder) in printed
+    first, middle, last = (cv2.imread(str(folder / f"{index:05d}.png")) for index in range(3))
+    assert first.shape[1] > 50 + 20  # data-factor 4: 50 px, and the bar
+    assert not np.array_equal(first, last)
+    assert not np.array_equal(first, middle)
+    code, printed = run(render.main, finished, "--path", "elipse")
+    assert code == 2
+    assert "--path elipse is neither a path nor a file." in printed
+    code, printed = run(render.main, finished, "--title", "Wärme")
+    assert code == 2
+    assert "letters that pictures cannot show" in printed
+
+
+def test_render_says_what_browsers_play(run: Run, finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the extra one line says what to install; with it nothing is said."""
+    words = ["--path", "ellipse", "--frames", 2]
+    assert "thermosplat[video]" not in run(render.main, finished, *words)[1]
+    monkeypatch.setattr("thermosplat.pictures.video.browsers_play_videos", lambda: False)
+    code, printed = run(render.main, finished, *words)
+    assert code == 0
+    assert 'For H.264: pip install "thermosplat[video]"' in printed
+
+
+def _before_desk(x: float) -> np.ndarray:
+    viewmat = np.eye(4)
+    viewmat[:3, 3] = [x, 0.0, 2.0]
+    return viewmat

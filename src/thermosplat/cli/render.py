@@ -1,7 +1,9 @@
 """thermosplat-render: a trained run along a camera path, as a video or as PNGs."""
 
+import os
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from thermosplat.cli.host_settings import importing
@@ -14,12 +16,19 @@ from thermosplat.errors import UserError
 class RenderArguments(SpectraArguments, RunOnCaptureArguments):
     """Render a trained run along a camera path: a video or PNGs of one spectrum, or of several side by side."""
 
-    path: Literal["interp", "ellipse", "spiral", "train", "test"] = "interp"
-    """Smoothly through the training views; an ellipse around the scene; a spiral in front of it; or the views of the
-    training or the held-out split themselves."""
+    path: str = "interp"
+    """interp: smoothly through the training views; ellipse: around the scene; spiral: in front of it; train, test: the
+    views of that split themselves. Or a bookmarks file of thermosplat-view: smoothly through its bookmarks."""
     format: Literal["mp4", "png"] = "mp4"
-    """A video (H.264 with the extra "video" installed: pip install ".[video]"), or a folder of PNGs, named
+    """A video (H.264 with the extra "video" installed: pip install "thermosplat[video]"), or a folder of PNGs, named
     by the frames on the train and test paths and numbered on the others."""
+    layout: Literal["side-by-side", "wipe", "inset"] = "side-by-side"
+    """Of several spectra: beside each other; a wipe whose edge wanders over the picture; or the others small inside
+    the first."""
+    color_bar: bool = False
+    """Put the colour bar of each measured spectrum beside the picture, in its unit."""
+    title: str = ""
+    """One line above the picture."""
     frames: int = 120
     """Images along the path; the train and test paths have one for each view."""
     fps: int = 30
@@ -48,29 +57,58 @@ def _render(arguments: RenderArguments) -> int:
 
         from thermosplat.evaluation.held_out import file_stem
         from thermosplat.evaluation.loaded_run import load_run
-        from thermosplat.novel_views.viewpoints import rendered_images, viewpoints
-        from thermosplat.pictures.video import write_images
+        from thermosplat.novel_views.bookmarks import read_bookmarks
+        from thermosplat.novel_views.viewpoints import PATHS, bookmarked_viewpoints, rendered_images, viewpoints
+        from thermosplat.pictures.layouts import check_title
+        from thermosplat.pictures.video import browsers_play_videos, write_images
         from thermosplat.runs.atomic_writes import check_is_no_link
 
+    path = next((name for name in PATHS if name == arguments.path), None)
+    bookmarks = []
+    if path is None:
+        file = Path(os.path.expanduser(arguments.path))
+        if not file.is_file():
+            raise UserError(
+                f"--path {arguments.path} is neither a path nor a file.",
+                f"Give one of {', '.join(PATHS)}, or a bookmarks file of thermosplat-view.",
+            )
+        bookmarks = read_bookmarks(file)
+    check_title(arguments.title)
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
     shown = arguments.chosen(list(loaded.model.spectra))
     capture = loaded.capture(arguments.data)
     for note in (*loaded.notes, *capture.notes):
         print(note)
-    points = viewpoints(capture, arguments.path, shown, num_frames=arguments.frames, device=loaded.device)
-    name = f"{arguments.path}_{'-'.join(shown)}_{loaded.result_name(capture)}"
+    count, device = arguments.frames, loaded.device
+    if path is None:
+        points = bookmarked_viewpoints(capture, bookmarks, shown, num_frames=count, device=device)
+    else:
+        points = viewpoints(capture, path, shown, num_frames=count, device=device)
+    layout = "" if arguments.layout == "side-by-side" else f"-{arguments.layout}"
+    name = f"{path or 'bookmarks'}{layout}_{'-'.join(shown)}_{loaded.result_name(capture)}"
     videos = loaded.directory.videos
     check_is_no_link(videos / name)
-    images = rendered_images(loaded.model, points, sh_degree=loaded.sh_degree, scales=loaded.scales)
+    images = rendered_images(
+        loaded.model,
+        points,
+        sh_degree=loaded.sh_degree,
+        scales=loaded.scales,
+        layout=arguments.layout,
+        color_bar=arguments.color_bar,
+        title=arguments.title,
+    )
+    shown_path = path or "bookmarks"
     written = write_images(
-        track(images, f"Rendering {arguments.path}", len(points), transient=True, disable=not sys.stdout.isatty()),
+        track(images, f"Rendering {shown_path}", len(points), transient=True, disable=not sys.stdout.isatty()),
         videos / name,
         format=arguments.format,
         fps=arguments.fps,
-        names=[file_stem(point.frame) for point in points] if arguments.path in ("train", "test") else None,
+        names=[file_stem(point.frame) for point in points] if path in ("train", "test") else None,
     )
     if arguments.format == "mp4" and written.is_dir():
         print("No video encoder here, so PNGs were written.")
+    elif arguments.format == "mp4" and not browsers_play_videos():
+        print('The video is MPEG-4, which some browsers do not play. For H.264: pip install "thermosplat[video]".')
     print(f"{len(points)} images: {written}")
     return 0
 

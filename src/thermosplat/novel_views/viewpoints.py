@@ -1,7 +1,7 @@
 """Images of a trained scene along a camera path."""
 
-from collections.abc import Collection, Iterator, Mapping
-from typing import Literal, NamedTuple
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -11,13 +11,16 @@ from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, distortion_tensor
 from thermosplat.errors import UserError
+from thermosplat.novel_views.bookmarks import Bookmark, fov_camera, path_through
 from thermosplat.novel_views.camera_paths import ellipse_path, interpolated_path, spiral_path
-from thermosplat.pictures.image_display import Image8, side_by_side, spectrum_bytes
+from thermosplat.pictures.image_display import Image8, spectrum_bytes
+from thermosplat.pictures.layouts import Layout, arranged, with_legend
 from thermosplat.scene.model import SceneModel
-from thermosplat.spectra import listed
+from thermosplat.spectra import listed, unit_label
 from thermosplat.thermal.radiometry import PixelScale
 
 PathName = Literal["interp", "ellipse", "spiral", "train", "test"]
+PATHS: tuple[PathName, ...] = get_args(PathName)
 
 _PATHS = {"interp": interpolated_path, "ellipse": ellipse_path, "spiral": spiral_path}
 
@@ -82,9 +85,47 @@ def viewpoints(
     return made
 
 
+def bookmarked_viewpoints(
+    capture: Capture,
+    bookmarks: Sequence[Bookmark],
+    shown: Collection[str],
+    *,
+    num_frames: int,
+    device: torch.device | str,
+) -> list[Viewpoint]:
+    """The cameras along a path through bookmarks; all spectra are seen by the same one.
+
+    Args:
+        capture: Its first training view of a shown spectrum gives the size of the images.
+        bookmarks: At least two.
+        shown: Names of the spectra, at least one.
+        num_frames: Images of the path, >= 1.
+        device: Where to put the camera tensors.
+
+    Raises:
+        UserError: There are fewer than two bookmarks, or no training view.
+    """
+    names = [name for name in capture.spectra if name in shown]
+    first = next((frame.views[name] for name in names for frame in capture.train if name in frame.views), None)
+    if first is None:
+        raise UserError(f"{capture.name} has no {listed(names)} views to take the size of the images from.")
+    size = first.camera.width, first.camera.height
+    return [
+        Viewpoint(dict.fromkeys(names, _view_tensors(fov_camera(stop.fov_y, *size), stop.viewmat, device)))
+        for stop in path_through(bookmarks, num_frames)
+    ]
+
+
 @torch.no_grad()
 def rendered_images(
-    model: SceneModel, points: list[Viewpoint], *, sh_degree: int, scales: Mapping[str, PixelScale]
+    model: SceneModel,
+    points: list[Viewpoint],
+    *,
+    sh_degree: int,
+    scales: Mapping[str, PixelScale],
+    layout: Layout = "side-by-side",
+    color_bar: bool = False,
+    title: str = "",
 ) -> Iterator[Image8]:
     """Render viewpoints one after the other, as images to look at.
 
@@ -93,19 +134,25 @@ def rendered_images(
         points: The viewpoints.
         sh_degree: Highest SH degree in use.
         scales: What pixel values mean, by spectrum; scalars are shown through their palettes.
+        layout: How the shown spectra are put together (:func:`~thermosplat.pictures.layouts.arranged`).
+        color_bar: Put a colour bar of each measured spectrum beside the picture.
+        title: One line above it; "" for none.
 
     Yields:
-        8-bit RGB [H, W, 3]: the shown spectra side by side, scaled to one height.
+        8-bit RGB [H, W, 3].
     """
-    for point in points:
+    for index, point in enumerate(points):
         rendered = model.render(point.views, sh_degree=sh_degree)
-        images = [
-            spectrum_bytes(rendered.images[name].cpu().numpy(), scales[name])
-            for name in model.spectra
-            if name in rendered.images
-        ]
-        if images:
-            yield side_by_side(images)
+        names = [name for name in model.spectra if name in rendered.images]
+        if not names:
+            continue
+        images = [spectrum_bytes(rendered.images[name].cpu().numpy(), scales[name]) for name in names]
+        picture = arranged(images, layout, index / max(1, len(points) - 1))
+        if color_bar or title:
+            measured = [name for name in names if color_bar and scales[name].measured_unit is not None]
+            units = [unit_label(scales[name].measured_unit or "") for name in measured]
+            picture = with_legend(picture, [scales[name] for name in measured], units, title)
+        yield picture
 
 
 def _viewpoint(frame: Frame, shown: Collection[str], device: torch.device | str) -> Viewpoint:

@@ -93,8 +93,13 @@ def _is_complete(path: Path) -> bool:
     return at == size and b"moov" in kinds
 
 
+def browsers_play_videos() -> bool:
+    """Whether videos are H.264 here, which all browsers play, and not MPEG-4."""
+    return importlib.util.find_spec("imageio_ffmpeg") is not None
+
+
 def _encoder(path: Path, width: int, height: int, fps: int) -> AbstractContextManager[Callable[[Image8], object]]:
-    open_encoder = _h264 if importlib.util.find_spec("imageio_ffmpeg") else _mpeg4
+    open_encoder = _h264 if browsers_play_videos() else _mpeg4
     return open_encoder(path, width, height, fps)
 
 

@@ -27,7 +27,7 @@ _WRITTEN = {
     "renders": rf"eval_{_ON_CAPTURE}",
     "ply": rf"splat_{_SPECTRUM}\.ply",
     "exports": rf"(splat|points|mesh|orthomosaic)_{_SPECTRUM}\.(compressed\.ply|ply|spz|sog|glb|usd|tif)",
-    "videos": rf"(interp|ellipse|spiral|train|test)_{_SPECTRUM}(-{_SPECTRUM})*_{_ON_CAPTURE}",
+    "videos": rf"(interp|ellipse|spiral|train|test|bookmarks)(-wipe|-inset)?_{_SPECTRUM}(-{_SPECTRUM})*_{_ON_CAPTURE}",
     "refined": r"(cameras|images|points3D)\.txt",
     "tb": rf"events\.out\.tfevents\..*{re.escape(TENSORBOARD_SUFFIX)}",
 }
