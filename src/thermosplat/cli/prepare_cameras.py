@@ -2,6 +2,7 @@
 
 import shlex
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from thermosplat.cli.host_settings import importing
@@ -15,6 +16,21 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class CalibrateArguments(CaptureArguments):
     """Find lenses and the pose between the cameras from pictures of a board."""
+
+    rgb: str = ""
+    """Folder with photographs of the board."""
+    thermal: str = ""
+    """Folder with thermal images of the board, taken at the same moments, in the same order of names."""
+    board: Literal["checkerboard", "circles", "charuco"] = "checkerboard"
+    """What is on it: squares, an asymmetric grid of circles, or a ChArUco board of the dictionary 5X5_100."""
+    columns: int = 9
+    """Inner corners per row of a checkerboard, circles per row, or squares per row of a ChArUco board."""
+    rows: int = 6
+    """Rows of these."""
+    size: float = 0.03
+    """Side of a square [m]; of circles, half the distance between neighbours of a row."""
+    marker: float = 0.022
+    """Side of a ChArUco marker [m]."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +48,20 @@ class RegisterArguments(CaptureArguments):
 
 def run_calibrate(arguments: CalibrateArguments) -> int:
     """``thermosplat-prepare calibrate``; returns the exit code."""
-    raise _not_yet("calibrate")
+    if not arguments.rgb or not arguments.thermal:
+        raise UserError(
+            "calibrate needs two folders with pictures of a board.",
+            "Name them: thermosplat-prepare calibrate CAPTURE --rgb BOARDS/rgb --thermal BOARDS/thermal",
+        )
+    with importing():
+        from thermosplat.prepare.boards import Board
+        from thermosplat.prepare.calibrate import calibrate
+
+    capture = capture_at(arguments.capture)
+    board = Board(arguments.board, arguments.columns, arguments.rows, arguments.size, arguments.marker)
+    say("calibrate", calibrate(capture, Path(arguments.rgb).expanduser(), Path(arguments.thermal).expanduser(), board))
+    print(f"Next: thermosplat-prepare sfm {shlex.quote(str(capture.root))}")
+    return 0
 
 
 def run_sfm(arguments: SfmArguments) -> int:
@@ -65,7 +94,3 @@ def find_cameras(capture: "CaptureFolder") -> None:
 
     say("sfm", run_sfm(capture))
     say("register", register(capture))
-
-
-def _not_yet(step: str) -> UserError:
-    return UserError(f"thermosplat-prepare {step} is not in this version yet.", "Use COLMAP; docs/data-layouts.md.")
