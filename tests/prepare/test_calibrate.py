@@ -41,8 +41,8 @@ def test_too_few_boards_are_counted(tmp_path: Path) -> None:
         UserError, match=r"in \d of 3 photographs, in \d thermal images, and in both of [1-3] pairs; at least 5"
     ):
         calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, CHECKERBOARD)
-    with pytest.raises(UserError, match=r"checkerboard of 5x4 was found in 0 of 3 photographs"):
-        calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, Board("checkerboard", 5, 4, 0.03))
+    with pytest.raises(UserError, match=r"checkerboard of 11x9 was found in 0 of 3 photographs"):
+        calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, Board("checkerboard", 11, 9, 0.03))
     assert not (tmp_path / "capture" / "calibration.json").exists()
 
 
