@@ -212,3 +212,15 @@ def test_environment_names_versions_and_no_paths(tmp_path: Path) -> None:
 def test_resume_command_can_be_pasted() -> None:
     """A path with a blank is quoted."""
     assert RunDirectory("my runs/shed").resume_command() == "thermosplat-train --resume 'my runs/shed'"
+
+
+@pytest.mark.parametrize(
+    ("content", "stays"), [("<!doctype html>\n<!-- results of thermosplat -->", False), ("mine", True)]
+)
+def test_only_our_page_is_deleted(tmp_path: Path, content: str, stays: bool) -> None:
+    """--overwrite deletes an index.html that a command wrote, and no other; neither makes a folder a run."""
+    (tmp_path / "index.html").write_text(content)
+    assert not RunDirectory(tmp_path).holds_a_run()
+    _finished_run(tmp_path)
+    RunDirectory.create(tmp_path, overwrite=True)
+    assert (tmp_path / "index.html").exists() is stays

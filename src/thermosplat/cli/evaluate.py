@@ -48,6 +48,7 @@ def _evaluate(arguments: EvalArguments) -> int:
         from thermosplat.evaluation.held_out_poses import evaluate_refined, unrefined_sentences
         from thermosplat.evaluation.labelled_regions import write_regions
         from thermosplat.evaluation.loaded_run import load_run
+        from thermosplat.evaluation.results_page import write_results_page
         from thermosplat.image_quality.lpips import find_lpips
 
     console = Console(highlight=False, soft_wrap=True)
@@ -88,6 +89,7 @@ def _evaluate(arguments: EvalArguments) -> int:
     if regions is not None:
         _print_regions(console, regions)
         console.print(f"By region {by_region}", markup=False)
+    write_results_page(run)
     console.print(f"Numbers {numbers}, per view {table}, pictures {strips}", markup=False)
     return 0
 

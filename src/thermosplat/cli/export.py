@@ -68,6 +68,7 @@ def _export(arguments: ExportArguments) -> int:
 
     with importing():
         from thermosplat.evaluation.loaded_run import load_run
+        from thermosplat.evaluation.results_page import write_results_page
 
         if arguments.format == "orthomosaic":
             from thermosplat.cli.export_map import export_map as export
@@ -79,6 +80,8 @@ def _export(arguments: ExportArguments) -> int:
     if arguments.output is not None:
         folder = Path(os.path.expanduser(arguments.output))
     export(arguments, loaded, folder)
+    if arguments.output is None:
+        write_results_page(loaded.directory)
     for note in loaded.notes:
         print(note)
     return 0

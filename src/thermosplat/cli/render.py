@@ -57,6 +57,7 @@ def _render(arguments: RenderArguments) -> int:
 
         from thermosplat.evaluation.held_out import file_stem
         from thermosplat.evaluation.loaded_run import load_run
+        from thermosplat.evaluation.results_page import write_results_page
         from thermosplat.novel_views.bookmarks import read_bookmarks
         from thermosplat.novel_views.viewpoints import PATHS, bookmarked_viewpoints, rendered_images, viewpoints
         from thermosplat.pictures.layouts import check_title
@@ -109,6 +110,7 @@ def _render(arguments: RenderArguments) -> int:
         print("No video encoder here, so PNGs were written.")
     elif arguments.format == "mp4" and not browsers_play_videos():
         print('The video is MPEG-4, which some browsers do not play. For H.264: pip install "thermosplat[video]".')
+    write_results_page(loaded.directory)
     print(f"{len(points)} images: {written}")
     return 0
 

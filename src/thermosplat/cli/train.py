@@ -121,6 +121,7 @@ def _resumed_trainer(config: "TrainConfig", capture: "Capture", trainer_class: t
 def _say_what_and_where(trainer: "Trainer", metrics: dict[str, Any]) -> None:
     """How large the model is, with what a budget has left of it, and what the run left behind."""
     from thermosplat.evaluation.held_out_poses import unrefined_sentences
+    from thermosplat.evaluation.results_page import write_results_page
     from thermosplat.refinement.camera_report import correction_sentences
 
     size = [f"{metrics['num_gaussians']:,} Gaussians"]
@@ -133,7 +134,10 @@ def _say_what_and_where(trainer: "Trainer", metrics: dict[str, Any]) -> None:
         print(sentence)
     run = trainer.run
     pictures = len(list(run.renders.glob("*.png")))
+    page = write_results_page(run)
     print(f"Results in {run.path}:")
+    if page is not None:
+        print(f"  {page.name:<14} numbers, plots and pictures on one page: open it in a browser")
     print(f"  {run.metrics_json.name:<14} the numbers; config.yaml reproduces the run")
     print(f"  {'renders/':<14} {pictures} held-out frames: ground truth | render | error")
     if "refined" in metrics:

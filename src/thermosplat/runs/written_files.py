@@ -16,6 +16,8 @@ TENSORBOARD_SUFFIX = ".thermosplat"
 """At the end of our event files' names, by which they are told from those of other trainers."""
 FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "regions.json", "environment.json")
 """What lies in the result folder itself."""
+PAGE, PAGE_MARK = "index.html", "<!-- results of thermosplat -->"
+"""The page of a result folder, and what tells it from other pages of that name."""
 CHECKPOINT_NAME = re.compile(r"step_(\d+)\.pt")
 """With the steps done."""
 
@@ -58,6 +60,23 @@ def delete_run(run: Path) -> None:
         _remove_if_empty(run / name)
     for name in FILES:
         (run / name).unlink(missing_ok=True)
+    if is_our_page(run / PAGE):
+        (run / PAGE).unlink()
+
+
+def is_our_page(path: Path) -> bool:
+    """Whether a file is a page that a command wrote: it says so at its beginning.
+
+    Args:
+        path: The file; it may be missing.
+    """
+    try:
+        if path.is_symlink() or not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return PAGE_MARK.encode() in file.read(200)
+    except OSError:
+        return False
 
 
 def sweep_run(run: Path) -> None:
