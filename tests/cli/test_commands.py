@@ -1,10 +1,12 @@
 """thermosplat-train on the sample capture, run in this process; every mistake ends with code 2 and no traceback."""
 
+import copy
 import dataclasses
 import json
 import re
 import shutil
 from collections.abc import Callable
+from functools import reduce
 from importlib.resources import files
 from pathlib import Path
 
@@ -315,9 +317,16 @@ def test_edited_checkpoint(run: Run, finished: Path, tmp_path: Path, main: Calla
     folder = tmp_path / "run"
     shutil.copytree(finished, folder)
     path = folder / "ckpts" / f"step_{STEPS:06d}.pt"
-    state = torch.load(path, weights_only=True)
-    state["model"]["gaussian_sets"]["shared"].pop("means")
-    torch.save(state, path)
-    code, printed = run(main, *(["--resume"] if main is train.main else []), folder)
-    assert code == 2
-    assert "The checkpoint is damaged: its model cannot be used" in printed
+    whole = torch.load(path, weights_only=True)
+    for part, entries, name in (
+        ("model", ("model", "gaussian_sets", "shared"), "means"),
+        ("scales", ("scales",), "thermal"),
+    ):
+        if part == "scales" and main is train.main:
+            continue  # training takes them from the capture
+        state = copy.deepcopy(whole)
+        reduce(dict.__getitem__, entries, state).pop(name)
+        torch.save(state, path)
+        code, printed = run(main, *(["--resume"] if main is train.main else []), folder)
+        assert code == 2
+        assert f"The checkpoint is damaged: its {part} cannot be used" in printed

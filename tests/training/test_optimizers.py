@@ -1,12 +1,22 @@
 """Learning rates follow the published schedule, and a blocked step changes nothing."""
 
+import copy
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 import torch
 
 from random_gaussians import random_gaussians, stepped_optimizers
 from thermosplat.config import OptimizerConfig
 from thermosplat.scene.gaussians import offsets_name, own_logits_name, sh_names
-from thermosplat.training.optimizers import gaussian_optimizers, learning_rate, set_learning_rates, step_unless
+from thermosplat.training.optimizers import (
+    gaussian_optimizers,
+    learning_rate,
+    load_optimizer,
+    set_learning_rates,
+    step_unless,
+)
 
 CONFIG = OptimizerConfig()
 
@@ -96,3 +106,33 @@ def test_degree_zero_has_an_empty_parameter() -> None:
         parameter.grad = torch.ones_like(parameter)
     step_unless(torch.zeros(()), {"set": optimizers})
     assert (gaussians.means < before).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda moments: moments.pop("exp_avg_sq"), "holds exp_avg, step"),
+        (lambda moments: moments.update(exp_avg=moments["exp_avg"][:2]), r"exp_avg of an optimizer has the shape \[2"),
+        (lambda moments: moments.update(step=torch.zeros(2)), r"step of an optimizer has the shape \[2\]"),
+        (lambda moments: moments.update(max=torch.zeros(2)), "holds exp_avg, exp_avg_sq, max, step"),
+    ],
+)
+def test_moments_that_do_not_fit_are_refused(change: Callable[[dict[str, torch.Tensor]], Any], message: str) -> None:
+    """What Adam would fail with, or read beyond its end, is found when a checkpoint is loaded."""
+    gaussians = random_gaussians(3)
+    saved = copy.deepcopy(stepped_optimizers(gaussians)["means"].state_dict())
+    change(saved["state"][0])
+    with pytest.raises(ValueError, match=message):
+        load_optimizer(gaussian_optimizers(gaussians, CONFIG)["means"], saved)
+
+
+def test_rates_and_settings_are_the_optimizers_own() -> None:
+    """A checkpoint brings moments; what its file says of settings is not taken over."""
+    gaussians = random_gaussians(3)
+    saved = copy.deepcopy(stepped_optimizers(gaussians)["means"].state_dict())
+    saved["param_groups"][0] |= {"betas": ("a", None), "eps": -1.0, "lr": 7.0, "rate": 3.0}
+    optimizer = gaussian_optimizers(gaussians, CONFIG)["means"]
+    before = {key: value for key, value in optimizer.param_groups[0].items() if key != "params"}
+    load_optimizer(optimizer, saved)
+    assert {key: value for key, value in optimizer.param_groups[0].items() if key != "params"} == before
+    assert torch.equal(optimizer.state[gaussians.means]["exp_avg"], saved["state"][0]["exp_avg"])

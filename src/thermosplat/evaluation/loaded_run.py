@@ -163,6 +163,8 @@ def _loaded(directory: RunDirectory, file: Path, chosen: torch.device) -> Loaded
     checkpoint = load_checkpoint(file, chosen)
     with damage_explained("scales"):
         scales = {name: PixelScale.from_state_dict(scale) for name, scale in checkpoint.scales.items()}
+        if lacking := checkpoint.config.modelled.keys() - scales.keys():
+            raise KeyError(min(lacking))
     model = SceneModel.from_checkpoint(checkpoint, chosen).eval()
     return LoadedRun(
         directory=directory,

@@ -18,6 +18,9 @@ from thermosplat.fused.adam import WarpAdam, step_together
 from thermosplat.scene.gaussians import OFFSETS
 from thermosplat.training.density.gaussian_ops import Optimizers
 
+_MOMENTS = {"step", "exp_avg", "exp_avg_sq"}
+"""What Adam knows of a parameter."""
+
 
 def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_extent: float) -> float:
     """Learning rate of a parameter.
@@ -81,7 +84,7 @@ def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
         state: Its ``state_dict()``.
 
     Raises:
-        ValueError: Moments are not of the parameters' shapes.
+        ValueError: Moments are missing, or are not of the parameters' shapes.
     """
     settings = [{key: value for key, value in group.items() if key != "params"} for group in optimizer.param_groups]
     optimizer.load_state_dict(state)
@@ -90,7 +93,10 @@ def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
         group.clear()
         group.update(params=parameters, **own)
         for parameter in parameters:
-            for name, moment in optimizer.state.get(parameter, {}).items():
+            moments = optimizer.state.get(parameter, {})
+            if moments and set(moments) != _MOMENTS:
+                raise ValueError(f"an optimizer holds {', '.join(sorted(map(str, moments)))}")
+            for name, moment in moments.items():
                 if moment.shape != (() if name == "step" else parameter.shape):
                     raise ValueError(f"{name} of an optimizer has the shape {list(moment.shape)}")
 
