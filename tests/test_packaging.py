@@ -19,6 +19,7 @@ from thermosplat.datasets import load_capture
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+_FOR_DEVELOPERS = ("test", "docs", "dev")
 
 
 def test_one_version_everywhere() -> None:
@@ -78,10 +79,9 @@ def test_the_data_files_are_found() -> None:
 def test_all_imported_packages_are_declared() -> None:
     """Third-party modules that the package imports are dependencies, or extras imported where they are used."""
     modules = {"yaml": "PyYAML", "cv2": "opencv-contrib-python-headless", "warp": "warp-lang", "PIL": "Pillow"}
-    extras = PROJECT["optional-dependencies"]
-    declared = PROJECT["dependencies"] + [
-        line for name in ("video", "viewer", "pillow", "tensorboard") for line in extras[name]
-    ]
+    modules |= {"jpeg_ls": "pyjpegls", "pxr": "usd-core"}
+    extras = {name: lines for name, lines in PROJECT["optional-dependencies"].items() if name not in _FOR_DEVELOPERS}
+    declared = PROJECT["dependencies"] + [line for lines in extras.values() for line in lines]
     names = {re.split(r"[<>=\[;]", line)[0].lower() for line in declared}
     files = [path for folder in ("src/thermosplat", "warp_kernels") for path in (REPOSITORY / folder).rglob("*.py")]
     imported = {module for path in files for module in _imports(path)}

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmark_scripts import run_script
+from thermosplat.cli import train
 
 
 def test_accuracy_benchmark_runs(tmp_path: Path) -> None:
@@ -45,6 +46,24 @@ def test_decoder_benchmark_runs(tmp_path: Path) -> None:
     for kind in ("images", "gradients"):
         assert 0 < row["errors"][exact][kind] < 1e-4 < row["errors"][coarse][kind] < 0.2
     assert all(name in done.stdout and name in table.read_text() for name in (exact, coarse))
+
+
+def test_viewer_benchmark_runs(tmp_path: Path) -> None:
+    """Every part of a picture of each spectrum is timed, and the first picture comes after what it needs."""
+    run_small = ["sample", "--config", "demo", "--data-factor", "8", "--max-steps", "1", "--device", "cpu"]
+    assert train.main([*run_small, "--no-tensorboard", "--result-dir", str(tmp_path / "run")]) == 0
+    report = tmp_path / "report.json"
+    options = ["--device", "cpu", "--sizes", "32x24", "--repeats", "1", "--json", str(report)]
+    done = run_script("bench_viewer.py", str(tmp_path / "run"), *options)
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = json.loads(report.read_text())
+    points = list(written["first_picture"].values())
+    assert 0 < points[0] < points[1] < points[2]
+    assert [row["layer"] for row in written["rows"]] == ["RGB", "thermal"]
+    for row in written["rows"]:
+        assert all(row[part] > 0 for part in ("render", "decode", "display", "jpeg"))
+        assert row["moving"] == pytest.approx(row["render"] + row["decode"] + row["display"] + row["jpeg"])
+    assert written["rows"][1]["values"] > 0
 
 
 def test_budget_benchmark_runs(tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def test_the_page_and_its_answers(local: tuple[Door, int]) -> None:
     door, port = local
     status, page, _ = get(port, "/")
     assert (status, door.token) == (200, "")
-    assert b"ts-wipe" in page.split(b"</head>")[0]
+    assert b"ts-wipe" in page[:8000]
     assert get(port, "/view/echo?x=1&y=a%20b")[1] == b'{"x": "1", "y": "a b"}'
     assert get(port, "/view/nothing")[0] == 404
     assert get(port, "/%2e%2e/%2e%2e/etc/passwd")[0] == 404

@@ -1,7 +1,9 @@
 """thermosplat-view: a trained scene in the browser, from anywhere, with its temperatures."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -57,13 +59,15 @@ def _view(arguments: ViewArguments) -> int:
     if not 0 <= arguments.port <= 65535:
         raise UserError(f"--port must lie between 0 and 65535, found {arguments.port}.")
     prepare_host()
-    with importing():
-        from thermosplat.viewer.front_end import Viewer
-        from thermosplat.viewer.opening import open_scene
+    with ThreadPoolExecutor(max_workers=1) as thread:  # viser is imported while the scene is read
+        with importing():
+            from thermosplat.viewer.front_end import Viewer
+            from thermosplat.viewer.opening import open_scene
 
-    scene, folder, notes = open_scene(
-        arguments.scene, step=arguments.step, data=arguments.data, device=arguments.device
-    )
+        thread.submit(import_module, "viser")  # where it is missing, the server says so
+        scene, folder, notes = open_scene(
+            arguments.scene, step=arguments.step, data=arguments.data, device=arguments.device
+        )
     for note in notes:
         print(note)
     folder = folder if arguments.out is None else Path(arguments.out).expanduser()

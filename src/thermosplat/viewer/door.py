@@ -90,14 +90,14 @@ class Door:
 
     @property
     def page(self) -> bytes:
-        """viser's page with the viewer's script in it."""
+        """viser's page with the viewer's script in it, which runs before viser's own."""
         if self._page is None:
             import viser
 
             html = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text(encoding="utf-8")
             script = files("thermosplat.viewer").joinpath("page.js").read_text(encoding="utf-8")
             html = html.replace("<title>Viser</title>", "<title>thermosplat</title>", 1)
-            self._page = html.replace("</head>", f"<script>\n{script}</script></head>", 1).encode()
+            self._page = html.replace("<head>", f"<head><script>\n{script}</script>", 1).encode()
         return self._page
 
     def _may_come(self, hosts: list[str], origins: list[str]) -> bool:

@@ -2,6 +2,12 @@
 // the photograph over the render. All drawing and reading is the server's; #thermosplat-state holds what it last said.
 (() => {
   "use strict";
+  // viser draws fewer pixels while a browser is slow. Pictures have the window's pixels, and are drawn pixel by pixel.
+  const words = new URLSearchParams(location.search);
+  if (!words.has("fixedDpr")) {
+    words.set("fixedDpr", String(window.devicePixelRatio || 1));
+    history.replaceState(null, "", `?${words}`);
+  }
   const style = document.createElement("style");
   style.textContent = `
     #ts-value { position: fixed; pointer-events: none; z-index: 5; padding: 3px 8px; border-radius: 6px; display: none;
