@@ -53,6 +53,21 @@ def test_a_wrong_rig_and_focal_length_come_back(tmp_path: Path) -> None:
         assert after.views["rgb"].viewmat == pytest.approx(true.views["rgb"].viewmat)
 
 
+@pytest.mark.parametrize(("refine", "held"), [(("rig",), 4), (("poses", "distortion"), 4), (("poses",), 0), ((), 0)])
+def test_spectra_have_one_opacity_while_their_cameras_come_together(
+    tmp_path: Path, refine: tuple[Refined, ...], held: int
+) -> None:
+    """Where it is the rig or a lens that is corrected, offsets stay zero for their share of the steps."""
+    config = toy_run_config(10, refine=refine, refine_from=1, refine_together=0.4)
+    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(aligned=False)))
+    offsets_kept = []
+    while trainer.step < config.max_steps:
+        trainer._train_step()
+        offsets_kept.append(trainer.model.offsets_kept["thermal"])
+    assert not any(offsets_kept[:held])
+    assert offsets_kept[held] > 0.9
+
+
 @pytest.mark.parametrize("budget", ["fixed", "auto"])
 def test_a_run_that_refines_everything(tmp_path: Path, budget: str) -> None:
     """It trains, says what it changed, writes the cameras, and every later command sees them; so does a resumed run."""

@@ -57,6 +57,7 @@ _LARGEST_INTEGER = 2**63 - 1
 _SHARES = (
     "loss.ssim_lambda",
     "loss.depth_spread_from",
+    "refine_together",
     "densification.prune_opacity",
     "densification.keep_opacity",
 )

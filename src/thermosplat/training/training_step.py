@@ -19,6 +19,7 @@ from thermosplat.losses.gaussian_penalties import gaussian_penalties
 from thermosplat.losses.image_terms import compare_frame
 from thermosplat.losses.spectrum_balance import balanced_losses
 from thermosplat.rasterizer.pair_capacity import PairCapacity
+from thermosplat.refinement.camera_corrections import POSES
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
@@ -49,13 +50,22 @@ class StepKind:
     """Penalise the spread of depths along rays."""
     refining: bool = False
     """Correct the cameras."""
+    offsets_held: bool = False
+    """Leave opacity offsets that are zero at zero."""
 
     @classmethod
     def at(cls, config: TrainConfig, step: int, *, densifying: bool) -> "StepKind":
         """What is done in a step, from 1."""
         late = step > config.loss.depth_spread_from * config.max_steps
         refining = bool(config.refine) and step > config.refine_from
-        return cls(sh_degree_at(config, step), densifying, config.loss.depth_spread > 0 and late, refining)
+        between_cameras = bool(set(config.refine) - {POSES})
+        return cls(
+            sh_degree_at(config, step),
+            densifying,
+            depth_spread=config.loss.depth_spread > 0 and late,
+            refining=refining,
+            offsets_held=between_cameras and step <= config.refine_together * config.max_steps,
+        )
 
 
 def sh_degree_at(config: TrainConfig, step: int) -> int:
@@ -156,7 +166,7 @@ class TrainingStep:
         """
         config, state = self.config, self.state
         blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
-        if state.offsets_dropped:
+        if state.offsets_dropped or kind.offsets_held:
             for gaussians in state.gaussian_sets.values():
                 hold_zeros(gaussians)
         step_unless(blocked, state.optimizers)
