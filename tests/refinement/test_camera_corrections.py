@@ -1,11 +1,14 @@
 """Corrections of cameras: what each kind moves, what stays exactly as it is, and what gradients reach."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
 
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import frame_tensors
+from thermosplat.refinement.camera_corrections import CameraCorrections
 from thermosplat.refinement.camera_motion import rigid_motion
 from toy_cameras import SPECTRA, corrections_of, set_camera, set_pose, tensors_of
 from toy_run import many_frames
@@ -120,9 +123,20 @@ def test_only_what_is_refined_is_learnt(capture: Capture) -> None:
     assert corrections.cameras.grad is not None
     assert corrections.cameras.grad[1, :7].abs().min() > 0
     assert not corrections.cameras.grad[0, :6].any()  # the first camera of the rig
-    assert corrections.cameras.grad[0, 6] != 0
+    assert corrections.cameras.grad[0, 6] == 0  # nor does it zoom
     assert not corrections.cameras.grad[:, 7:].any()  # no distortion
     assert corrections.poses.grad is None
+
+
+def test_the_only_spectrum_zooms(capture: Capture) -> None:
+    """Beside other spectra the first one's focal lengths are what theirs are measured by; alone it has its own."""
+    assert corrections_of(capture, "intrinsics").zoomed == ("thermal",)
+    alone = CameraCorrections(("intrinsics",), capture, ["rgb"])
+    assert alone.zoomed == ("rgb",)
+    set_camera(alone, 0, torch.tensor([0.0] * 6 + [0.05, 0.0, 0.0]))
+    frame = tensors_of(capture, 1)
+    views = alone(dataclasses.replace(frame, views={"rgb": frame.views["rgb"]})).views
+    assert (views["rgb"].K[0, 0] / frame.views["rgb"].K[0, 0]).item() == pytest.approx(np.exp(0.05), rel=1e-4)
 
 
 def test_a_frame_that_does_not_train_has_no_corrections(capture: Capture) -> None:

@@ -24,10 +24,9 @@ def test_the_summary_has_degrees_and_world_units() -> None:
     (rig,) = summary["rig"]["thermal"]
     assert rig["degrees"] == pytest.approx(np.degrees(0.02), rel=1e-3)
     assert rig["distance"] == pytest.approx(0.05 * capture.scene_extent, rel=1e-3)
-    assert summary["focal_factors"] == {"rgb": [1.0], "thermal": [pytest.approx(1.05, rel=1e-4)]}
+    assert summary["focal_factors"] == {"thermal": [pytest.approx(1.05, rel=1e-4)]}
     assert correction_sentences(summary) == [
         f"Rig: thermal turned by 1.146° and moved by {rig['distance']:.4g} world units.",
-        "Focal lengths of RGB: times 1.0000.",
         "Focal lengths of thermal: times 1.0500.",
     ]
 

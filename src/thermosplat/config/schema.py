@@ -292,8 +292,9 @@ class TrainConfig:
     """Delete what an earlier run left in the result folder."""
     refine: tuple[Refined, ...] = ()
     """What of the cameras is corrected while training: the "poses" of the frames; the "rig", how the cameras of the
-    spectra stand to the first one; "intrinsics", the focal length of every camera; "distortion", what undistorting the
-    images has left. Held-out frames take over what all have in common; their poses are found on the finished scene."""
+    spectra stand to the first one; "intrinsics", the focal lengths of these cameras, or of the only spectrum's;
+    "distortion", what undistorting the images has left. Held-out frames take over what all have in common; their poses
+    are found on the finished scene."""
     refine_from: int = 500
     """Steps before cameras are corrected: as long as there is no scene, images say little of them. Open choice."""
     refine_together: float = 0.4

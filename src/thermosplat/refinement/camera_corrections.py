@@ -5,7 +5,9 @@ Four things may be corrected (``--refine``), each from zero:
 - poses: every frame moves as a whole about the centre of its first camera. The mean over all frames is taken off, so
   that the scene stays where it is.
 - rig: every camera of a spectrum beyond the first moves in its own axes, the same way in all frames.
-- intrinsics: one factor per camera on its focal lengths.
+- intrinsics: one factor per camera on its focal lengths. Where there are several spectra, the cameras of the first keep
+  theirs, which were found with the poses from points that many images share. A longer focal length and a smaller scene
+  look alike to cameras that stand around it, so the scene would drift.
 - distortion: k1 and k2 of COLMAP's RADIAL model per camera, of what undistorting left (scene/lens_distortion.py).
 
 What is learnt are coordinates in which all of it moves the images equally far (preconditioning.py).
@@ -60,6 +62,7 @@ class CameraCorrections(nn.Module):
         refined: What is learnt.
         spectra: Names of the spectra, in order; the first one leads.
         shared: The cameras.
+        zoomed: Spectra whose focal lengths are corrected.
         scene_extent: Radius of the scene [world units].
 
     Args:
@@ -73,6 +76,7 @@ class CameraCorrections(nn.Module):
         frames = capture.training_frames(spectra)
         self.refined = frozenset(refined)
         self.spectra = tuple(spectra)
+        self.zoomed = (self.spectra[1:] or self.spectra) if INTRINSICS in self.refined else ()
         self.scene_extent = capture.scene_extent
         found = (SharedCamera(name, f.views[name].camera) for name in spectra for f in frames if name in f.views)
         self.shared: tuple[SharedCamera, ...] = tuple(dict.fromkeys(found))
@@ -151,7 +155,7 @@ class CameraCorrections(nn.Module):
         """A view with rig, focal lengths and distortion corrected by θ, shape [9]."""
         if self._moves(spectrum):
             view = moved_camera(view, correction[MOTION], self.scene_extent)
-        if INTRINSICS in self.refined:
+        if spectrum in self.zoomed:
             view = with_focal_factor(view, correction[FOCAL])
         if DISTORTION in self.refined:
             view = replace(view, distortion=correction[COEFFICIENTS])

@@ -60,7 +60,7 @@ def correction_summary(corrections: CameraCorrections) -> dict[str, Any]:
             corrections.spectra[1:],
         )
     if INTRINSICS in corrections.refined:
-        summary["focal_factors"] = by_spectrum(lambda theta: float(np.exp(theta[FOCAL])), corrections.spectra)
+        summary["focal_factors"] = by_spectrum(lambda theta: float(np.exp(theta[FOCAL])), corrections.zoomed)
     if DISTORTION in corrections.refined:
         summary[DISTORTION] = by_spectrum(lambda theta: theta[COEFFICIENTS].tolist(), corrections.spectra)
     return summary
