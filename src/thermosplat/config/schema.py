@@ -123,7 +123,7 @@ class OptimizerConfig:
     """Poses of the training frames (``refine``), in the images' pixels. Open choice."""
     poses_lr_final: float = 0.0005
     """Poses at the last step (exponential decay). Open choice."""
-    cameras_lr: float = 0.1
+    cameras_lr: float = 0.3
     """Rig, focal lengths and distortion (``refine``), in the images' pixels. Open choice: more than poses, which few
     steps look at."""
     cameras_lr_final: float = 0.001
