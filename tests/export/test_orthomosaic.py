@@ -5,51 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from thermosplat.config import ModelConfig
+from field_scene import LOW, celsius_at, field_model
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
 from thermosplat.export.map_frame import MapFrame, local_frame, map_extent
 from thermosplat.export.orthomosaic import MapGrid, render_map, write_map
-from thermosplat.scene.gaussians import SH_C0, Gaussians
-from thermosplat.scene.model import SceneModel
-from toy_scene import toy_capture, toy_config
-
-SPACING = 0.05
-LOW, HIGH = 10.0, 30.0  # of the toy capture's scale
-
-
-def celsius_at(east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """The truth: a slope to the east, and a square that is 6 °C warmer in the north-east."""
-    return 14.0 + 2.0 * east + 6.0 * ((east > 0.2) & (east < 1.0) & (north > 0.3) & (north < 1.1))
-
-
-def field_model(rotation: np.ndarray) -> tuple[SceneModel, Capture]:
-    """A field of 4 by 3 units of opaque Gaussians; a roof of cold ones hangs over it at height 5."""
-    axis_x, axis_y = np.arange(-2, 2, SPACING) + SPACING / 2, np.arange(-1.5, 1.5, SPACING) + SPACING / 2
-    east, north = (values.ravel() for values in np.meshgrid(axis_x, axis_y))
-    ground = np.stack([east, north, np.zeros_like(east)], axis=1)
-    means = (
-        np.concatenate([ground, ground + np.array([0, 0, 5.0])]) @ rotation
-    )  # rows of the rotation are the map's axes
-    shares = (celsius_at(east, north) - LOW) / (HIGH - LOW)
-    gray = np.concatenate([shares, np.zeros_like(shares)])
-    count = len(means)
-    colors = torch.tensor(gray, dtype=torch.float32)[:, None, None].expand(-1, 1, 3)
-    parameters = {
-        "means": torch.tensor(means, dtype=torch.float32),
-        "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        "log_scales": torch.full((count, 3), float(np.log(0.7 * SPACING))),
-        "logit_opacities": torch.full((count,), 6.0),
-        "sh0": (colors - 0.5) / SH_C0,
-        "shN": torch.zeros(count, 0, 3),
-    }
-    capture = toy_capture(thermal_kind="scalar")
-    config = toy_config(gaussian_sets="separate", feature_dim=0)
-    spectra = list(SceneModel.from_capture(config, capture, "cpu").spectra.values())
-    sets = {spectrum.name: Gaussians(parameters) for spectrum in spectra}
-    return SceneModel(dataclasses.replace(ModelConfig(), **vars(config.model)), config.decoder, spectra, sets), capture
+from toy_scene import toy_capture
 
 
 def tilted() -> np.ndarray:

@@ -11,16 +11,22 @@ from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
 from thermosplat.errors import UserError
 
-MAP_FLAGS = ("gsd", "extent", "top", "up")
+FLAGS_OF_FORMATS = (
+    ("PLY", "ply", ("compact", "values")),
+    ("maps", "orthomosaic", ("gsd", "extent", "top", "up")),
+    ("meshes", "mesh", ("voxel",)),
+)
+"""What takes them, its --format, and the flags that nothing else takes."""
 
 
 @dataclass(frozen=True)
 class ExportArguments(SpectraArguments, RunOnCaptureArguments):
     """Write a trained run for other programs, one file for each spectrum: splat_rgb.ply, splat_thermal.ply, ..."""
 
-    format: Literal["ply", "compressed-ply", "spz", "sog", "glb", "usd", "orthomosaic"] = "ply"
+    format: Literal["ply", "compressed-ply", "spz", "sog", "glb", "usd", "points", "mesh", "orthomosaic"] = "ply"
     """Splats: PLY of the original 3D Gaussian Splatting; PlayCanvas's compressed PLY and SOG; Niantic's SPZ; glTF with
-    KHR_gaussian_splatting; OpenUSD (needs usd-core). docs/exports.md says which program opens which. A map from above:
+    KHR_gaussian_splatting; OpenUSD (needs usd-core). docs/exports.md says which program opens which. Surfaces
+    from rendered depth with measured values, as PLY: points, mesh (needs scikit-image). A map from above:
     orthomosaic, a GeoTIFF of colours or of measured values (needs rasterio)."""
     output: str | None = None
     """Folder for the files. None: in the result folder, ply/ for PLY and exports/ for the others."""
@@ -35,6 +41,10 @@ class ExportArguments(SpectraArguments, RunOnCaptureArguments):
     values: bool = False
     """PLY: also write what each Gaussian measures, as scalar_<spectrum>_<unit>, which CloudCompare shows as a scalar
     field. Some viewers want the original properties and no more."""
+    points: int = 1_000_000
+    """Points: at most so many."""
+    voxel: float | None = None
+    """Mesh: side of a voxel [world units]. None: 1/256 of the scene's longest side."""
     gsd: float | None = None
     """Map: side of a pixel on the ground, in metres where the capture has GPS, else in world units. None: a thousandth
     of the map's longer side."""
@@ -59,9 +69,11 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _export(arguments: ExportArguments) -> int:
+    if arguments.points < 1:
+        raise UserError(f"--points must be at least 1, found {arguments.points}.")
     if arguments.fit_passes < 0:
         raise UserError(f"--fit-passes must be at least 0, found {arguments.fit_passes}.")
-    for what, format, flags in (("PLY", "ply", ("compact", "values")), ("maps", "orthomosaic", MAP_FLAGS)):
+    for what, format, flags in FLAGS_OF_FORMATS:
         for flag in flags:
             if arguments.format != format and getattr(arguments, flag) not in (None, False):
                 raise UserError(f"--{flag} is a setting of {what}, not of {arguments.format}.", "Leave it out.")
@@ -72,6 +84,8 @@ def _export(arguments: ExportArguments) -> int:
 
         if arguments.format == "orthomosaic":
             from thermosplat.cli.export_map import export_map as export
+        elif arguments.format in ("points", "mesh"):
+            from thermosplat.cli.export_surface import export_surface as export
         else:
             from thermosplat.cli.export_splats import export_splats as export
 

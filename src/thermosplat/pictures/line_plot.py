@@ -9,7 +9,9 @@ Line = Sequence[tuple[float, float]]
 """Points (x, y), x rising."""
 
 WIDTH, HEIGHT = 480, 260
-_LEFT, _RIGHT, _TOP, _BOTTOM = 56, 12, 28, 40
+_LEFT, _RIGHT, _TOP, _BOTTOM = 56, 24, 44, 40
+_LETTER = 6.6
+"""Width of a letter [px], on average."""
 COLORS = ("#2563eb", "#dc2626", "#059669", "#d97706", "#7c3aed", "#0891b2")
 """Of the lines, in turns; distinct for most people with colour blindness."""
 MOST_POINTS = 600
@@ -53,7 +55,7 @@ def line_plot(title: str, lines: Mapping[str, Line], *, x_label: str = "step") -
                 parts.append(f'<text x="{_LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
     middle = (_LEFT + WIDTH - _RIGHT) / 2
     parts.append(f'<text x="{middle:.1f}" y="{HEIGHT - 6}" text-anchor="middle">{html.escape(x_label)}</text>')
-    key = WIDTH - _RIGHT
+    key = float(_LEFT)
     for index, (name, line) in enumerate(shown.items()):
         color = COLORS[index % len(COLORS)]
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(*point) for point in line))
@@ -62,8 +64,9 @@ def line_plot(title: str, lines: Mapping[str, Line], *, x_label: str = "step") -
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}"/>')
         else:
             parts.append(f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="1.6"/>')
-        row = 18 + 15 * index
-        parts.append(f'<text x="{key}" y="{row}" text-anchor="end" style="fill:{color}">{html.escape(name)}</text>')
+        if len(shown) > 1:
+            parts.append(f'<text x="{key:.1f}" y="36" style="fill:{color}">{html.escape(name)}</text>')
+            key += _LETTER * (len(name) + 2)
     label = html.escape(title, quote=True)
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
 
