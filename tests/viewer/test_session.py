@@ -68,7 +68,10 @@ def test_a_moving_picture_gets_the_size_that_its_machine_can() -> None:
         else:
             assert 0.07 < 0.01 + seconds_per_pixel * width * height < 0.13
         assert width / height == pytest.approx(16 / 9, rel=0.05)
+    assert pace.seconds(*pace.size(1280, 720)) == pytest.approx(0.1, rel=0.4)
+    assert pace.seconds(1280, 720) > 1.0
     slow = Pace()
+    assert slow.seconds(1280, 720) == 0
     for _ in range(20):
         slow.took(*slow.size(1280, 720), 10.0)
     assert slow.pixels == pytest.approx(LEAST_PIXELS, rel=0.01)

@@ -53,7 +53,8 @@ class CamerasPanel:
             self.add.on_click(lambda _: self._add())
             self.remove.on_click(lambda _: self._remove())
             self.choice.on_update(lambda _: self._fly_to_choice())
-        with gui.add_folder("Pictures and videos", expand_by_default=False):
+        self._files = gui.add_folder("Pictures and videos", expand_by_default=False)
+        with self._files:
             self.width = gui.add_number("Width", 1920, min=16, max=_SIZE_LIMIT, step=1)
             self.height = gui.add_number("Height", 1080, min=16, max=_SIZE_LIMIT, step=1)
             self.shot = gui.add_button("Save a picture", icon=viser.Icon.CAMERA)
@@ -163,7 +164,8 @@ class CamerasPanel:
         size, count = (int(self.width.value), int(self.height.value)), int(self.count.value)
         folder = self.visitor.shared.folder
         target = folder / f"path_{time.strftime('%Y%m%d_%H%M%S')}_{self.visitor.client.client_id}"
-        progress = self.visitor.client.gui.add_progress_bar(0.0)
+        with self._files:
+            progress = self.visitor.client.gui.add_progress_bar(0.0)
         try:
             path = path_through(self.visitor.shared.bookmarks, count)
             folder.mkdir(parents=True, exist_ok=True)

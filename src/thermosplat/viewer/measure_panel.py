@@ -42,6 +42,7 @@ class MeasurePanel:
         self.table = gui.add_html("")
         self.save = gui.add_button("Save as CSV and PNG", icon=viser.Icon.DEVICE_FLOPPY, disabled=True)
         self.delete = gui.add_button("Delete the last", disabled=True)
+        self._profile = gui.add_folder("Along the line", visible=False)
         self.tool.on_click(lambda event: self._take(_TOOLS[event.target.value]))
         self.save.on_click(lambda _: self._save())
         self.delete.on_click(lambda _: self._delete())
@@ -119,13 +120,15 @@ class MeasurePanel:
         if self._plot is not None:
             self._plot.remove()
         along = np.linspace(0, 100, len(values))
-        self._plot = self.visitor.client.gui.add_uplot(
-            (along, np.asarray(values, np.float64)),
-            ({"label": "% of the line"}, {"label": made.unit or made.quantity, "stroke": "#e25822", "width": 2}),
-            title=f"{made.name}, {made.layer}",
-            scales={"x": {"time": False}},
-            aspect=1.7,
-        )
+        self._profile.visible = True
+        with self._profile:
+            self._plot = self.visitor.client.gui.add_uplot(
+                (along, np.asarray(values, np.float64)),
+                ({"label": "% of the line"}, {"label": made.unit or made.quantity, "stroke": "#e25822", "width": 2}),
+                title=f"{made.name}, {made.layer}",
+                scales={"x": {"time": False}},
+                aspect=1.7,
+            )
 
     def _delete(self) -> None:
         session = self.visitor.session
@@ -137,6 +140,7 @@ class MeasurePanel:
         if gone.shape == "line" and self._plot is not None:
             self._plot.remove()
             self._plot = None
+            self._profile.visible = False
         self._list()
 
     def _save(self) -> None:

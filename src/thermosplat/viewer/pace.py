@@ -20,6 +20,7 @@ class Pace:
     def __init__(self, target: float = TARGET_SECONDS, pixels: float = 320 * 180) -> None:
         self.target = target
         self.pixels = pixels
+        self._seconds_per_pixel = 0.0
 
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Size [px] of the next moving picture, in the proportions of the full one and at most as large."""
@@ -34,6 +35,11 @@ class Pace:
             height: Its height [px].
             seconds: To render and encode it.
         """
+        self._seconds_per_pixel = seconds / (width * height)
         factor = min(max(self.target / max(seconds, 1e-6), 1 / _STEEPEST), _STEEPEST)
         possible = max(width * height * factor, LEAST_PIXELS)
         self.pixels = 0.5 * self.pixels + 0.5 * possible
+
+    def seconds(self, width: int, height: int) -> float:
+        """How long a picture of that size [px] takes at most, by the last one; 0 before the first."""
+        return self._seconds_per_pixel * width * height

@@ -33,8 +33,11 @@ if TYPE_CHECKING:
 
     from thermosplat.viewer.front_end import Shared
 
-REST_SECONDS = 0.25
-"""Without a new place of the camera for that long, it rests."""
+REST_SECONDS, LONG_REST_SECONDS = 0.25, 1.0
+"""Without a new place of the camera for that long, it rests; the second where a picture at rest takes long, for which
+nobody who goes on moving wants to wait."""
+QUICK_SECONDS = 0.5
+"""A picture at rest that takes no longer than this is quick."""
 MOVING_QUALITY, RESTING_QUALITY = 70, 95
 """JPEG qualities."""
 FLIGHT_SECONDS = 0.7
@@ -183,12 +186,12 @@ class Visitor:
         resting = True  # the first picture is a small one, at once
         while True:
             with self._news:
-                left = self._moved + REST_SECONDS - time.perf_counter() if not resting else None
+                left = self._moved + self._rest_seconds() - time.perf_counter() if not resting else None
                 self._news.wait_for(lambda: self._gone or self._wanted, timeout=None if left is None else max(left, 0))
                 if self._gone:
                     return
                 asked, self._wanted = self._wanted, False
-            resting = time.perf_counter() - self._moved >= REST_SECONDS
+            resting = time.perf_counter() - self._moved >= self._rest_seconds()
             if not asked and not resting:
                 continue
             try:
@@ -200,6 +203,10 @@ class Visitor:
                 self.tell("This picture could not be made", str(error)[:300])
             if self.pictures == 1:
                 resting = False
+
+    def _rest_seconds(self) -> float:
+        is_quick = self.pace.seconds(*self.full_size()) <= QUICK_SECONDS
+        return REST_SECONDS if is_quick else LONG_REST_SECONDS
 
     def _make_picture(self, resting: bool) -> None:
         full = self.full_size()
