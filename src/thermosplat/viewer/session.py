@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.novel_views.bookmarks import Bookmark
 from thermosplat.pictures.image_display import Image8
-from thermosplat.spectra import label
 from thermosplat.thermal.radiometry import Palette
 from thermosplat.viewer.display import Comparison, Display, compared
 from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer
@@ -268,11 +267,6 @@ def start_wish(layers: Sequence[Layer]) -> Wish:
 def layer_labels(layers: Sequence[Layer]) -> dict[str, Layer]:
     """Layers by their names on the page."""
     return {layer.label: layer for layer in layers}
-
-
-def photographed_label(layer: Layer) -> str:
-    """What the photograph over a layer is called."""
-    return f"{label(layer.spectrum)} photograph"
 
 
 def _key(layer: Layer) -> tuple[str, str]:
