@@ -57,8 +57,11 @@ def test_place_of_the_capture(run: Run, tmp_path: Path, monkeypatch: pytest.Monk
         (["pair", "{}", "--by", "magic"], "magic"),
     ],
 )
-def test_mistakes_end_with_2(run: Run, tmp_path: Path, words: list[str], message: str) -> None:
-    """With a sentence, and nothing is written."""
+def test_mistakes_end_with_2(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
+) -> None:
+    """With a sentence, and nothing is written, neither there nor into the current folder."""
+    monkeypatch.chdir(tmp_path)
     code, printed = run(prepare.main, *(word.format(tmp_path) for word in words))
     assert code == 2
     assert message in printed

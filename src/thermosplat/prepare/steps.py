@@ -9,6 +9,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,12 +72,17 @@ def run_step(
     except OSError as error:
         raise UserError(f"Cannot replace {marker}: {error.strerror or error}.") from error
     begun = marker.with_suffix(".begun")
+    new_folders = [folder for folder in begun.parents if not folder.exists()]
     if restart is not None:
         if _read(begun) != wanted:
             restart()
         write_whole(begun, json.dumps(wanted).encode())
     started = time.time()
-    sentences = list(work())
+    try:
+        sentences = list(work())
+    except UserError:
+        _remove_if_nothing_else(begun, new_folders)
+        raise
     lacking = [path for path in outputs if not path.exists()]
     if lacking:
         raise UserError(f"{step} did not write {lacking[0]}.", "Please report this.")
@@ -84,6 +90,16 @@ def run_step(
     write_whole(marker, json.dumps(content, indent=1).encode())
     begun.unlink(missing_ok=True)
     return StepReport(tuple(sentences))
+
+
+def _remove_if_nothing_else(begun: Path, new_folders: Sequence[Path]) -> None:
+    """Leave nothing of a step that failed before it wrote anything: neither its mark nor folders made for that."""
+    made = new_folders[-1] if new_folders else begun.parents[1]
+    if begun.is_file() and all(path == begun for path in made.rglob("*") if not path.is_dir()):
+        begun.unlink()
+        with suppress(OSError):  # a folder that is not empty stays
+            for folder in new_folders:
+                folder.rmdir()
 
 
 def read_marker(capture: CaptureFolder, step: str) -> dict[str, Any] | None:
