@@ -197,7 +197,7 @@ def test_refinements_are_timed_beside_usual_steps() -> None:
     config = replace(load_config("thermosplat"), device="cpu")
     config = replace(config, densification=replace(config.densification, start_step=1, every=8))
     checkpoint, refinements = warm_training(config, synthetic_capture(40, 30), 24, {})
-    assert checkpoint["step"] == 24
+    assert checkpoint.step == 24
     assert refinements is not None
     assert (refinements["timed"], refinements["every"]) == (2, 8)
     assert refinements["ms_a_step"] == pytest.approx(refinements["refinement_ms"] / 8)
