@@ -79,7 +79,7 @@ def test_the_data_files_are_found() -> None:
 def test_all_imported_packages_are_declared() -> None:
     """Third-party modules that the package imports are dependencies, or extras imported where they are used."""
     modules = {"yaml": "PyYAML", "cv2": "opencv-contrib-python-headless", "warp": "warp-lang", "PIL": "Pillow"}
-    modules |= {"jpeg_ls": "pyjpegls", "pxr": "usd-core"}
+    modules |= {"jpeg_ls": "pyjpegls", "pxr": "usd-core", "skimage": "scikit-image"}
     extras = {name: lines for name, lines in PROJECT["optional-dependencies"].items() if name not in _FOR_DEVELOPERS}
     declared = PROJECT["dependencies"] + [line for lines in extras.values() for line in lines]
     names = {re.split(r"[<>=\[;]", line)[0].lower() for line in declared}

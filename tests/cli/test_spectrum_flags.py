@@ -98,7 +98,7 @@ def test_help_has_the_settings_of_every_spectrum(file: str, capsys: pytest.Captu
     with pytest.raises(SystemExit) as stop:
         parse_train_arguments(["--config", file, "--help"])
     assert stop.value.code == 0
-    printed = capsys.readouterr().out
+    printed = " ".join(capsys.readouterr().out.replace("│", " ").split())  # lines end where the terminal does
     for name in ("rgb", "thermal", "nir", "red-edge"):
         assert f"--spectra.{name}.unit STR" in printed
     assert "(default: reflectance)" in printed
