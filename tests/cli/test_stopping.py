@@ -18,6 +18,14 @@ def _terminate(process: "subprocess.Popen[str]") -> None:
     process.send_signal(signal.SIGTERM)
 
 
+_TRAIN = """
+import signal, sys
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored, as it should be there
+from thermosplat.cli.train import main
+sys.exit(main())
+"""
+
+
 def _hang_up(process: "subprocess.Popen[str]") -> None:
     process.send_signal(signal.SIGHUP)
 
@@ -39,7 +47,7 @@ def test_stopped_training_is_saved(tmp_path: Path, stop: Callable[["subprocess.P
         [
             sys.executable,
             "-c",
-            "import sys; from thermosplat.cli.train import main; sys.exit(main())",
+            _TRAIN,
             *words.split(),
             run,
         ],
