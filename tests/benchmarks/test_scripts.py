@@ -66,6 +66,7 @@ def test_viewer_benchmark_runs(tmp_path: Path) -> None:
     assert written["rows"][1]["values"] > 0
 
 
+@pytest.mark.slow
 def test_budget_benchmark_runs(tmp_path: Path) -> None:
     """A short training is pruned to each budget and measured; fewer Gaussians take fewer bytes; what is there stays."""
     options = ["sample", "--config", "demo", "--device", "cpu", "--data-factor", "8", "--max-steps", "3"]
@@ -90,6 +91,7 @@ def test_budget_benchmark_runs(tmp_path: Path) -> None:
     assert len(json.loads((tmp_path / "budget.json").read_text())["scenes"][name]) == 3
 
 
+@pytest.mark.slow
 def test_loops_benchmark_runs(tmp_path: Path) -> None:
     """Trainings that go on from one checkpoint are compared; on the CPU every loop ends with the same numbers.
 

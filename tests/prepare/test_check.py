@@ -164,14 +164,13 @@ def test_msx() -> None:
 
 
 def test_recommendations(capture: CaptureFolder) -> None:
-    """A registered rig is to be refined, unless a board has measured it; drift asks for levels."""
+    """Drift asks for levels; a registered camera is precise enough, so nothing is refined unasked."""
     recommend(capture, [])
     assert not capture.train_yaml.exists()
     write_whole(capture.marker("register"), b"{}")
     drift = Finding("warning", "", {"spectra": {"thermal": {"exposure": "level"}}})
     recommend(capture, [drift])
     settings = yaml.safe_load(capture.train_yaml.read_text())
-    assert settings == {"refine": ["rig", "intrinsics"], "spectra": {"thermal": {"exposure": "level"}}}
-    capture.calibration_json.write_text("{}")
+    assert settings == {"spectra": {"thermal": {"exposure": "level"}}}
     recommend(capture, [])
     assert not capture.train_yaml.exists()

@@ -299,8 +299,7 @@ class TrainConfig:
     """Steps before cameras are corrected: as long as there is no scene, images say little of them. Open choice."""
     refine_together: float = 0.4
     """Share of the steps in which opacity offsets stay zero where rig, focal lengths or distortion are corrected. A
-    spectrum with geometry of its own makes up for a wrong camera by a scene that is shifted or scaled. Open choice:
-    docs/method.md has the measurement."""
+    spectrum with geometry of its own makes up for a wrong camera by a scene that is shifted or scaled. Open choice."""
     without: tuple[str, ...] = ()
     """Spectra that are left out: --without thermal trains on the others alone."""
     spectra: dict[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))
