@@ -23,7 +23,7 @@ from thermosplat.prepare.findings import (
 )
 from thermosplat.prepare.import_files import import_files
 from thermosplat.prepare.pairing import pair_frames
-from thermosplat.prepare.whole_files import write_whole
+from thermosplat.runs.atomic_writes import write_bytes
 
 RNG = np.random.default_rng(7)
 WORLD = cv2.resize(RNG.integers(0, 255, (160, 420, 3), np.uint8), (1680, 640), interpolation=cv2.INTER_CUBIC)
@@ -167,7 +167,7 @@ def test_recommendations(capture: CaptureFolder) -> None:
     """Drift asks for levels; a registered camera is precise enough, so nothing is refined unasked."""
     recommend(capture, [])
     assert not capture.train_yaml.exists()
-    write_whole(capture.marker("register"), b"{}")
+    write_bytes(capture.marker("register"), b"{}")
     drift = Finding("warning", "", {"spectra": {"thermal": {"exposure": "level"}}})
     recommend(capture, [drift])
     settings = yaml.safe_load(capture.train_yaml.read_text())

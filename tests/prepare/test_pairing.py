@@ -11,7 +11,7 @@ from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder, FrameRow, PairRow
 from thermosplat.prepare.import_files import import_files
 from thermosplat.prepare.pairing import name_key, number_key, pair_frames
-from thermosplat.prepare.whole_files import write_whole
+from thermosplat.runs.atomic_writes import write_bytes
 
 START = datetime(2024, 10, 30, 10, 50)
 GAPS = np.cumsum(np.random.default_rng(0).uniform(3, 9, 12))
@@ -28,7 +28,7 @@ def capture_of(root: Path, photographs: list[str], thermals: list[str], **times:
             name = f"{place:03d}.png"
             rows.append(FrameRow(spectrum, name, source, 8, 6, time=moment and moment.isoformat()))
     capture.write_frames(rows)
-    write_whole(capture.marker("import"), b"{}")
+    write_bytes(capture.marker("import"), b"{}")
     return capture
 
 

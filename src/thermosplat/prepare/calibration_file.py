@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.lens import Lens
 from thermosplat.errors import UserError
-from thermosplat.prepare.whole_files import write_whole
+from thermosplat.runs.atomic_writes import write_bytes
 
 _AGAIN = "Make it again: thermosplat-prepare calibrate CAPTURE --rgb BOARDS --thermal BOARDS"
 
@@ -40,7 +40,7 @@ def write_calibration(path: Path, calibration: RigCalibration) -> None:
         "thermal": asdict(calibration.thermal),
         "thermal_from_rgb": calibration.thermal_from_rgb.tolist(),
     }
-    write_whole(path, json.dumps(content, indent=1).encode())
+    write_bytes(path, json.dumps(content, indent=1).encode())
 
 
 def read_calibration(path: Path) -> RigCalibration | None:

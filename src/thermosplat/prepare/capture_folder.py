@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar, get_args
 
 from thermosplat.errors import UserError
-from thermosplat.prepare.whole_files import write_whole
+from thermosplat.runs.atomic_writes import write_bytes
 
 LEADING = "rgb"
 """The spectrum of the photographs, from which structure from motion finds poses."""
@@ -203,4 +203,4 @@ def _write(path: Path, rows: Sequence[Row], kind: type[Row]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
     writer.writerows([["" if (value := getattr(row, name)) is None else value for name in names] for row in rows])
-    write_whole(path, text.getvalue().encode())
+    write_bytes(path, text.getvalue().encode())

@@ -18,7 +18,8 @@ from thermosplat.prepare.findings import Finding, msx_findings, texture_findings
 from thermosplat.prepare.plane_warp import PlaneWarp, read_warps
 from thermosplat.prepare.sensor_orientation import find_orientation
 from thermosplat.prepare.steps import StepReport, require_step, run_step
-from thermosplat.prepare.whole_files import write_png, write_whole
+from thermosplat.prepare.whole_files import write_png
+from thermosplat.runs.atomic_writes import write_bytes
 from thermosplat.spectra import COUNTS, label
 from thermosplat.thermal.temperature_units import read_statement, to_measured
 
@@ -76,7 +77,7 @@ def _check(capture: CaptureFolder) -> list[str]:
     pictures = _pictures(capture, pairs)
     if pictures:
         write_png(capture.check / SHEET, sheet([picture for _, picture in pictures]))
-    write_whole(capture.check / PAGE, check_page(capture.root.name, findings, estimate, pictures).encode())
+    write_bytes(capture.check / PAGE, check_page(capture.root.name, findings, estimate, pictures).encode())
     return [*(f"{'! ' if one.level == 'warning' else ''}{one.sentence}" for one in findings), estimate]
 
 
@@ -89,7 +90,7 @@ def recommend(capture: CaptureFolder, findings: Sequence[Finding]) -> None:
     for one in findings:
         settings |= one.recommends
     if settings:
-        write_whole(capture.train_yaml, yaml.safe_dump(settings, sort_keys=True).encode())
+        write_bytes(capture.train_yaml, yaml.safe_dump(settings, sort_keys=True).encode())
     else:
         capture.train_yaml.unlink(missing_ok=True)
 

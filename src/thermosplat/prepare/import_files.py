@@ -16,7 +16,8 @@ from thermosplat.prepare.flir_files import read_flir
 from thermosplat.prepare.source_files import SourceFile, SourceFolder, read_folder
 from thermosplat.prepare.steps import StepReport, run_step
 from thermosplat.prepare.thermal_images import ThermalOptions, import_thermal
-from thermosplat.prepare.whole_files import link_whole, write_jpeg, write_whole
+from thermosplat.prepare.whole_files import link_whole, write_jpeg
+from thermosplat.runs.atomic_writes import sweep, write_bytes
 from thermosplat.spectra import label
 
 LEAST_PHOTOGRAPHS = 5
@@ -119,6 +120,8 @@ def _clear(capture: CaptureFolder) -> None:
 
 def _import(folder: Path | None, capture: CaptureFolder, options: ImportOptions) -> list[str]:
     groups, sentences = _find(folder, capture, options)
+    for spectrum in groups.files:
+        sweep(capture.images(spectrum))
     rows: list[FrameRow] = []
     for spectrum, files in groups.files.items():
         names = _names(files)
@@ -260,7 +263,7 @@ def _embedded(capture: CaptureFolder, files: Sequence[SourceFile], thermal: Sequ
             continue
         ending = ".jpg" if content.startswith(b"\xff\xd8") else ".png"
         target = capture.images(LEADING) / f"{PurePosixPath(row.file).stem}{ending}"
-        write_whole(target, content)
+        write_bytes(target, content)
         height, width = read_image(target).shape[:2]
         photograph = file.row(LEADING, target.name, width, height)
         rows.append(replace(photograph, focal_length_mm=None, focal_length_35mm=None))  # EXIF has the thermal lens's

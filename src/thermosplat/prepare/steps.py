@@ -16,7 +16,7 @@ from typing import Any
 
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder
-from thermosplat.prepare.whole_files import write_whole
+from thermosplat.runs.atomic_writes import write_bytes
 
 STEPS = ("import", "pair", "calibrate", "sfm", "register", "check")
 """All steps in their order."""
@@ -76,7 +76,7 @@ def run_step(
     if restart is not None:
         if _read(begun) != wanted:
             restart()
-        write_whole(begun, json.dumps(wanted).encode())
+        write_bytes(begun, json.dumps(wanted).encode())
     started = time.time()
     try:
         sentences = list(work())
@@ -87,7 +87,7 @@ def run_step(
     if lacking:
         raise UserError(f"{step} did not write {lacking[0]}.", "Please report this.")
     content = {**wanted, "sentences": sentences, "finished": time.time(), "seconds": round(time.time() - started, 2)}
-    write_whole(marker, json.dumps(content, indent=1).encode())
+    write_bytes(marker, json.dumps(content, indent=1).encode())
     begun.unlink(missing_ok=True)
     return StepReport(tuple(sentences))
 

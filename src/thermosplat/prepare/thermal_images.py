@@ -24,7 +24,8 @@ from thermosplat.prepare.thermal_values import (
     read_values,
     unit_sentence,
 )
-from thermosplat.prepare.whole_files import write_png, write_whole
+from thermosplat.prepare.whole_files import write_png
+from thermosplat.runs.atomic_writes import write_bytes
 from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, THERMAL
 from thermosplat.thermal.planck_counts import ZERO_CELSIUS
 from thermosplat.thermal.radiometry import Palette
@@ -212,7 +213,7 @@ def _row(name: str, file: SourceFile, image: NDArray[Any]) -> FrameRow:
 
 
 def _state(capture: CaptureFolder, unit: str) -> None:
-    write_whole(capture.units_json, (json.dumps({"unit": unit}) + "\n").encode())
+    write_bytes(capture.units_json, (json.dumps({"unit": unit}) + "\n").encode())
 
 
 def _stated_unit(capture: CaptureFolder) -> str | None:

@@ -1,6 +1,7 @@
-"""Files that are there whole or not at all."""
+"""Images and links that are there whole or not at all."""
 
 import os
+import secrets
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,23 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.errors import UserError
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file under a temporary name and rename it; folders above it are made.
-
-    Raises:
-        UserError: It cannot be written.
-    """
-    temporary = _beside(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        raise not_written(path, error) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+from thermosplat.runs.atomic_writes import write_atomically, write_bytes
 
 
 def write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -53,7 +38,7 @@ def _write_image(path: Path, ending: str, image: NDArray[Any], settings: Sequenc
     done, data = cv2.imencode(ending, stored, list(settings))
     if not done:
         raise UserError(f"OpenCV cannot write {path} ({image.shape}, {image.dtype}).")
-    write_whole(path, data.tobytes())
+    write_bytes(path, data.tobytes())
 
 
 def link_whole(source: Path, path: Path) -> None:
@@ -62,19 +47,19 @@ def link_whole(source: Path, path: Path) -> None:
     Raises:
         UserError: It cannot be written.
     """
-    temporary = _beside(path)
+    link = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}.tmp{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.unlink(missing_ok=True)
-        try:
-            os.link(source.resolve(), temporary)
-        except OSError:
+        os.link(source.resolve(), link)
+        link.replace(path)  # does nothing if both are links of one file
+    except OSError:
+
+        def copy(temporary: Path) -> None:
             shutil.copyfile(source, temporary)
-        temporary.replace(path)  # does nothing if both are links of one file
-    except OSError as error:
-        raise not_written(path, error) from error
+
+        write_atomically(path, copy)
     finally:
-        temporary.unlink(missing_ok=True)
+        link.unlink(missing_ok=True)
 
 
 def not_written(path: Path, error: OSError) -> UserError:
@@ -83,7 +68,3 @@ def not_written(path: Path, error: OSError) -> UserError:
         f"Cannot write {path}: {error.strerror or error}.",
         "Make room, or name a folder that can be written to with --out.",
     )
-
-
-def _beside(path: Path) -> Path:
-    return path.with_name(f".{path.name}.part")

@@ -45,7 +45,7 @@ def test_what_changes_after_the_block_is_not_in_the_file(tmp_path: Path, monkeyp
     with writer.beginning(tmp_path / "1.pt", {"means": means}):
         pass
     means += 1
-    writer.look()  # does not wait
+    writer.raise_failure()  # does not wait
     assert list(tmp_path.iterdir()) == []
     trained.set()
     writer.wait()
@@ -94,7 +94,7 @@ def test_failure_is_told_once_by_the_next_call(tmp_path: Path, monkeypatch: pyte
         "write": lambda: writer.write(*arguments),
     }
     calls[call]()
-    writer.look()
+    writer.raise_failure()
     writer.wait()
     assert said == [f"Could not write {tmp_path / '1.pt'}: No space left on device. Training goes on without it."]
     assert [entry.name for entry in tmp_path.iterdir()] == (["2.pt"] if call in ("write", "beginning") else [])
