@@ -182,7 +182,7 @@ class Trainer:
             while state.step < config.max_steps:
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
-                self.checkpoints.raise_failure()
+                self.checkpoints.tell_failure()
                 if self._looks_at_guard(state.step):
                     self._stop_if_folder_gone()
                 if state.step < config.max_steps:

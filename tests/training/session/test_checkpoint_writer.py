@@ -45,7 +45,7 @@ def test_what_changes_after_the_block_is_not_in_the_file(tmp_path: Path, monkeyp
     with writer.beginning(tmp_path / "1.pt", {"means": means}):
         pass
     means += 1
-    writer.raise_failure()  # does not wait
+    writer.tell_failure()  # does not wait
     assert list(tmp_path.iterdir()) == []
     trained.set()
     writer.wait()
@@ -75,7 +75,7 @@ def test_one_file_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.pt"]
 
 
-@pytest.mark.parametrize("call", ["look", "wait", "beginning", "write"])
+@pytest.mark.parametrize("call", ["tell_failure", "wait", "beginning", "write"])
 def test_failure_is_told_once_by_the_next_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
     """A full disk is said by whichever call is next, which does its own work all the same."""
     monkeypatch.setattr(checkpoint_writer, "save_checkpoint", fail)
@@ -88,13 +88,13 @@ def test_failure_is_told_once_by_the_next_call(tmp_path: Path, monkeypatch: pyte
     monkeypatch.undo()
     arguments = (tmp_path / "2.pt", {"means": means})
     calls: dict[str, Callable[[], object]] = {
-        "look": writer.look,
+        "tell_failure": writer.tell_failure,
         "wait": writer.wait,
         "beginning": lambda: ExitStack().enter_context(writer.beginning(*arguments)),
         "write": lambda: writer.write(*arguments),
     }
     calls[call]()
-    writer.raise_failure()
+    writer.tell_failure()
     writer.wait()
     assert said == [f"Could not write {tmp_path / '1.pt'}: No space left on device. Training goes on without it."]
     assert [entry.name for entry in tmp_path.iterdir()] == (["2.pt"] if call in ("write", "beginning") else [])

@@ -97,7 +97,7 @@ class CheckpointWriter:
                 oldest.unlink(missing_ok=True)
                 self._say(f"The disk is full: {oldest} was deleted to make room for {path.name}.")
 
-    def raise_failure(self) -> None:
+    def tell_failure(self) -> None:
         """Tell what went wrong with a write that has ended, without waiting for one that has not."""
         if self._writing is not None and self._writing.done():
             self.wait()
