@@ -84,7 +84,7 @@ def _check(capture: CaptureFolder) -> list[str]:
 def recommend(capture: CaptureFolder, findings: Sequence[Finding]) -> None:
     """Write train.yaml: what helps against the findings.
 
-    A registered camera is not refined further: on a rendered rig its images lie within 0.3 px, and refining moved it.
+    A registered camera is not refined further: it is more exact than what refining finds (docs/prepare.md).
     """
     settings: dict[str, Any] = {}
     for one in findings:
