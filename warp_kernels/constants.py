@@ -22,8 +22,8 @@ FOV_MARGIN = 0.3
 TILE_SIZES = (8, 16, 32)
 """Tile edges [px] the blending kernels can be compiled for. The image does not depend on the choice."""
 
-SH_DEGREE_MAX = 3
-"""Highest degree of spherical harmonics that the kernels evaluate, and that PLY files of 3DGS hold."""
+SH_DEGREE_MAX = 4
+"""Highest degree of spherical harmonics that the kernels evaluate; PLY files of 3DGS hold 3."""
 
 CHANNELS_MAX = 32
 """Channels blended in one traversal; more are blended in several."""

@@ -15,7 +15,7 @@ from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.blending.gradient_records import distribute_kernel
 from warp_kernels.color.camera_positions import camera_position_kernels
-from warp_kernels.color.spherical_harmonics import color_adjoint_kernel, color_kernel
+from warp_kernels.color.spherical_harmonics import ColorVariant, color_adjoint_kernel, color_kernel
 from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.machinery.launching import num_threads
 from warp_kernels.machinery.loading import load_for_cpu, must_compile
@@ -59,10 +59,10 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         *blending[:1],
         projection_adjoint_kernel(dtype, camera_model, False, False, antialiased),
         *blending[1:2],
-        color_adjoint_kernel(dtype),
+        color_adjoint_kernel(dtype, ColorVariant()),
         count,
         emit,
-        color_kernel(dtype, False),
+        color_kernel(dtype, False, ColorVariant()),
         *blending[2:],
         tile_ranges_kernel,
         camera_position_kernels(dtype)[0],

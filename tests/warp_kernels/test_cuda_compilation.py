@@ -2,34 +2,41 @@
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import get_args
 
 import pytest
 import warp as wp
 
-from compilation_for_cuda import compile_all
+from compilation_for_cuda import ARCHITECTURES, compile_all
 from warp_kernels.binning.tile_binning import binning_kernels
 from warp_kernels.binning.tile_ranges import tile_ranges_kernel
 from warp_kernels.blending.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending.blend_variant import blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
+from warp_kernels.blending.contributors import contributors_kernel
 from warp_kernels.blending.gradient_records import distribute_kernel
 from warp_kernels.blending.list_segments import join_segments_kernel
+from warp_kernels.blending.ray_blending import RayVariant, ray_blend_adjoint_kernel, ray_blend_kernel
 from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.color.camera_positions import camera_position_kernels
-from warp_kernels.color.spherical_harmonics import color_adjoint_kernel, color_kernel
+from warp_kernels.color.harmonic_basis import ALL
+from warp_kernels.color.spherical_harmonics import ColorVariant, color_adjoint_kernel, color_kernel
 from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
 from warp_kernels.decoding.decoder_memory import TEAMS
 from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
 from warp_kernels.machinery.strand_sums import strand_sum_kernel
+from warp_kernels.projection.affine_camera_adjoint import affine_camera_adjoint_kernel, lens_finish_kernel
+from warp_kernels.projection.affine_cameras import affine_camera_kernel
 from warp_kernels.projection.camera_gradients import CAMERA_RECORD, camera_finish_kernel
+from warp_kernels.projection.lens_models import LensModel, lens_limit_kernel
 from warp_kernels.projection.projection import projection_kernel
 from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.training.activations import activation_kernels
 
 
 def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
-    """Kernels with one thread a Gaussian, pair or image."""
+    """Kernels with one thread per Gaussian, pair or image."""
     kernels = [
         projection_kernel(dtype, camera_model, from_covars)
         for camera_model in ("pinhole", "ortho")
@@ -46,12 +53,14 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, camera_finish_kernel(dtype)]
     kernels += activation_kernels(dtype)
     kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
-    kernels += [
-        color_kernel(dtype, False),
-        color_kernel(dtype, True),
-        color_adjoint_kernel(dtype),
-        *camera_position_kernels(dtype),
-    ]
+    kernels.append(contributors_kernel(dtype))
+    for hits, normals in ((False, False), (True, True)):
+        along = RayVariant(3, hits, normals, dtype)
+        kernels += [ray_blend_kernel(along), ray_blend_adjoint_kernel(along)]
+    for variant in (ColorVariant(), ColorVariant(ALL), ColorVariant(ALL, True, False), ColorVariant(ALL, False, False)):
+        kernels += [color_kernel(dtype, False, variant), color_kernel(dtype, True, variant)]
+        kernels.append(color_adjoint_kernel(dtype, variant))
+    kernels += camera_position_kernels(dtype)
     kernels += [
         distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair, first_channels)
         for channels, thermal_channels, per_pair, first_channels in ((3, 0, 0, 3), (11, 8, 0, 3), (11, 8, 8, 3))
@@ -70,15 +79,28 @@ def test_rendering_compiles_for_cuda(arch: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [75, 80, 90])
-@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+@pytest.mark.parametrize(
+    ("dtype", "arch"), [*((wp.float32, arch) for arch in ARCHITECTURES), (wp.float64, 75), (wp.float64, 90)]
+)
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Activations, projection, colours, binning, sums."""
     compile_all(gaussian_kernels(dtype), arch, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [80, 86, 90, 120])
+@pytest.mark.parametrize("arch", [75, 90])
+@pytest.mark.parametrize("model", get_args(LensModel))
+def test_lenses_compile_for_cuda(model: LensModel, arch: int, tmp_path: Path) -> None:
+    """All lens models, with and without a rolling shutter, with gradients to cameras."""
+    kernels = [lens_limit_kernel(wp.float32, model)]
+    for rolling in (False, True):
+        kernels += [affine_camera_kernel(wp.float32, model, rolling), lens_finish_kernel(wp.float32, rolling)]
+        kernels.append(affine_camera_adjoint_kernel(wp.float32, model, rolling, True))
+    compile_all(kernels, arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [arch for arch in ARCHITECTURES if arch >= 80])
 def test_decoders_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     """All sizes, with and without a modulation, with a warp or two for 16 pixels."""
     shapes = [(hidden, modulated) for hidden in HIDDEN for modulated in (False, True)]
@@ -98,7 +120,19 @@ def cuda_layouts(tile_size: int, channels: int, thermal_channels: int, dtype: ty
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [75, 80, 90])
+@pytest.mark.parametrize("arch", ARCHITECTURES)
+def test_blending_compiles_for_every_architecture(arch: int, tmp_path: Path) -> None:
+    """A frame of two opacities in one layout; the others are compiled for two architectures below."""
+    layout = max(cuda_layouts(16, 11, 8, wp.float32), key=lambda one: one.segment)
+    variant = blend_variant(11, 8, wp.float32, layout, 3)
+    kernels = [blend_kernel(variant), blend_adjoint_kernel(variant, False, False)]
+    if layout.segment > 0:
+        kernels += [segment_light_kernel(variant), join_segments_kernel(variant)]
+    compile_all(kernels, arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [75, 90])
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 @pytest.mark.parametrize(("channels", "thermal_channels"), [(1, 0), (3, 0), (11, 0), (11, 8), (32, 0)])
 @pytest.mark.parametrize("tile_size", [8, 16, 32])

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from compilation_for_cuda import compile_all
+from compilation_for_cuda import ARCHITECTURES, compile_all
 from warp_kernels.binning.pair_notes import note_pairs_kernel
 from warp_kernels.image_loss.image_loss import image_loss_kernels
 from warp_kernels.image_loss.image_loss_adjoint import image_loss_adjoint_kernel
@@ -18,15 +18,16 @@ from warp_kernels.training.gaussian_penalties import penalty_kernels
 from warp_kernels.training.position_noise import noise_kernel
 
 
-@pytest.mark.parametrize("arch", [75, 80, 90])
+@pytest.mark.parametrize("arch", ARCHITECTURES)
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     """Adam and the finite check, with tables of addresses as arguments, and what is noted of pairs."""
     compile_all([adam_coefficients_kernel, adam_update_kernel, note_bad_kernel, note_pairs_kernel], arch, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [75, 80, 90])
-@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+@pytest.mark.parametrize(
+    ("dtype", "arch"), [*((wp.float32, arch) for arch in ARCHITECTURES), (wp.float64, 75), (wp.float64, 90)]
+)
 def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Losses, covered images, and what density control notes."""
     kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), image_loss_adjoint_kernel(dtype, 1.5)]
@@ -34,8 +35,9 @@ def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [75, 80, 90])
-@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+@pytest.mark.parametrize(
+    ("dtype", "arch"), [*((wp.float32, arch) for arch in ARCHITECTURES), (wp.float64, 75), (wp.float64, 90)]
+)
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Penalties on Gaussians and on the spread of their depths, and the noise on their means."""
     kernels = [*penalty_kernels(dtype), *moment_kernels(dtype, 8), *spread_kernels(dtype, 8), noise_kernel(dtype)]

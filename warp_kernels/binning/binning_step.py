@@ -17,6 +17,8 @@ from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettin
 COMPACTED = 2**18
 """Gaussians above which those without tiles are left out before the sort by depth; fewer are sorted in no time."""
 
+FEW_SORTED, DIGIT = 8192, 11
+"""On the CPU so few keys are sorted by so many bits at a time: Warp's 16 need counts that do not fit fast caches."""
 
 PAIRS_MAX = 2**30 - 1
 """Pairs of a call, at most: sorting takes two copies of them in one array, of fewer than 2**31 numbers."""
@@ -60,7 +62,7 @@ def bin_tiles(
         features: scalar array [images · N, D], only checked for being finite.
         settings: image size.
         tile_size: edge of a tile [px].
-        by_slot: number the pairs, for an adjoint that writes one record a pair.
+        by_slot: number the pairs, for an adjoint that writes one record per pair.
         rest: as ``features``, channels that lie apart from them; None: there are no others.
         room: None for as many pairs as there are.
 
@@ -73,7 +75,7 @@ def bin_tiles(
     device, dtype = opacities.device, opacities.dtype
     lanes = lanes_of(device)
     count_kernel, compact_kernel, gather_kernel, emit_kernel = binning_kernels(dtype, lanes)
-    entries = len(projected.means2d)
+    entries = projected.means2d.shape[0]
     tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)
     num_tiles = settings.num_images * tiles_x * tiles_y
 
@@ -89,7 +91,7 @@ def bin_tiles(
         opacities,
         thermal_opacities,
         features,
-        nothing(dtype, 2, device) if rest is None else rest,
+        rest,
         projected.radii,
         tiles_per_gaussian,
     ]
@@ -98,11 +100,11 @@ def bin_tiles(
     if num_tiles > TILES_MAX:
         raise TooManyPairsError(f"{num_tiles:,} tiles of {tile_size} px exceed the {TILES_MAX:,} of one call.")
     overlaps = functools.partial(_overlaps, settings, num_tiles, tile_size)
-    _check_pairs(num_pairs or 0, overlaps)
+    if num_pairs is not None:
+        _check_pairs(num_pairs, overlaps)
     if compacted:
         totals = empty(-(-entries // lanes), Totals, device)
-        unsorted = [nothing(dtype, 1, device), nothing(wp.int32, 1, device)]
-        launch(count_kernel, whole_warps(entries, device), [*counted, totals, *unsorted], device)
+        launch(count_kernel, whole_warps(entries, device), [*counted, totals, None, None], device)
         wp.utils.array_scan(totals, totals, inclusive=True)
         if room is None:
             num_pairs, ranks = memory.source.last(totals)
@@ -115,11 +117,10 @@ def bin_tiles(
         inputs = [ranks, tiles_per_gaussian, totals, projected.depths, depth_keys, unsorted]
         launch(compact_kernel, threads_of_many(entries) if device.is_cuda else entries, inputs, device)
     else:
-        inputs = [*counted, nothing(Totals, 1, device), depth_keys, unsorted]
-        launch(count_kernel, whole_warps(entries, device), inputs, device)
+        launch(count_kernel, whole_warps(entries, device), [*counted, None, depth_keys, unsorted], device)
     order, pair_ends = empty(ranks, wp.int32, device), empty(ranks, wp.int64, device)
     if ranks > 0:
-        wp.utils.radix_sort_pairs(depth_keys, unsorted, ranks)
+        sort_by_depth(depth_keys, unsorted, ranks)
         launch_again(gather_kernel, ranks, [unsorted, tiles_per_gaussian, order, pair_ends], device)
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
     if num_pairs is None:
@@ -130,7 +131,7 @@ def bin_tiles(
     try:
         keys = empty(2 * num_pairs, wp.int32, device)
         values = empty(2 * num_pairs, wp.int32, device)
-        owners = empty(num_pairs, wp.int32, device) if by_slot else nothing(wp.int32, 1, device)
+        owners = empty(num_pairs, wp.int32, device) if by_slot else None
         gaussian_ids = empty(num_pairs, wp.int32, device)
         masks = empty(num_pairs, wp.uint8, device) if wants_masks(device) else nothing(wp.uint8, 1, device)
         tile_offsets = empty(num_tiles + 1, wp.int32, device)
@@ -141,7 +142,7 @@ def bin_tiles(
             f"{(6 if by_slot else 5) * 4 * num_pairs / 2**20:,.0f} MiB on {device}."
         )
         raise
-    masked = len(masks) > 0 and num_tiles < 2**MASK_SHIFT
+    masked = masks.shape[0] > 0 and num_tiles < 2**MASK_SHIFT
     if num_pairs > 0:
         if room is not None:
             # Places that stay empty carry a tile after the last and sort to the end.
@@ -195,6 +196,20 @@ def bin_tiles(
         tiles_x=tiles_x,
         tiles_y=tiles_y,
     )
+
+
+def sort_by_depth(keys: wp.array, values: wp.array, count: int) -> None:
+    """Sorts pairs by a whole key, in place; equal keys stay in their order.
+
+    Args:
+        keys: [2 count] of float32 or float64, of which the first half is sorted and the other is room.
+        values: int32 [2 count].
+        count: pairs.
+    """
+    bits = 32 if keys.dtype is wp.float32 else 64
+    digit = DIGIT if count <= FEW_SORTED and keys.device.is_cpu else bits
+    for first in range(0, bits, digit):
+        wp.utils.radix_sort_pairs(keys, values, count, first, min(first + digit, bits))
 
 
 def _overlaps(settings: ProjectionSettings, num_tiles: int, tile_size: int, num_pairs: int) -> str:

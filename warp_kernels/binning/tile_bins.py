@@ -34,7 +34,7 @@ class TileBins:
         totals: the last entry holds the pairs and the Gaussians there are, room for them or not; None where
             ``pair_ends`` has all Gaussians.
         tiles_per_gaussian: [images · N] number of tiles.
-        slots: [pairs] unsorted position of each sorted pair; None unless the adjoint writes one record a pair.
+        slots: [pairs] unsorted position of each sorted pair; None unless the adjoint writes one record per pair.
         num_pairs: number of pairs, or those there is room for; ``tile_offsets`` ends with the pairs there are.
         expected_pairs: number of pairs, or what was expected where there was room for so many.
         tile_size: edge of a tile [px].

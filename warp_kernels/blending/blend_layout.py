@@ -5,6 +5,7 @@ A tile is cut into blocks, each owned by one warp (``lanes`` lanes, 32 on CUDA, 
 vectorises the loop over columns; on CUDA one "row" of a few pixels, unrolled into registers.
 """
 
+import functools
 from dataclasses import dataclass
 
 import warp as wp
@@ -33,12 +34,12 @@ class BlendLayout:
     lanes: int
     segment: int = 0
 
-    @property
+    @functools.cached_property
     def blocks_x(self) -> int:
         """Blocks across a tile."""
         return self.tile_size // self.block_width
 
-    @property
+    @functools.cached_property
     def warps(self) -> int:
         """Warps in a tile."""
         return self.blocks_x * (self.tile_size // self.block_height)
@@ -53,7 +54,7 @@ class BlendLayout:
         """Pixels of a lane in each of its rows."""
         return self.block_width * self.block_height // (self.lanes * self.rows)
 
-    @property
+    @functools.cached_property
     def threads(self) -> int:
         """Threads of a tile, which are one CUDA block."""
         return self.warps * self.lanes
@@ -81,6 +82,9 @@ class BlendLayout:
                 options["cpu_compiler_flags"] = f"{'-march=native' if flags is None else flags} {WIDEST_VECTORS}"
         return options
 
+
+_layout = functools.lru_cache(maxsize=256)(BlendLayout)
+"""The same object for the same deal: what follows from it is worked out once."""
 
 CROWDED = 250
 """Mean pairs a tile above which the smallest block blends fastest on CUDA; measured in benchmarks/notes/blending.md."""
@@ -131,7 +135,7 @@ def default_layout(
         The layout.
     """
     if not device.is_cuda:
-        return BlendLayout(tile_size, tile_size, tile_size, 1)
+        return _layout(tile_size, tile_size, tile_size, 1)
     # Crowded tiles are decided by culling, which is sharper for a small block; sparse ones by how often a Gaussian's
     # gradient is reduced over a warp, which a large block does less often. float64 has half the registers.
     mean_pairs = num_pairs / max(num_tiles, 1)
@@ -149,4 +153,4 @@ def default_layout(
     segment = LONGEST if longest_decides else 0
     if num_tiles < LONGEST_LISTS * mean_pairs:
         segment = min(max(num_pairs // SEGMENTS // SHORTEST * SHORTEST, SHORTEST), LONGEST)
-    return BlendLayout(tile_size, min(width, tile_size), height, LANES_CUDA, segment)
+    return _layout(tile_size, min(width, tile_size), height, LANES_CUDA, segment)

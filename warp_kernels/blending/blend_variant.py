@@ -73,7 +73,7 @@ class BlendVariant:
     layout: BlendLayout
     first_channels: int
 
-    @property
+    @cached_property
     def dual(self) -> bool:
         """Whether there are two opacities."""
         return self.thermal_channels > 0
@@ -103,7 +103,7 @@ class BlendVariant:
         """Where in such a state the colours of the second opacity begin."""
         return self.first_behind + self.channels
 
-    @property
+    @cached_property
     def state_length(self) -> int:
         """Numbers in a pixel's state at a boundary of segments: T, [thermal T], colours behind (C), [thermal ones (D)].
 

@@ -32,7 +32,7 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     Args:
         variant: channels, opacities, precision and deal of pixels.
         absgrad: also sum the absolute values of each pixel's mean2d gradient.
-        by_slot: store one record a pair and warp instead of adding atomically per Gaussian; on the CPU always.
+        by_slot: store one record per pair and warp instead of adding atomically per Gaussian; on the CPU always.
 
     Returns:
         The Warp kernel.

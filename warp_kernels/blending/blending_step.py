@@ -18,7 +18,8 @@ from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.machinery.array_views import ArrayView, empty, nothing, zeros
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch, launch_again, launch_tiles
-from warp_kernels.machinery.tape_recording import given_gradient, gradient_of, record_adjoint
+from warp_kernels.machinery.loading import made_once
+from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
 
 
@@ -100,7 +101,7 @@ def blend(
     channels, thermal_channels = _channels(features, rest, blended)
     if channels > CHANNELS_MAX:
         raise ValueError(f"features must have at most {CHANNELS_MAX} channels a traversal, got {channels}.")
-    num_tiles = len(bins.tile_offsets) - 1
+    num_tiles = bins.tile_offsets.shape[0] - 1
     if layout is None:
         of_frame = bins.expected_pairs, num_tiles
         layout = default_layout(device, bins.tile_size, channels, thermal_channels, dtype, *of_frame)
@@ -110,12 +111,8 @@ def blend(
     size_of_state = (variant.state_length, bins.tile_size**2)
     states = empty((num_states, *size_of_state), dtype, device) if num_states > 0 else nothing(dtype, 3, device)
 
-    thermal_render = _thermal_render(blended, dtype, device)
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
     size, geometry = _read(projected, opacities, thermal_opacities, features, rest, bins, settings)
-    alphas, thermal_alphas = (
-        nothing(dtype, 2, device) if image is None else image for image in (blended.alphas, blended.thermal_alphas)
-    )
     blocks = num_tiles + num_states
     lists = [*geometry, bins.tile_offsets, segment]
     if segment > 0:
@@ -129,11 +126,11 @@ def blend(
             blended.render,
             blended.transmittance,
             blended.last_pairs,
-            alphas,
-            thermal_render,
+            blended.alphas,
+            blended.thermal_render,
             thermal_transmittance,
             thermal_last_pairs,
-            thermal_alphas,
+            blended.thermal_alphas,
             states,
         ],
         device,
@@ -142,7 +139,7 @@ def blend(
         launch(
             join_segments_kernel(variant),
             num_tiles * variant.state_length * bins.tile_size**2,
-            [*size, bins.tile_offsets, segment, blended.render, thermal_render, states],
+            [*size, bins.tile_offsets, segment, blended.render, blended.thermal_render, states],
             device,
         )
     walk = BlendWalk(variant, states)
@@ -150,7 +147,8 @@ def blend(
         step = (projected, opacities, thermal_opacities, features, bins, settings, blended, walk)
         inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
         inputs += [] if rest is None else [rest]
-        images = [blended.render, blended.transmittance, thermal_render, thermal_transmittance]
+        images = [blended.render, blended.transmittance, thermal_transmittance]
+        images += [] if blended.thermal_render is None else [blended.thermal_render]
         adjoint = functools.partial(blend_adjoint, *step, rest=rest, absolute=absolute)
         record_adjoint(tape, adjoint, *inputs, *images)
     return walk
@@ -184,31 +182,25 @@ def blend_adjoint(
         blended: what ``blend`` wrote.
         walk: what ``blend`` returned.
         rest: as in ``blend``.
-        v_images: gradients of the render's first A channels and of the others, each an image or, for zeros, without
-            elements; None: the render's own gradient.
+        v_images: gradients of the render's first A channels and of the others, each an image or, for zeros, None;
+            None: the render's own gradient.
         v_alphas: the transmittances' gradients are those to 1 - T.
         absolute: as in ``blend``.
         store: without ``bins.slots``, gradients of means2d, roots, opacities and few features (``features_apart``) are
             not initialised, and written; else they are added to, as those of many features are.
     """
-    device, dtype, variant = opacities.device, opacities.dtype, walk.variant
-    channels, thermal_channels, layout = variant.channels, variant.thermal_channels, variant.layout
-    first_channels = variant.first_channels
-    by_slot, absgrad = bins.slots is not None, absolute is not None
-    length = record_length(sum(kept_channels(channels, first_channels, by_slot)), thermal_channels, absgrad)
-    per_pair = layout.warps if by_slot else 0
-    count = bins.num_pairs * per_pair if by_slot else len(features)
-    records = zeros(count, wp.types.vector(length, dtype), device)
+    device, variant = opacities.device, walk.variant
+    layout, by_slot, absgrad = variant.layout, bins.slots is not None, absolute is not None
+    blend_kernel_back, distribute, record = _adjoint_kernels(variant, absgrad, by_slot)
+    gaussians = features.shape[0]
+    records = zeros(bins.num_pairs * layout.warps if by_slot else gaussians, record, device)
     v_features = gradient_of(features)
-    v_rest = _or_nothing(None if rest is None else gradient_of(rest), dtype, device)
-    if v_images is None:
-        v_images = _parts(given_gradient(blended.render), features, rest)
-    v_render, v_render_rest = v_images
-    thermal_render = _thermal_render(blended, dtype, device)
+    v_rest = None if rest is None else gradient_of(rest)
+    v_render, v_render_rest = _parts(blended.render.grad, features, rest) if v_images is None else v_images
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
     launch_tiles(
-        blend_adjoint_kernel(variant, absgrad, by_slot),
-        len(bins.tile_offsets) - 1 + len(walk.states),
+        blend_kernel_back,
+        bins.tile_offsets.shape[0] - 1 + walk.states.shape[0],
         layout.threads,
         [
             *_read(projected, opacities, thermal_opacities, features, rest, bins, settings)[1],
@@ -223,19 +215,19 @@ def blend_adjoint(
             v_render,
             v_render_rest,
             -1.0 if v_alphas else 1.0,
-            given_gradient(blended.transmittance),
-            given_gradient(thermal_render),
-            given_gradient(thermal_transmittance),
+            blended.transmittance.grad,
+            None if blended.thermal_render is None else blended.thermal_render.grad,
+            thermal_transmittance.grad,
             records,
             v_features,
             v_rest,
         ],
         device,
     )
-    ranked = [bins.order, bins.pair_ends] if by_slot else [nothing(k, 1, device) for k in (wp.int32, wp.int64)]
+    ranked = [bins.order, bins.pair_ends] if by_slot else [None, None]
     launch_again(
-        distribute_kernel(channels, thermal_channels, dtype, absgrad, per_pair, first_channels),
-        whole_warps(len(bins.order) if by_slot else len(features), device),
+        distribute,
+        whole_warps(bins.order.shape[0] if by_slot else gaussians, device),
         [
             *ranked,
             bins.tiles_per_gaussian,
@@ -254,31 +246,41 @@ def blend_adjoint(
     )
 
 
+@made_once
+def _adjoint_kernels(variant: BlendVariant, absgrad: bool, by_slot: bool) -> tuple[wp.Kernel, wp.Kernel, Any]:
+    """The adjoint's two kernels, and the type of the records between them."""
+    channels, first, thermal, dtype = (
+        variant.channels,
+        variant.first_channels,
+        variant.thermal_channels,
+        variant.dtype,
+    )
+    length = record_length(sum(kept_channels(channels, first, by_slot)), thermal, absgrad)
+    return (
+        blend_adjoint_kernel(variant, absgrad, by_slot),
+        distribute_kernel(channels, thermal, dtype, absgrad, variant.layout.warps if by_slot else 0, first),
+        wp.types.vector(length, dtype),
+    )
+
+
 def _channels(features: wp.array, rest: wp.array | None, blended: BlendedArrays) -> tuple[int, int]:
     """Channels blended with the first opacity and with the second, 0 where there is one."""
     thermal = blended.thermal_render.dtype._length_ if blended.thermal_render is not None else 0
     return features.dtype._length_ + (0 if rest is None else rest.dtype._length_), thermal
 
 
-def _or_nothing(rest: wp.array | None, dtype: type, device: wp.Device) -> wp.array:
-    """The other channels, or an array without elements where there are none."""
-    return nothing(wp.types.vector(1, dtype), 1, device) if rest is None else rest
-
-
-def _parts(image: wp.array, features: wp.array, rest: wp.array | None) -> tuple[ArrayView, ArrayView]:
-    """An image of all channels as one of the first and one of the others, on the same memory."""
+def _parts(
+    image: wp.array | None, features: wp.array, rest: wp.array | None
+) -> tuple[ArrayView | None, ArrayView | None]:
+    """An image of all channels as one of the first and one of the others, on the same memory; None for what is not."""
+    if image is None:
+        return None, None
     first, device = features.dtype, image.device
     images = ArrayView(image.ptr, image.shape, first, device, image, image.strides)
     if rest is None:
-        return images, nothing(wp.types.vector(1, first._wp_scalar_type_), 2, device)
+        return images, None
     behind = image.ptr + wp.types.type_size_in_bytes(first)
     return images, ArrayView(behind, image.shape, rest.dtype, device, image, image.strides)
-
-
-def _thermal_render(blended: BlendedArrays, dtype: type, device: wp.Device) -> wp.array:
-    if blended.thermal_render is not None:
-        return blended.thermal_render
-    return nothing(wp.types.vector(1, dtype), 2, device)
 
 
 def _thermal_images(blended: BlendedArrays) -> tuple[wp.array, wp.array]:
@@ -301,5 +303,4 @@ def _read(
     size = [bins.tiles_x, bins.tiles_y, settings.width, settings.height]
     p = projected
     gaussians = [p.means2d, p.packed_roots, p.extents, opacities, thermal_opacities]
-    others = _or_nothing(rest, opacities.dtype, opacities.device)
-    return size, [*size, *gaussians, features, others, bins.gaussian_ids, bins.masks]
+    return size, [*size, *gaussians, features, rest, bins.gaussian_ids, bins.masks]

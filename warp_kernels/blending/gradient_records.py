@@ -105,7 +105,7 @@ def distribute_kernel(
     records_per_pair: int,
     first_channels: int | None = None,
 ) -> wp.Kernel:
-    """Sums each Gaussian's records and adds them to the gradients, or stores them there, one thread a Gaussian, or a
+    """Sums each Gaussian's records and adds them to the gradients, or stores them there, one thread per Gaussian, or a
     depth rank, as records of pairs lie.
 
     Args:
@@ -113,7 +113,7 @@ def distribute_kernel(
         thermal_channels: D, or 0.
         dtype: ``wp.float32`` or ``wp.float64``.
         absgrad: records end with the absolute mean2d gradients.
-        records_per_pair: records of a pair, those of a Gaussian's pairs side by side; 0: one record a Gaussian.
+        records_per_pair: records of a pair, those of a Gaussian's pairs side by side; 0: one record per Gaussian.
         first_channels: of the C, those whose gradients lie in an array of their own; None: all.
 
     Returns:

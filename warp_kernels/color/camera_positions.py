@@ -8,7 +8,7 @@ from warp_kernels.machinery.strand_sums import STRANDS
 
 @made_once
 def camera_position_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
-    """Where the cameras are, and the adjoint of that; one thread an image.
+    """Where the cameras are, and the adjoint of that; one thread per image.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the view matrices.

@@ -1,10 +1,11 @@
 """The adjoint of a sum over one row of spherical harmonics coefficients a thread, moved by whole warps.
 
-A Gaussian's coefficients are one row of up to 48 numbers, and so is their gradient: basis value times colour gradient.
-Were each thread to read and write its own, neighbouring threads would do so 192 bytes apart. Where the rows of a warp's
-32 threads follow each other, as they do but at the end of an image, its lanes move some rows at a time as one run, 4
-numbers at once where nothing lies between rows, and each lane has its own row in shared memory. Rows that nobody uses
-are only written. Other rows are read and written directly; on the CPU, where a warp is one lane, they all are.
+A Gaussian's coefficients are one row of up to 48 numbers (75 of degree 4), and so is their gradient: basis value times
+colour gradient. Were each thread to read and write its own, neighbouring threads would do so 192 bytes apart. Where the
+rows of a warp's 32 threads follow each other, as they do but at the end of an image, its lanes move some rows at a time
+as one run, 4 numbers at once where nothing lies between rows, and each lane has its own row in shared memory. Rows that
+nobody uses are only written. Other rows are read and written directly; on the CPU, where a warp is one lane, they all
+are.
 
 On CUDA all lanes of a warp must call the adjoint together: see ``lanes.whole_warps``. The sums themselves lose by this:
 a thread has its own row's numbers in a few wide reads, and waits for nobody.
@@ -12,19 +13,18 @@ a thread has its own row's numbers in a few wide reads, and waits for nobody.
 
 import warp as wp
 
-from warp_kernels.constants import SH_DEGREE_MAX
 from warp_kernels.machinery.lanes import scalar_name
 from warp_kernels.machinery.loading import made_once
 
 BLOCK = 256
 """Threads a block on CUDA; Warp's default."""
 
-# What varies, the scalar S and the threads of a block, is declared in front of the bodies.
+# What varies, the scalar S, the most coefficients K and the threads of a block, is declared in front of the bodies.
 
 ADJOINT = """
-    wp::vec_t<16, S> v_b = {};
+    wp::vec_t<K, S> v_b = {};
     const S zero = 0;
-    const int count = rows.shape[1], held = count + lowest < 16 ? count + lowest : 16;
+    const int count = rows.shape[1], held = count + lowest < K ? count + lowest : K;
     const int end = active < held ? active : held;
     if (count == 0) return v_b;
 #if defined(__CUDA_ARCH__)
@@ -33,7 +33,7 @@ ADJOINT = """
     const int lane = threadIdx.x & 31, width = 3 * count, leader = __shfl_sync(all, row, 0);
     constexpr bool single = sizeof(S) == 4;
     constexpr int at_once = single ? 16 : 8;
-    __shared__ __align__(16) S staged[block / 32][at_once * 49 + 96];
+    __shared__ __align__(16) S staged[block / 32][at_once * (3 * K | 1) + 96];
     S* numbers = staged[threadIdx.x >> 5];
     const int pitch = width | 1;  // odd, so that lanes meet in no bank
     const unsigned per_number = 0xffffffffu / width + 1;  // the row of number f is the high half of f times this
@@ -42,7 +42,7 @@ ADJOINT = """
     // Rows of an even width are apart in shared memory; 4 numbers at once must not be of two of them.
     const bool quads = single && width % 4 != 2;
     const bool reads_quads = quads && source_pitch == width && ((size_t)source & 15) == 0;
-    const bool dense = width <= 48 && (count < 2 || rows.strides[1] == 3 * (int)sizeof(S));
+    const bool dense = width <= 3 * K && (count < 2 || rows.strides[1] == 3 * (int)sizeof(S));
     const bool together = __all_sync(all, dense && (row < 0 || row == leader + lane));
     if (add && !in_use) return v_b;
     if (together && (count < 2 || v_rows.strides[1] == rows.strides[1])) {
@@ -51,7 +51,7 @@ ADJOINT = """
         const bool writes_quads = quads && target_pitch == width && !add && ((size_t)target & 15) == 0;
         // The gradients first, as the basis values are in registers until then. v waits in shared memory, or the
         // compiler would keep all products in registers, which both turns have in common.
-        S* factors = numbers + at_once * 49 + 3 * lane;
+        S* factors = numbers + at_once * (3 * K | 1) + 3 * lane;
         for (int c = 0; c < 3; ++c) factors[c] = used ? v[c] : zero;
         for (int first = 0; first < num_rows; first += at_once) {
             const int total = width * (num_rows - first < at_once ? num_rows - first : at_once);
@@ -60,9 +60,9 @@ ADJOINT = """
                 S* own = numbers + (lane - first) * pitch - 3 * lowest;
                 const S v0 = factors[0], v1 = factors[1], v2 = factors[2];
                 #pragma unroll
-                for (int k = 0; k < 17; ++k)
+                for (int k = 0; k < K + 1; ++k)
                     if (k >= lowest && k < count + lowest) {
-                        const S scale = used && k < end ? b[k & 15] : zero;
+                        const S scale = used && k < end ? b[k < K ? k : 0] : zero;
                         own[3 * k] = scale * v0;
                         own[3 * k + 1] = scale * v1;
                         own[3 * k + 2] = scale * v2;
@@ -116,7 +116,7 @@ ADJOINT = """
             if (used && lane >= first && lane < first + at_once) {
                 const S* own = numbers + (lane - first) * pitch - 3 * lowest;
                 #pragma unroll
-                for (int k = 1; k < 16; ++k)
+                for (int k = 1; k < K; ++k)
                     if (k < end) v_b[k] = own[3 * k] * v[0] + own[3 * k + 1] * v[1] + own[3 * k + 2] * v[2];
             }
             __syncwarp();
@@ -128,7 +128,7 @@ ADJOINT = """
     const char* mine = (const char*)rows.data + (long long)row * rows.strides[0];
     char* target = (char*)v_rows.data + (long long)row * v_rows.strides[0];
     #pragma unroll
-    for (int k = 0; k < 16; ++k)
+    for (int k = 0; k < K; ++k)
         if (k >= lowest && k < held) {
             const S* coefficient = (const S*)(mine + (k - lowest) * rows.strides[1]);
             S* gradient = (S*)(target + (k - lowest) * v_rows.strides[1]);
@@ -155,12 +155,13 @@ SUM = """
     const bool aligned = (((size_t)rows.data | rows.strides[0]) & 15) == 0 && rows.strides[1] == 12;
     if (sizeof(S) == 4 && lowest == 0 && aligned) {
         const int end = 3 * active;
-        float4 quads[12];
+        constexpr int Q = (3 * K + 3) / 4;
+        float4 quads[Q];
         #pragma unroll
-        for (int j = 0; j < 12; ++j)
+        for (int j = 0; j < Q; ++j)
             if (4 * j < end) quads[j] = __ldg((const float4*)mine + j);
         #pragma unroll
-        for (int j = 0; j < 12; ++j)
+        for (int j = 0; j < Q; ++j)
             if (4 * j < end) {
                 const float numbers[4] = {quads[j].x, quads[j].y, quads[j].z, quads[j].w};
                 #pragma unroll
@@ -173,7 +174,7 @@ SUM = """
     }
 #endif
     #pragma unroll
-    for (int k = 0; k < 16; ++k)
+    for (int k = 0; k < K; ++k)
         if (k >= lowest && k < active) {
             const S* coefficient = (const S*)(mine + (k - lowest) * rows.strides[1]);
             for (int c = 0; c < 3; ++c) total[c] += b[k] * coefficient[c];
@@ -183,30 +184,32 @@ SUM = """
 
 
 @made_once
-def row_sum_function(dtype: type):
+def row_sum_function(dtype: type, most: int):
     """A row's sum.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
+        most: coefficients that may be active.
 
     Returns:
         ``row_sum(rows, lowest, row, b, active, start)``: start + Σ b[k] rows[row, k - lowest] over lowest <= k <
         active, where rows begin with the coefficient ``lowest``, 0 or 1.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector((SH_DEGREE_MAX + 1) ** 2, dtype)
+    vec3, vecK = wp.types.vector(3, dtype), wp.types.vector(most, dtype)
 
-    @wp.func_native(f"using S = {scalar_name(dtype)};{SUM}")
-    def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vec16, active: int, start: vec3) -> vec3: ...
+    @wp.func_native(f"using S = {scalar_name(dtype)}; constexpr int K = {most};{SUM}")
+    def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vecK, active: int, start: vec3) -> vec3: ...
 
     return row_sum
 
 
 @made_once
-def row_adjoint_function(dtype: type):
+def row_adjoint_function(dtype: type, most: int):
     """The adjoint of Σ b[k] rows[row, k - lowest] over lowest <= k < active.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
+        most: coefficients that may be active.
 
     Returns:
         ``row_adjoint(rows, v_rows, lowest, row, b, v, active, used, add)``, where rows begin with the coefficient
@@ -214,19 +217,19 @@ def row_adjoint_function(dtype: type):
         returns the dot products of rows[row, k - lowest] with v, by k; that of 0, whose basis is constant, is left out.
         A row that is not ``used`` is not read and has a gradient of zero.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector((SH_DEGREE_MAX + 1) ** 2, dtype)
+    vec3, vecK = wp.types.vector(3, dtype), wp.types.vector(most, dtype)
 
-    @wp.func_native(f"using S = {scalar_name(dtype)}; constexpr int block = {BLOCK};{ADJOINT}")
+    @wp.func_native(f"using S = {scalar_name(dtype)}; constexpr int K = {most}, block = {BLOCK};{ADJOINT}")
     def row_adjoint(
         rows: wp.array2d(dtype=vec3),
         v_rows: wp.array2d(dtype=vec3),
         lowest: int,
         row: int,
-        b: vec16,
+        b: vecK,
         v: vec3,
         active: int,
         used: bool,
         add: bool,
-    ) -> vec16: ...
+    ) -> vecK: ...
 
     return row_adjoint

@@ -1,13 +1,15 @@
 """The step that evaluates spherical harmonics towards each camera: its launches, and its adjoint on a tape."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import warp as wp
 
 from warp_kernels.color.camera_positions import camera_position_kernels
-from warp_kernels.color.spherical_harmonics import color_adjoint_kernel, color_kernel
-from warp_kernels.machinery.array_views import ArrayView, empty, nothing
+from warp_kernels.color.harmonic_basis import values_for
+from warp_kernels.color.spherical_harmonics import ColorVariant, color_adjoint_kernel, color_kernel
+from warp_kernels.machinery.array_views import ArrayView, empty
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch, launch_again
 from warp_kernels.machinery.strand_sums import strand_sums
@@ -45,16 +47,25 @@ class ColorSettings:
     """Scalars of the colours.
 
     Attributes:
-        degree: 0 to 3.
+        degree: 0 to 4.
         num_gaussians: N.
         num_cameras: cameras per scene.
         per_image: coefficients are per (image, Gaussian).
+        shifted: 0.5 is added to the sum, as 3DGS does.
+        clamped: what is below 0 becomes 0, as 3DGS has it; goes with ``shifted``.
     """
 
     degree: int
     num_gaussians: int
     num_cameras: int
     per_image: bool = False
+    shifted: bool = True
+    clamped: bool = True
+
+    @cached_property
+    def variant(self) -> ColorVariant:
+        """Of the kernels."""
+        return ColorVariant(values_for(self.degree), self.shifted, self.clamped)
 
 
 def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None = None) -> None:
@@ -66,14 +77,15 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
         tape: records the adjoint.
     """
     a, device, dtype = arrays, arrays.means.device, arrays.means.dtype._wp_scalar_type_
-    a.camera_positions = empty(len(a.viewmats), wp.vec3d, device)
-    launch_again(camera_position_kernels(dtype)[0], len(a.viewmats), [a.viewmats, a.camera_positions], device)
+    images, entries = a.viewmats.shape[0], a.colors.shape[0]
+    a.camera_positions = empty(images, wp.vec3d, device)
+    launch_again(camera_position_kernels(dtype)[0], images, [a.viewmats, a.camera_positions], device)
     joined = _joined(a.sh0, a.shN)
     rows, lowest = (a.shN, 1) if joined is None else (joined, 0)
     inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.radii]
-    many = device.is_cuda and len(a.colors) > LISTED
-    kernel, threads = color_kernel(dtype, many), threads_of_many(len(a.colors)) if many else len(a.colors)
-    launch(kernel, threads, [*inputs, a.colors], device)
+    many = entries > LISTED and device.is_cuda
+    kernel = color_kernel(dtype, many, settings.variant)
+    launch(kernel, threads_of_many(entries) if many else entries, [*inputs, a.colors], device)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
         record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)
@@ -89,9 +101,9 @@ def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bo
             of view matrices are.
     """
     a, device, dtype = arrays, arrays.means.device, arrays.means.dtype._wp_scalar_type_
-    vec3, images = a.colors.dtype, len(a.viewmats)
+    vec3, images = a.colors.dtype, a.viewmats.shape[0]
     to_cameras = a.viewmats.grad is not None
-    v_offsets = empty(len(a.colors), vec3, device) if to_cameras else nothing(vec3, 1, device)
+    v_offsets = empty(a.colors.shape[0], vec3, device) if to_cameras else None
     v_sh0, v_shN = gradient_of(a.sh0), gradient_of(a.shN)
     rows, v_rows = _joined(a.sh0, a.shN), _joined(v_sh0, v_shN)
     lowest = 0
@@ -99,8 +111,8 @@ def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bo
         rows, v_rows, lowest = a.shN, v_shN, 1
     inputs = [*_counts(settings), a.means, a.camera_positions, rows, a.radii, a.colors, gradient_of(a.colors)]
     launch(
-        color_adjoint_kernel(dtype),
-        whole_warps(len(a.means), device),
+        color_adjoint_kernel(dtype, settings.variant),
+        whole_warps(a.means.shape[0], device),
         [*inputs, lowest, store, v_sh0, v_rows, gradient_of(a.means), v_offsets],
         device,
     )
@@ -120,7 +132,7 @@ def _counts(settings: ColorSettings) -> list[Any]:
 
 def _joined(sh0: Any, shN: Any) -> ArrayView | None:
     """Rows of all coefficients, where those of degree 0 lie in front of the others; None where they lie apart."""
-    vector = sh0.strides[1]
-    if shN.shape[1] == 0 or shN.ptr != sh0.ptr + vector or sh0.strides[0] != shN.strides[0] or shN.strides[1] != vector:
+    first, others = sh0.strides, shN.strides
+    if shN.shape[1] == 0 or shN.ptr != sh0.ptr + first[1] or first != others:
         return None
-    return ArrayView(sh0.ptr, (sh0.shape[0], 1 + shN.shape[1]), sh0.dtype, sh0.device, strides=shN.strides)
+    return ArrayView(sh0.ptr, (sh0.shape[0], 1 + shN.shape[1]), sh0.dtype, sh0.device, strides=others)

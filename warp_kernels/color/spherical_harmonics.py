@@ -1,102 +1,35 @@
-"""View-dependent colour from real spherical harmonics of degree 0 to 3, and its adjoint.
+"""View-dependent colour from real spherical harmonics (harmonic_basis), and its adjoint.
 
-The basis is 3DGS's (Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013, with its signs); the colour is
-max(Σ_k basis_k(d) · coefficient_k + 0.5, 0) for the unit direction d from the camera to the mean.
+The colour is max(Σ_k basis_k(d) · coefficient_k + 0.5, 0) for the unit direction d from the camera to the mean. Other
+variants leave the limit away, or the limit and the half (``ColorVariant``).
 """
+
+from typing import NamedTuple
 
 import warp as wp
 
 from warp_kernels.color.coefficient_rows import row_adjoint_function, row_sum_function
-from warp_kernels.constants import SH_DEGREE_MAX
+from warp_kernels.color.harmonic_basis import FEW, basis_functions
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lanes import LANES_CUDA, warp_sync
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH, MANY, WARPS, list_functions
 
-# Normalisation constants of the real basis functions.
-C0 = 0.28209479177387814  # sqrt(1 / 4π)
-C1 = 0.4886025119029199  # sqrt(3 / 4π)
-C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
 
+class ColorVariant(NamedTuple):
+    """One kind of sums of spherical harmonics, for which kernels are made."""
 
-@made_once
-def basis_functions(dtype: type):
-    """Basis values and their gradient with respect to the unit direction.
+    most: int = FEW
+    """Values of the basis that there is room for: ``harmonic_basis.values_for`` the degree."""
+    shifted: bool = True
+    """0.5 is added to the sum."""
+    clamped: bool = True
+    """What is below 0 becomes 0; goes with ``shifted``."""
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
-    Returns:
-        ``(basis, basis_adjoint)``: basis(d, degree) -> 16 values, zero above the degree; basis_adjoint(d, degree, v)
-        -> gradient to d for the gradient v to the values.
-    """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector((SH_DEGREE_MAX + 1) ** 2, dtype)
-    one, two, three = (dtype(x) for x in (1.0, 2.0, 3.0))
-    c0, c1 = dtype(C0), dtype(C1)
-    c20, c21, c22 = (dtype(x) for x in C2)
-    c30, c31, c32, c33, c34 = (dtype(x) for x in C3)
-
-    @wp.func
-    def basis(d: vec3, degree: int):
-        x, y, z = d[0], d[1], d[2]
-        b = vec16()
-        b[0] = c0
-        if degree > 0:
-            b[1] = -c1 * y
-            b[2] = c1 * z
-            b[3] = -c1 * x
-        if degree > 1:
-            b[4] = c20 * x * y
-            b[5] = -c20 * y * z
-            b[6] = c21 * (three * z * z - one)
-            b[7] = -c20 * x * z
-            b[8] = c22 * (x * x - y * y)
-        if degree > 2:
-            b[9] = -c30 * y * (three * x * x - y * y)
-            b[10] = c31 * x * y * z
-            b[11] = -c32 * y * (dtype(5.0) * z * z - one)
-            b[12] = c33 * z * (dtype(5.0) * z * z - three)
-            b[13] = -c32 * x * (dtype(5.0) * z * z - one)
-            b[14] = c34 * z * (x * x - y * y)
-            b[15] = -c30 * x * (x * x - three * y * y)
-        return b
-
-    @wp.func
-    def basis_adjoint(d: vec3, degree: int, v: vec16):
-        x, y, z = d[0], d[1], d[2]
-        g = vec3()
-        if degree > 0:
-            g = vec3(-c1 * v[3], -c1 * v[1], c1 * v[2])
-        if degree > 1:
-            g = g + vec3(
-                c20 * (y * v[4] - z * v[7]) + two * c22 * x * v[8],
-                c20 * (x * v[4] - z * v[5]) - two * c22 * y * v[8],
-                dtype(6.0) * c21 * z * v[6] - c20 * (y * v[5] + x * v[7]),
-            )
-        if degree > 2:
-            five_z = dtype(5.0) * z * z - one
-            squares = x * x - y * y
-            g = g + vec3(
-                -dtype(6.0) * c30 * x * y * v[9]
-                + c31 * y * z * v[10]
-                - c32 * five_z * v[13]
-                + two * c34 * x * z * v[14]
-                - three * c30 * squares * v[15],
-                -three * c30 * squares * v[9]
-                + c31 * x * z * v[10]
-                - c32 * five_z * v[11]
-                - two * c34 * y * z * v[14]
-                + dtype(6.0) * c30 * x * y * v[15],
-                c31 * x * y * v[10]
-                - dtype(10.0) * c32 * y * z * v[11]
-                + three * c33 * five_z * v[12]
-                - dtype(10.0) * c32 * x * z * v[13]
-                + c34 * squares * v[14],
-            )
-        return g
-
-    return basis, basis_adjoint
+    def name(self, kernel: str, dtype: type) -> str:
+        """Name of one of the kernels."""
+        kind = "" if self.clamped else "_shifted" if self.shifted else "_plain"
+        return f"{kernel}_{dtype.__name__}{'' if self.most == FEW else f'_{self.most}'}{kind}"
 
 
 @made_once
@@ -131,30 +64,34 @@ def direction_function(dtype: type):
 
 
 @made_once
-def color_kernel(dtype: type, many: bool) -> wp.Kernel:
+def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
     """Forward kernel: colour of each (image, Gaussian) pair, not written where the Gaussian is culled.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
         many: a warp lists the visible ones of many before it works on them, on CUDA only; else a thread has one.
+        variant: what is summed, and how.
 
     Returns:
         The Warp kernel, with ``many`` launched over ``warp_lists.threads_of_many``. ``rows`` begin with the
         coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
     """
     vec3 = wp.types.vector(3, dtype)
-    basis, _ = basis_functions(dtype)
-    row_sum = row_sum_function(dtype)
+    basis, _ = basis_functions(dtype, variant.most)
+    row_sum = row_sum_function(dtype, variant.most)
+    shifted, clamped = variant.shifted, variant.clamped
     direction = direction_function(dtype)
     each, lanes = (EACH, LANES_CUDA) if many else (1, 1)
     vec_each = wp.types.vector(each, wp.int32)
     list_of_warp, append, item = list_functions(WARPS, MANY)
 
-    # A row is 48 registers, and three blocks a multiprocessor keep enough of them under way.
-    bounds = (256, 3) if dtype is wp.float32 else None
+    bounds = _launch_bounds(dtype, variant)
 
     @wp.kernel(
-        name=f"sh_colors_{dtype.__name__}{'_many' * many}", enable_backward=False, module="unique", launch_bounds=bounds
+        name=variant.name("sh_colors", dtype) + "_many" * many,
+        enable_backward=False,
+        module="unique",
+        launch_bounds=bounds,
     )
     def sh_colors_kernel(
         first: int,
@@ -201,22 +138,25 @@ def color_kernel(dtype: type, many: bool) -> wp.Kernel:
                 color = b[0] * sh0[row, 0]
             color = row_sum(rows, lowest, row, b, (degree + 1) * (degree + 1), color)
             # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
-            color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
-            for c in range(3):
-                # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
-                if color[c] < dtype(0.0):
-                    color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
+            if wp.static(shifted):
+                color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
+            if wp.static(clamped):
+                for c in range(3):
+                    # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
+                    if color[c] < dtype(0.0):
+                        color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
             colors[index] = color
 
     return sh_colors_kernel
 
 
 @made_once
-def color_adjoint_kernel(dtype: type) -> wp.Kernel:
-    """Adjoint kernel: one thread a Gaussian of a scene walks its cameras, so that nothing is atomic.
+def color_adjoint_kernel(dtype: type, variant: ColorVariant) -> wp.Kernel:
+    """Adjoint kernel: one thread per Gaussian of a scene walks its cameras, so that nothing is atomic.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
+        variant: what is summed, and how.
 
     Returns:
         The Warp kernel. It adds to coefficients and means, or with ``store`` writes them, and where there is room for
@@ -224,14 +164,17 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         ``rows`` begin with the coefficient ``lowest``; where that is 1, ``v_sh0`` takes the gradient of degree 0. It
         is launched over ``whole_warps``.
     """
-    vec3, vec16 = wp.types.vector(3, dtype), wp.types.vector((SH_DEGREE_MAX + 1) ** 2, dtype)
-    basis, basis_adjoint = basis_functions(dtype)
+    vec3, vecK = wp.types.vector(3, dtype), wp.types.vector(variant.most, dtype)
+    basis, basis_adjoint = basis_functions(dtype, variant.most)
     direction = direction_function(dtype)
-    row_adjoint = row_adjoint_function(dtype)
+    row_adjoint = row_adjoint_function(dtype, variant.most)
     _, store3, _ = store_functions(dtype)
-    bounds = (256, 3) if dtype is wp.float32 else None  # as of the forward kernel
+    bounds = _launch_bounds(dtype, variant)
+    clamped = variant.clamped
 
-    @wp.kernel(name=f"sh_colors_adjoint_{dtype.__name__}", enable_backward=False, module="unique", launch_bounds=bounds)
+    @wp.kernel(
+        name=variant.name("sh_colors_adjoint", dtype), enable_backward=False, module="unique", launch_bounds=bounds
+    )
     def sh_colors_adjoint_kernel(
         first: int,
         num_gaussians: int,
@@ -264,17 +207,19 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
             used = inside and radii[index][0] > 0
             unit = vec3()
             inverse = dtype(0.0)
-            b = vec16()
+            b = vecK()
             v = vec3()
             if used:
                 unit, inverse = direction(means[gaussian], camera_positions[image])
                 b = basis(unit, degree)
                 v = v_colors[index]
-                color = colors[index]
-                for c in range(3):
-                    # A colour that was clamped is -0; one that is 0 by itself, an initial black, must be able to grow.
-                    if dtype(1.0) / color[c] < dtype(0.0):
-                        v[c] = dtype(0.0)
+                if wp.static(clamped):
+                    color = colors[index]
+                    for c in range(3):
+                        # A colour that was clamped is -0; one that is 0 by itself, an initial black, must be able to
+                        # grow.
+                        if dtype(1.0) / color[c] < dtype(0.0):
+                            v[c] = dtype(0.0)
             add = not store or (camera > 0 and not per_image)
             active = (degree + 1) * (degree + 1)
             v_basis = row_adjoint(rows, v_rows, lowest, wp.where(inside, row, -1), b, v, active, used, add)
@@ -298,3 +243,10 @@ def color_adjoint_kernel(dtype: type) -> wp.Kernel:
         store3(v_means, wp.where(inside, gaussian, -1), total)
 
     return sh_colors_adjoint_kernel
+
+
+def _launch_bounds(dtype: type, variant: ColorVariant) -> tuple[int, int] | None:
+    """A row is 48 registers, and three blocks a multiprocessor keep enough of them under way; of degree 4 it is 75."""
+    if dtype is not wp.float32:
+        return None
+    return (256, 3) if variant.most == FEW else (256, 2)

@@ -70,7 +70,8 @@ class ArrayView:
         owner: Any = None,
         strides: tuple[int, ...] | None = None,
     ) -> None:
-        self.shape, self.dtype, self.device, self.owner, self.grad = shape, dtype, device, owner, None
+        self.shape, self.dtype, self.device = shape, dtype, device
+        self.owner, self.grad = owner, None
         self._layout = layout = _layout(shape, dtype, strides)
         self.ptr, self.packed = ptr, _pack_address(ptr) + layout.packed
 
@@ -86,6 +87,15 @@ class ArrayView:
     def strides(self) -> tuple[int, ...]:
         """Distances between elements [bytes]."""
         return self._layout.strides
+
+    def gradient_at(self, ptr: int, owner: Any = None) -> None:
+        """Gives the array a gradient of its own shape and type, whose elements follow one another.
+
+        Args:
+            ptr: address.
+            owner: as in the constructor.
+        """
+        self.grad = ArrayView(ptr, self.shape, self.dtype, self.device, owner)
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -151,7 +161,9 @@ def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
 
 
 def nothing(dtype: Any, ndim: int, device: wp.Device) -> ArrayView:
-    """An array without elements, for an argument that is not given; always the same, so not to be given a gradient.
+    """An array without elements, for one that there is not; always the same, so not to be given a gradient.
+
+    Kernels take None for it; this is for code that asks an array for its shape or its gradient.
 
     Args:
         dtype: Warp type of an element.
@@ -238,7 +250,8 @@ class RecordedLaunch:
     Args:
         kernel: not generic.
         dim: number of threads.
-        inputs: arrays, ints, floats and bools, of the same types at each launch; outputs included.
+        inputs: arrays, ints, floats and bools, of the same types at each launch; outputs included. None in the place
+            of an array: one without elements.
         device: where to run.
         block: threads a block.
     """
@@ -267,6 +280,7 @@ class RecordedLaunch:
         self._command, self._dim = command, dim
         # On the CPU, Warp would copy the parameters one by one into a struct of this layout.
         self._run_on_cpu = command.hooks.forward if device.is_cpu and command.block_dim == 1 else None
+        self._pointers = ctypes.byref(command.bounds), ctypes.byref(self._bytes)
 
     def launch(self, dim: int | tuple[int, int], inputs: list[Any]) -> None:
         """Launches with other arguments and another number of threads.
@@ -278,10 +292,14 @@ class RecordedLaunch:
         if dim != self._dim:
             self._command.set_dim(dim)
             self._dim = dim
-        packed = [v.packed if type(v) is ArrayView else v if type(v) in _NUMBERS else _packed(v) for v in inputs]
+            self._pointers = ctypes.byref(self._command.bounds), self._pointers[1]
+        packed = [
+            v.packed if type(v) is ArrayView else v if type(v) in _NUMBERS else b"" if v is None else _packed(v)
+            for v in inputs
+        ]
         self._pack_into(self._bytes, 0, *packed)
         if self._run_on_cpu is not None:
-            self._run_on_cpu(ctypes.byref(self._command.bounds), ctypes.byref(self._bytes))
+            self._run_on_cpu(*self._pointers)
         else:
             self._command.launch(memory.source.stream)
 

@@ -238,7 +238,7 @@ def whole_warps(count: int, device: wp.Device) -> int:
         count: Rows.
         device: Where.
     """
-    return num_warps(count, device) * lanes_of(device)
+    return num_warps(count, device) * LANES_CUDA if device.is_cuda else count
 
 
 def num_warps(count: int, device: wp.Device) -> int:

@@ -56,7 +56,10 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device) 
         inputs: arguments after the first.
         device: where to run.
     """
-    _launch_range(kernel, count, MIN_CHUNK, None, inputs, device)
+    if count < 2 * MIN_CHUNK or _num_threads == 1 or device.is_cuda:
+        launch_again(kernel, count, [0, *inputs], device)
+    else:
+        _spread(kernel, count, count // MIN_CHUNK, None, inputs, device)
 
 
 def launch_again(
@@ -67,15 +70,17 @@ def launch_again(
     Args:
         kernel: not generic.
         dim: number of threads.
-        inputs: arrays, ints, floats and bools, of the same types at each call; outputs included.
+        inputs: arrays, ints, floats and bools, of the same types at each call; outputs included. None in the place of
+            an array: one without elements.
         device: where to run.
         block: threads a block; None for Warp's default.
     """
     if dim == 0:
         return
     key = (kernel, device.alias, block)
-    recorded = _recorded.by_kernel.get(key)
-    if recorded is None:
+    try:
+        recorded = _recorded.by_kernel[key]
+    except KeyError:
         with first_use(kernel, device, block or 256):
             recorded = _recorded.by_kernel[key] = RecordedLaunch(kernel, dim, inputs, device, block or 256)
     recorded.launch(dim, inputs)
@@ -101,23 +106,22 @@ def launch_tiles(kernel: wp.Kernel, num_tiles: int, threads: int, inputs: list[A
         inputs: arguments after the first.
         device: where to run.
     """
-    _launch_range(kernel, num_tiles, 1, threads, inputs, device)
+    if num_tiles == 0:
+        return
+    if num_tiles == 1 or _num_threads == 1 or device.is_cuda:
+        launch_again(kernel, (num_tiles, threads), [0, *inputs], device, threads)
+    else:
+        _spread(kernel, num_tiles, num_tiles, threads, inputs, device)
 
 
-def _launch_range(
-    kernel: wp.Kernel, count: int, min_chunk: int, block: int | None, inputs: list[Any], device: wp.Device
-) -> None:
-    if count == 0:
-        return
-    if device.is_cuda or _num_threads == 1 or count < 2 * min_chunk:
-        launch_again(kernel, count if block is None else (count, block), [0, *inputs], device, block)
-        return
+def _spread(kernel: wp.Kernel, count: int, most: int, block: int | None, inputs: list[Any], device: wp.Device) -> None:
+    """Launches a range in at most so many pieces, spread over CPU threads."""
 
     def run(first: int, end: int) -> None:
         dim = end - first if block is None else (end - first, block)
         launch_again(kernel, dim, [first, *inputs], device, block)
 
-    chunks = min(count // min_chunk, _num_threads * CHUNKS_PER_THREAD)
+    chunks = min(most, _num_threads * CHUNKS_PER_THREAD)
     bounds = [count * k // chunks for k in range(chunks + 1)]
     # Consume the iterator: an exception in a thread is raised here.
     list(_threads().map(run, bounds[:-1], bounds[1:]))
@@ -135,4 +139,5 @@ def _forget_threads() -> None:
     _pool = None
 
 
-os.register_at_fork(after_in_child=_forget_threads)  # threads stay with the parent: their pool would wait forever
+if hasattr(os, "register_at_fork"):  # Windows does not fork
+    os.register_at_fork(after_in_child=_forget_threads)  # threads stay with the parent: their pool would wait forever

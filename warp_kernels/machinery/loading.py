@@ -174,8 +174,9 @@ _quiet_until = 0.0
 
 
 # A forked process has the forking thread alone: nothing is half loaded when it begins.
-os.register_at_fork(
-    before=one_at_a_time.acquire,
-    after_in_parent=one_at_a_time.release,
-    after_in_child=one_at_a_time.release,
-)
+if hasattr(os, "register_at_fork"):  # Windows does not fork
+    os.register_at_fork(
+        before=one_at_a_time.acquire,
+        after_in_parent=one_at_a_time.release,
+        after_in_child=one_at_a_time.release,
+    )

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import warp as wp
 
-from warp_kernels.machinery.array_views import nothing, zeros
+from warp_kernels.machinery.array_views import zeros
 
 
 def gradient_of(array: wp.array) -> wp.array:
@@ -17,18 +17,6 @@ def gradient_of(array: wp.array) -> wp.array:
         An array of the same shape and type.
     """
     return array.grad if array.grad is not None else zeros(array.shape, array.dtype, array.device)
-
-
-def given_gradient(array: wp.array) -> wp.array:
-    """The gradient of an output, or an array without elements where it has none: the kernel takes it for zeros.
-
-    Args:
-        array: an output of a step.
-
-    Returns:
-        An array of the same type.
-    """
-    return array.grad if array.grad is not None else nothing(array.dtype, array.ndim, array.device)
 
 
 def record_adjoint(tape: wp.Tape, adjoint: Callable[[], None], *arrays: wp.array) -> None:

@@ -11,7 +11,7 @@ CAMERA_RECORD = 16
 
 @made_once
 def camera_finish_kernel(dtype: type) -> wp.Kernel:
-    """Adds the strands of each image and hands the result to the gradients, one thread an image.
+    """Adds the strands of each image and hands the result to the gradients, one thread per image.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the gradients.

@@ -306,7 +306,7 @@ class GaussianArrays:
 
 @dataclass
 class ProjectedArrays:
-    """What the projection writes, one entry an (image, Gaussian) pair.
+    """What the projection writes, one entry per (image, Gaussian) pair.
 
     Attributes:
         means2d: vec2 [images · N], px; 0 where culled.

@@ -27,7 +27,7 @@ from warp_kernels.projection.rotation import rotation_functions
 def projection_adjoint_kernel(
     dtype: type, camera_model: CameraModel, from_covars: bool, to_cameras: bool, antialiased: bool, many: bool = False
 ) -> wp.Kernel:
-    """The adjoint kernel, one thread a Gaussian of a scene, or a warp for each ``warp_lists.MANY``.
+    """The adjoint kernel, one thread per Gaussian of a scene, or a warp for each ``warp_lists.MANY``.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.

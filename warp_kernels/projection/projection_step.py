@@ -6,7 +6,7 @@ from warp_kernels.machinery.array_views import empty, nothing
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch, launch_again
 from warp_kernels.machinery.strand_sums import strand_sums
-from warp_kernels.machinery.tape_recording import given_gradient, gradient_of, record_adjoint
+from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.machinery.warp_lists import LISTED, threads_of_many
 from warp_kernels.projection.camera_gradients import CAMERA_RECORD, camera_finish_kernel
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings, projection_kernel
@@ -21,20 +21,20 @@ def project(
     Args:
         gaussians: inputs. Gradients go to means, quats and scales (or covars), viewmats and Ks where they have one.
         settings: image size, planes and mode.
-        projected: outputs, one entry an (image, Gaussian) pair.
+        projected: outputs, one entry per (image, Gaussian) pair.
         tape: records the adjoint; gradients come from means2d, depths, roots and compensations.
     """
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
     launch(
         projection_kernel(dtype, settings.camera_model, gaussians.covars is not None),
-        len(projected.means2d),
+        projected.means2d.shape[0],
         [
             settings.num_gaussians,
             settings.num_cameras,
             gaussians.means,
             gaussians.quats,
             gaussians.scales,
-            _covars(gaussians),
+            gaussians.covars,
             gaussians.opacities,
             gaussians.thermal_opacities,
             gaussians.viewmats,
@@ -88,12 +88,46 @@ def project_adjoint(
         if to_cameras
         else nothing(record, 1, device)
     )
-    covars = _covars(gaussians)
-    variant = (settings.camera_model, gaussians.covars is not None, to_cameras, settings.antialiased)
-    many = device.is_cuda and settings.num_cameras == 1 and len(gaussians.means) > LISTED
+    launch_adjoint(gaussians, settings, projected, v_cameras, store=store, add_to_means=add_to_means)
+    if to_cameras:
+        launch_again(
+            camera_finish_kernel(dtype),
+            settings.num_images,
+            [
+                strand_sums(v_cameras, settings.num_images),
+                gradient_of(gaussians.viewmats),
+                gradient_of(gaussians.Ks),
+            ],
+            device,
+        )
+
+
+def launch_adjoint(
+    gaussians: GaussianArrays,
+    settings: ProjectionSettings,
+    projected: ProjectedArrays,
+    v_cameras: wp.array,
+    *,
+    store: bool,
+    add_to_means: bool = False,
+) -> None:
+    """The adjoint's kernel, which leaves gradients to cameras as records.
+
+    Args:
+        gaussians: as in ``project_adjoint``, as are those below.
+        settings: ...
+        projected: ...
+        v_cameras: vec [images · N] of ``CAMERA_RECORD`` numbers; empty where no camera wants a gradient.
+        store: ...
+        add_to_means: ...
+    """
+    device, dtype, to_cameras = gaussians.means.device, gaussians.opacities.dtype, v_cameras.shape[0] > 0
+    covars, count = gaussians.covars, gaussians.means.shape[0]
+    variant = (settings.camera_model, covars is not None, to_cameras, settings.antialiased)
+    many = count > LISTED and settings.num_cameras == 1 and device.is_cuda
     launch(
         projection_adjoint_kernel(dtype, *variant, many),
-        threads_of_many(len(gaussians.means)) if many else whole_warps(len(gaussians.means), device),
+        threads_of_many(count) if many else whole_warps(count, device),
         [
             settings.num_gaussians,
             settings.num_cameras,
@@ -109,34 +143,17 @@ def project_adjoint(
             projected.roots,
             projected.compensations,
             projected.radii,
-            given_gradient(projected.means2d),
-            given_gradient(projected.depths),
-            given_gradient(projected.roots),
-            given_gradient(projected.compensations),
+            projected.means2d.grad,
+            projected.depths.grad,
+            projected.roots.grad,
+            projected.compensations.grad,
             store,
             store and not add_to_means,
             gradient_of(gaussians.means),
             gradient_of(gaussians.quats),
             gradient_of(gaussians.scales),
-            gradient_of(covars) if gaussians.covars is not None else covars,
+            None if covars is None else gradient_of(covars),
             v_cameras,
         ],
         device,
     )
-    if to_cameras:
-        launch_again(
-            camera_finish_kernel(dtype),
-            len(gaussians.viewmats),
-            [
-                strand_sums(v_cameras, settings.num_images),
-                gradient_of(gaussians.viewmats),
-                gradient_of(gaussians.Ks),
-            ],
-            device,
-        )
-
-
-def _covars(gaussians: GaussianArrays) -> wp.array:
-    if gaussians.covars is not None:
-        return gaussians.covars
-    return nothing(wp.types.vector(6, gaussians.opacities.dtype), 1, gaussians.means.device)

@@ -45,7 +45,7 @@ def opacity_functions(dtype: type):
 
 @made_once
 def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
-    """The kernels, one thread a Gaussian.
+    """The kernels, one thread per Gaussian.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.

@@ -8,7 +8,7 @@ from warp_kernels.machinery.loading import made_once
 
 @made_once
 def covering_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
-    """The kernels, one thread a pixel.
+    """The kernels, one thread per pixel.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.

@@ -24,7 +24,7 @@ def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
         channels: features of a Gaussian; a constant, so that all of them are read before any is awaited.
 
     Returns:
-        ``(join_moments, join_moments_adjoint)``, one thread a Gaussian.
+        ``(join_moments, join_moments_adjoint)``, one thread per Gaussian.
     """
     vec3 = wp.types.vector(3, dtype)
     nearest, two = dtype(NEAREST), dtype(2.0)
@@ -86,7 +86,7 @@ def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
         channels: features of a pixel.
 
     Returns:
-        ``(take_spreads, take_spreads_adjoint)``, one thread a pixel; the first is launched over ``whole_warps``.
+        ``(take_spreads, take_spreads_adjoint)``, one thread per pixel; the first is launched over ``whole_warps``.
     """
     zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
     warp_total = total_function(dtype)

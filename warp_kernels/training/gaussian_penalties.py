@@ -15,7 +15,7 @@ from warp_kernels.training.activations import opacity_functions
 
 @made_once
 def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
-    """The kernels, one thread a Gaussian.
+    """The kernels, one thread per Gaussian.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.

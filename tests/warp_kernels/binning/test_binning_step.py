@@ -109,3 +109,24 @@ def test_what_there_was_no_memory_for(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RuntimeError, match="Failed to allocate") as raised:
         bin_tiles(arrays, opacities, opacities, features, scene.settings, 8, by_slot=True)
     assert f"{pairs:,} overlaps of 60 Gaussians with 9 tiles of 8 px" in raised.value.__notes__[0]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("count", [1, 40, 3000, binning_step.FEW_SORTED, binning_step.FEW_SORTED + 1])
+def test_sorting_digit_by_digit_is_one_sort(dtype: type, count: int) -> None:
+    """Few keys are sorted by some bits at a time, into the order of Warp's sort by all, whatever numbers they are."""
+    rng = np.random.default_rng(count)
+    keys = rng.normal(0, 1, count).astype(dtype).round(2)  # many are equal, which keep their order
+    special = np.array([0.0, -0.0, np.inf, -np.inf, np.nan, np.finfo(dtype).tiny / 8, 1e30], dtype)
+    places = rng.integers(0, count, 30)
+    keys[places] = rng.choice(special, 30)
+
+    def pairs() -> tuple[wp.array, wp.array]:
+        values = np.arange(2 * count, dtype=np.int32)
+        return wp.array(np.tile(keys, 2), device="cpu"), wp.array(values, device="cpu")
+
+    found, expected = pairs(), pairs()
+    binning_step.sort_by_depth(*found, count)
+    wp.utils.radix_sort_pairs(*expected, count)
+    for mine, theirs in zip(found, expected, strict=True):
+        assert mine.numpy()[:count].tobytes() == theirs.numpy()[:count].tobytes()

@@ -18,7 +18,12 @@ CROWD = 900
 
 
 def blended(
-    scene: WarpScene, layout: BlendLayout, thermal_channels: int = 0, first_channels: int | None = None
+    scene: WarpScene,
+    layout: BlendLayout,
+    thermal_channels: int = 0,
+    first_channels: int | None = None,
+    *,
+    by_slot: bool = True,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Images, and gradients of means2d, roots, opacities and features for a fixed random loss."""
     settings, dtype = scene.settings, scene.gaussians.opacities.dtype
@@ -29,7 +34,8 @@ def blended(
         scene.gaussians.thermal_opacities = wp.array(other, dtype=dtype, device="cpu")
         thermal = image_opacities(scene, scene.gaussians.thermal_opacities)
     arrays: ProjectedArrays = projected(scene, wp.Tape())
-    bins = bin_tiles(arrays, opacities, thermal, scalar_view(scene.features), settings, layout.tile_size, by_slot=True)
+    flat = scalar_view(scene.features)
+    bins = bin_tiles(arrays, opacities, thermal, flat, settings, layout.tile_size, by_slot=by_slot)
 
     def image(kind: type, requires_grad: bool = True) -> wp.array:
         return wp.zeros((rows, settings.width), dtype=kind, device="cpu", requires_grad=requires_grad)
@@ -126,6 +132,19 @@ def test_a_cut_list_is_several_segments_long() -> None:
     bins = bin_tiles(projected(scene), opacities, opacities, features, scene.settings, 16, by_slot=True)
     lengths = np.diff(bins.tile_offsets.numpy())
     assert lengths.max() > LONG_LIST * 64 > lengths.min()
+
+
+def test_images_of_lists_without_numbered_pairs() -> None:
+    """As CUDA makes them by default: what belongs to the numbers is None in all launches, and images are the same.
+
+    Their gradients are added atomically, by code for CUDA alone; ``deterministic`` is compared there.
+    """
+    images = []
+    for by_slot in (True, False):
+        scene = warp_scene(n=60, width=45, height=35, channels=3, requires_grad=True)
+        images.append(blended(scene, BlendLayout(16, 16, 16, 1), 2, by_slot=by_slot)[0])
+    assert all((one == other).all() for one, other in zip(*images, strict=True))
+    assert all(np.linalg.norm(image) > 0 for image in images[0])
 
 
 def test_gradients_accumulate() -> None:

@@ -120,3 +120,38 @@ def test_new_arrays_are_warps_own_unless_a_source_is_set() -> None:
     assert array.numpy().tolist() == [[7, 7, 0], [0, 0, 0]]
     assert memory.source.last(array[0][:2]) == 7
     assert len(nothing(wp.vec2, 1, device)) == nothing(wp.vec2, 2, device).size == 0
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def count_kernel(
+    values: wp.array(dtype=wp.vec3),
+    rows: wp.array2d(dtype=wp.float32),
+    # outputs
+    found: wp.array(dtype=wp.int32),
+):
+    """Extents of its arguments."""
+    found[0] = values.shape[0]
+    found[1] = rows.shape[0] + rows.shape[1]
+
+
+def test_none_is_an_array_without_elements() -> None:
+    """At any launch, also the one that is recorded, and what was given before leaves no trace."""
+    found = wp.zeros(2, dtype=wp.int32, device=CPU)
+    values, rows = wp.zeros(5, dtype=wp.vec3, device=CPU), wp.zeros((2, 3), dtype=wp.float32, device=CPU)
+    absent: list[tuple[wp.array | None, wp.array | None]] = [(None, rows), (values, None), (None, None), (values, rows)]
+    recorded = RecordedLaunch(count_kernel, 1, [None, None, found], found.device, 256)
+    for given in absent:
+        (out,) = views(found)
+        inputs = [None if one is None else views(one)[0] for one in given]
+        recorded.launch(1, [*inputs, out])
+        assert found.numpy().tolist() == [0 if given[0] is None else 5, 0 if given[1] is None else 5]
+
+
+def test_a_gradient_has_the_array_s_shape() -> None:
+    """Its elements follow one another, whatever the array's own do."""
+    column = wp.zeros((4, 3), dtype=wp.float32, device=CPU)[:, 1:2]
+    memory_of_gradient = wp.zeros((4, 1), dtype=wp.float32, device=CPU)
+    (view,) = views(column)
+    view.gradient_at(memory_of_gradient.ptr, memory_of_gradient)
+    assert view.grad.packed == bytes(memory_of_gradient.__ctype__())
+    assert view.grad.owner is memory_of_gradient
