@@ -7,7 +7,7 @@ import torch
 
 from thermosplat.fused.position_noise import StoredGaussians, add_noise_to_means
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.training.density.gaussian_ops import rotate
+from thermosplat.scene.rotation import rotate
 
 GATE = 100.0, 0.005
 

@@ -17,19 +17,11 @@ def scene_with(**changes: Any) -> dict[str, Any]:
 
 
 UNSUPPORTED = [
-    ("sparse_grad", True),
-    ("segmented", True),
-    ("distributed", True),
-    ("with_ut", True),
-    ("with_eval3d", True),
-    ("camera_model", "fisheye"),
-    ("camera_model", "ftheta"),
-    ("radial_coeffs", torch.zeros(2, 6)),
-    ("tangential_coeffs", torch.zeros(2, 2)),
-    ("thin_prism_coeffs", torch.zeros(2, 4)),
-    ("ftheta_coeffs", object()),
-    ("rolling_shutter", 1),
-    ("viewmats_rs", torch.eye(4).repeat(2, 1, 1)),
+    ("camera_model", "lidar"),
+    ("lidar_coeffs", object()),
+    ("external_distortion_coeffs", object()),
+    ("ut_params", object()),
+    ("renderer_config", object()),
 ]
 
 
@@ -52,13 +44,14 @@ def test_gsplat_defaults_are_accepted() -> None:
     same = rasterization(
         **scene_with(
             sparse_grad=False,
+            tile_size=None,
             distributed=False,
             with_ut=False,
             with_eval3d=False,
             radial_coeffs=None,
             viewmats_rs=None,
             channel_chunk=2,
-            segmented=False,
+            segmented=True,
         )
     )[0]
     assert torch.equal(plain, same)
@@ -103,8 +96,8 @@ def test_numpys_degree_of_features() -> None:
     scene = rgbt_with(features=torch.randn(4, 25, 3))
     given, expected = (rasterization_rgbt(**scene, features_sh_degree=degree) for degree in (np.int64(1), 1))
     assert torch.equal(given.render_features, expected.render_features)
-    for degree in (4, 1.0, True):
-        with pytest.raises(UserError, match="features_sh_degree must be one of None, 0, 1, 2, 3"):
+    for degree in (5, 1.0, True):
+        with pytest.raises(UserError, match="features_sh_degree must be one of None, 0, 1, 2, 3, 4"):
             rasterization_rgbt(**scene, features_sh_degree=degree)
 
 
@@ -162,8 +155,8 @@ def test_shape_message_is_the_documented_sentence() -> None:
     [
         ((4, 3), 1, "K"),  # SH asked for, features given
         ((4, 3, 3), 1, "4"),  # fewer coefficients than the degree needs
-        ((4, 4, 2), 1, "3"),  # not RGB
-        ((4, 16, 3), 4, "0, 1, 2, 3"),
+        ((4, 4, 0), 1, "of 3 channels"),  # no channel
+        ((4, 16, 3), 5, "0, 1, 2, 3, 4"),
         ((4, 16, 3), -1, "0, 1, 2, 3"),
         ((3, 4, 5), None, "colors"),  # three cameras' colours for two cameras
         ((4, 0), None, "at least one channel"),
@@ -286,7 +279,7 @@ def test_rgbt_refuses_other_values() -> None:
     with pytest.raises(UserError, match="thermal_opacities"):
         rasterization_rgbt(**rgbt_with(thermal_opacities=rgbt_with()["thermal_opacities"].double()))
     with pytest.raises(UserError, match="camera_model"):
-        rasterization_rgbt(**rgbt_with(camera_model="fisheye"))
+        rasterization_rgbt(**rgbt_with(camera_model="lidar"))
     with pytest.raises(UserError, match="rasterize_mode"):
         rasterization_rgbt(**rgbt_with(rasterize_mode="soft"))
 

@@ -35,7 +35,7 @@ def test_cameras_and_filters(device: torch.device, rasterize_mode: str, camera_m
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3, 4])
 def test_spherical_harmonics(device: torch.device, sh_degree: int, dtype: torch.dtype) -> None:
     """SH colours of each degree, whose gradient also reaches the means and the camera poses."""
     assert_matches_reference(rasterization, random_scene(cameras=2, sh_degree=sh_degree), device, dtype)

@@ -1,6 +1,6 @@
 """The decoders' two branches as Warp kernels: activations of a pixel do not leave the chip.
 
-PyTorch writes every layer's activations to memory and reads them back for the gradient; at 64 channels a pixel that
+PyTorch writes every layer's activations to memory and reads them back for the gradient; at 64 channels per pixel that
 traffic, not the arithmetic, is what decoding costs. ``warp_kernels.decoding.decoder_networks``
 says how a warp keeps them.
 

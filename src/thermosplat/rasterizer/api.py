@@ -1,58 +1,38 @@
-"""Differentiable rasterization of 3D Gaussians: gsplat's ``rasterization`` and its RGB + thermal sibling.
+"""Differentiable rasterization of 3D Gaussians: gsplat's ``rasterization``.
 
 Conventions are gsplat 1.5.3's: quaternions (w, x, y, z) of any length, world-to-camera view matrices with OpenCV axes,
 pixel centres at half-integers. Leading dimensions ``...`` of the Gaussians are scenes; each scene has C cameras.
 """
 
-from typing import Any, NamedTuple, cast
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from thermosplat.errors import UserError
 from thermosplat.rasterizer.arguments import (
     CameraModel,
     RasterizeMode,
     RenderMode,
-    as_whole,
-    check_backgrounds,
-    check_choice,
-    check_colors,
-    check_shape,
-    checked_settings,
+    check_color_choice,
     refuse_unsupported,
 )
 from thermosplat.rasterizer.graph_breaks import not_compiled
-from thermosplat.rasterizer.projected_scene import Drawn, ProjectedScene
-from warp_kernels.constants import CHANNELS_MAX
-
-__all__ = ["RGBTRender", "rasterization", "rasterization_rgbt"]
-
-
-class RGBTRender(NamedTuple):
-    """What ``rasterization_rgbt`` returns."""
-
-    render_colors: Tensor
-    """Colours at the visible opacity, [..., C, H, W, D]."""
-    render_features: Tensor
-    """Features at the visible opacity, [..., C, H, W, d]."""
-    render_thermal_features: Tensor | None
-    """The same features at the thermal opacity, [..., C, H, W, d]; None without thermal opacities."""
-    render_alphas: Tensor
-    """Accumulated visible opacity, [..., C, H, W, 1]."""
-    render_thermal_alphas: Tensor | None
-    """Accumulated thermal opacity, [..., C, H, W, 1]; None without thermal opacities."""
-    info: dict[str, Any]
-    """As ``rasterization``'s, with ``thermal_opacities`` beside ``opacities``."""
+from thermosplat.rasterizer.image_columns import ImageColumns
+from thermosplat.rasterizer.lenses import LensArguments
+from thermosplat.rasterizer.project import project
+from thermosplat.rasterizer.ray_blending import blend_along_rays, check_ray_arguments
+from thermosplat.rasterizer.render_options import render_options
+from thermosplat.rasterizer.signals import grouped, rejoined
+from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
 
 
 @not_compiled
-def rasterization(  # noqa: D417 (one sentence has the eleven arguments that are not supported)
+def rasterization(  # noqa: D417 (one sentence has the arguments that are not supported)
     means: Tensor,  # [..., N, 3]
     quats: Tensor | None,  # [..., N, 4]
     scales: Tensor | None,  # [..., N, 3]
     opacities: Tensor,  # [..., N]
-    colors: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, D] or [..., (C,) N, K, 3]
+    colors: Tensor | tuple[Tensor, Tensor] | None,  # [..., (C,) N, D] or [..., (C,) N, K, D]
     viewmats: Tensor,  # [..., C, 4, 4]
     Ks: Tensor,  # [..., C, 3, 3]
     width: int,
@@ -63,7 +43,7 @@ def rasterization(  # noqa: D417 (one sentence has the eleven arguments that are
     eps2d: float = 0.3,
     sh_degree: int | None = None,
     packed: bool = True,
-    tile_size: int = 16,
+    tile_size: int | None = 16,
     backgrounds: Tensor | None = None,  # [..., C, D]
     render_mode: RenderMode = "RGB",
     sparse_grad: bool = False,
@@ -83,27 +63,37 @@ def rasterization(  # noqa: D417 (one sentence has the eleven arguments that are
     rolling_shutter: Any | None = None,
     viewmats_rs: Tensor | None = None,
     *,
+    return_normals: bool = False,
+    global_z_order: bool = True,
+    rays: Tensor | None = None,  # [..., C, H, W, 6]
+    lidar_coeffs: Any | None = None,
+    external_distortion_coeffs: Any | None = None,
+    ut_params: Any | None = None,
+    extra_signals: Tensor | None = None,  # [..., (C,) N, E] or [..., (C,) N, K, E]
+    extra_signals_sh_degree: int | None = None,
+    renderer_config: Any | None = None,
     deterministic: bool = False,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Renders Gaussians with any number of channels; gsplat 1.5.3's ``rasterization`` in signature and meaning.
+    """Renders Gaussians with any number of channels; gsplat's ``rasterization`` in names and meaning.
 
     Differentiable, once, in means, quats, scales, opacities, colors, covars, viewmats, backgrounds and (unlike gsplat)
-    Ks: for second derivatives torch raises, or, of a loss linear in the image, takes gradients for constants. On the
-    CPU and on CUDA, in float32 or float64; all tensors have the dtype and device of ``means``. A Gaussian with anything
-    non-finite is invisible and counted in ``info["num_nonfinite"]``; before a non-finite camera all of them are.
+    Ks, viewmats_rs and the coefficients of lenses: for second derivatives torch raises, or, of a loss linear in the
+    image, takes gradients for constants. On the CPU and on CUDA, in float32 or float64; all tensors have the dtype and
+    device of ``means``. A Gaussian with anything non-finite is invisible and counted in ``info["num_nonfinite"]``;
+    before a non-finite camera all of them are.
 
-    Not supported, and only there for gsplat's signature: sparse_grad, distributed, segmented, with_ut, with_eval3d,
-    radial_coeffs, tangential_coeffs, thin_prism_coeffs, ftheta_coeffs, rolling_shutter, viewmats_rs. Undistort images
-    first.
+    Not supported, and only there for gsplat's signature: lidar_coeffs, external_distortion_coeffs, ut_params,
+    renderer_config.
 
     Args:
         means: Centres, [..., N, 3], world units.
         quats: Rotations (w, x, y, z) of any length, [..., N, 4]. Ignored (may be None) when ``covars`` is given.
         scales: Standard deviations along the Gaussian's axes, [..., N, 3], world units. Ignored with ``covars``.
         opacities: In [0, 1], [..., N].
-        colors: Features [..., N, D] or per camera [..., C, N, D]; with ``sh_degree``, coefficients [..., N, K, 3] or
-            [..., C, N, K, 3] with K at least (sh_degree + 1)². Stored apart, as 3DGS does, they need not be joined:
-            a pair of the first coefficient [..., (C,) N, 1, 3] and the others [..., (C,) N, K - 1, 3].
+        colors: Features [..., N, D] or per camera [..., C, N, D]; with ``sh_degree``, coefficients [..., N, K, D] or
+            [..., C, N, K, D] with K at least (sh_degree + 1)². Three channels are the fastest. Stored apart, as 3DGS
+            does, they need not be joined: a pair of the first coefficient [..., (C,) N, 1, 3] and the others
+            [..., (C,) N, K - 1, 3]. None where ``render_mode`` shows no colours.
         viewmats: World-to-camera, OpenCV axes, [..., C, 4, 4].
         Ks: Intrinsics, [..., C, 3, 3], px.
         width: Image width [px], at most 2²⁴.
@@ -112,18 +102,48 @@ def rasterization(  # noqa: D417 (one sentence has the eleven arguments that are
         far_plane: Gaussians farther than this are not drawn [world units].
         radius_clip: Gaussians whose radii are both at most this are not drawn [px].
         eps2d: Added to the diagonal of the 2D covariance [px²].
-        sh_degree: Active degree, 0 to 3; None: ``colors`` are final values.
+        sh_degree: Active degree, 0 to 4; None: ``colors`` are final values.
         packed: Accepted for gsplat's sake; the result and its layout are those of ``packed=False``.
-        tile_size: 8, 16 or 32 [px]; changes speed only.
-        backgrounds: Colours behind everything, [..., C, D]; finite, which is checked on the CPU alone, as a CUDA device
-            would have to be waited for.
-        render_mode: "RGB", "D" (accumulated depth), "ED" (expected depth), "RGB+D" or "RGB+ED".
+        tile_size: 8, 16 (also None) or 32 [px]; changes speed only.
+        backgrounds: Colours behind everything, [..., C, D], or [..., C, D + E] behind the extra signals too; finite,
+            which is checked on the CPU alone, as a CUDA device would have to be waited for.
+        render_mode: "RGB", "D" (accumulated depth), "ED" (expected depth), "RGB+D" or "RGB+ED"; with ``with_eval3d``
+            also "d", "Ed", "RGB-d" and "RGB-Ed": the distance along the ray to where it meets the Gaussian.
+        sparse_grad: Gradients of means, quats, scales and covars are sparse tensors with the rows of the Gaussians that
+            were drawn, for optimizers such as ``torch.optim.SparseAdam``. As in gsplat it needs ``packed=True`` and no
+            leading dimensions.
         absgrad: Sums of a traversal's absolute per-pixel gradients add up in ``info["means2d"].absgrad`` like .grad.
         rasterize_mode: "classic", or "antialiased": opacities are scaled by what ``eps2d`` adds to the area
             (Mip-Splatting).
         channel_chunk: At most so many channels are blended in one traversal (never more than 32).
-        camera_model: "pinhole" or "ortho".
+        distributed: Each rank of ``torch.distributed`` gives its share of the Gaussians and its own cameras, and gets
+            its own images of all Gaussians (docs/scaling.md). Gradients reach the Gaussians and cameras of the other
+            ranks. Every rank makes the same calls, backward too, with the same options; the number of cameras (none
+            is a number too), their models and lenses, and the images' size may differ. ``colors`` for each camera are
+            for those of all ranks.
+        camera_model: "pinhole", "ortho", "fisheye" or "ftheta". Formulas and what is not drawn: docs/conventions.md.
+        with_ut: Projects pinhole and orthographic cameras by the unscented transform too, as all lenses are.
+        radial_coeffs: k1 to k6 of OpenCV's rational model, [..., C, 6], or k1 to k4, [..., C, 4]; of a fisheye camera
+            k1 to k4 of OpenCV's fisheye model, [..., C, 4].
+        tangential_coeffs: p1 and p2 of a pinhole camera, [..., C, 2].
+        thin_prism_coeffs: s1 to s4 of a pinhole camera, [..., C, 4].
+        ftheta_coeffs: An ``FThetaCameraDistortionParameters`` for all cameras, ours or gsplat's.
+        rolling_shutter: A ``RollingShutterType``, ours or gsplat's: how lines are read out, one after the other.
+        viewmats_rs: Poses when the last line is read, [..., C, 4, 4]; ``viewmats`` are those of the first.
         covars: Symmetric covariances, [..., N, 3, 3], world units²; only the upper triangle is read.
+        segmented: Accepted for gsplat's sake: how gsplat sorts; the result is the same.
+        with_eval3d: Blend by the Gaussians' response along rays in three dimensions instead of in the image (3DGUT).
+            The projection still gives order and tiles. Not with absgrad, covars, sparse_grad, distributed, the
+            antialiased mode, and on CUDA deterministic. Not tuned: one thread has a pixel.
+        return_normals: Blend the Gaussians' third axes, turned towards the camera, into ``info["normals"]``
+            [..., C, H, W, 3]; needs ``with_eval3d``.
+        rays: Origin and direction of each pixel's ray in the world, [..., C, H, W, 6], of any camera; None: those of
+            ``viewmats`` and ``Ks``. Differentiable. Needs ``with_eval3d``.
+        global_z_order: True: Gaussians are sorted by the camera's z axis. False: by their distance from the camera's
+            centre, which is then the depth in ``render_mode``, too. gsplat asks for ``with_ut`` with it.
+        extra_signals: Further channels [..., N, E] or [..., C, N, E]; with ``extra_signals_sh_degree`` coefficients
+            [..., (C,) N, K, E], whose sums are not clamped at 0. Their image is ``info["render_extra_signals"]``.
+        extra_signals_sh_degree: Active degree of the extra signals, 0 to 4; None: they are final values.
         deterministic: Gradients are the same to the bit on every run, also on CUDA, where that takes more memory (a
             record of D + 6 numbers for each pair of a Gaussian and a part of a tile) and time. On the CPU always so.
 
@@ -134,7 +154,8 @@ def rasterization(  # noqa: D417 (one sentence has the eleven arguments that are
         [..., C, N, 3] 1/px², opacities [..., C, N] as drawn, tiles_per_gauss int32 [..., C, N]; of the sorted
         (Gaussian, tile) pairs flatten_ids int32 [pairs], isect_ids int64 [pairs], and isect_offsets int32
         [..., C, tile_height, tile_width], the first pair of each tile; the numbers width, height, tile_size,
-        tile_width, tile_height, n_batches, n_cameras and num_nonfinite; None: batch_ids, camera_ids, gaussian_ids.
+        tile_width, tile_height, n_batches, n_cameras and num_nonfinite; None: batch_ids, camera_ids, gaussian_ids; with
+        ``extra_signals`` their image, render_extra_signals [..., C, H, W, E]; with ``return_normals`` normals.
 
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
@@ -151,194 +172,104 @@ def rasterization(  # noqa: D417 (one sentence has the eleven arguments that are
         >>> colors.shape, alphas.shape
         (torch.Size([1, 200, 300, 3]), torch.Size([1, 200, 300, 1]))
     """
-    refuse_unsupported(
-        sparse_grad=sparse_grad,
+    if not (lidar_coeffs is external_distortion_coeffs is ut_params is renderer_config is None):
+        refuse_unsupported(
+            lidar_coeffs=lidar_coeffs,
+            external_distortion_coeffs=external_distortion_coeffs,
+            ut_params=ut_params,
+            renderer_config=renderer_config,
+        )
+    options = render_options(render_mode, sh_degree, extra_signals_sh_degree, channel_chunk)
+    check_color_choice(colors, options.sh_degree, render_mode)
+    coefficients = (radial_coeffs, tangential_coeffs, thin_prism_coeffs, ftheta_coeffs)
+    lens = LensArguments(with_ut, *coefficients, rolling_shutter, viewmats_rs)
+    if with_eval3d or options.hits or return_normals or rays is not None:
+        check_ray_arguments(
+            with_eval3d,
+            needs={
+                f"render_mode={render_mode!r}": options.hits,
+                "return_normals": return_normals,
+                "rays": rays is not None,
+            },
+            excludes={
+                "absgrad": absgrad,
+                "covars": covars is not None,
+                "distributed": distributed,
+                "sparse_grad": sparse_grad,
+                "rasterize_mode='antialiased'": rasterize_mode == "antialiased",
+                "a lens or a rolling shutter without rays": rays is None and lens.is_asked_for(camera_model),
+                "deterministic": deterministic and getattr(means, "is_cuda", False),
+            },
+        )
+    drawn = grouped("colors", colors, options.sh_degree) if options.colors else {}
+    color_groups = len(drawn)
+    if extra_signals is not None:
+        drawn |= grouped("extra_signals", extra_signals, options.extra_signals_sh_degree, clamped=False)
+    if sparse_grad:
+        check_sparse_gradients(means, packed=packed, distributed=distributed)
+        visible: list[Tensor] = []
+        means, quats, scales, covars = sparse_gradients_of(means, quats, scales, covars, visible=visible)
+    scene = project(
+        means,
+        quats,
+        scales,
+        opacities,
+        viewmats,
+        Ks,
+        width,
+        height,
+        drawn=drawn,
+        covars=covars,
+        near_plane=near_plane,
+        far_plane=far_plane,
+        radius_clip=radius_clip,
+        eps2d=eps2d,
+        tile_size=16 if tile_size is None else tile_size,
+        rasterize_mode=rasterize_mode,
+        camera_model=camera_model,
+        lens=lens,
+        deterministic=deterministic,
+        global_z_order=global_z_order,
         distributed=distributed,
-        segmented=segmented,
-        with_ut=with_ut,
-        with_eval3d=with_eval3d,
-        radial_coeffs=radial_coeffs,
-        tangential_coeffs=tangential_coeffs,
-        thin_prism_coeffs=thin_prism_coeffs,
-        ftheta_coeffs=ftheta_coeffs,
-        rolling_shutter=rolling_shutter,
-        viewmats_rs=viewmats_rs,
     )
-    tile_size, sh_degree, channel_chunk = as_whole(tile_size), as_whole(sh_degree), as_whole(channel_chunk)
-    settings = checked_settings(
-        means,
-        quats,
-        scales,
-        covars,
-        opacities,
-        viewmats,
-        Ks,
-        width=width,
-        height=height,
-        near_plane=near_plane,
-        far_plane=far_plane,
-        radius_clip=radius_clip,
-        eps2d=eps2d,
-        sh_degree=sh_degree,
-        tile_size=tile_size,
-        render_mode=render_mode,
-        rasterize_mode=rasterize_mode,
-        camera_model=camera_model,
+    if sparse_grad:
+        visible.append((scene.projected.radii > 0).all(-1).any(0))
+    depths = scene.depths.reshape(-1, 1) if options.depths else None
+    weights = torch.ones_like(scene.depths).reshape(-1, 1) if options.weights else None
+    columns = ImageColumns(
+        rejoined(scene.features[:color_groups], colors) if color_groups else None,
+        rejoined(scene.features[color_groups:], extra_signals) if extra_signals is not None else None,
+        depths,
+        weights,
     )
-    if type(channel_chunk) is not int or channel_chunk < 1:
-        raise UserError(f"channel_chunk must be at least 1, and whole, got {channel_chunk!r}.")
-    per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
-    check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
-    drawn = [Drawn(colors, sh_degree, per_camera)] if "RGB" in render_mode else []
-    gaussians = (means, quats, scales, covars, opacities, None)
-    scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, drawn=drawn, deterministic=deterministic)
-    columns = [*scene.features]
-    if "D" in render_mode:
-        columns.append(scene.depths.reshape(-1, 1))
-        if "ED" in render_mode:
-            # The weights' sum, to divide by: 1 - T loses its digits where little is drawn.
-            columns.append(torch.ones_like(columns[-1]))
-        if backgrounds is not None:
-            # Depth has no background, as in gsplat.
-            zero = backgrounds.new_zeros(*backgrounds.shape[:-1], 2 if "ED" in render_mode else 1)
-            backgrounds = torch.cat([backgrounds, zero], -1) if "RGB" in render_mode else zero
-    features = columns[0] if len(columns) == 1 else torch.cat(columns, -1)
-
-    blended = scene.blend_in_chunks(features, min(channel_chunk, CHANNELS_MAX), absgrad)
-    render_colors = blended.render
+    behind = None
     if backgrounds is not None:
-        render_colors = torch.addcmul(render_colors, blended.transmittance, backgrounds[..., None, None, :])
-    if "ED" in render_mode:
-        expected = render_colors[..., -2:-1] / render_colors[..., -1:].clamp(min=1e-10)
-        render_colors = torch.cat([render_colors[..., :-2], expected], -1)
-    return render_colors, blended.alphas, scene.info()
-
-
-@not_compiled
-def rasterization_rgbt(
-    means: Tensor,  # [..., N, 3]
-    quats: Tensor,  # [..., N, 4]
-    scales: Tensor,  # [..., N, 3]
-    opacities: Tensor,  # [..., N]
-    thermal_opacities: Tensor | None,  # [..., N]
-    colors: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, D] or [..., (C,) N, K, 3]
-    features: Tensor | tuple[Tensor, Tensor],  # [..., (C,) N, d] or [..., (C,) N, K, 3]
-    viewmats: Tensor,  # [..., C, 4, 4]
-    Ks: Tensor,  # [..., C, 3, 3]
-    width: int,
-    height: int,
-    *,
-    near_plane: float = 0.01,
-    far_plane: float = 1e10,
-    radius_clip: float = 0.0,
-    eps2d: float = 0.3,
-    sh_degree: int | None = None,
-    features_sh_degree: int | None = None,
-    tile_size: int = 16,
-    backgrounds: Tensor | None = None,  # [..., C, D]
-    absgrad: bool = False,
-    rasterize_mode: RasterizeMode = "classic",
-    camera_model: CameraModel = "pinhole",
-    deterministic: bool = False,
-) -> RGBTRender:
-    """Renders colours and features at one opacity and the same features at another, in one traversal.
-
-    ThermoSplat's two rasterization passes (docs/method.md, equations 1 and 2): equal to ``rasterization`` of colours
-    and features at ``opacities`` and of features at ``thermal_opacities``, with one projection and one sorted list.
-
-    Args:
-        means: Centres, [..., N, 3], world units.
-        quats: Rotations (w, x, y, z) of any length, [..., N, 4]; required, as there are no ``covars`` here.
-        scales: Standard deviations, [..., N, 3], world units; required likewise.
-        opacities: Visible opacities α in [0, 1], [..., N].
-        thermal_opacities: Thermal opacities α_t in [0, 1], [..., N]. None: only the visible pass is rendered.
-        colors: As in ``rasterization``; with ``sh_degree``, SH coefficients.
-        features: Latent features, [..., N, d] or [..., C, N, d]; with ``features_sh_degree``, SH coefficients as
-            ``colors``: a second spectrum's colours, d = 3.
-        viewmats: World-to-camera, OpenCV axes, [..., C, 4, 4].
-        Ks: Intrinsics, [..., C, 3, 3], px.
-        width: Image width [px].
-        height: Image height [px].
-        near_plane: As in ``rasterization``.
-        far_plane: As in ``rasterization``.
-        radius_clip: As in ``rasterization``.
-        eps2d: As in ``rasterization``.
-        sh_degree: As in ``rasterization``.
-        features_sh_degree: As ``sh_degree``, for ``features``.
-        tile_size: As in ``rasterization``.
-        backgrounds: Colours behind ``colors`` only, [..., C, D] (D = 3 with ``sh_degree``).
-        absgrad: As in ``rasterization``; both passes are one traversal where D + 2 d channels are at most 32.
-        rasterize_mode: As in ``rasterization``.
-        camera_model: As in ``rasterization``.
-        deterministic: As in ``rasterization``.
-
-    Returns:
-        The five images and the info dictionary. The gradient of ``info["means2d"]`` is the sum over both passes.
-
-    Raises:
-        UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
-
-    Example:
-        >>> import torch
-        >>> from thermosplat import rasterization_rgbt
-        >>> n = 100
-        >>> frame = rasterization_rgbt(
-        ...     torch.randn(n, 3), torch.randn(n, 4), 0.1 * torch.rand(n, 3), torch.rand(n), torch.rand(n),
-        ...     colors=torch.rand(n, 3), features=torch.rand(n, 8), viewmats=torch.eye(4)[None],
-        ...     Ks=torch.tensor([[[300.0, 0, 150], [0, 300, 100], [0, 0, 1]]]), width=300, height=200)
-        >>> frame.render_colors.shape, frame.render_thermal_features.shape
-        (torch.Size([1, 200, 300, 3]), torch.Size([1, 200, 300, 8]))
-    """
-    tile_size, sh_degree, features_sh_degree = as_whole(tile_size), as_whole(sh_degree), as_whole(features_sh_degree)
-    check_choice("features_sh_degree", features_sh_degree)
-    settings = checked_settings(
-        means,
-        quats,
-        scales,
-        None,
-        opacities,
-        viewmats,
-        Ks,
-        width=width,
-        height=height,
-        near_plane=near_plane,
-        far_plane=far_plane,
-        radius_clip=radius_clip,
-        eps2d=eps2d,
-        sh_degree=sh_degree,
-        tile_size=tile_size,
-        render_mode="RGB",
-        rasterize_mode=rasterize_mode,
-        camera_model=camera_model,
-    )
-    if thermal_opacities is not None:
-        check_shape("thermal_opacities", thermal_opacities, tuple(opacities.shape), means)
-    colors_per_camera = check_colors("colors", colors, means, settings.num_cameras, sh_degree)
-    features_per_camera = check_colors("features", features, means, settings.num_cameras, features_sh_degree)
-    check_backgrounds(backgrounds, colors, sh_degree, means, settings.num_cameras)
-    drawn = [
-        Drawn(colors, sh_degree, colors_per_camera),
-        Drawn(features, features_sh_degree, features_per_camera),
-    ]
-    gaussians = (means, quats, scales, None, opacities, thermal_opacities)
-    scene = ProjectedScene(*gaussians, viewmats, Ks, settings, tile_size, drawn=drawn, deterministic=deterministic)
-    flat_colors, flat_features = scene.features
-    channels, dim = flat_colors.shape[-1], flat_features.shape[-1]
-    thermal_channels = 0 if thermal_opacities is None else dim
-    if channels + dim + thermal_channels <= CHANNELS_MAX:
-        blended = scene.blend(flat_colors, absgrad, rest=flat_features, thermal_channels=thermal_channels)
+        given = colors[0] if isinstance(colors, tuple) else colors
+        behind = columns.behind(backgrounds, means, scene.settings.num_cameras, 0 if given is None else given.shape[-1])
+    along: Any = None
+    if with_eval3d:
+        gaussians, cameras = (means, quats, scales), (viewmats, Ks, camera_model)
+        along = blend_along_rays(
+            scene,
+            gaussians,
+            cameras,
+            columns.features,
+            options.chunk,
+            rays=rays,
+            hits=options.hits,
+            normals=return_normals,
+        )
+        render, transmittance, alphas = along.render, along.transmittance, 1.0 - along.transmittance
     else:
-        both = torch.cat([flat_colors, flat_features], -1)
-        blended = scene.blend_in_chunks(both, CHANNELS_MAX, absgrad)
-        render_colors, render_features = blended.render.split([channels, dim], dim=-1)
-        blended = blended._replace(render=render_colors, rest=render_features)
-        if thermal_opacities is not None:
-            thermal = scene.blend_in_chunks(flat_features, CHANNELS_MAX, absgrad, thermal_opacity=True)
-            blended = blended._replace(thermal_render=thermal.render, thermal_alphas=thermal.alphas)
-    render_colors = blended.render
-    if backgrounds is not None:
-        render_colors = torch.addcmul(render_colors, blended.transmittance, backgrounds[..., None, None, :])
-    render_features = cast("Tensor", blended.rest)  # there are two images
-    return RGBTRender(
-        render_colors, render_features, blended.thermal_render, blended.alphas, blended.thermal_alphas, scene.info()
-    )
+        blended = scene.blend_in_chunks(columns.features, options.chunk, absgrad)
+        render, transmittance, alphas = blended.render, blended.transmittance, blended.alphas
+    if behind is not None:
+        render = torch.addcmul(render, transmittance, behind[..., None, None, :])
+    distances = along.hits if options.hits else None
+    render_colors, render_extra_signals = columns.taken_apart(render, expected=options.expected, hits=distances)
+    info = scene.info()
+    if return_normals:
+        info["normals"] = along.normals
+    if render_extra_signals is not None:
+        info["render_extra_signals"] = render_extra_signals
+    return render_colors, alphas, info

@@ -1,24 +1,22 @@
 """Checks of the rasterizer's arguments: each failure says what was expected, what was found and what is supported."""
 
 import math
-import operator
 from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
+from thermosplat.rasterizer.checked_numbers import checked_limits, checked_sizes, remembered
 from warp_kernels.constants import SH_DEGREE_MAX, TILE_SIZES
-from warp_kernels.projection.projection import CameraModel, ProjectionSettings
+from warp_kernels.projection.projection import ProjectionSettings
 
-RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
+RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED", "d", "Ed", "RGB-d", "RGB-Ed"]
 RasterizeMode = Literal["classic", "antialiased"]
+CameraModel = Literal["pinhole", "ortho", "fisheye", "ftheta"]
 
 INDEX_MAX = 2**31
 """Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
-
-SIZE_MAX = 2**24
-"""Width and height of an image, at most [px]: float32 holds the pixels' places up to there."""
 
 CHOICES: dict[str, tuple[Any, ...]] = {
     "render_mode": get_args(RenderMode),
@@ -29,7 +27,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 }
 """Arguments of which there are few, and what they may be."""
 
-SUPPORTED = "pinhole and ortho cameras without distortion, dense gradients, one process"
+SUPPORTED = "pinhole, ortho, fisheye and f-theta cameras"
 
 
 def refuse_unsupported(**arguments: Any) -> None:
@@ -48,89 +46,20 @@ def refuse_unsupported(**arguments: Any) -> None:
         raise UserError(f"rasterization() does not support {name}; supported: {SUPPORTED}.", f"Leave {name} out.")
 
 
-def as_whole(number: Any) -> Any:
-    """A whole number of any kind (NumPy's, torch's) as Python's own, which the kernels' arguments are packed from.
-
-    Args:
-        number: anything; what is no whole number, as a bool or a float, stays as it is, to be refused.
-    """
-    if isinstance(number, bool) or getattr(number, "dtype", None) is torch.bool:
-        return number
-    try:
-        return operator.index(number)
-    except TypeError:
-        return number
-
-
 def check_choice(name: str, value: Any) -> None:
     """Checks an argument of ``CHOICES``.
 
     Args:
-        name: of the argument; the features' has that of the colours behind ``features_``.
+        name: of the argument; what is none of them is a degree of spherical harmonics.
         value: what was given, a whole number ``as_whole``.
 
     Raises:
         UserError: naming the argument, what is supported, and what was given.
     """
-    allowed = CHOICES[name.removeprefix("features_")]
+    allowed = CHOICES[name if name in CHOICES else "sh_degree"]
     # 16.0 and True equal whole numbers and are none
     if not (value is None or isinstance(value, str) or type(value) is int) or value not in allowed:
         raise UserError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}.")
-
-
-def checked_sizes(**sizes: Any) -> list[int]:
-    """The image's width and height.
-
-    Args:
-        **sizes: by name [px]; NumPy's integers will do.
-
-    Returns:
-        The same as Python's integers.
-
-    Raises:
-        UserError: naming the argument, what is allowed, and what was given.
-    """
-    pixels = [as_whole(size) for size in sizes.values()]
-    for name, whole in zip(sizes, pixels, strict=True):
-        if type(whole) is not int or whole < 1:
-            raise UserError(f"{name} must be a positive whole number of pixels, got {_shown(whole)}.")
-        if whole > SIZE_MAX:
-            raise UserError(f"{name} must be at most {SIZE_MAX:,} pixels, got {_shown(whole)}.")
-    return pixels
-
-
-def checked_limits(**limits: Any) -> dict[str, float]:
-    """near_plane, far_plane, radius_clip and eps2d.
-
-    Args:
-        **limits: by name; NumPy's numbers will do.
-
-    Returns:
-        The same as Python's numbers.
-
-    Raises:
-        UserError: naming the argument, what is allowed, and what was given.
-    """
-    numbers = {}
-    for name, value in limits.items():
-        try:
-            numbers[name] = math.nan if isinstance(value, str) else float(value)
-        except (TypeError, ValueError, RuntimeError, OverflowError):  # what torch raises of several numbers
-            numbers[name] = math.nan
-        if math.isnan(numbers[name]):
-            raise UserError(f"{name} must be a number, got {_shown(value)}.")
-    if numbers["eps2d"] < 0:
-        raise UserError(f"eps2d must be at least 0 px², got {numbers['eps2d']}.")
-    return numbers
-
-
-def _shown(value: Any) -> str:
-    """An argument as a message shows it, in one short line."""
-    try:
-        text = " ".join((value if isinstance(value, str) else repr(value)).split())
-    except ValueError:  # of a number with thousands of digits
-        text = type(value).__name__
-    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def _check_tensor(name: str, tensor: Any) -> None:
@@ -155,6 +84,14 @@ def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, m
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
+    if (
+        isinstance(tensor, Tensor)
+        and tensor.layout is torch.strided
+        and tensor.shape == shape
+        and tensor.dtype is means.dtype
+        and tensor.device == means.device
+    ):
+        return
     _check_tensor(name, tensor)
     if tensor.shape != shape:
         letters = f" = {meaning}" if meaning else ""
@@ -192,21 +129,19 @@ def check_scene(
         UserError: naming the argument, what was expected and what was found.
     """
     _check_tensor("means", means)
-    if means.device.type not in ("cpu", "cuda"):
+    if not (means.is_cuda or means.is_cpu):
         raise UserError(f"means must be on the CPU or on a CUDA device, got {means.device}.")
     if means.dim() < 2 or means.shape[-1] != 3:
         raise UserError(f"means must have shape [..., N, 3], got {list(means.shape)}.")
     if means.dtype not in (torch.float32, torch.float64):
         raise UserError(f"means must be float32 or float64, got {means.dtype}.")
-    batch, count = tuple(means.shape[:-2]), means.shape[-2]
+    *batch, count, _ = means.shape
     if covars is None:
-        for name, value, width, meaning in (
-            ("quats", quats, 4, "[..., N, 4] with N from means"),
-            ("scales", scales, 3, "[..., N, 3] with N from means"),
-        ):
+        for name, value in (("quats", quats), ("scales", scales)):
             if value is None:
                 raise UserError(f"{name} must be given unless covars is, got None.")
-            check_shape(name, value, (*batch, count, width), means, meaning)
+        check_shape("quats", quats, (*batch, count, 4), means, "[..., N, 4] with N from means")
+        check_shape("scales", scales, (*batch, count, 3), means, "[..., N, 3] with N from means")
     else:
         check_shape("covars", covars, (*batch, count, 3, 3), means, "[..., N, 3, 3] with N from means")
     check_shape("opacities", opacities, (*batch, count), means, "[..., N] with N from means")
@@ -240,27 +175,27 @@ def check_colors(
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    if isinstance(colors, tuple) and len(colors) == 2 and sh_degree is not None:
-        return _check_pair(name, *colors, means, cameras, sh_degree)
     if isinstance(colors, tuple):
+        if len(colors) == 2 and sh_degree is not None:
+            return _check_pair(name, *colors, means, cameras, sh_degree)
         raise UserError(f"{name} must be a torch.Tensor, got {type(colors).__name__}.")
     _check_tensor(name, colors)
-    batch, count = tuple(means.shape[:-2]), means.shape[-2]
-    tail = 1 if sh_degree is None else 2
-    per_camera = colors.dim() == len(batch) + 2 + tail
+    *batch, count, _ = means.shape
+    shape, tail = tuple(colors.shape), 1 if sh_degree is None else 2
+    per_camera = len(shape) == len(batch) + 2 + tail
     lead = (*batch, cameras, count) if per_camera else (*batch, count)
     letters = "[..., (C,) N, D]" if sh_degree is None else "[..., (C,) N, K, 3]"
-    if colors.dim() != len(lead) + tail or tuple(colors.shape[: len(lead)]) != lead:
+    if len(shape) != len(lead) + tail or shape[: len(lead)] != lead:
         expected = f"{letters} with N = {count} (from means) and C = {cameras} (from viewmats)"
         mode = "without sh_degree" if sh_degree is None else f"with sh_degree={sh_degree}"
         raise UserError(f"{name} {mode} must have shape {expected}, got {list(colors.shape)}.")
-    check_shape(name, colors, tuple(colors.shape), means)
+    check_shape(name, colors, shape, means)
     if sh_degree is None:
-        if colors.shape[-1] < 1:
+        if shape[-1] < 1:
             raise UserError(f"{name} must have at least one channel, got {list(colors.shape)}.")
         return per_camera
     needed = (sh_degree + 1) ** 2
-    if colors.shape[-1] != 3 or colors.shape[-2] < needed:
+    if shape[-1] != 3 or shape[-2] < needed:
         raise UserError(
             f"{name} must hold at least {needed} coefficients of 3 channels for sh_degree={sh_degree} "
             f"({letters}), got {list(colors.shape)}."
@@ -278,21 +213,31 @@ def _check_pair(name: str, sh0: Tensor, shN: Tensor, means: Tensor, cameras: int
     return per_camera
 
 
-def check_backgrounds(
-    backgrounds: Tensor | None,
-    colors: Tensor | tuple[Tensor, Tensor],
-    sh_degree: int | None,
-    means: Tensor,
-    cameras: int,
-) -> None:
+def check_color_choice(colors: Any, sh_degree: int | None, render_mode: str) -> None:
+    """Checks that there are colours where they are shown, and no degree without them.
+
+    Args:
+        colors: of any kind, or None.
+        sh_degree: active degree or None.
+        render_mode: one of them.
+
+    Raises:
+        UserError: saying what goes together.
+    """
+    if colors is None and "RGB" in render_mode:
+        raise UserError(f"colors must be given with render_mode={render_mode!r}, got None.", "Render a depth mode.")
+    if colors is None and sh_degree is not None:
+        raise UserError(f"sh_degree must be None where colors is None, got {sh_degree}.")
+
+
+def check_backgrounds(backgrounds: Tensor | None, channels: int, means: Tensor, cameras: int) -> None:
     """Checks the colours behind everything.
 
     Whether they are finite is asked for on the CPU alone: a CUDA device would have to finish its work for the answer.
 
     Args:
         backgrounds: [..., C, D] or None.
-        colors: checked colours or, with ``sh_degree``, coefficients; they fix D.
-        sh_degree: active degree or None.
+        channels: D.
         means: [..., N, 3].
         cameras: C.
 
@@ -300,7 +245,6 @@ def check_backgrounds(
         UserError: naming the argument, what was expected and what was found.
     """
     if backgrounds is not None:
-        channels = 3 if sh_degree is not None or isinstance(colors, tuple) else colors.shape[-1]
         check_shape("backgrounds", backgrounds, (*means.shape[:-2], cameras, channels), means)
         if backgrounds.device.type == "cpu" and not backgrounds.detach().isfinite().all():
             raise UserError("backgrounds must be finite, found a NaN or an infinity: every pixel would show it.")
@@ -321,15 +265,13 @@ def checked_settings(
     far_plane: float,
     radius_clip: float,
     eps2d: float,
-    sh_degree: int | None,
     tile_size: int,
-    render_mode: str,
     rasterize_mode: str,
     camera_model: CameraModel,
 ) -> ProjectionSettings:
-    """Checks the arguments that both rasterizations take, in their meaning there, and gives the projection's settings.
+    """Checks what is projected, and how, and gives the projection's settings.
 
-    ``tile_size`` and ``sh_degree``, which are not among them, are to be given ``as_whole``.
+    ``tile_size``, which is not among them, is to be given ``as_whole``.
 
     Returns:
         The settings in Python's own numbers, with the numbers of Gaussians, cameras and images.
@@ -337,15 +279,33 @@ def checked_settings(
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    check_choice("render_mode", render_mode)
+    cameras, count = check_scene(means, quats, scales, covars, opacities, viewmats, Ks)
+    planes = (near_plane, far_plane, radius_clip, eps2d)
+    images = math.prod(means.shape[:-2]) * cameras
+    return _settings(count, cameras, images, width, height, *planes, tile_size, rasterize_mode, camera_model)
+
+
+@remembered
+def _settings(
+    count: int,
+    cameras: int,
+    images: int,
+    width: int,
+    height: int,
+    near_plane: float,
+    far_plane: float,
+    radius_clip: float,
+    eps2d: float,
+    tile_size: int,
+    rasterize_mode: str,
+    camera_model: CameraModel,
+) -> ProjectionSettings:
+    """The settings of checked tensors, whose counts are given."""
     check_choice("rasterize_mode", rasterize_mode)
     check_choice("camera_model", camera_model)
     check_choice("tile_size", tile_size)
-    check_choice("sh_degree", sh_degree)
     width, height = checked_sizes(width=width, height=height)
     limits = checked_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
-    cameras, count = check_scene(means, quats, scales, covars, opacities, viewmats, Ks)
-    images = math.prod(means.shape[:-2]) * cameras
     if images * count >= INDEX_MAX or images * height >= INDEX_MAX:
         raise UserError(
             f"{count:,} Gaussians in each of {images:,} images of {width} x {height} px are more than the kernels can "
@@ -360,5 +320,6 @@ def checked_settings(
         num_images=images,
         **limits,
         antialiased=rasterize_mode == "antialiased",
-        camera_model=camera_model,
+        # fisheye and f-theta lenses have kernels of their own
+        camera_model="ortho" if camera_model == "ortho" else "pinhole",
     )

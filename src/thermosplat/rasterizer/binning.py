@@ -21,14 +21,17 @@ class TileLists(NamedTuple):
     tensors: dict[str, Tensor]
     """By the name of the array in it."""
 
-    def read_by_adjoint(self) -> list[tuple[Any, Tensor]]:
-        """Arrays that the blending's adjoint reads, with the tensors they lie in."""
-        names = ["gaussian_ids", "tile_offsets", "tiles_per_gaussian"]
-        if len(self.bins.masks) > 0:
-            names.append("masks")
-        if self.bins.slots is not None:
-            names += ["slots", "order", "pair_ends"]
-        return [(getattr(self.bins, name), self.tensors[name]) for name in names]
+    def read_by_adjoint(self) -> tuple[list[Any], list[Tensor]]:
+        """Arrays that the blending's adjoint reads, and the tensors they lie in."""
+        bins, tensors = self
+        names = _READ if bins.slots is None else _READ_BY_SLOT
+        if bins.masks.shape[0] > 0:
+            names = (*names, "masks")
+        return [getattr(bins, name) for name in names], [tensors[name] for name in names]
+
+
+_READ = ("gaussian_ids", "tile_offsets", "tiles_per_gaussian")
+_READ_BY_SLOT = (*_READ, "slots", "order", "pair_ends")
 
 
 def tile_lists(
@@ -83,5 +86,8 @@ def tile_lists(
             )
         except binning_step.TooManyPairsError as error:
             raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
-    tensors = {name: array.release() for name, array in vars(bins).items() if isinstance(array, ArrayView)}
+    tensors: dict[str, Tensor] = {}
+    for name, array in vars(bins).items():
+        if type(array) is ArrayView:
+            tensors[name], array.owner = array.owner, None
     return TileLists(bins, tensors)

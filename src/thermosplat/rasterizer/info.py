@@ -17,7 +17,7 @@ class RasterizationInfo(dict[str, Any]):
 
     def __init__(self, values: dict[str, Any], computed: dict[str, Callable[[], Any]]) -> None:
         super().__init__(values, **dict.fromkeys(computed))
-        self._computed = dict(computed)
+        self._computed = computed
 
     def __getitem__(self, key: str) -> Any:
         if key in self._computed:
@@ -53,6 +53,16 @@ class RasterizationInfo(dict[str, Any]):
         if key in self._computed:
             return self[key]
         return super().setdefault(key, default)
+
+    def compute_later(self, key: str, compute: Callable[[], Any]) -> None:
+        """Let a key have a value that is computed when it is first read.
+
+        Args:
+            key: The key; a value that it has is forgotten.
+            compute: Computes the value.
+        """
+        self[key] = None
+        self._computed[key] = compute
 
     # dict's own of these go past __getitem__, __setitem__ and __delitem__.
 
@@ -101,7 +111,7 @@ def num_nonfinite(
     Waits for the device.
 
     Args:
-        inputs: each with its number of values a Gaussian; scene by scene, in each Gaussian by Gaussian, or camera by
+        inputs: each with its number of values per Gaussian; scene by scene, in each Gaussian by Gaussian, or camera by
             camera and then Gaussian by Gaussian.
         cameras: view matrices and intrinsics, scene by scene.
         scenes: number of scenes.

@@ -1,8 +1,10 @@
 """A scene projected once, and the tensors everything blended from it shares. Flat index: image · N + Gaussian."""
 
+import functools
 import math
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple, cast
 
 import torch
@@ -10,9 +12,12 @@ from torch import Tensor
 
 from thermosplat.rasterizer.binning import TileLists, tile_lists
 from thermosplat.rasterizer.blending import Blend, BlendedTensors, BlendInputs
+from thermosplat.rasterizer.distances import distances
 from thermosplat.rasterizer.info import RasterizationInfo, conics, isect_ids, num_nonfinite
+from thermosplat.rasterizer.lenses import Lenses
 from thermosplat.rasterizer.pair_capacity import active_pair_capacity
 from thermosplat.rasterizer.projection import Harmonics, Project, ProjectedTensors, ProjectInputs
+from thermosplat.torch_bridge.arrays import kinds_of, view
 from warp_kernels.color.color_step import ColorSettings
 from warp_kernels.projection.projection import ProjectionSettings
 
@@ -24,6 +29,8 @@ class Drawn(NamedTuple):
     """[..., (C,) N, X]; with ``sh_degree`` [..., (C,) N, K, 3], or the first coefficient and the others apart."""
     sh_degree: int | None
     per_camera: bool
+    clamped: bool = True
+    """Sums of spherical harmonics below 0 become 0."""
 
 
 class ProjectedScene:
@@ -42,6 +49,8 @@ class ProjectedScene:
         tile_size: edge of a tile [px].
         drawn: what is to be blended, of which ``features`` holds the final values, each flat [images · N, X].
         deterministic: sum gradients in the same order every time, on CUDA at a cost (on the CPU that is always so).
+        global_z_order: sort by the camera's z axis; else by the distance from its centre, which ``depths`` then are.
+        lenses: what cameras see through, and how they are read out; None: nothing, and all at once.
     """
 
     def __init__(
@@ -59,6 +68,8 @@ class ProjectedScene:
         *,
         drawn: Sequence[Drawn] = (),
         deterministic: bool = False,
+        global_z_order: bool = True,
+        lenses: Lenses | None = None,
     ) -> None:
         self.tile_size = tile_size
         self.deterministic = deterministic
@@ -73,33 +84,52 @@ class ProjectedScene:
                 upper = torch.cat([covars[..., 0, :], covars[..., 1, 1:], covars[..., 2, 2:]], -1)
         else:
             quats, scales = quats.contiguous(), scales.contiguous()
-        shape = [(quats, 4), (scales, 3), (upper, 6)]
+        shapes = ((means, 3), (quats, 4), (scales, 3), (upper, 6))
         # and what is drawn as it is; detached when they are counted
-        self._inputs = [(means, 3), *((tensor, width) for tensor, width in shape if tensor is not None)]
-        self._cameras = viewmats, Ks
+        self._inputs = [(tensor, width) for tensor, width in shapes if tensor is not None]
+        self._cameras = [viewmats, Ks]
+        if lenses is not None:
+            self._cameras += [tensor for tensor in lenses[1:] if tensor is not None]
+            viewmats = lenses.viewmats
         harmonics = [_harmonics(one, settings) for one in drawn]
         self._harmonics = [one for one in harmonics if one is not None]
-        bound = opacities.detach().contiguous()
-        *projected, self._arrays = Project.apply(
+        opacities = opacities.contiguous()
+        bound = second = view(opacities, kinds_of(means.dtype).scalar)
+        if thermal_opacities is not None:
+            thermal_opacities = thermal_opacities.contiguous()
+            second = view(thermal_opacities, bound.dtype, *bound.shape)
+        means2d, depths, roots, compensations, *evaluated, others, self._arrays = Project.apply(
             means,
             quats,
             scales,
             upper,
-            bound,
-            bound if thermal_opacities is None else thermal_opacities.detach().contiguous(),
             viewmats.contiguous(),
             Ks.contiguous(),
-            ProjectInputs(settings, tuple(one.settings for one in self._harmonics), self.images_shape, self._turns),
-            *(coefficients for one in self._harmonics for coefficients in one[:2]),
+            None if lenses is None else lenses.coefficients.contiguous(),
+            None if lenses is None or lenses.motions is None else lenses.motions.contiguous(),
+            ProjectInputs(
+                bound,
+                second,
+                settings,
+                tuple([one.settings for one in self._harmonics]),
+                self.images_shape,
+                self._turns,
+                torch.is_grad_enabled(),
+                None if lenses is None else lenses.settings,
+            ),
+            *[coefficients for one in self._harmonics for coefficients in one[:2]],
         )
-        count = len(ProjectedTensors._fields)
-        self.projected = ProjectedTensors(*projected[:count])
-        evaluated = iter(projected[count:])
+        self.projected = ProjectedTensors(means2d, depths, roots, compensations, *others)
         self.features = [
-            self._per_image(one) if sh is None else next(evaluated) for one, sh in zip(drawn, harmonics, strict=True)
+            self._per_image(one) if sh is None else evaluated.pop(0) for one, sh in zip(drawn, harmonics, strict=True)
         ]
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
         self.means2d, self.depths = self.projected.means2d, self.projected.depths
+        self.shown_means2d = self.means2d
+        if not global_z_order:
+            visible = (self.projected.radii > 0).all(-1)
+            self.depths = distances(means, viewmats, visible)
+            self._arrays = replace(self._arrays, depths=view(self.depths, kinds_of(means.dtype).scalar))
         self.opacities = self._per_image_opacities(opacities)
         self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
         self._lists: TileLists | None = None
@@ -144,9 +174,11 @@ class ProjectedScene:
             self.projected.packed_roots,
             self._bin(features, rest),
             self.settings,
+            self.images_shape,
             thermal_channels,
-            self.means2d if absgrad else None,
+            self.shown_means2d if absgrad else None,
             self._turns,
+            torch.is_grad_enabled(),
         )
         tensors = (self.means2d, self.projected.roots, opacities, second, features, rest)
         return BlendedTensors(*Blend.apply(*tensors, inputs))
@@ -166,6 +198,14 @@ class ProjectedScene:
             for part in features.split(chunk, dim=-1)
         ]
         return parts[0]._replace(render=torch.cat([part.render for part in parts], -1))
+
+    def binned(self, features: Tensor) -> TileLists:
+        """The lists of Gaussians in tiles, for a blending of one's own; made once.
+
+        Args:
+            features: [images · N, X]; Gaussians of which they are not finite are left out.
+        """
+        return self._bin(features)
 
     def _bin(self, features: Tensor, rest: Tensor | None = None) -> TileLists:
         """The lists of Gaussians, made once; the features of the first call are checked for being finite."""
@@ -187,13 +227,19 @@ class ProjectedScene:
                 capacity.note(tensors["totals"][-1] if "totals" in tensors else tensors["pair_ends"][-1:])
         return self._lists
 
+    def num_nonfinite(self) -> int:
+        """Gaussians that something not finite makes invisible; see ``info.num_nonfinite``."""
+        scenes = math.prod(self.images_shape[:-1])
+        inputs = [*self._inputs, *_used(self._harmonics)]
+        return num_nonfinite(inputs, self._cameras, scenes, self.settings.num_gaussians)
+
     def info(self) -> RasterizationInfo:
         """gsplat's ``meta`` dictionary, once something has been blended."""
         settings = self.settings
         if self._lists is None:
             raise RuntimeError("info() comes after blend().")
         bins, tensors = self._lists
-        shape = self.images_shape
+        shape, scenes = self.images_shape, math.prod(self.images_shape[:-1])
         flatten_ids, tile_offsets = tensors["gaussian_ids"], tensors["tile_offsets"]
         values = {
             "batch_ids": None,
@@ -209,7 +255,7 @@ class ProjectedScene:
             "width": settings.width,
             "height": settings.height,
             "tile_size": bins.tile_size,
-            "n_batches": math.prod(shape[:-1]),
+            "n_batches": scenes,
             "n_cameras": settings.num_cameras,
         }
         if self.thermal_opacities is not None:
@@ -219,7 +265,7 @@ class ProjectedScene:
         tiles_y, tiles_x = bins.tiles_y, bins.tiles_x
         roots, radii = self.projected.roots, self.projected.radii
         inputs, harmonics, cameras = self._inputs, self._harmonics, self._cameras
-        scenes, num_gaussians = math.prod(shape[:-1]), settings.num_gaussians
+        num_gaussians = settings.num_gaussians
         return RasterizationInfo(
             values,
             {
@@ -232,6 +278,9 @@ class ProjectedScene:
         )
 
 
+_color_settings = functools.lru_cache(maxsize=256)(ColorSettings)
+
+
 def _harmonics(drawn: Drawn, settings: ProjectionSettings) -> Harmonics | None:
     """Coefficients as ``Project`` takes them; None of final values."""
     if drawn.sh_degree is None:
@@ -239,11 +288,12 @@ def _harmonics(drawn: Drawn, settings: ProjectionSettings) -> Harmonics | None:
     sh0, shN = drawn.values if isinstance(drawn.values, tuple) else (drawn.values, None)
     shN = None if shN is None or shN.shape[-2] == 0 else shN.contiguous()
     counts = (settings.num_gaussians, settings.num_cameras)
-    return Harmonics(sh0.contiguous(), shN, ColorSettings(drawn.sh_degree, *counts, drawn.per_camera))
+    how = _color_settings(drawn.sh_degree, *counts, drawn.per_camera, clamped=drawn.clamped)
+    return Harmonics(sh0.contiguous(), shN, how)
 
 
 def _used(harmonics: Sequence[Harmonics]) -> Iterator[tuple[Tensor, int]]:
-    """The coefficients of active degrees, each tensor with its number of values a Gaussian."""
+    """The coefficients of active degrees, each tensor with its number of values per Gaussian."""
     for sh0, shN, settings in harmonics:
         active = (settings.degree + 1) ** 2
         first = min(active, sh0.shape[-2])

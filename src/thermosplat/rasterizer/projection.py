@@ -3,61 +3,68 @@
 What is done for each Gaussian, and the blending, are one ``torch.autograd.Function`` each, whose passes look at torch's
 memory as Warp arrays and run steps or their adjoints. Adjoints store gradients in memory that is not initialised where
 they can. Only what a function saves keeps memory alive until its backward pass, after which torch
-lets go of it. Work runs on torch's current stream. The blending's function is in blend_function.
+lets go of it. Work runs on torch's current stream. The blending's function is in ``blending``.
 """
 
-import math
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import torch
 import warp as wp
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-from thermosplat.torch_bridge.arrays import in_turns, keep, kept, kinds_of, lend, take_back, view, warp_device_of
+from thermosplat.torch_bridge.arrays import (
+    keep,
+    kept,
+    kinds_of,
+    lend,
+    once_in_turns,
+    take_back,
+    vector_of,
+    view,
+    warp_device_of,
+)
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.color.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
 from warp_kernels.machinery.array_views import ArrayView, nothing
+from warp_kernels.projection.lens_step import (
+    LensArrays,
+    LensSettings,
+    project_through_lenses,
+    project_through_lenses_adjoint,
+)
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
 from warp_kernels.projection.projection_step import project, project_adjoint
 
 
-def _empty(tensor: Tensor | None) -> Tensor | None:
-    return torch.empty_like(tensor) if tensor is not None else None
-
-
-def _zeros(tensor: Tensor | None, wanted: bool = True) -> Tensor | None:
-    return torch.zeros_like(tensor) if wanted and tensor is not None else None
-
-
 class ProjectedTensors(NamedTuple):
-    """What ``Project`` returns: ``ProjectedArrays``'s fields [..., C, N], a vector's numbers in a last dimension."""
+    """``ProjectedArrays``'s fields [..., C, N] for torch, a vector's numbers in a last dimension."""
 
     means2d: Tensor
     depths: Tensor
     roots: Tensor
     compensations: Tensor | None  # None in the classic mode
-    radii: Tensor  # int32, not differentiable
-    extents: Tensor  # not differentiable
-    packed_roots: Tensor  # not differentiable; its first three columns are the roots
+    radii: Tensor  # int32, not differentiable, as the others below
+    extents: Tensor
+    packed_roots: Tensor  # the first three columns are the roots
 
     def arrays(self) -> ProjectedArrays:
         """The same memory as flat Warp arrays, which do not keep it alive."""
-        scalar, vec2, vec3, vec4 = kinds_of(self.means2d.dtype)[:4]
-        factors, packed_roots = self.compensations, view(self.packed_roots, vec4)
+        means2d, depths, _, compensations, radii, extents, packed_roots = self
+        scalar, vec2, vec3, vec4 = kinds_of(means2d.dtype)[:4]
+        count = depths.numel()
+        packed = view(packed_roots, vec4, count)
         return ProjectedArrays(
-            means2d=view(self.means2d, vec2),
-            depths=view(self.depths, scalar),
-            roots=ArrayView(
-                packed_roots.ptr, packed_roots.shape, vec3, packed_roots.device, strides=packed_roots.strides
-            ),
-            compensations=nothing(scalar, 1, warp_device_of(self.means2d.device))
-            if factors is None
-            else view(factors, scalar),
-            radii=view(self.radii, wp.vec2i),
-            extents=view(self.extents, vec2),
-            packed_roots=packed_roots,
+            means2d=view(means2d, vec2, count),
+            depths=view(depths, scalar, count),
+            roots=ArrayView(packed.ptr, packed.shape, vec3, packed.device, strides=packed.strides),
+            compensations=nothing(scalar, 1, packed.device)
+            if compensations is None
+            else view(compensations, scalar, count),
+            radii=view(radii, wp.vec2i, count),
+            extents=view(extents, vec2, count),
+            packed_roots=packed,
         )
 
 
@@ -74,16 +81,23 @@ class Harmonics(NamedTuple):
 class ProjectInputs(NamedTuple):
     """What ``Project`` needs beside the tensors it differentiates."""
 
+    opacities: ArrayView
+    """They do not move what is projected; they bound what is drawn. [scenes · N], not read after the call."""
+    thermal_opacities: ArrayView
     settings: ProjectionSettings
     color_settings: tuple[ColorSettings, ...]
     """One for each pair of coefficients among the tensors."""
     images_shape: tuple[int, ...]
     turns: AbstractContextManager[Any]
-    """The scene's lock; see ``in_turns``."""
+    """The scene's lock; see ``once_in_turns``."""
+    recorded: bool
+    """Whether there may be a backward pass: torch's mode, which is another one inside a function."""
+    lens: LensSettings | None = None
+    """Where there are lenses."""
 
 
 class ProjectSaved(NamedTuple):
-    """What the adjoint reads: arrays with their tensors when they are saved, the tensors when they come back."""
+    """What the adjoint reads, as tensors or as the arrays of their memory."""
 
     means: Any
     quats: Any
@@ -91,12 +105,12 @@ class ProjectSaved(NamedTuple):
     covars: Any
     viewmats: Any
     Ks: Any
+    lenses: Any
+    motions: Any
     packed_roots: Any
     """Of means2d and depths the adjoint reads only the gradients."""
     compensations: Any
     radii: Any
-    colors: list[Any]
-    coefficients: list[Any]
 
 
 class ProjectGradients(NamedTuple):
@@ -106,19 +120,19 @@ class ProjectGradients(NamedTuple):
     quats: Tensor | None
     scales: Tensor | None
     covars: Tensor | None
-    opacities: None
-    """They do not move what is projected; they are blended with."""
-    thermal_opacities: None
     viewmats: Tensor | None
     Ks: Tensor | None
+    lenses: Tensor | None
+    motions: Tensor | None
     inputs: None = None
 
 
 class Project(torch.autograd.Function):
     """Projection, and colours in the view directions; see ``projection_step`` and ``color_step``.
 
-    Returns the fields of ``ProjectedTensors``, the colours [images · N, 3] of each pair of coefficients, and the arrays
-    of the former. One function for both, so that the gradient to the means is added up in place.
+    Returns the differentiable fields of ``ProjectedTensors``, the colours [images · N, 3] of each pair of coefficients,
+    the other fields in a tuple, and the arrays of all. One function for both, so that the gradient to the means is
+    added up in place.
     """
 
     @staticmethod
@@ -128,110 +142,131 @@ class Project(torch.autograd.Function):
         quats: Tensor | None,
         scales: Tensor | None,
         covars: Tensor | None,
-        opacities: Tensor,
-        thermal_opacities: Tensor,
         viewmats: Tensor,
         Ks: Tensor,
+        lenses: Tensor | None,
+        motions: Tensor | None,
         inputs: ProjectInputs,
         *coefficients: Any,
     ) -> tuple[Any, ...]:
         settings = inputs.settings
         shape = (*inputs.images_shape, settings.num_gaussians)
-        packed_roots = means.new_empty((*shape, 4))
+        packed_roots = means.new_empty(*shape, 4)
         projected = ProjectedTensors(
-            means2d=means.new_empty((*shape, 2)),
-            depths=means.new_empty(shape),
-            roots=packed_roots[..., :3],
-            compensations=means.new_empty(shape) if settings.antialiased else None,
-            radii=means.new_empty((*shape, 2), dtype=torch.int32),
-            extents=means.new_empty((*shape, 2)),
-            packed_roots=packed_roots,
+            means.new_empty(*shape, 2),
+            means.new_empty(*shape),
+            packed_roots[..., :3],
+            means.new_empty(*shape) if settings.antialiased else None,
+            means.new_empty(*shape, 2, dtype=torch.int32),
+            means.new_empty(*shape, 2),
+            packed_roots,
         )
         p = projected.arrays()
-        g = _gaussians(means, quats, scales, covars, opacities, thermal_opacities, viewmats, Ks)
-        colors = [means.new_empty((math.prod(shape), 3)) for _ in inputs.color_settings]
+        g = _gaussians(means, quats, scales, covars, viewmats, Ks, inputs)
+        lens = None if lenses is None else _lenses(lenses, motions)
+        entries = p.means2d.shape[0]
+        colors = [means.new_empty(entries, 3) for _ in inputs.color_settings]
         c = []
         with launches_on_torch_stream(means.device):
-            project(g, settings, p)
+            if lens is None or inputs.lens is None:
+                project(g, settings, p)
+            else:
+                project_through_lenses(g, lens, inputs.lens, settings, p)
             for sh0, shN, shown, how in zip(
                 coefficients[::2], coefficients[1::2], colors, inputs.color_settings, strict=True
             ):
-                c.append(ColorArrays(g.means, g.viewmats, *_by_degree(sh0, shN), p.radii, view(shown, g.means.dtype)))
+                evaluated = view(shown, g.means.dtype, entries)
+                c.append(ColorArrays(g.means, g.viewmats, *by_degree(sh0, shN), p.radii, evaluated))
                 sh_colors(c[-1], how)
-        ctx.mark_non_differentiable(projected.radii, projected.extents, packed_roots)
-        ctx.set_materialize_grads(False)
-        ctx.inputs, ctx.gaussians, ctx.projected, ctx.colors, ctx.turns = inputs, g, p, c, inputs.turns
-        saved = ProjectSaved(
-            means=(g.means, means),
-            quats=(g.quats, quats),
-            scales=(g.scales, scales),
-            covars=(g.covars, covars),
-            viewmats=(g.viewmats, viewmats),
-            Ks=(g.Ks, Ks),
-            packed_roots=(p.packed_roots, packed_roots),
-            compensations=(p.compensations, projected.compensations),
-            radii=(p.radii, projected.radii),
-            colors=list(zip([arrays.colors for arrays in c], colors, strict=True)),
-            coefficients=list(
-                zip([array for arrays in c for array in (arrays.sh0, arrays.shN)], coefficients, strict=True)
-            ),
-        )
-        keep(ctx, saved)
-        return *projected, *colors, p
+        if inputs.recorded and True in ctx.needs_input_grad:
+            ctx.set_materialize_grads(False)
+            ctx.settings, ctx.gaussians, ctx.projected, ctx.lens = settings, g, p, lens
+            ctx.colors, ctx.color_settings, ctx.lens_settings = c, inputs.color_settings, inputs.lens
+            ctx.turns = inputs.turns
+            # in the order of ProjectSaved, and behind that of the colours
+            of_lens = (None, None) if lens is None else (lens.coefficients, lens.motions)
+            arrays = [g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks, *of_lens]
+            arrays += [p.packed_roots, p.compensations, p.radii]
+            arrays += [array for one in c for array in (one.sh0, one.shN)]
+            arrays += [one.colors for one in c]
+            tensors = [means, quats, scales, covars, viewmats, Ks, lenses, motions]
+            tensors += [packed_roots, projected.compensations, projected.radii, *coefficients, *colors]
+            keep(ctx, arrays, tensors)
+        return *projected[:4], *colors, projected[4:], p
 
     @staticmethod
-    @once_differentiable
-    @in_turns
-    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        saved, count = kept(ctx), len(ProjectedTensors._fields)
+    @once_in_turns
+    def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
+        tensors, count = kept(ctx), len(ProjectSaved._fields)
+        saved, coefficients = ProjectSaved(*tensors[:count]), tensors[count:]
+        v_means2d, v_depths, v_roots, v_compensations, *v_colors = gradients[:-2]
         means, scales = saved.means, saved.scales
-        v_projected, v_colors = ProjectedTensors(*gradients[:count]), gradients[count:-1]  # type: ignore[arg-type]
-        to_gaussians, to_cameras = any(ctx.needs_input_grad[:4]), any(ctx.needs_input_grad[6:8])
-        g, p, settings = ctx.gaussians, ctx.projected, ctx.inputs.settings
+        to_gaussians, to_cameras = True in ctx.needs_input_grad[:4], True in ctx.needs_input_grad[4:8]
+        g, p, lens, settings = ctx.gaussians, ctx.projected, ctx.lens, ctx.settings
         p.roots.place(p.packed_roots.ptr)
-        v_viewmats, v_Ks = _zeros(saved.viewmats, to_cameras), _zeros(saved.Ks, to_cameras)
+        v_viewmats, v_Ks, v_lenses, v_motions = None, None, None, None
+        if to_cameras:
+            cameras = (saved.viewmats, saved.Ks, saved.lenses, saved.motions)
+            v_viewmats, v_Ks, v_lenses, v_motions = (None if one is None else torch.zeros_like(one) for one in cameras)
         v_quats, v_scales, v_covars = None, None, None
         with launches_on_torch_stream(means.device):
-            if v_viewmats is not None:
-                g.viewmats.grad = view(v_viewmats, g.viewmats.dtype)
-            v_means, v_coefficients = _color_adjoints(ctx, means, saved.coefficients, v_colors)
+            _write_to(g.viewmats, v_viewmats)
+            v_means, v_coefficients = _color_adjoints(ctx, means, coefficients, v_colors)
             if to_gaussians or to_cameras:
                 added = v_means is not None
                 v_means = torch.empty_like(means) if v_means is None else v_means
-                v_quats, v_covars = _empty(saved.quats), _empty(saved.covars)
-                v_roots = v_projected.roots
-                if v_roots is not None and scales is not None and settings.num_cameras == 1:
+                v_quats = None if saved.quats is None else torch.empty_like(saved.quats)
+                v_covars = None if saved.covars is None else torch.empty_like(saved.covars)
+                if v_roots is not None and scales is not None and settings.num_cameras == 1 and lens is None:
                     # A thread reads its Gaussian's gradient before it writes: where there was one to the root, one to
                     # the scales. Nobody else has it: roots are not shown.
                     v_roots = v_roots.contiguous()
                     v_scales = v_roots.view_as(scales)
+                elif scales is not None:
+                    v_scales = torch.empty_like(scales)
+                for array, gradient in (
+                    (g.means, v_means),
+                    (g.quats, v_quats),
+                    (g.scales, v_scales),
+                    (g.covars, v_covars),
+                    (g.Ks, v_Ks),
+                ):
+                    _write_to(array, gradient)
+                lend(p.means2d, v_means2d)
+                lend(p.depths, v_depths)
+                lend(p.roots, v_roots)
+                lend(p.compensations, v_compensations)
+                if lens is None:
+                    project_adjoint(g, settings, p, store=True, add_to_means=added)
                 else:
-                    v_scales = _empty(scales)
-                inputs = (g.means, g.quats, g.scales, g.covars, g.Ks)
-                for array, gradient in zip(inputs, (v_means, v_quats, v_scales, v_covars, v_Ks), strict=True):
-                    if gradient is not None:
-                        array.grad = view(gradient, array.dtype)
-                outputs = (p.means2d, p.depths, p.roots, p.compensations)
-                given = (v_projected.means2d, v_projected.depths, v_roots, v_projected.compensations)
-                for array, gradient in zip(outputs, given, strict=True):
-                    if gradient is not None:
-                        lend(array, gradient)
-                project_adjoint(g, settings, p, store=True, add_to_means=added)
-                take_back(*inputs, *outputs)
-        take_back(g.means, g.viewmats)
-        found = ProjectGradients(v_means, v_quats, v_scales, v_covars, None, None, v_viewmats, v_Ks)
-        return *found, *v_coefficients
+                    _write_to(lens.coefficients, v_lenses)
+                    _write_to(lens.motions, v_motions)
+                    how = ctx.lens_settings
+                    project_through_lenses_adjoint(g, lens, how, settings, p, store=True, add_to_means=added)
+                    take_back(lens.coefficients, lens.motions)
+        take_back(g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks)
+        take_back(p.means2d, p.depths, p.roots, p.compensations)
+        v_cameras = (v_viewmats, v_Ks, v_lenses, v_motions)
+        return *ProjectGradients(v_means, v_quats, v_scales, v_covars, *v_cameras), *v_coefficients
+
+
+def _write_to(array: ArrayView | None, gradient: Tensor | None) -> None:
+    """Gives an array of a step's inputs memory for a gradient, if there is any."""
+    if gradient is not None and array is not None:
+        array.gradient_at(gradient.data_ptr())
 
 
 def _color_adjoints(
-    ctx: Any, means: Tensor, coefficients: list[Any], v_colors: tuple[Tensor | None, ...]
+    ctx: Any, means: Tensor, coefficients: Sequence[Any], v_colors: Sequence[Tensor | None]
 ) -> tuple[Tensor | None, list[Tensor | None]]:
-    """Gradients to the means and to all coefficients, from those to the colours of each pair of coefficients."""
+    """Gradients to the means and to all coefficients, from those to the colours of each pair of coefficients.
+
+    Behind the coefficients may lie anything else.
+    """
     v_means: Tensor | None = None
     v_coefficients: list[Tensor | None] = []
-    for sh0, shN, arrays, settings, v_color in zip(
-        coefficients[::2], coefficients[1::2], ctx.colors, ctx.inputs.color_settings, v_colors, strict=True
-    ):
+    for k, (arrays, settings, v_color) in enumerate(zip(ctx.colors, ctx.color_settings, v_colors, strict=True)):
+        sh0, shN = coefficients[2 * k : 2 * k + 2]
         if v_color is None:
             v_coefficients += [None, None]
             continue
@@ -241,9 +276,9 @@ def _color_adjoints(
         # A thread reads its Gaussian's gradient before it writes: the one to the colours of one camera becomes the one
         # to the means.
         v_own = v_color.view_as(means) if settings.num_cameras == 1 else torch.empty_like(means)
-        v_sh0, v_shN = torch.empty_like(sh0), _empty(shN)
-        arrays.means.grad = view(v_own, arrays.means.dtype)
-        arrays.sh0.grad, arrays.shN.grad = _by_degree(v_sh0, v_shN)
+        v_sh0, v_shN = torch.empty_like(sh0), None if shN is None else torch.empty_like(shN)
+        _write_to(arrays.means, v_own)
+        arrays.sh0.grad, arrays.shN.grad = by_degree(v_sh0, v_shN)
         lend(arrays.colors, v_color)
         sh_colors_adjoint(arrays, settings, store=True)
         take_back(arrays.sh0, arrays.shN, arrays.colors)
@@ -257,26 +292,32 @@ def _gaussians(
     quats: Tensor | None,
     scales: Tensor | None,
     covars: Tensor | None,
-    opacities: Tensor,
-    thermal_opacities: Tensor,
     viewmats: Tensor,
     Ks: Tensor,
+    inputs: ProjectInputs,
 ) -> GaussianArrays:
-    kinds, device = kinds_of(means.dtype), warp_device_of(means.device)
-    bound = view(opacities, kinds.scalar)
+    kinds, count, images = kinds_of(means.dtype), inputs.opacities.shape[0], inputs.settings.num_images
+    flat = view(means, kinds.vec3, count)
     return GaussianArrays(
-        means=view(means, kinds.vec3),
-        quats=nothing(kinds.vec4, 1, device) if quats is None else view(quats, kinds.vec4),
-        scales=nothing(kinds.vec3, 1, device) if scales is None else view(scales, kinds.vec3),
-        covars=None if covars is None else view(covars, kinds.vec6),
-        opacities=bound,
-        thermal_opacities=bound if thermal_opacities is opacities else view(thermal_opacities, kinds.scalar),
-        viewmats=view(viewmats, kinds.mat44),
-        Ks=view(Ks, kinds.mat33),
+        means=flat,
+        quats=nothing(kinds.vec4, 1, flat.device) if quats is None else view(quats, kinds.vec4, count),
+        scales=nothing(kinds.vec3, 1, flat.device) if scales is None else view(scales, kinds.vec3, count),
+        covars=None if covars is None else view(covars, kinds.vec6, count),
+        opacities=inputs.opacities,
+        thermal_opacities=inputs.thermal_opacities,
+        viewmats=view(viewmats, kinds.mat44, images),
+        Ks=view(Ks, kinds.mat33, images),
     )
 
 
-def _by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[ArrayView, ArrayView]:
+def _lenses(lenses: Tensor, motions: Tensor | None) -> LensArrays:
+    coefficients = view(lenses, vector_of(lenses.shape[-1], lenses.dtype))
+    return LensArrays(
+        coefficients, None if motions is None else view(motions, vector_of(motions.shape[-1], motions.dtype))
+    )
+
+
+def by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[ArrayView, ArrayView]:
     """Coefficients of degree 0 and of the others, where they are one tensor as two views of it."""
     kind, count = kinds_of(sh0.dtype).vec3, sh0.shape[-2]
     rows = sh0.numel() // (3 * count)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import torch
 import warp as wp
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from thermosplat.torch_bridge.kernel_cache import start_warp
 from warp_kernels.machinery.array_views import ArrayView
@@ -129,7 +130,8 @@ def lend(array: ArrayView, gradient: Tensor | None) -> ArrayView:
         The array.
     """
     if gradient is not None:
-        array.grad = given_view(gradient, array.dtype, *array.shape)
+        gradient = gradient.contiguous()
+        array.gradient_at(gradient.data_ptr(), gradient)
     return array
 
 
@@ -144,30 +146,19 @@ def take_back(*arrays: ArrayView | None) -> None:
             array.grad = None
 
 
-Kept = tuple[ArrayView | None, Tensor | None]
-"""An array and the tensor whose memory it is of; None: there is none, or it is not read."""
-
-
-def keep(ctx: Any, saved: tuple[Any, ...]) -> None:
+def keep(ctx: Any, arrays: Sequence[ArrayView | None], tensors: Sequence[Tensor | None]) -> None:
     """Saves tensors for the backward pass, and the arrays of their memory, which do not keep it alive.
 
     Args:
         ctx: of an autograd function.
-        saved: a named tuple; each field is an array with its tensor (``Kept``), or a list of such.
+        arrays: one for each tensor.
+        tensors: None where there is none, or it is not read.
     """
-    flat: list[Kept] = []
-    for field in saved:
-        if isinstance(field, list):
-            flat += field
-        else:
-            flat.append(field)
-    ctx.saved_kind = type(saved)
-    ctx.saved_lengths = [len(field) if isinstance(field, list) else None for field in saved]
-    ctx.arrays = [array for array, _ in flat]
-    ctx.save_for_backward(*[tensor for _, tensor in flat])
+    ctx.arrays = arrays
+    ctx.save_for_backward(*tensors)
 
 
-def kept(ctx: Any) -> Any:
+def kept(ctx: Any) -> tuple[Any, ...]:
     """What ``keep`` saved; the arrays are of that memory again.
 
     What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
@@ -176,20 +167,20 @@ def kept(ctx: Any) -> Any:
         ctx: of an autograd function.
 
     Returns:
-        The named tuple, with tensors or None, or lists of them, in its fields; to be held while the arrays are read:
-        where tensors were recomputed, nobody else holds them.
+        The tensors in their order; to be held while the arrays are read: where they were recomputed, nobody else holds
+        them.
     """
-    tensors = ctx.saved_tensors
+    tensors: tuple[Any, ...] = ctx.saved_tensors
     for array, tensor in zip(ctx.arrays, tensors, strict=True):
-        if tensor is not None and tensor.data_ptr() != array.ptr:
-            array.place(tensor.data_ptr())
-    rest = iter(tensors)
-    fields = [next(rest) if length is None else [next(rest) for _ in range(length)] for length in ctx.saved_lengths]
-    return ctx.saved_kind(*fields)
+        if tensor is not None:
+            ptr = tensor.data_ptr()
+            if ptr != array.ptr:
+                array.place(ptr)
+    return tensors
 
 
-def in_turns(backward: Backward) -> Backward:
-    """Lets threads that differentiate one scene do so one after the other.
+def once_in_turns(backward: Backward) -> Backward:
+    """Lets threads that differentiate one scene do so one after the other, and refuses second derivatives.
 
     Its functions share arrays that carry gradients while an adjoint runs, and a launch lets other threads go on.
 
@@ -199,10 +190,13 @@ def in_turns(backward: Backward) -> Backward:
     Returns:
         It, holding that lock.
     """
+    refusing_another = once_differentiable(backward)
 
     @functools.wraps(backward)
     def in_turn(ctx: Any, *gradients: Tensor | None) -> Any:
         with ctx.turns:
+            if torch.is_grad_enabled():  # somebody may want a second derivative
+                return refusing_another(ctx, *gradients)
             return backward(ctx, *gradients)
 
     return cast("Backward", in_turn)

@@ -3,7 +3,7 @@
 import functools
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, NamedTuple
 
 import torch
@@ -35,6 +35,18 @@ class TorchAllocator:
         torch.cuda.caching_allocator_delete(ptr)
 
 
+class _TensorKinds(dict[Any, tuple[torch.Tensor, tuple[int, ...]]]):
+    """By Warp's type of an element, an empty tensor of its scalars and the extents that it adds to a shape."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+
+    def __missing__(self, dtype: Any) -> tuple[torch.Tensor, tuple[int, ...]]:
+        scalar = wp.dtype_to_torch(getattr(dtype, "_wp_scalar_type_", dtype))
+        self[dtype] = torch.empty(0, dtype=scalar, device=self._device), getattr(dtype, "_shape_", ())
+        return self[dtype]
+
+
 class TorchMemory:
     """Arrays for the steps of warp_kernels, each on a torch tensor of its own; see ``array_views``.
 
@@ -44,25 +56,21 @@ class TorchMemory:
     """
 
     def __init__(self, device: torch.device, stream: wp.Stream | None) -> None:
-        self.device, self.stream = device, stream
-        self._kinds: dict[Any, tuple[torch.Tensor, tuple[int, ...]]] = {}
+        self.stream = stream
+        self._kinds = _TensorKinds(device)
 
     def empty(self, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> ArrayView:
         """A new array, not initialised."""
-        return self._array(torch.Tensor.new_empty, shape, dtype, device)
+        like, inner = self._kinds[dtype]
+        shape = (shape,) if isinstance(shape, int) else shape
+        tensor = like.new_empty(*shape, *inner)  # torch reads sizes one by one in two thirds of a tuple's time
+        return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
 
     def zeros(self, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> ArrayView:
         """A new array of zeros."""
-        return self._array(torch.Tensor.new_zeros, shape, dtype, device)
-
-    def _array(self, make: Any, shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> ArrayView:
-        kind = self._kinds.get(dtype)
-        if kind is None:
-            scalar = wp.dtype_to_torch(getattr(dtype, "_wp_scalar_type_", dtype))
-            kind = self._kinds[dtype] = torch.empty(0, dtype=scalar, device=self.device), getattr(dtype, "_shape_", ())
-        like, inner = kind
+        like, inner = self._kinds[dtype]
         shape = (shape,) if isinstance(shape, int) else shape
-        tensor = make(like, shape + inner)
+        tensor = like.new_zeros(*shape, *inner)
         return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
 
     def fill(self, array: ArrayView, count: int, value: int) -> None:
@@ -102,7 +110,7 @@ class launches_on_torch_stream:
     """
 
     def __init__(self, device: torch.device) -> None:
-        if device.type == "cuda":
+        if _is_cuda(device):
             index = torch.cuda.current_device() if device.index is None else device.index
             # as torch.cuda.current_stream(index).cuda_stream, in a tenth of its time
             self._place = _cuda_place(index, torch._C._cuda_getCurrentRawStream(index))
@@ -115,7 +123,7 @@ class launches_on_torch_stream:
 
     def __exit__(self, kind: Any, error: BaseException | None, traceback: Any) -> None:
         memory.source = self._outer
-        if isinstance(error, KernelCacheError):
+        if error is not None and isinstance(error, KernelCacheError):
             raise cache_error(error) from error
 
 
@@ -139,13 +147,20 @@ class on_torch_stream(launches_on_torch_stream):
             )
             for scope in self._scopes:
                 scope.__enter__()
-        return super().__enter__()
+        self._outer, memory.source = memory.source, place.memory
+        return place.device
 
     def __exit__(self, kind: Any, error: BaseException | None, traceback: Any) -> None:
-        for scope in reversed(self._scopes):
+        for scope in self._scopes[::-1]:
             scope.__exit__(kind, error, traceback)
         _entered.place = self._outer_place
         super().__exit__(kind, error, traceback)
+
+
+@functools.cache
+def _is_cuda(device: torch.device) -> bool:
+    """Whether it is, without the string that torch makes of its kind each time."""
+    return device.type == "cuda"
 
 
 @made_once
@@ -163,8 +178,10 @@ def _cuda_place(index: int, cuda_stream: int) -> _Place:
     return _Place(device, TorchMemory(torch_device, stream), TorchAllocator(torch_device))
 
 
-@contextmanager
-def joined_capture(device: torch.device) -> Iterator[bool]:
+_NOT_CAPTURED = nullcontext(False)
+
+
+def joined_capture(device: torch.device) -> AbstractContextManager[bool]:
     """Around Warp's sorts and scans: where torch captures a CUDA graph, their buffers become the graph's.
 
     Launches need none of this: on a stream that is captured, they are.
@@ -172,12 +189,16 @@ def joined_capture(device: torch.device) -> Iterator[bool]:
     Args:
         device: Where they run; inside ``on_torch_stream``.
 
-    Yields:
-        Whether a graph is captured.
+    Returns:
+        A context that yields whether a graph is captured.
     """
-    if device.type != "cuda" or not torch.cuda.is_current_stream_capturing():
-        yield False
-        return
+    if not _is_cuda(device) or not torch.cuda.is_current_stream_capturing():
+        return _NOT_CAPTURED
+    return _joined_capture(device)
+
+
+@contextmanager
+def _joined_capture(device: torch.device) -> Iterator[bool]:
     warp_device = wp.device_from_torch(device)
     stream = warp_device.stream
     with nullcontext() if stream in warp_device.captures else wp.ScopedCapture(stream=stream, external=True):

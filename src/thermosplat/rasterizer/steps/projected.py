@@ -1,0 +1,110 @@
+"""gsplat's ``fully_fused_projection``."""
+
+from torch import Tensor
+
+from thermosplat.errors import UserError
+from thermosplat.rasterizer.arguments import CameraModel
+from thermosplat.rasterizer.graph_breaks import not_compiled
+from thermosplat.rasterizer.info import conics as conics_of
+from thermosplat.rasterizer.project import project
+from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
+
+UNBOUNDED = 1e30
+"""An opacity at which every Gaussian has gsplat's largest extent, 3.33 standard deviations, whatever scales it."""
+
+_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # places of a full matrix's entries in an upper triangle
+
+
+@not_compiled
+def fully_fused_projection(
+    means: Tensor,  # [..., N, 3]
+    covars: Tensor | None,  # [..., N, 6]
+    quats: Tensor | None,  # [..., N, 4]
+    scales: Tensor | None,  # [..., N, 3]
+    viewmats: Tensor,  # [..., C, 4, 4]
+    Ks: Tensor,  # [..., C, 3, 3]
+    width: int,
+    height: int,
+    eps2d: float = 0.3,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    radius_clip: float = 0.0,
+    packed: bool = False,
+    sparse_grad: bool = False,
+    calc_compensations: bool = False,
+    camera_model: CameraModel = "pinhole",
+    opacities: Tensor | None = None,  # [..., N]
+) -> tuple[Tensor | None, ...]:
+    """Projects Gaussians to the image planes of cameras; gsplat's function.
+
+    Differentiable in means, covars, quats, scales, viewmats and, unlike gsplat, Ks.
+
+    Args:
+        means: Centres, [..., N, 3], world units.
+        covars: Upper triangles xx, xy, xz, yy, yz, zz, [..., N, 6], world units²; None: quats and scales are given.
+        quats: Rotations (w, x, y, z), [..., N, 4].
+        scales: Standard deviations, [..., N, 3], world units.
+        viewmats: World to camera, [..., C, 4, 4].
+        Ks: Intrinsics, [..., C, 3, 3], px.
+        width: Of the image [px].
+        height: Of the image [px].
+        eps2d: Added to the diagonal of the 2D covariance [px²].
+        near_plane: Gaussians nearer than this are culled [world units].
+        far_plane: Gaussians farther than this are culled [world units].
+        radius_clip: Gaussians whose radii are both at most this are culled [px].
+        packed: Return what is visible only, as flat tensors.
+        sparse_grad: With ``packed``: sparse gradients, as in ``rasterization``.
+        calc_compensations: Return the factor of opacities in the antialiased mode, too.
+        camera_model: As in ``rasterization``.
+        opacities: In [0, 1], [..., N]: radii end where alpha falls below 1/255. None: at 3.33 standard deviations.
+
+    Returns:
+        ``(radii, means2d, depths, conics, compensations)``: int32 [..., C, N, 2] px, 0 where culled; [..., C, N, 2] px;
+        [..., C, N]; [..., C, N, 3] 1/px²; [..., C, N] or None. With ``packed``, as in gsplat 1.5.3, ``(batch_ids,
+        camera_ids, gaussian_ids)``, int64 [nnz], and then these with [nnz] in the place of [..., C, N].
+
+    Raises:
+        UserError: an argument has the wrong shape, type or device.
+    """
+    if sparse_grad:
+        check_sparse_gradients(means, packed=packed, distributed=False)
+        visible: list[Tensor] = []
+        means, covars, quats, scales = sparse_gradients_of(means, covars, quats, scales, visible=visible)
+    if covars is not None:
+        if not isinstance(covars, Tensor) or covars.shape[-1:] != (6,):
+            found = list(covars.shape) if isinstance(covars, Tensor) else type(covars).__name__
+            raise UserError(f"covars must have shape [..., N, 6], got {found}.")
+        covars = covars[..., _UPPER].unflatten(-1, (3, 3))
+    if opacities is None and isinstance(means, Tensor):
+        opacities = means.new_full(means.shape[:-1], UNBOUNDED)
+    scene = project(
+        means,
+        quats,
+        scales,
+        opacities,
+        viewmats,
+        Ks,
+        width,
+        height,
+        covars=covars,
+        near_plane=near_plane,
+        far_plane=far_plane,
+        radius_clip=radius_clip,
+        eps2d=eps2d,
+        rasterize_mode="antialiased" if calc_compensations else "classic",
+        camera_model=camera_model,
+    )
+    radii, compensations = scene.projected.radii, scene.projected.compensations
+    if sparse_grad:
+        visible.append((radii > 0).all(-1).any(0))
+    conics = conics_of(scene.projected.roots, radii)
+    if not packed:
+        return radii, scene.means2d, scene.depths, conics, compensations
+    images = radii.shape[:-2]
+    kept = (radii > 0).all(-1).reshape(-1, *images[-1:], radii.shape[-2]).nonzero()
+    batch_ids, camera_ids, gaussian_ids = kept.unbind(-1)
+    flat = (batch_ids * images[-1] + camera_ids) * radii.shape[-2] + gaussian_ids
+    factors = None if compensations is None else compensations.reshape(-1)[flat]
+    flat_ids = (batch_ids, camera_ids, gaussian_ids)
+    rows = (radii.reshape(-1, 2)[flat], scene.means2d.reshape(-1, 2)[flat], scene.depths.reshape(-1)[flat])
+    return *flat_ids, *rows, conics.reshape(-1, 3)[flat], factors
