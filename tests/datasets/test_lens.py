@@ -1,13 +1,17 @@
 """Calibrated cameras become pinhole cameras."""
 
+import cv2
 import numpy as np
 import pycolmap
 import pytest
+import torch
 
-from capture_folders import write_image, write_transforms
+from capture_folders import synthetic_model, write_image, write_model, write_rgbt_scenes, write_transforms
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.lens import Lens, rectification, shrunk
+from thermosplat.datasets.frame_tensors import ViewTensors, has_fisheye, lens_tensor
+from thermosplat.datasets.lens import Lens, camera_through_lens, rectification, rectified_camera, shrunk
 from thermosplat.errors import UserError
+from thermosplat.scene.lens_slopes import bent
 
 
 def test_pinhole_models_are_used_as_they_are():
@@ -93,3 +97,65 @@ def test_sides_that_cannot_be_resampled(tmp_path):
         (tmp_path / frame["thermal_file_path"]).unlink()
     with pytest.raises(UserError, match=r"frame_.*\.png is 32800x8 and its lens distorted"):
         load_capture(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("model", "params"), [("PINHOLE", (40.0, 44.0, 16.0, 12.0)), ("SIMPLE_RADIAL", (40.0, 16.0, 12.0, 0.05))]
+)
+def test_the_camera_is_known_before_the_resampling(model, params):
+    """The pinhole camera of a lens takes no maps, and is the one that the images are resampled to."""
+    lens = Lens(model, params, 32, 24)
+    for size in ((32, 24), (16, 12), (33, 25)):
+        assert rectified_camera(lens, *size) == rectification(lens, *size).camera
+
+
+LENSES = {
+    "SIMPLE_RADIAL": (60.0, 32.0, 24.0, -0.1),
+    "RADIAL": (60.0, 32.0, 24.0, -0.2, 0.05),
+    "OPENCV": (60.0, 62.0, 31.0, 25.0, 0.05, -0.01, 0.002, -0.003),
+    "FULL_OPENCV": (60.0, 62.0, 31.0, 25.0, 0.3, 0.1, 0.002, -0.003, 0.01, 0.4, 0.1, 0.02),
+    "SIMPLE_RADIAL_FISHEYE": (60.0, 32.0, 24.0, -0.05),
+    "RADIAL_FISHEYE": (60.0, 32.0, 24.0, -0.05, 0.02),
+    "OPENCV_FISHEYE": (60.0, 61.0, 32.0, 24.0, 0.03, -0.02, 0.01, -0.002),
+}
+
+
+@pytest.mark.parametrize("model", LENSES)
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_camera_with_its_lens_sees_points_where_colmap_does(model: str, scale: int) -> None:
+    """For images that stay as they were taken, also of another size than at calibration."""
+    camera = camera_through_lens(Lens(model, LENSES[model], 64, 48), 64 * scale, 48 * scale)
+    assert camera is not None
+    points = np.random.default_rng(1).uniform([-0.5, -0.4, 0.9], [0.5, 0.4, 1.1], (50, 3))
+    expected = scale * pycolmap.Camera(model=model, params=LENSES[model], width=64, height=48).img_from_cam(points)
+    K = torch.from_numpy(camera.K)
+    view = ViewTensors(torch.eye(4), K, 64, 48, lens=lens_tensor(camera, "cpu"), fisheye=has_fisheye(camera))
+    slopes = bent(torch.from_numpy(points[:, :2] / points[:, 2:]), view)
+    np.testing.assert_allclose(slopes * K.diagonal()[:2] + K[:2, 2], expected, atol=1e-4)
+
+
+def test_images_stay_as_they_were_taken(tmp_path) -> None:
+    """With lens="direct" nothing is resampled, the cameras have lenses, and a note says so; a pinhole has none."""
+    write_transforms(tmp_path / "barrel", camera_model="OPENCV", k1=-0.2, k2=0.03, p1=0.001, p2=0.0)
+    taken, resampled = load_capture(tmp_path / "barrel", lens="direct"), load_capture(tmp_path / "barrel")
+    for frame, other in zip(taken.train, resampled.train, strict=True):
+        view = frame.views["rgb"]
+        assert view.camera.lens is not None
+        assert (view.camera.lens.model, view.camera.lens.radial[:2]) == ("pinhole", (-0.2, 0.03))
+        assert view.camera.lens.tangential == (0.001, 0.0)
+        np.testing.assert_array_equal(view.image, cv2.imread(str(view.path))[..., ::-1])
+        assert other.views["rgb"].camera.lens is None
+    assert sum("stay as they were taken" in note for note in taken.notes) == 1
+    write_transforms(tmp_path / "pinhole")
+    pinhole = load_capture(tmp_path / "pinhole", lens="direct")
+    assert pinhole.train[0].views["rgb"].camera.lens is None
+
+
+def test_a_lens_that_the_renderer_does_not_know(tmp_path) -> None:
+    """COLMAP's FOV model has no counterpart: the message names those that have."""
+    assert camera_through_lens(Lens("FOV", (60.0, 60.0, 32.0, 24.0, 0.9), 64, 48), 64, 48) is None
+    root = write_rgbt_scenes(tmp_path)
+    params = (40.0, 40.0, 16.0, 12.0, 0.9)
+    write_model(synthetic_model(8, camera_model="FOV", params=params), root / "sparse" / "0")
+    with pytest.raises(UserError, match="of the model FOV, which --lens direct does not know; it knows SIMPLE_RADIAL"):
+        load_capture(root, lens="direct")

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
+from thermosplat.config import LensUse, TrainConfig
 from thermosplat.config.values import shortened
 from thermosplat.datasets.assemble import assemble
 from thermosplat.datasets.capture import Capture, Frame, View
@@ -13,12 +14,31 @@ from thermosplat.datasets.layouts import list_capture
 from thermosplat.errors import UserError
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
-__all__ = ["SAMPLE", "Capture", "Frame", "View", "load_capture"]
+__all__ = ["SAMPLE", "Capture", "Frame", "View", "capture_of", "load_capture"]
 
 SAMPLE = "sample"
 """Name by which `load_capture` finds the small capture that comes with the package."""
 _LONGEST_PATH = 4096
 """Characters of a path on Linux; a longer one is shown shortened."""
+
+
+def capture_of(config: TrainConfig) -> Capture:
+    """Read the capture that a configuration names, as it asks for.
+
+    Args:
+        config: The configuration.
+
+    Raises:
+        UserError: As ``load_capture``.
+    """
+    return load_capture(
+        config.data,
+        data_factor=config.data_factor,
+        test_every=config.test_every,
+        spectra=config.spectra,
+        lens=config.lens,
+        image_memory=config.image_memory,
+    )
 
 
 def load_capture(
@@ -27,6 +47,8 @@ def load_capture(
     data_factor: int = 1,
     test_every: int = 8,
     spectra: Mapping[str, SpectrumConfig] = DEFAULT_SPECTRA,
+    lens: LensUse = "undistort",
+    image_memory: float | None = None,
 ) -> Capture:
     """Read a capture, whatever its layout (docs/data-layouts.md).
 
@@ -35,6 +57,10 @@ def load_capture(
         data_factor: Divide the images' width and height by this.
         test_every: Every n-th frame is held out, where the folders do not say which are.
         spectra: The spectra to look for, and how the images of each are read. RGB and thermal by default.
+        lens: "undistort" resamples images of distorted lenses to pinhole images; "direct" leaves them as they were
+            taken, and their cameras have a lens.
+        image_memory: Most memory that images take [GB]; those of a larger capture stay on the disk and are read when
+            they are needed. None: half of the host's memory.
 
     Raises:
         UserError: The folder is missing, no known layout, or something in it cannot be used.
@@ -56,7 +82,16 @@ def load_capture(
     try:
         listing = list_capture(root, spectra)
         name = name or root.resolve().name
-        capture = assemble(root, name, listing, data_factor=data_factor, test_every=test_every, spectra=spectra)
+        capture = assemble(
+            root,
+            name,
+            listing,
+            data_factor=data_factor,
+            test_every=test_every,
+            spectra=spectra,
+            image_memory=image_memory,
+            lens=lens,
+        )
         check_ground_truth(capture)
     except OSError as error:
         where = error.filename or root

@@ -2,26 +2,39 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import compress
 from numbers import Integral
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from thermosplat.config import LensUse
+from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.capture_notes import distortion_notes, pairing_notes
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
-from thermosplat.datasets.images.image_files import resize
 from thermosplat.datasets.images.image_folders import shown_path
 from thermosplat.datasets.images.jpeg_warnings import check_jpegs
 from thermosplat.datasets.images.msx import msx_notes
+from thermosplat.datasets.images.pixel_meaning import SpectrumPixels
 from thermosplat.datasets.images.spectrum_files import read_spectrum
-from thermosplat.datasets.images.spectrum_images import SpectrumPixels, SpectrumReading
-from thermosplat.datasets.lens import rectification, shrunk
+from thermosplat.datasets.images.spectrum_images import SpectrumReading
+from thermosplat.datasets.large_captures import (
+    GIGABYTE,
+    Headers,
+    UnreadPixels,
+    allowed_memory,
+    read_sample,
+    sampled_frames,
+    unread_pixels,
+)
+from thermosplat.datasets.lens import COEFFICIENTS, camera_through_lens, rectified_camera, shrunk
+from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.datasets.plausible_cameras import check_camera, outlying_notes
 from thermosplat.datasets.splits import divide, hold_out_mask
+from thermosplat.datasets.stored_pixels import ImagesOnDisk, seen_by
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS, SpectrumConfig, label
 
@@ -40,8 +53,10 @@ def assemble(
     data_factor: int,
     test_every: int,
     spectra: Mapping[str, SpectrumConfig],
+    lens: LensUse = "undistort",
+    image_memory: float | None = None,
 ) -> Capture:
-    """Read all images of a listing.
+    """Read the images of a listing, or where they take more memory than they may, what is to be known of them.
 
     Args:
         root: The capture's folder.
@@ -50,6 +65,8 @@ def assemble(
         data_factor: Divide the images' sides by this.
         test_every: Period of the hold-out rule, where the folders do not divide the frames.
         spectra: The spectra, and how the images of each are read.
+        lens: "undistort" resamples distorted images to pinhole images; "direct" leaves them as they were taken.
+        image_memory: As of ``TrainConfig``.
 
     Raises:
         UserError: Files are unreadable, of the wrong size, or not what `spectra` asks for.
@@ -68,35 +85,38 @@ def assemble(
             check_camera(shot, root)
     _check_files_once(frames, root)
     mask = hold_out_mask(frames, test_every)
-    readings = {
-        spectrum: reading
-        for spectrum, settings in spectra.items()
-        if (reading := read_spectrum(root, spectrum, settings, frames, listing)) is not None
-    }
-    check_jpegs([path for frame in frames for shot in frame.shots.values() for path in (shot.path, shot.raw) if path])
+    headers, memory = Headers(frames), allowed_memory(image_memory)
+    taken = headers.taken_at_once(frames, data_factor)
+    if taken <= memory:
+        on_disk, read = None, _read_all(root, frames, listing, spectra)
+    else:
+        on_disk = ImagesOnDisk(memory, PixelCache())
+        read = _read_some(root, frames, listing, spectra, headers, on_disk.cache)
     views = []
     for index, frame in enumerate(frames):
-        pixels = {spectrum: reading.pixels[index] for spectrum, reading in readings.items()}
-        views.append(_frame(frame, pixels, listing, root, data_factor, spectra))
+        exposures = {name: pixels[index] for name, pixels in read.pixels.items()}
+        views.append(_frame(frame, exposures, listing, root, data_factor, spectra, lens))
     shown = [bool(frame.views) for frame in views]  # a lone file may be of no use
     views, mask = list(compress(views, shown)), list(compress(mask, shown))
     train, test = divide(views, mask)
     notes = [
         *listing.notes,
         *pairing_notes(views, spectra),
-        *distortion_notes(frames),
+        *distortion_notes(frames, lens),
         *outlying_notes(frames, root),
     ]
-    for reading in readings.values():
+    for reading in read.readings.values():
         notes += reading.notes
-    notes += _edge_notes(readings)
+    notes += [*read.notes, *_edge_notes(read.readings)]
+    if on_disk is not None:
+        notes.append(_on_disk_note(frames, taken, memory))
     usable = np.isfinite(listing.points).all(axis=-1)
     if not usable.all():
         notes.append(
             f"{np.sum(~usable):,} of {len(listing.points):,} starting points are not finite and were left out."
         )
     points, colors = listing.points[usable], listing.point_colors[usable]
-    scales = {spectrum: reading.scale for spectrum, reading in readings.items()}
+    scales = {spectrum: reading.scale for spectrum, reading in read.readings.items()}
     return Capture(
         name,
         root,
@@ -109,7 +129,75 @@ def assemble(
         tuple(notes),
         listing.not_found,
         dict(spectra),
+        on_disk,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """What is known of the images of a capture: readings by spectrum, and pixels of each frame, read or not."""
+
+    readings: Mapping[str, SpectrumReading]
+    pixels: Mapping[str, Sequence[SpectrumPixels | UnreadPixels | None]]
+    notes: Sequence[str] = ()
+
+
+def _read_all(
+    root: Path, frames: Sequence[FrameFiles], listing: Listing, spectra: Mapping[str, SpectrumConfig]
+) -> _Read:
+    """All images, into memory."""
+    readings = {}
+    with ThreadPoolExecutor(1) as beside:
+        jpegs = []
+        for spectrum, settings in spectra.items():
+            reading = read_spectrum(root, spectrum, settings, frames, listing)
+            if reading is not None:
+                readings[spectrum] = reading
+                jpegs.append(beside.submit(check_jpegs, _files(frames, spectrum)))  # while the next spectrum is read
+        for checked in jpegs:
+            checked.result()
+    return _Read(readings, {spectrum: reading.pixels for spectrum, reading in readings.items()})
+
+
+def _read_some(
+    root: Path,
+    frames: Sequence[FrameFiles],
+    listing: Listing,
+    spectra: Mapping[str, SpectrumConfig],
+    headers: Headers,
+    cache: PixelCache,
+) -> _Read:
+    """Headers, and as many images as say what all are."""
+    sample = sampled_frames(frames, spectra, headers)
+    readings: dict[str, SpectrumReading] = {}
+    pixels: dict[str, list[SpectrumPixels | UnreadPixels | None]] = {}
+    notes: list[str] = []
+    for name, spectrum in spectra.items():
+        reading, remarks = read_sample(root, name, spectrum, frames, sample, headers, listing)
+        if reading is None:
+            continue
+        check_jpegs(_files([frames[index] for index in sample], name))
+        readings[name] = reading
+        notes += remarks
+        shots = [frame.shots.get(name) for frame in frames]
+        pixels[name] = [
+            None if shot is None else unread_pixels(shot, spectrum, reading.meaning, headers, cache) for shot in shots
+        ]
+    return _Read(readings, pixels, notes)
+
+
+def _on_disk_note(frames: Sequence[FrameFiles], taken: int, memory: float) -> str:
+    count = sum(len(frame.shots) for frame in frames)
+    return (
+        f"The {count:,} images take {taken / GIGABYTE:,.3g} GB of memory, more than --image-memory allows "
+        f"({memory / GIGABYTE:.3g} GB): they stay on the disk and are read when they are needed."
+    )
+
+
+def _files(frames: Sequence[FrameFiles], spectrum: str) -> list[Path]:
+    """The image files of one spectrum."""
+    shots = [frame.shots[spectrum] for frame in frames if spectrum in frame.shots]
+    return [path for shot in shots for path in (shot.path, shot.raw) if path]
 
 
 def _edge_notes(readings: Mapping[str, SpectrumReading]) -> list[str]:
@@ -127,11 +215,12 @@ def _edge_notes(readings: Mapping[str, SpectrumReading]) -> list[str]:
 
 def _frame(
     files: FrameFiles,
-    pixels: Mapping[str, SpectrumPixels | None],
+    pixels: Mapping[str, SpectrumPixels | UnreadPixels | None],
     listing: Listing,
     root: Path,
     data_factor: int,
     spectra: Mapping[str, SpectrumConfig],
+    lens: LensUse,
 ) -> Frame:
     """A frame from its files' pixels."""
     views = {}
@@ -141,10 +230,11 @@ def _frame(
             continue
         shot = files.shots[spectrum]
         if spectrum == next(iter(spectra)) or spectrum in files.own_cameras:
-            _check_size(shot, exposure.image, root)
+            _check_size(shot, exposure.size, root)
         elif not spectra[spectrum].aligned:
-            _check_borrowed_camera(spectrum, files.leading, shot, exposure.image, lender, listing.registered, root)
-        views[spectrum] = _view(spectrum, shot, exposure, data_factor)
+            lent = None if lender is None else lender.size
+            _check_borrowed_camera(spectrum, files.leading, shot, exposure.size, lent, listing.registered, root)
+        views[spectrum] = _view(spectrum, shot, exposure, data_factor, lens)
     return Frame(files.name, views)
 
 
@@ -161,8 +251,8 @@ def _check_files_once(frames: Sequence[FrameFiles], root: Path) -> None:
                 )
 
 
-def _check_size(shot: Shot, image: NDArray[Any], root: Path) -> None:
-    height, width = image.shape[:2]
+def _check_size(shot: Shot, size: tuple[int, int], root: Path) -> None:
+    width, height = size
     if not shot.lens.fits(width, height):
         raise UserError(
             f"{shown_path(shot.path, root)} is {width}x{height} but its camera was calibrated at "
@@ -175,44 +265,58 @@ def _check_borrowed_camera(
     spectrum: str,
     leading: str,
     shot: Shot,
-    image: NDArray[Any],
-    lender: SpectrumPixels | None,
+    size: tuple[int, int],
+    lender: tuple[int, int] | None,
     registered: bool,
     root: Path,
 ) -> None:
     """An image without a camera of its own has to show signs that it shows what the image whose camera it has shows."""
-    height, width = image.shape[:2]
-    same_size = lender is not None and lender.image.shape[:2] == image.shape[:2]
-    if same_size or (shot.lens.fits(width, height) and (registered or lender is None)):
+    width, height = size
+    if lender == size or (shot.lens.fits(width, height) and (registered or lender is None)):
         return
     raise UserError(
         f"{shown_path(shot.path, root)} is {width}x{height}"
-        + ("" if lender is None else f", its {label(leading)} image {lender.image.shape[1]}x{lender.image.shape[0]},")
+        + ("" if lender is None else f", its {label(leading)} image {lender[0]}x{lender[1]},")
         + f" and no {label(spectrum)} camera is in the model or its rig.",
         f"If the {label(spectrum)} images are registered to the {label(leading)} ones: --{spectrum}.aligned. "
         "Else register them in the COLMAP model (colmap rig_configurator).",
     )
 
 
-def _view(spectrum: str, shot: Shot, exposure: SpectrumPixels, data_factor: int) -> View:
-    image, values = exposure.image, exposure.values
-    height, width = image.shape[:2]
-    if shot.lens.distorted and max(width, height) > LONGEST_RESAMPLED:
+def _view(spectrum: str, shot: Shot, exposure: SpectrumPixels | UnreadPixels, data_factor: int, lens: LensUse) -> View:
+    width, height = exposure.size
+    if lens == "direct":
+        taken_by = _untouched_camera(shot, width, height)
+    elif shot.lens.distorted and max(width, height) > LONGEST_RESAMPLED:
         raise UserError(
             f"{shot.path.name} is {width}x{height} and its lens distorted ({shot.lens.model}); images are undistorted "
             f"up to {LONGEST_RESAMPLED:,} px wide and high.",
             "Undistort them before (colmap image_undistorter), or shrink them.",
         )
-    ideal = rectification(shot.lens, width, height)
-    camera = shrunk(ideal.camera, data_factor)
+    else:
+        taken_by = rectified_camera(shot.lens, width, height)
+    camera = shrunk(taken_by, data_factor)
     if min(camera.width, camera.height) < LEAST_SIDE:
         raise UserError(
             f"{shot.path.name} has {camera.width}x{camera.height} px with --data-factor {data_factor}; "
             f"images must be at least {LEAST_SIDE} px wide and high.",
             "Give a smaller --data-factor.",
         )
-    channels = image.shape[2]
-    image = resize(ideal.apply(image), camera.width, camera.height).reshape(camera.height, camera.width, channels)
-    if values is not None:
-        values = resize(ideal.apply(values), camera.width, camera.height)
-    return View(spectrum, shot.path.stem, shot.path, camera, shot.viewmat, image, values)
+    about = spectrum, shot.path.stem, shot.path, camera, shot.viewmat
+    straightened_from = None if lens == "direct" else shot.lens
+    if isinstance(exposure, UnreadPixels):
+        return View(*about, None, stored=exposure.seen_by(camera, straightened_from))
+    pixels = seen_by(camera, straightened_from, exposure)
+    return View(*about, pixels.image, pixels.values)
+
+
+def _untouched_camera(shot: Shot, width: int, height: int) -> Camera:
+    """The camera of an image that stays as it was taken."""
+    camera = camera_through_lens(shot.lens, width, height)
+    if camera is None:
+        raise UserError(
+            f"The camera of {shot.path.name} is of the model {shot.lens.model}, which --lens direct does not know; it "
+            f"knows {', '.join(COEFFICIENTS)}.",
+            "Leave --lens direct out: then images are undistorted.",
+        )
+    return camera

@@ -1,10 +1,11 @@
-"""Pinhole cameras: intrinsics with an image size.
+"""Cameras: intrinsics with an image size, and the lens where images are as they were taken.
 
 Conventions: pixel centres lie at half-integers (the first pixel's centre is (0.5, 0.5)), as in COLMAP and gsplat;
 camera axes are OpenCV's (x right, y down, z forward); poses are world-to-camera ``viewmat`` [4, 4].
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,20 @@ FARTHEST_CAMERA = 1e12
 """Largest distance of a camera from the origin [world units]: in float32, squares of larger ones soon overflow."""
 
 
+class LensCoefficients(NamedTuple):
+    """How a lens bends its image; coefficients of OpenCV's models, which do not depend on the image's size."""
+
+    model: Literal["pinhole", "fisheye"]
+    """The rasterizer's ``camera_model``."""
+    radial: tuple[float, float, float, float, float, float]
+    """k1 to k6; of a fisheye lens k1 to k4 and zeros."""
+    tangential: tuple[float, float]
+    """p1 and p2; zeros of a fisheye lens."""
+
+
 @dataclass(frozen=True)
 class Camera:
-    """Pinhole intrinsics and the size of the image they belong to."""
+    """Intrinsics and the size of the image they belong to; a pinhole's without a lens."""
 
     fx: float
     """Focal length along x [px]."""
@@ -31,6 +43,8 @@ class Camera:
     """Image height [px]."""
     distortion: tuple[float, float] | None = None
     """k1 and k2 of COLMAP's RADIAL model, where refining found that undistorting left some; None: a pinhole."""
+    lens: LensCoefficients | None = None
+    """Of images that are as they were taken (``--lens direct``); None: a pinhole."""
 
     @property
     def K(self) -> NDArray[np.float64]:
@@ -48,7 +62,9 @@ class Camera:
             A camera whose rays through corresponding image positions are unchanged.
         """
         sx, sy = width / self.width, height / self.height
-        return Camera(self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, width, height, self.distortion)
+        return replace(
+            self, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height
+        )
 
 
 def camera_center(viewmat: NDArray[np.float64]) -> NDArray[np.float64]:

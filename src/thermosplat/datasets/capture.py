@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.images.image_folders import looked_for
+from thermosplat.datasets.images.pixel_meaning import SpectrumPixels
+from thermosplat.datasets.stored_pixels import ImagesOnDisk, StoredPixels
 from thermosplat.errors import UserError
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig, label, listed
 from thermosplat.thermal.radiometry import PixelScale
@@ -26,8 +28,10 @@ class View:
         camera: Pinhole intrinsics at the size of `image`.
         viewmat: [4, 4] float64, world to camera, OpenCV axes.
         image: uint8 [H, W, 3] for photographs and pseudo-colours; float32 [H, W, 1] in [0, 1] for one value per pixel.
+            None where the pixels stay on the disk.
         values: float32 [H, W], measured values in the unit of the spectrum's scale, such as °C, where the data has
-        them.
+            them and they do not stay on the disk.
+        stored: Where the pixels are that stay on the disk.
     """
 
     spectrum: str
@@ -35,12 +39,30 @@ class View:
     path: Path
     camera: Camera
     viewmat: NDArray[np.float64]
-    image: NDArray[np.uint8] | NDArray[np.float32]
+    image: NDArray[np.uint8] | NDArray[np.float32] | None
     values: NDArray[np.float32] | None = None
+    stored: StoredPixels | None = None
+
+    def __post_init__(self) -> None:
+        if (self.image is None) == (self.stored is None):
+            raise ValueError(f"{self.name}: the pixels of a view are in memory or on the disk.")
+
+    @property
+    def channels(self) -> int:
+        """Of the image."""
+        return self.image.shape[2] if self.stored is None else self.stored.channels  # type: ignore[union-attr]
+
+    def pixels(self) -> SpectrumPixels:
+        """Image and values, read from the disk where they stay there.
+
+        Raises:
+            ImageLostError: They cannot be read any more.
+        """
+        return self.stored.read() if self.image is None else SpectrumPixels(self.image, self.values)  # type: ignore[union-attr]
 
     def __repr__(self) -> str:
-        channels = "1 channel" if self.image.shape[2] == 1 else f"{self.image.shape[2]} channels"
-        values = "" if self.values is None else ", with values"
+        channels = "1 channel" if self.channels == 1 else f"{self.channels} channels"
+        values = ", on the disk" if self.image is None else "" if self.values is None else ", with values"
         size = f"{self.camera.width}x{self.camera.height} px"
         return f"View({self.spectrum} {self.name!r}, {size}, {channels}{values})"
 
@@ -91,6 +113,7 @@ class Capture:
         notes: What the user should be told once, a line each.
         not_found: By spectrum, the first of the image files that the capture names and that do not exist.
         spectra: The spectra that were looked for.
+        on_disk: Where pixels stay on the disk, what images may take in memory; None: all are in memory.
     """
 
     name: str
@@ -104,6 +127,7 @@ class Capture:
     notes: tuple[str, ...] = field(default=())
     not_found: Mapping[str, Path] = field(default_factory=dict)
     spectra: Mapping[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))
+    on_disk: ImagesOnDisk | None = None
 
     def __repr__(self) -> str:
         frames = (*self.train, *self.test)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from thermosplat.config import LensUse
 from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_files import FrameFiles
 from thermosplat.spectra import SpectrumConfig, label, listed
@@ -26,9 +27,12 @@ def pairing_notes(frames: Sequence[Frame], spectra: Mapping[str, SpectrumConfig]
     return notes
 
 
-def distortion_notes(frames: Sequence[FrameFiles]) -> list[str]:
-    """Say (once) that images were undistorted, and of which cameras."""
+def distortion_notes(frames: Sequence[FrameFiles], lens: LensUse) -> list[str]:
+    """Say (once) what was done about distorted lenses, and of which cameras."""
     models = {shot.lens.model for frame in frames for shot in frame.shots.values() if shot.lens.distorted}
     if not models:
         return []
-    return [f"Images of {' and '.join(sorted(models))} cameras were undistorted to pinhole images in memory."]
+    cameras = f"Images of {' and '.join(sorted(models))} cameras"
+    if lens == "direct":
+        return [f"{cameras} stay as they were taken: they are rendered through the lens."]
+    return [f"{cameras} were undistorted to pinhole images in memory."]

@@ -29,6 +29,8 @@ class ViewTensors:
         intensity: [H, W] float32 scalar intensity in [0, 1]; None of photographs.
         values: [H, W] float32 measured values in the unit of the spectrum's scale; of views that have them only.
         distortion: [2] float32, k1 and k2 of a lens that is no pinhole (``scene.lens_distortion``).
+        lens: [8] float32, k1 to k6, p1 and p2 of the lens that the view is rendered through; None: of none.
+        fisheye: The lens is OpenCV's fisheye model, of k1 to k4.
         orthographic: Rays are parallel: x, y [world units] in camera axes times fx, fy [px per unit] plus cx, cy.
     """
 
@@ -41,6 +43,8 @@ class ViewTensors:
     values: Tensor | None = None
     distortion: Tensor | None = None
     orthographic: bool = False
+    lens: Tensor | None = None
+    fisheye: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +64,7 @@ class FrameTensors:
     def packable(self) -> list[Tensor]:
         """The tensors that ``memory`` holds where there is one."""
         views = self.views.values()
-        tensors = [tensor for view in views for tensor in (view.viewmat, view.K, view.image, view.intensity)]
+        tensors = [tensor for view in views for tensor in (view.viewmat, view.K, view.image, view.intensity, view.lens)]
         return [tensor for tensor in (*tensors, self.index) if tensor is not None]
 
     def only(self, spectra: Collection[str]) -> "FrameTensors":
@@ -112,8 +116,10 @@ def _placed(frame: FrameTensors, memory: Tensor, place: Callable[[Tensor], Tenso
     """The frame with other tensors for those that can be packed."""
 
     def placed(view: ViewTensors) -> ViewTensors:
-        image, intensity = (None if tensor is None else place(tensor) for tensor in (view.image, view.intensity))
-        return replace(view, viewmat=place(view.viewmat), K=place(view.K), image=image, intensity=intensity)
+        image, intensity, lens = (
+            None if tensor is None else place(tensor) for tensor in (view.image, view.intensity, view.lens)
+        )
+        return replace(view, viewmat=place(view.viewmat), K=place(view.K), image=image, intensity=intensity, lens=lens)
 
     index = None if frame.index is None else place(frame.index)
     return replace(frame, views={name: placed(v) for name, v in frame.views.items()}, index=index, memory=memory)
@@ -143,25 +149,63 @@ def frame_tensors(frame: Frame, scales: Mapping[str, PixelScale], device: torch.
 
 def view_tensors(view: View, scale: PixelScale | None, device: torch.device | str) -> ViewTensors:
     """Put a view on a device; with a scale also its scalar intensity (inverse palette, or the scalar itself)."""
-    image = view.image
+    held = view.pixels()
+    image = held.image
     unit = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
     pixels = torch.tensor(unit, device=device)
     is_scalar = scale is not None and scale.kind != "photograph"
+    return replace(
+        without_pixels(view, device),
+        image=pixels,
+        intensity=_intensity(image, pixels, scale) if scale is not None and is_scalar else None,
+        values=None if held.values is None else torch.tensor(held.values, device=device),
+    )
+
+
+def without_pixels(view: View, device: torch.device | str) -> ViewTensors:
+    """Put the camera of a view on a device."""
     return ViewTensors(
         torch.tensor(view.viewmat, dtype=torch.float32, device=device),
         torch.tensor(view.camera.K, dtype=torch.float32, device=device),
         view.camera.width,
         view.camera.height,
-        pixels,
-        _intensity(image, pixels, scale) if scale is not None and is_scalar else None,
-        None if view.values is None else torch.tensor(view.values, device=device),
-        distortion_tensor(view.camera, device),
+        distortion=distortion_tensor(view.camera, device),
+        lens=lens_tensor(view.camera, device),
+        fisheye=has_fisheye(view.camera),
     )
+
+
+def with_pixels(camera: ViewTensors, image: Tensor, intensity: Tensor | None, scale: PixelScale) -> ViewTensors:
+    """A view with pixels as they are stored, the same as ``view_tensors`` makes of them.
+
+    Args:
+        camera: The view without pixels.
+        image: uint8 or float32 [H, W, C], on the camera's device.
+        intensity: float32 [H, W] of pseudo-colours; None of others.
+        scale: What the pixels mean.
+    """
+    if image.dtype == torch.uint8:  # by a tensor: CUDA multiplies by the inverse of a number
+        image = image.to(torch.float32) / torch.full((), 255.0, device=image.device)
+    if intensity is None and scale.kind != "photograph":
+        intensity = pixel_intensity(image, scale)
+    return replace(camera, image=image, intensity=intensity)
 
 
 def distortion_tensor(camera: Camera, device: torch.device | str) -> Tensor | None:
     """k1 and k2 of a camera on a device, [2] float32; None of a pinhole."""
     return None if camera.distortion is None else torch.tensor(camera.distortion, dtype=torch.float32, device=device)
+
+
+def lens_tensor(camera: Camera, device: torch.device | str) -> Tensor | None:
+    """k1 to k6, p1 and p2 of a camera's lens on a device, [8] float32; None of a pinhole."""
+    if camera.lens is None:
+        return None
+    return torch.tensor([*camera.lens.radial, *camera.lens.tangential], dtype=torch.float32, device=device)
+
+
+def has_fisheye(camera: Camera) -> bool:
+    """Whether a camera's lens is a fisheye lens."""
+    return camera.lens is not None and camera.lens.model == "fisheye"
 
 
 def _intensity(image: NDArray[Any], pixels: Tensor, scale: PixelScale) -> Tensor:

@@ -1,21 +1,33 @@
 """Calibrated cameras as the data states them, and how their images become pinhole images.
 
 PINHOLE and SIMPLE_PINHOLE cameras are used as they are. Any other COLMAP model (nerfstudio's OPENCV included) is
-replaced by the pinhole camera that COLMAP's own undistorter would choose, and its images are resampled to it.
+replaced by the pinhole camera that COLMAP's own undistorter would choose, and its images are resampled to it; or its
+images stay as they are, and the renderer projects through the lens.
 """
 
 import functools
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import cv2  # before pycolmap: imported the other way round, without torch, writing a PNG crashes (two zlibs)
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from thermosplat.datasets.cameras import Camera
+from thermosplat.datasets.cameras import Camera, LensCoefficients
 
 PINHOLE_MODELS = frozenset({"PINHOLE", "SIMPLE_PINHOLE"})
+COEFFICIENTS: dict[str, tuple[str, ...]] = {
+    "SIMPLE_RADIAL": ("k1",),
+    "RADIAL": ("k1", "k2"),
+    "OPENCV": ("k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "SIMPLE_RADIAL_FISHEYE": ("k1",),
+    "RADIAL_FISHEYE": ("k1", "k2"),
+    "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
+}
+"""Parameters behind the intrinsics of the COLMAP models that the renderer projects through (COLMAP's
+sensor/models.h)."""
 _ROWS = 256
 """Rows of an image that are undistorted at once."""
 _ASPECT_TOLERANCE = 0.01
@@ -83,22 +95,36 @@ class Rectification:
         return cv2.remap(image, self.maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
+@functools.lru_cache(maxsize=64)
+def rectified_camera(lens: Lens, width: int, height: int) -> Camera:
+    """The pinhole camera that the images of a lens are brought to.
+
+    Args:
+        lens: The files' camera; may be calibrated at another size, then the intrinsics are scaled.
+        width: Width of the files' images [px].
+        height: Height of the files' images [px].
+    """
+    source = lens.colmap_camera()
+    if not lens.distorted:
+        return _pinhole(source).resized(width, height)
+    ideal = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
+    size = max(1, round(ideal.width * (width / lens.width))), max(1, round(ideal.height * (height / lens.height)))
+    return _pinhole(ideal).resized(*size)
+
+
 @functools.lru_cache(maxsize=8)
 def rectification(lens: Lens, width: int, height: int) -> Rectification:
     """How an image file of a given size becomes a pinhole image.
 
     Args:
-        lens: The file's camera; may be calibrated at another size, then the intrinsics are scaled.
+        lens: As of ``rectified_camera``.
         width: Width of the file's image [px].
         height: Height of the file's image [px].
     """
-    source = lens.colmap_camera()
+    camera = rectified_camera(lens, width, height)
     if not lens.distorted:
-        return Rectification(_pinhole(source).resized(width, height), None)
-    ideal = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
-    camera = _pinhole(ideal)
-    scale = np.array([width / lens.width, height / lens.height])
-    camera = camera.resized(max(1, round(ideal.width * scale[0])), max(1, round(ideal.height * scale[1])))
+        return Rectification(camera, None)
+    source, scale = lens.colmap_camera(), np.array([width / lens.width, height / lens.height])
     maps = np.empty((camera.height, camera.width, 2), np.float32)
     for start in range(0, camera.height, _ROWS):  # rays take several times the memory of the maps
         rows = np.arange(start, min(start + _ROWS, camera.height))
@@ -107,6 +133,31 @@ def rectification(lens: Lens, width: int, height: int) -> Rectification:
         seen = source.img_from_cam(rays.reshape(-1, 3)) * scale - 0.5
         maps[start : start + _ROWS] = seen.reshape(len(rows), camera.width, 2)
     return Rectification(camera, maps)
+
+
+def camera_through_lens(lens: Lens, width: int, height: int) -> Camera | None:
+    """The camera of an image file as it was taken.
+
+    Args:
+        lens: The file's camera; may be calibrated at another size, then the intrinsics are scaled.
+        width: Width of the file's image [px].
+        height: Height of the file's image [px].
+
+    Returns:
+        The camera; None if the renderer does not know its model.
+    """
+    source = lens.colmap_camera()
+    if not lens.distorted:
+        return _pinhole(source).resized(width, height)
+    if lens.model not in COEFFICIENTS:
+        return None
+    names = COEFFICIENTS[lens.model]
+    k = dict.fromkeys(("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"), 0.0)
+    k |= zip(names, lens.params[len(lens.params) - len(names) :], strict=True)
+    model: Literal["pinhole", "fisheye"] = "fisheye" if lens.model.endswith("FISHEYE") else "pinhole"
+    radial = (k["k1"], k["k2"], k["k3"], k["k4"], k["k5"], k["k6"])
+    camera = replace(_pinhole(source), lens=LensCoefficients(model, radial, (k["p1"], k["p2"])))
+    return camera.resized(width, height)
 
 
 def shrunk(camera: Camera, factor: int) -> Camera:

@@ -6,7 +6,6 @@ window anew at every call; here four maps, the squares of both images in one, ar
 
 import functools
 
-import kornia
 import torch
 from torch import Tensor
 
@@ -57,4 +56,6 @@ def ssim_map(render: Tensor, target: Tensor) -> Tensor:
 @functools.lru_cache(maxsize=8)
 def _window(device: torch.device, dtype: torch.dtype) -> Tensor:
     """The Gaussian window, shape [1, SSIM_WINDOW]."""
+    import kornia  # takes 0.2 s, which a viewer's first picture need not wait for
+
     return kornia.filters.get_gaussian_kernel1d(SSIM_WINDOW, SSIM_SIGMA, device=device, dtype=dtype)

@@ -7,7 +7,6 @@ half of that time on one core where kornia has two, and is its own adjoint (``_W
 from typing import Any
 
 import cv2
-import kornia
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
@@ -29,6 +28,8 @@ def window_filter(images: Tensor, window: Tensor) -> Tensor:
     if images.device.type == "cpu" and images.dtype in _IN_OPENCV:
         averaged: Tensor = _WindowFilter.apply(images, window)
         return averaged
+    import kornia  # takes 0.2 s, which a viewer's first picture need not wait for
+
     return kornia.filters.filter2d_separable(images[None], window, window)[0]
 
 

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from capture_folders import rgb_image, write_image
-from thermosplat.datasets.images.image_bytes import LARGEST, decoded_bytes, is_cut_or_changed, lacks_photometric_tag
+from thermosplat.datasets.images.image_bytes import (
+    LARGEST,
+    FileStamp,
+    decoded_bytes,
+    image_header,
+    is_cut_or_changed,
+    lacks_photometric_tag,
+    read_header,
+)
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 
@@ -37,6 +45,36 @@ def encoded(suffix: str, image: np.ndarray) -> bytes:
 def test_memory_is_known_from_the_header(suffix, image, expected):
     """Width, height, channels and depth of every format that is read."""
     assert decoded_bytes(encoded(suffix, image)) == expected
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".webp", ".tiff"])
+def test_a_header_is_read_without_the_pixels(tmp_path, suffix):
+    """Size and kind of an image come from the beginning of its file, or where a TIFF has them."""
+    path, content = tmp_path / f"a{suffix}", encoded(suffix, rgb_image(0, 320, 240))
+    path.write_bytes(content)
+    header, stamp = read_header(path)
+    assert header == image_header(content)
+    assert (header.width, header.height, header.is_radiometric) == (320, 240, False)
+    assert stamp == FileStamp(len(content), path.stat().st_mtime_ns)
+    if suffix != ".tiff":
+        path.write_bytes(content[:2000])
+        assert read_header(path)[0] == header
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+def test_radiometric_files_are_known_by_their_header(suffix):
+    """One value of more than 8 bits per pixel; 8-bit grey is none."""
+    assert image_header(encoded(suffix, GREY16)).is_radiometric
+    assert not image_header(encoded(suffix, GREY16.astype(np.uint8))).is_radiometric
+
+
+def test_no_header_where_there_is_no_image(tmp_path):
+    """Another file has a stamp and no header; a folder and a missing file are refused as they are for reading."""
+    (tmp_path / "a.png").write_bytes(b"text")
+    assert read_header(tmp_path / "a.png")[0] is None
+    for path in (tmp_path, tmp_path / "none.png"):
+        with pytest.raises(UserError, match="Cannot read"):
+            read_header(path)
 
 
 @pytest.mark.parametrize("quality", [50, 101])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from capture_folders import rgb_image, write_image
-from thermosplat.datasets.images.image_files import list_images, read_image, read_images, resize
+from thermosplat.datasets.images.image_files import list_images, read_image, resize
 from thermosplat.errors import UserError
 
 
@@ -98,15 +98,6 @@ def test_list_images_follows_links_once(tmp_path):
     (tmp_path / "rgb" / "train").symlink_to(tmp_path / "disk")
     (tmp_path / "disk" / "again").symlink_to(tmp_path / "rgb")
     assert list_images(tmp_path / "rgb", recursive=True) == [tmp_path / "rgb" / "train" / "a.png"]
-
-
-def test_read_images_keeps_the_order(tmp_path):
-    """Files read in parallel come back in the order asked for."""
-    paths = []
-    for number in range(9):
-        write_image(tmp_path / f"{number}.png", np.full((4, 4), number, np.uint8))
-        paths.append(tmp_path / f"{number}.png")
-    assert [int(image[0, 0]) for image in read_images(reversed(paths))] == list(range(8, -1, -1))
 
 
 def test_resize_averages_where_it_shrinks():

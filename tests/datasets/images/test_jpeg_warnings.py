@@ -1,6 +1,7 @@
 """JPEG files whose decoder fills what is missing are refused by name."""
 
 import json
+import os
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from capture_folders import HEIGHT, WIDTH, write_transforms
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.images import jpeg_warnings
 from thermosplat.datasets.images.image_files import read_image
-from thermosplat.datasets.images.jpeg_warnings import check_jpegs
+from thermosplat.datasets.images.jpeg_warnings import check_jpegs, refusing_damage
 from thermosplat.errors import UserError
 
 
@@ -101,3 +102,18 @@ def test_a_decoder_that_ends_early_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(jpeg_warnings, "_DECODER", tmp_path / "decoder.py")
     with pytest.raises(UserError, match=r"b\.jpg ended the process .* \(exit code 7\)"):
         check_jpegs(paths)
+
+
+def test_a_process_that_decodes_alone_hears_its_decoder(tmp_path, monkeypatch, capfd):
+    """There a damaged file is refused while it is read; what else is written to the standard error comes through."""
+    good, bad = written(tmp_path, good=jpeg(0), bad=zeroed(jpeg(1), 5000))
+    with refusing_damage(bad):  # elsewhere nothing happens
+        read_image(bad)
+    capfd.readouterr()
+    monkeypatch.setattr(jpeg_warnings, "_alone", True)
+    with refusing_damage(good):
+        read_image(good)
+    with pytest.raises(UserError, match=r"bad\.jpg is damaged \(Corrupt JPEG data"), refusing_damage(bad):
+        read_image(bad)
+    os.write(2, b"heard")
+    assert capfd.readouterr().err == "heard"

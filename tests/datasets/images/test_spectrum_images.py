@@ -9,7 +9,8 @@ import pytest
 
 from capture_folders import band8, band16, centikelvin, pseudo_color, temperatures
 from thermosplat.datasets.images.capture_palette import ChosenPalette
-from thermosplat.datasets.images.spectrum_images import SpectrumFile, SpectrumReading, interpret
+from thermosplat.datasets.images.pixel_meaning import SpectrumFile
+from thermosplat.datasets.images.spectrum_images import SpectrumReading, interpret
 from thermosplat.errors import UserError
 from thermosplat.spectra import THERMAL, SpectrumConfig
 from thermosplat.thermal.radiometry import FLIR_IRON, Palette

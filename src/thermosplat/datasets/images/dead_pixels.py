@@ -1,6 +1,6 @@
 """The range of measured values without dead pixels, of which one alone would flatten all images."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -31,21 +31,29 @@ class ValueRange:
     first: int | None = None
 
 
-def range_without_dead_pixels(images: Sequence[NDArray[np.float32]]) -> ValueRange:
+def range_without_dead_pixels(images: Iterable[NDArray[np.float32]]) -> ValueRange:
     """Extremes of all images, without lone pixels that lie further out than the range of the others is wide.
 
     Args:
-        images: Measured values, each [H, W] float32, finite.
+        images: Measured values, each [H, W] float32, finite; gone through twice, one in memory at a time.
     """
-    smooth = [cv2.medianBlur(np.ascontiguousarray(image), _WINDOW) for image in images]
-    inner_low, inner_high = min(float(image.min()) for image in smooth), max(float(image.max()) for image in smooth)
+    smooth = [_ends(cv2.medianBlur(np.ascontiguousarray(image), _WINDOW)) for image in images]
+    inner_low, inner_high = min(low for low, _ in smooth), max(high for _, high in smooth)
     width = inner_high - inner_low
     least, most = (inner_low - _BEYOND * width, inner_high + _BEYOND * width) if width > 0 else (-np.inf, np.inf)
-    inside = [image[(image >= least) & (image <= most)] for image in images]
-    outside = [image.size - values.size for image, values in zip(images, inside)]
+    ends, outside = [], []
+    for image in images:
+        inside = image[(image >= least) & (image <= most)]
+        outside.append(image.size - inside.size)
+        if inside.size:
+            ends.append(_ends(inside))
     return ValueRange(
-        min(float(values.min()) for values in inside if values.size),
-        max(float(values.max()) for values in inside if values.size),
+        min(low for low, _ in ends),
+        max(high for _, high in ends),
         sum(outside),
         next((number for number, count in enumerate(outside) if count), None),
     )
+
+
+def _ends(values: NDArray[np.float32]) -> tuple[float, float]:
+    return float(values.min()), float(values.max())

@@ -8,7 +8,10 @@ import os
 import stat
 import struct
 import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO, overload
 
 from thermosplat.errors import UserError
 
@@ -21,6 +24,61 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 4, 6: 4}
 """Channels that OpenCV gives of each colour type; a palette becomes colours, grey with alpha four channels."""
 
 
+@dataclass(frozen=True)
+class ImageHeader:
+    """What an image file says of its pixels.
+
+    Args:
+        width: [px].
+        height: [px].
+        channels: Of the decoded image, at most: 1 for one value per pixel.
+        value_bytes: Bytes of a value: 1 for 8 bits and less.
+    """
+
+    width: int
+    height: int
+    channels: int
+    value_bytes: int
+
+    @property
+    def decoded_bytes(self) -> int:
+        """Memory that the decoded image takes [bytes]."""
+        return self.width * self.height * self.channels * self.value_bytes
+
+    @property
+    def is_radiometric(self) -> bool:
+        """The file holds one value of more than 8 bits per pixel."""
+        return self.channels == 1 and self.value_bytes > 1
+
+
+@dataclass(frozen=True)
+class FileStamp:
+    """What tells a file from another one that takes its place: its size [bytes] and the time of its last change."""
+
+    size: int
+    changed_ns: int
+
+
+def read_header(path: Path) -> tuple[ImageHeader | None, FileStamp]:
+    """What a file says of its image, of which little more than the header is read.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The header, None where the content is no JPEG, PNG, TIFF, BMP or WebP; and the file's stamp.
+
+    Raises:
+        UserError: As ``read_regular_file``.
+    """
+    status = _status(path)
+    try:
+        with open(path, "rb") as file:
+            return image_header(_FileBytes(file, status.st_size)), FileStamp(status.st_size, status.st_mtime_ns)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
 def read_regular_file(path: Path) -> bytes:
     """The content of a file.
 
@@ -30,19 +88,27 @@ def read_regular_file(path: Path) -> bytes:
     Raises:
         UserError: It cannot be read, is larger than ``LARGEST``, or is no regular file (a pipe would never end).
     """
+    status = _status(path)
     try:
-        status = os.stat(path)
-        if not stat.S_ISREG(status.st_mode):
-            raise UserError(f"Cannot read {path}: it is a {_kind(status.st_mode)}, not a file.", _RESTORE)
-        if status.st_size > LARGEST:
-            raise UserError(f"{path} has {status.st_size:,} bytes; images have {LARGEST:,} at most.", _RESTORE)
         with open(path, "rb") as file:
             return file.read(status.st_size)  # no more: room for what is asked for is taken first
-    except (OSError, ValueError) as error:
-        if isinstance(error, UserError):
-            raise
-        name = str(path) if len(str(path)) <= 300 else f"{str(path)[:300]}..."
-        raise UserError(f"Cannot read {name}: {getattr(error, 'strerror', None) or error}.") from error
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def image_header(content: "Content") -> ImageHeader | None:
+    """What the content of a file says of its image; None where it is no JPEG, PNG, TIFF, BMP or WebP.
+
+    Args:
+        content: The whole file.
+    """
+    try:
+        for mark, read in _READERS.items():
+            if content[: len(mark)] == mark:
+                return read(content)
+    except (struct.error, IndexError):  # the header is cut off
+        pass
+    return None
 
 
 def decoded_bytes(content: bytes) -> int | None:
@@ -51,13 +117,8 @@ def decoded_bytes(content: bytes) -> int | None:
     Args:
         content: The whole file.
     """
-    try:
-        for mark, read in _READERS.items():
-            if content.startswith(mark):
-                return read(content)
-    except struct.error:  # the header is cut off
-        pass
-    return None
+    header = image_header(content)
+    return None if header is None else header.decoded_bytes
 
 
 def is_cut_or_changed(content: bytes) -> bool:
@@ -87,12 +148,45 @@ def _png_is_whole(content: bytes) -> bool:
     return False
 
 
-def _png(content: bytes) -> int | None:
-    width, height, depth, color = struct.unpack_from(">IIBB", content, 16)
-    return width * height * _PNG_CHANNELS.get(color, 4) * max(1, depth // 8)
+class _FileBytes:
+    """A file as bytes that are read where they are looked at."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file, self._size = file, size
+
+    def __len__(self) -> int:
+        return self._size
+
+    @overload
+    def __getitem__(self, key: int) -> int: ...
+    @overload
+    def __getitem__(self, key: slice) -> bytes: ...
+    def __getitem__(self, key: int | slice) -> int | bytes:
+        if isinstance(key, int):
+            return self[key : key + 1][0]
+        start, stop, _ = key.indices(self._size)
+        self._file.seek(start)
+        return self._file.read(max(stop - start, 0))
 
 
-def _jpeg(content: bytes) -> int | None:
+Content = bytes | _FileBytes
+
+
+def _unpacked(layout: str, content: Content, at: int) -> tuple[Any, ...]:
+    """Numbers of a ``struct`` layout from a place on.
+
+    Raises:
+        struct.error: The content ends before.
+    """
+    return struct.unpack(layout, content[at : at + struct.calcsize(layout)])
+
+
+def _png(content: Content) -> ImageHeader | None:
+    width, height, depth, color = _unpacked(">IIBB", content, 16)
+    return ImageHeader(width, height, _PNG_CHANNELS.get(color, 4), max(1, depth // 8))
+
+
+def _jpeg(content: Content) -> ImageHeader | None:
     at = 2
     while at + 4 <= len(content):
         if content[at] != 0xFF:
@@ -103,33 +197,33 @@ def _jpeg(content: bytes) -> int | None:
         elif marker in _WITHOUT_LENGTH:
             at += 2
         elif marker in _START_OF_FRAME:
-            depth, height, width, components = struct.unpack_from(">BHHB", content, at + 4)
-            return width * height * (1 if components == 1 else 4) * (1 if depth == 8 else 2)
+            depth, height, width, components = _unpacked(">BHHB", content, at + 4)
+            return ImageHeader(width, height, 1 if components == 1 else 4, 1 if depth == 8 else 2)
         else:
-            at += 2 + struct.unpack_from(">H", content, at + 2)[0]
+            at += 2 + _unpacked(">H", content, at + 2)[0]
     return None
 
 
-def _bmp(content: bytes) -> int | None:
-    (header,) = struct.unpack_from("<I", content, 14)
-    width, height = struct.unpack_from("<HH" if header == 12 else "<ii", content, 18)
-    return abs(width * height) * 4
+def _bmp(content: Content) -> ImageHeader | None:
+    (header,) = _unpacked("<I", content, 14)
+    width, height = _unpacked("<HH" if header == 12 else "<ii", content, 18)
+    return ImageHeader(abs(width), abs(height), 4, 1)
 
 
-def _webp(content: bytes) -> int | None:
+def _webp(content: Content) -> ImageHeader | None:
     kind, at = content[12:16], 20
     if content[8:12] != b"WEBP":
         return None
     if kind == b"VP8X":
         width, height = (int.from_bytes(content[at + k : at + k + 3], "little") + 1 for k in (4, 7))
     elif kind == b"VP8L":
-        (packed,) = struct.unpack_from("<I", content, at + 1)
+        (packed,) = _unpacked("<I", content, at + 1)
         width, height = (packed & 0x3FFF) + 1, (packed >> 14 & 0x3FFF) + 1
     elif kind == b"VP8 ":
-        width, height = (side & 0x3FFF for side in struct.unpack_from("<HH", content, at + 6))
+        width, height = (side & 0x3FFF for side in _unpacked("<HH", content, at + 6))
     else:
         return None
-    return width * height * 4
+    return ImageHeader(width, height, 4, 1)
 
 
 _TIFF_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
@@ -149,46 +243,46 @@ def lacks_photometric_tag(content: bytes) -> bool:
         return False
 
 
-def _tiff(content: bytes) -> int | None:
+def _tiff(content: Content) -> ImageHeader | None:
     """By the tags of the first image; a tile, which is decoded whole, counts where it is larger."""
     tags = _tiff_tags(content)
     if _WIDTH not in tags or _HEIGHT not in tags:
         return None
     width, height = max(tags[_WIDTH], tags.get(_TILE_WIDTH, 0)), max(tags[_HEIGHT], tags.get(_TILE_HEIGHT, 0))
     channels = tags.get(_SAMPLES, 1)
-    return width * height * (1 if channels == 1 else max(channels, 4)) * max(1, tags.get(_BITS, 1) // 8)
+    return ImageHeader(width, height, 1 if channels == 1 else max(channels, 4), max(1, tags.get(_BITS, 1) // 8))
 
 
-def _tiff_tags(content: bytes) -> dict[int, int]:
+def _tiff_tags(content: Content) -> dict[int, int]:
     """First value of each tag of the first image; 0 where it is no whole number.
 
     Raises:
         struct.error: The file ends before.
     """
-    order = "<" if content.startswith(b"II") else ">"
-    (version,) = struct.unpack_from(order + "H", content, 2)
+    order = "<" if content[:2] == b"II" else ">"
+    (version,) = _unpacked(order + "H", content, 2)
     number, count, size = ("I", "H", 12) if version == 42 else ("Q", "Q", 20)
     room = struct.calcsize(order + number)
-    (at,) = struct.unpack_from(order + number, content, room)
-    (entries,) = struct.unpack_from(order + count, content, at)
+    (at,) = _unpacked(order + number, content, room)
+    (entries,) = _unpacked(order + count, content, at)
     at += struct.calcsize(order + count)
     tags: dict[int, int] = {}
     for place in range(at, at + min(entries, _MOST_TIFF_TAGS) * size, size):
-        tag, kind = struct.unpack_from(order + "HH", content, place)
-        (values,) = struct.unpack_from(order + number, content, place + 4)
+        tag, kind = _unpacked(order + "HH", content, place)
+        (values,) = _unpacked(order + number, content, place + 4)
         letter = _TIFF_TYPES.get(kind)
         if letter is None:
             tags[tag] = 0
             continue
         value_at = place + 4 + room
         if values * struct.calcsize(letter) > room:  # the values lie elsewhere
-            (value_at,) = struct.unpack_from(order + number, content, value_at)
+            (value_at,) = _unpacked(order + number, content, value_at)
         if value_at <= len(content):
-            (tags[tag],) = struct.unpack_from(order + letter, content, value_at)
+            (tags[tag],) = _unpacked(order + letter, content, value_at)
     return tags
 
 
-_READERS = {
+_READERS: dict[bytes, Callable[[Content], ImageHeader | None]] = {
     b"\xff\xd8": _jpeg,
     b"\x89PNG\r\n\x1a\n": _png,
     b"II*\0": _tiff,
@@ -203,3 +297,25 @@ _READERS = {
 def _kind(mode: int) -> str:
     kinds = (("pipe", stat.S_ISFIFO), ("folder", stat.S_ISDIR), ("socket", stat.S_ISSOCK))
     return next((name for name, is_kind in kinds if is_kind(mode)), "device")
+
+
+def _status(path: Path) -> os.stat_result:
+    """Of a file that may be read.
+
+    Raises:
+        UserError: It is none.
+    """
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, error) from error
+    if not stat.S_ISREG(status.st_mode):
+        raise UserError(f"Cannot read {path}: it is a {_kind(status.st_mode)}, not a file.", _RESTORE)
+    if status.st_size > LARGEST:
+        raise UserError(f"{path} has {status.st_size:,} bytes; images have {LARGEST:,} at most.", _RESTORE)
+    return status
+
+
+def _unreadable(path: Path, error: Exception) -> UserError:
+    name = str(path) if len(str(path)) <= 300 else f"{str(path)[:300]}..."
+    return UserError(f"Cannot read {name}: {getattr(error, 'strerror', None) or error}.")

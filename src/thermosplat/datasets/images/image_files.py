@@ -2,8 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -56,7 +55,8 @@ def read_image(path: Path) -> NDArray[Any]:
         [H, W] for one channel, [H, W, 3] RGB for colour (alpha is dropped); uint8, uint16, float32 or float64.
 
     Raises:
-        UserError: The file is missing, damaged, no image, or larger than ``LARGEST``.
+        UserError: The file is missing, damaged, no image, or larger than ``LARGEST``. JPEG files whose decoder fills
+            gaps pass; ``check_jpegs`` finds them.
     """
     content = read_regular_file(path)
     memory = decoded_bytes(content)
@@ -74,16 +74,6 @@ def read_image(path: Path) -> NDArray[Any]:
             raise UserError(f"{path} has {image.shape[2]} channels; 1 (values) or 3 (colour) are expected.")
         image = np.ascontiguousarray(image[..., 2::-1])
     return image
-
-
-def read_images(paths: Iterable[Path]) -> list[NDArray[Any]]:
-    """`read_image` of many files, several at a time.
-
-    Raises:
-        UserError: As ``read_image``. JPEG files whose decoder fills gaps pass; ``check_jpegs`` finds them.
-    """
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(read_image, paths))
 
 
 def resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:

@@ -8,9 +8,11 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from thermosplat.errors import UserError
 
@@ -28,6 +30,8 @@ _TOLERATED = 16
 _Stamp = tuple[str, int, int]
 _whole: set[_Stamp] = set()
 """Files of this process that were found whole, with the time of their last change and their size."""
+_alone = False
+"""Whether this process decodes images and does nothing else."""
 
 
 def check_jpegs(paths: Sequence[Path]) -> None:
@@ -49,11 +53,51 @@ def check_jpegs(paths: Sequence[Path]) -> None:
         warned = {path: said for part in found for path, said in part.items()}
     for path in wanted:
         if path in warned:
-            raise UserError(
-                f"{path} is damaged ({warned[path]}).",
-                "Restore it, or remove it from the folder. If it looks whole, save it again with another program.",
-            )
+            raise _damaged(path, warned[path])
         _whole.add(stamps[path])
+
+
+def decode_alone() -> None:
+    """Say that this process decodes images and does nothing else meanwhile, so that its standard error is the decoder's
+    while it does (``refusing_damage``)."""
+    global _alone
+    _alone = True
+
+
+@contextmanager
+def refusing_damage(path: Path) -> Iterator[None]:
+    """Around the decoding of a file in a process that decodes alone: refuse a JPEG file that libjpeg warns of.
+
+    Elsewhere nothing happens; there ``check_jpegs`` looks first.
+
+    Args:
+        path: The file.
+
+    Raises:
+        UserError: As ``check_jpegs``.
+    """
+    if not _alone or path.suffix.lower() not in _SUFFIXES:
+        yield
+        return
+    with TemporaryFile() as heard:
+        usual = os.dup(2)
+        os.dup2(heard.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(usual, 2)
+            os.close(usual)
+        heard.seek(0)
+        said = next(filter(_tells_damage, heard.read().splitlines()), None)
+    if said is not None:
+        raise _damaged(path, said.decode(errors="replace"))
+
+
+def _damaged(path: Path, said: str) -> UserError:
+    return UserError(
+        f"{path} is damaged ({said}).",
+        "Restore it, or remove it from the folder. If it looks whole, save it again with another program.",
+    )
 
 
 def _stamp(path: Path) -> _Stamp:

@@ -1,31 +1,32 @@
 """The image files of one spectrum of a capture: read, and interpreted with what the capture says of them."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.datasets.frame_files import FrameFiles, Listing
+from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.images.capture_palette import choose_palette
-from thermosplat.datasets.images.image_files import read_images
+from thermosplat.datasets.images.image_files import read_image
 from thermosplat.datasets.images.image_folders import image_folder, spectrum_folder, values_folder
-from thermosplat.datasets.images.spectrum_images import (
-    SpectrumFile,
-    SpectrumPixels,
-    SpectrumReading,
-    interpret,
-    is_radiometric,
-)
+from thermosplat.datasets.images.pixel_meaning import PixelMeaning, SpectrumFile
+from thermosplat.datasets.images.spectrum_images import SpectrumReading, interpret, is_radiometric
 from thermosplat.errors import UserError
-from thermosplat.spectra import SpectrumConfig
+from thermosplat.spectra import COUNTS, Source, SpectrumConfig
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermal.temperature_units import RadiometricStatement, may_be_temperature, read_statement
 
 
 def read_spectrum(
-    root: Path, name: str, spectrum: SpectrumConfig, frames: Sequence[FrameFiles], listing: Listing
+    root: Path,
+    name: str,
+    spectrum: SpectrumConfig,
+    frames: Sequence[FrameFiles],
+    listing: Listing,
+    ranging: Sequence[SpectrumFile] | None = None,
 ) -> SpectrumReading | None:
     """The images of one spectrum of each frame; None if no frame has one.
 
@@ -35,16 +36,19 @@ def read_spectrum(
         spectrum: Its settings.
         frames: The frames.
         listing: What the layout knows of the capture.
+        ranging: Exposures whose values decide the range, where `frames` are not all; as of ``interpret``.
 
     Raises:
         UserError: A file cannot be read, or is not what the settings ask for.
     """
     if not any(name in frame.shots for frame in frames):
         return None
-    if spectrum.source == "photograph":
-        return _photographs(name, frames)
-    files = _read_files(name, frames)
+    files = _read_files([frame.shots.get(name) for frame in frames], spectrum.source)
     present = [file for file in files if file is not None]
+    displays = tuple(None if file is None else file.display for file in files)
+    if spectrum.source == "photograph":
+        meaning = PixelMeaning("photograph", PixelScale("photograph"), COUNTS)
+        return SpectrumReading(meaning, tuple(f if f is None else meaning.pixels(f) for f in files), (), displays)
     statement = RadiometricStatement()
     if may_be_temperature(spectrum.unit):
         below_images = spectrum_folder(image_folder(root, "images"), name, spectrum)
@@ -53,52 +57,50 @@ def read_spectrum(
                 statement = read_statement(folder / "units.json", name)
                 break
     palette = choose_palette(root, name, spectrum, [file.path for file in present])
-    reading = interpret(name, present, spectrum, palette=palette, statement=statement, grey_range=listing.celsius_range)
+    reading = interpret(
+        name,
+        present,
+        spectrum,
+        palette=palette,
+        statement=statement,
+        grey_range=listing.celsius_range,
+        ranging=ranging,
+    )
     pixels = iter(reading.pixels)
-    displays = tuple(None if file is None else file.display for file in files)
     return SpectrumReading(
-        reading.scale, tuple(None if file is None else next(pixels) for file in files), reading.notes, displays
+        reading.meaning, tuple(None if file is None else next(pixels) for file in files), reading.notes, displays
     )
 
 
-def _photographs(name: str, frames: Sequence[FrameFiles]) -> SpectrumReading:
-    """Colours as they are: 8-bit RGB."""
-    paths = [frame.shots[name].path if name in frame.shots else None for frame in frames]
-    images = iter(read_images([path for path in paths if path is not None]))
-    pixels = tuple(None if path is None else SpectrumPixels(_as_rgb(path, next(images)), None) for path in paths)
-    displays = tuple(None if exposure is None else exposure.image for exposure in pixels)
-    return SpectrumReading(PixelScale("photograph"), pixels, (), displays)  # type: ignore[arg-type]
+def _read_files(shots: Sequence[Shot | None], source: Source) -> list[SpectrumFile | None]:
+    """``read_shot`` of each, several at a time; None where there is none."""
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda shot: None if shot is None else read_shot(shot, source), shots))
 
 
-def _read_files(name: str, frames: Sequence[FrameFiles]) -> list[SpectrumFile | None]:
-    """Files of each frame: the displayable image, the values, or both.
+def read_shot(shot: Shot, source: Source) -> SpectrumFile:
+    """The files of one exposure: the displayable image, the values, or both.
+
+    Args:
+        shot: The exposure.
+        source: What the spectrum's images are; of a photograph values beside it are not looked at.
 
     Raises:
-        UserError: A file cannot be read, or one beside the displayable image holds colours in place of values.
+        UserError: A file cannot be read, is no photograph, or holds colours in place of the values that belong there.
     """
-    shots = [frame.shots.get(name) for frame in frames]
-    shown = iter(read_images([shot.path for shot in shots if shot is not None]))
-    beside_paths = [None if shot is None or shot.raw == shot.path else shot.raw for shot in shots]
-    raws = iter(read_images([path for path in beside_paths if path is not None]))
-    files: list[SpectrumFile | None] = []
-    for shot, raw_path in zip(shots, beside_paths, strict=True):
-        if shot is None:
-            files.append(None)
-            continue
-        image, beside = next(shown), None if raw_path is None else next(raws)
-        if beside is not None and not is_radiometric(beside):
-            raise UserError(
-                f"{raw_path} is {_in_words(beside)}; radiometric values are 16-bit or floating-point with one channel.",
-                f"Export radiometric files, or take it out of that folder: {shot.path.parent.name}/ alone will do.",
-            )
-        path = shot.path
-        if is_radiometric(image):
-            files.append(
-                SpectrumFile(path, None, image, path) if beside is None else SpectrumFile(path, None, beside, raw_path)
-            )
-        else:
-            files.append(SpectrumFile(path, _require_8bit(path, image), beside, raw_path))
-    return files
+    path, image = shot.path, read_image(shot.path)
+    if source == "photograph":
+        return SpectrumFile(path, _as_rgb(path, image))
+    raw_path = None if shot.raw == path else shot.raw
+    beside = None if raw_path is None else read_image(raw_path)
+    if beside is not None and not is_radiometric(beside):
+        raise UserError(
+            f"{raw_path} is {_in_words(beside)}; radiometric values are 16-bit or floating-point with one channel.",
+            f"Export radiometric files, or take it out of that folder: {path.parent.name}/ alone will do.",
+        )
+    if is_radiometric(image):
+        return SpectrumFile(path, None, image, path) if beside is None else SpectrumFile(path, None, beside, raw_path)
+    return SpectrumFile(path, _require_8bit(path, image), beside, raw_path)
 
 
 def _in_words(image: NDArray[Any]) -> str:

@@ -1,6 +1,6 @@
 """From the files of a spectrum to training images: pseudo-colour or scalar, palette, unit, range, measured values."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.images.capture_palette import ChosenPalette, palette_notes
 from thermosplat.datasets.images.dead_pixels import range_without_dead_pixels
-from thermosplat.datasets.images.image_files import resize
+from thermosplat.datasets.images.pixel_meaning import (
+    PixelMeaning,
+    SpectrumFile,
+    SpectrumPixels,
+    check_finite,
+    measured_values,
+    three_channels,
+)
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS, COUNTS, SpectrumConfig, folder_names, unit_label
 from thermosplat.thermal.radiometry import PixelScale
@@ -28,41 +35,21 @@ _GREY_TOLERANCE = 4
 
 
 @dataclass(frozen=True, eq=False)
-class SpectrumFile:
-    """An exposure as read: the displayable image, the radiometric values, or both.
-
-    Args:
-        path: File of the displayable image, or of the values where there is no other; for messages.
-        display: uint8 [H, W] grey or [H, W, 3] colour.
-        raw: [H, W] radiometric values.
-        raw_path: Their file.
-    """
-
-    path: Path
-    display: NDArray[np.uint8] | None
-    raw: NDArray[Any] | None = None
-    raw_path: Path | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class SpectrumPixels:
-    """An exposure to train on: `View.image` and `View.values`, at the file's size."""
-
-    image: NDArray[np.uint8] | NDArray[np.float32]
-    values: NDArray[np.float32] | None
-
-
-@dataclass(frozen=True, eq=False)
 class SpectrumReading:
     """All exposures of a spectrum and what their pixels mean; None where an exposure has no such image.
 
     ``displays`` are the displayable images as read, uint8 [H, W] or [H, W, 3].
     """
 
-    scale: PixelScale
+    meaning: PixelMeaning
     pixels: tuple[SpectrumPixels | None, ...]
     notes: tuple[str, ...]
     displays: tuple[NDArray[np.uint8] | None, ...] = ()
+
+    @property
+    def scale(self) -> PixelScale:
+        """What the pixels mean."""
+        return self.meaning.scale
 
 
 def is_radiometric(image: NDArray[Any]) -> bool:
@@ -78,6 +65,7 @@ def interpret(
     palette: ChosenPalette,
     statement: RadiometricStatement,
     grey_range: tuple[float, float] | None,
+    ranging: Sequence[SpectrumFile] | None = None,
 ) -> SpectrumReading:
     """Decide what the images of a spectrum are and turn them into training images.
 
@@ -88,6 +76,8 @@ def interpret(
         palette: Palette of pseudo-coloured images; a scalar is shown with it.
         statement: What the capture says of its radiometric values.
         grey_range: Temperatures [°C] of black and white in grey images, if the capture states them.
+        ranging: Exposures with radiometric values whose extremes are the range, gone through one by one; None:
+            `files`.
 
     Raises:
         UserError: The images are not what the choices ask for, or the values are impossible.
@@ -105,7 +95,7 @@ def interpret(
             return _color_reading(name, files, config, palette, statement, unit, notes)
         return _grey_reading(files, config, palette, grey_range, unit, notes)
     if any(file.raw is not None for file in files):
-        return _raw_reading(name, files, config, palette, unit, notes)
+        return _raw_reading(name, files, ranging, config, palette, unit, notes)
     return _grey_reading(files, config, palette, grey_range, unit, notes)
 
 
@@ -114,12 +104,7 @@ def _check_sources(
 ) -> None:
     """Refuse a source that the files do not have."""
     for file in files:
-        if file.raw is not None and not np.isfinite(file.raw).all():
-            count = int((~np.isfinite(file.raw)).sum())
-            raise UserError(
-                f"{file.raw_path or file.path} has {count:,} pixels that are not finite numbers.",
-                "Fill or re-export them.",
-            )
+        check_finite(file)
     if config.source == "color" and all(file.display is None for file in files):
         kind = files[0].raw.dtype if files[0].raw is not None else "unknown"
         raise UserError(
@@ -184,23 +169,19 @@ def _color_reading(
     notes: list[str],
 ) -> SpectrumReading:
     """Pseudo-colour as it is; measured values from radiometric files beside it."""
-    pixels = [
-        None
-        if file.display is None
-        else SpectrumPixels(_three_channels(file.display), _values_beside(file, unit, config))
-        for file in files
-    ]
-    shown = [_three_channels(file.display) for file in files if file.display is not None]
-    notes += palette_notes(palette, shown, name)
     span = config.range or statement.palette_celsius
     scale = _scale("color", palette, span, unit, config)
+    meaning = PixelMeaning("color", scale, unit, config.factor)
+    pixels = tuple(map(meaning.pixels, files))
+    shown = [three_channels(file.display) for file in files if file.display is not None]
+    notes += palette_notes(palette, shown, name)
     if span is None and any(exposure is not None and exposure.values is not None for exposure in pixels):
         what = "temperatures" if scale.unit == CELSIUS else "values"
         notes.append(
             f"The {what} of the palette's ends are unknown, so renders have no {unit_label(scale.unit or unit)}; "
             f"state them with --{name}.range MIN MAX."
         )
-    return SpectrumReading(scale, tuple(pixels), tuple(notes))
+    return SpectrumReading(meaning, pixels, tuple(notes))
 
 
 def _grey_reading(
@@ -216,31 +197,14 @@ def _grey_reading(
     if span is None and config.factor != 1 and all(file.raw is None for file in files):
         ends = to_measured(np.array([0, 255]), unit, config.factor)
         span = None if ends is None else (float(ends[0]), float(ends[1]))
-    scale = _scale("scalar", palette, span, unit, config)
-    pixels: list[SpectrumPixels | None] = []
-    for file in files:
-        if file.display is None:
-            pixels.append(None)
-            continue
-        grey = file.display if file.display.ndim == 2 else file.display[..., 1]
-        image = np.asarray(grey[..., None] / np.float32(255), np.float32)
-        values = _values_beside(file, unit, config)
-        if values is None and scale.measured_unit is not None:
-            values = scale.value(image[..., 0])
-        pixels.append(SpectrumPixels(image, values))
-    return SpectrumReading(scale, tuple(pixels), tuple(notes))
-
-
-def _measured(file: SpectrumFile, unit: str, config: SpectrumConfig) -> NDArray[np.float32]:
-    """Values of a file in the unit in which they are reported, or as they are where they have none."""
-    raw = np.asarray(file.raw)
-    measured = to_measured(raw, unit, config.factor)
-    return raw.astype(np.float32) if measured is None else measured
+    meaning = PixelMeaning("grey", _scale("scalar", palette, span, unit, config), unit, config.factor)
+    return SpectrumReading(meaning, tuple(map(meaning.pixels, files)), tuple(notes))
 
 
 def _raw_reading(
     name: str,
     files: Sequence[SpectrumFile],
+    ranging: Sequence[SpectrumFile] | None,
     config: SpectrumConfig,
     palette: ChosenPalette,
     unit: str,
@@ -251,7 +215,8 @@ def _raw_reading(
     Of counts the tails of 0.1% are clipped, so that dead pixels do not set their scale. A range is theirs only if the
     user says that they are counts: what might have been temperatures has a range in °C.
     """
-    raws = [file.raw for file in files if file.raw is not None]
+    having = [file for file in files if file.raw is not None] if ranging is None else ranging
+    raws = _RawValues(having)
     span = None if unit == COUNTS and config.unit != COUNTS else config.range
     if span is not None:
         low, high = span
@@ -259,8 +224,7 @@ def _raw_reading(
         sample = np.concatenate([np.ravel(raw[::2, ::2]) for raw in raws])
         low, high = (float(end) for end in np.percentile(sample, [0.1, 99.9]))
     else:
-        having = [file for file in files if file.raw is not None]
-        found = range_without_dead_pixels([_measured(file, unit, config) for file in having])
+        found = range_without_dead_pixels(raws.map(lambda raw: measured_values(raw, unit, config.factor)))
         span = low, high = found.low, found.high
         if found.first is not None:
             where = having[found.first].raw_path or having[found.first].path
@@ -269,16 +233,25 @@ def _raw_reading(
                 f"pixels: the range is {low:,.6g} to {high:,.6g} {unit_label(measured_unit(unit) or unit)}; "
                 f"--{name}.range says otherwise."
             )
-    width = max(high - low, 1e-6)
-    pixels: list[SpectrumPixels | None] = []
-    for file in files:
-        if file.raw is None:
-            pixels.append(None)
-            continue
-        values = _measured(file, unit, config)
-        image = np.asarray(np.clip((values - low) / width, 0, 1)[..., None], np.float32)
-        pixels.append(SpectrumPixels(image, None if measured_unit(unit) is None else values))
-    return SpectrumReading(_scale("scalar", palette, span, unit, config), tuple(pixels), tuple(notes))
+    scale = _scale("scalar", palette, span, unit, config)
+    meaning = PixelMeaning("raw", scale, unit, config.factor, (low, high))
+    return SpectrumReading(meaning, tuple(map(meaning.pixels, files)), tuple(notes))
+
+
+class _RawValues:
+    """Radiometric values of exposures, one after the other, as often as they are gone through."""
+
+    def __init__(
+        self, files: Sequence[SpectrumFile], changed: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
+    ) -> None:
+        self._files, self._changed = files, changed
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (self._changed(file.raw) for file in self._files if file.raw is not None)
+
+    def map(self, changed: Callable[[NDArray[Any]], NDArray[Any]]) -> "_RawValues":
+        """The same, each of them changed."""
+        return _RawValues(self._files, changed)
 
 
 def _scale(
@@ -292,21 +265,9 @@ def _scale(
     return PixelScale(kind, palette.palette, span, CELSIUS if may_be_temperature(config.unit) else measured_unit(unit))
 
 
-def _values_beside(file: SpectrumFile, unit: str, config: SpectrumConfig) -> NDArray[np.float32] | None:
-    """Measured values from the radiometric file of an exposure, at the size of its displayable image."""
-    if file.raw is None or file.display is None:
-        return None
-    values = to_measured(file.raw, unit, config.factor)
-    return None if values is None else resize(values, file.display.shape[1], file.display.shape[0])
-
-
 def _is_grey(image: NDArray[np.uint8]) -> bool:
     part = image[::4, ::4].astype(np.int16)
     return image.ndim == 2 or int(np.ptp(part, axis=-1).max()) <= _GREY_TOLERANCE
-
-
-def _three_channels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=-1)
 
 
 def _folder_name(path: Path) -> str:

@@ -1,0 +1,198 @@
+"""Pixels of a view that stay on the disk until they are needed, and the way from a file's pixels to a view's."""
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.datasets.cameras import Camera
+from thermosplat.datasets.frame_files import Shot
+from thermosplat.datasets.images.image_bytes import FileStamp, ImageHeader
+from thermosplat.datasets.images.image_files import resize
+from thermosplat.datasets.images.jpeg_warnings import check_jpegs, refusing_damage
+from thermosplat.datasets.images.pixel_meaning import PixelMeaning, SpectrumPixels, check_finite
+from thermosplat.datasets.images.spectrum_files import read_shot
+from thermosplat.datasets.lens import Lens, rectification
+from thermosplat.datasets.pixel_cache import PixelCache
+from thermosplat.errors import UserError
+from thermosplat.spectra import Source
+from thermosplat.thermal.radiometry import Palette
+
+_COLORS_AT_ONCE = 1 << 18
+"""Pixels whose palette is inverted at once: it takes some 40 bytes for each."""
+
+
+class ImageLostError(UserError):
+    """An image that was there when the capture was read cannot be read any more, or is another one."""
+
+
+class TrainedPixels(NamedTuple):
+    """What a training step compares with."""
+
+    image: NDArray[np.uint8] | NDArray[np.float32]
+    """As ``SpectrumPixels.image``."""
+    intensity: NDArray[np.float32] | None
+    """Scalar intensity [H, W] of pseudo-colours; None of others, whose images say it themselves."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImagesOnDisk:
+    """Of a capture whose images stay on the disk.
+
+    Args:
+        memory: What images may take in the host's memory [bytes].
+        cache: Keeps what was made of them.
+    """
+
+    memory: float
+    cache: PixelCache
+
+
+def seen_by(camera: Camera, lens: Lens | None, pixels: SpectrumPixels) -> SpectrumPixels:
+    """Pixels of a file as the view's camera sees them: undistorted, and of its size.
+
+    Args:
+        camera: The view's camera.
+        lens: The lens whose distortion is taken out; None: it stays.
+        pixels: The file's pixels.
+    """
+    image, values = pixels.image, pixels.values
+    height, width, channels = image.shape
+    if lens is not None:
+        ideal = rectification(lens, width, height)
+        image, values = ideal.apply(image), None if values is None else ideal.apply(values)
+    image = resize(image, camera.width, camera.height).reshape(camera.height, camera.width, channels)
+    return SpectrumPixels(image, None if values is None else resize(values, camera.width, camera.height))
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPixels:
+    """Where the pixels of one view are, and what they are.
+
+    Args:
+        shot: The files.
+        header: Of the file that the image is made of.
+        stamps: Of the files.
+        source: What the spectrum's images are.
+        meaning: How they become an image.
+        camera: The view's, as the capture has it.
+        lens: The lens whose distortion is taken out; None: it stays.
+        cache: Keeps what was made of the files.
+    """
+
+    shot: Shot
+    header: ImageHeader
+    stamps: tuple[FileStamp, ...]
+    source: Source
+    meaning: PixelMeaning
+    camera: Camera
+    lens: Lens | None
+    cache: PixelCache
+
+    @property
+    def channels(self) -> int:
+        """Of the image."""
+        return 3 if self.meaning.has_colors else 1
+
+    @property
+    def trained_bytes(self) -> int:
+        """Memory that ``read_to_train`` returns [bytes]."""
+        per_pixel = 4
+        if self.meaning.has_colors:
+            per_pixel = 7 if self.meaning.kind == "color" else 3
+        return per_pixel * self.camera.width * self.camera.height
+
+    @property
+    def kept_bytes(self) -> int:
+        """What the disk cache keeps of it, at most [bytes]: measured values, too."""
+        values = 0 if self.meaning.kind == "photograph" else 4 * self.camera.width * self.camera.height
+        return self.trained_bytes + values
+
+    @property
+    def reading_bytes(self) -> int:
+        """Memory that reading takes, about [bytes]: the file, the image in both orders of its colours, the resampled
+        one; the maps of a lens; and what the inverse of a palette computes."""
+        pixels = self.camera.width * self.camera.height
+        maps = 8 * pixels if self.lens is not None and self.lens.distorted else 0
+        colors = 40 * min(pixels, _COLORS_AT_ONCE) if self.meaning.kind == "color" else 0
+        return 4 * self.header.decoded_bytes + maps + colors
+
+    @cached_property
+    def key(self) -> str:
+        """A name of what the pixels are made of."""
+        made_of = (self.shot.path, self.shot.raw, self.stamps, self.source, self.lens, self.camera)
+        return hashlib.sha256(repr((made_of, self.meaning.described())).encode("utf-8", "replace")).hexdigest()[:32]
+
+    def read(self) -> SpectrumPixels:
+        """Image and measured values.
+
+        Raises:
+            ImageLostError: A file cannot be read, or its image is not what it was.
+        """
+        kept = self.cache.load(self.key, "image")
+        if kept is not None:
+            return SpectrumPixels(kept, self.cache.load(self.key, "values"))
+        try:
+            with refusing_damage(self.shot.path):
+                pixels = self._pixels_of_files()
+        except UserError as error:
+            raise ImageLostError(error.message, "Restore it.") from error
+        if pixels.values is not None:
+            self.cache.keep(self.key, "values", pixels.values)
+        self.cache.keep(self.key, "image", pixels.image)  # last: where it is, all is
+        return pixels
+
+    def read_to_train(self) -> TrainedPixels:
+        """What a training step compares with.
+
+        Raises:
+            ImageLostError: As ``read``.
+        """
+        kept = self.cache.load(self.key, "image")
+        image = self.read().image if kept is None else kept
+        if self.meaning.kind != "color":
+            return TrainedPixels(image, None)
+        intensity = self.cache.load(self.key, "intensity")
+        if intensity is None:
+            intensity = _intensity(self.meaning.scale.palette, np.asarray(image, np.uint8))
+            self.cache.keep(self.key, "intensity", intensity)
+        return TrainedPixels(image, intensity)
+
+    def prepare(self) -> None:
+        """Compute what reading needs of the lens, unless the pixels are kept; images of one camera share it."""
+        if self.lens is not None and not self.cache.has(self.key, "image"):
+            rectification(self.lens, self.header.width, self.header.height)
+
+    def check(self) -> None:
+        """Refuse a damaged JPEG file before it is read, where this process decodes for several threads.
+
+        Raises:
+            ImageLostError: It is damaged.
+        """
+        if not self.cache.has(self.key, "image"):
+            try:
+                check_jpegs([path for path in (self.shot.path, self.shot.raw) if path is not None])
+            except (UserError, OSError) as error:
+                raise ImageLostError(getattr(error, "message", str(error)), "Restore it.") from error
+
+    def _pixels_of_files(self) -> SpectrumPixels:
+        file = read_shot(self.shot, self.source)
+        check_finite(file)
+        pixels = self.meaning.pixels(file)
+        expected = f"{self.header.width}x{self.header.height}"
+        if pixels is None:
+            raise UserError(f"{self.shot.path} is no longer of the kind that it was when the training began.")
+        height, width = pixels.image.shape[:2]
+        if (width, height) != (self.header.width, self.header.height):
+            raise UserError(f"{self.shot.path} is {width}x{height}, and it was {expected} when the training began.")
+        return seen_by(self.camera, self.lens, pixels)
+
+
+def _intensity(palette: Palette, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Intensity of an image [H, W, 3], some rows at a time."""
+    rows = max(1, _COLORS_AT_ONCE // image.shape[1])
+    parts = [palette.to_intensity(image[start : start + rows]) for start in range(0, len(image), rows)]
+    return np.concatenate(parts)
