@@ -10,8 +10,8 @@ import pycolmap
 import pytest
 
 from thermosplat.prepare.capture_folder import CaptureFolder, FrameRow, PairRow
-from thermosplat.prepare.register import register
-from thermosplat.prepare.sfm import run_sfm
+from thermosplat.prepare.registration.register import register
+from thermosplat.prepare.structure.sfm import run_sfm
 
 DATA = Path(os.environ.get("THERMOSPLAT_TEST_DATA", "")) / "rig_desk"
 

@@ -17,9 +17,9 @@ Image names in both tables are relative to ``images/<spectrum>/``. In the COLMAP
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import Field, dataclass, fields
 from pathlib import Path, PurePosixPath
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import write_bytes
@@ -30,16 +30,11 @@ OTHER = "thermal"
 """The spectrum that is paired with them where nothing else is said."""
 
 
-@dataclass(frozen=True)
-class FrameRow:
-    """One image of the capture: a row of frames.csv. None (an empty field): not known.
+@dataclass(frozen=True, kw_only=True)
+class Exif:
+    """What a file says of its exposure; None (an empty field) for what it does not say.
 
     Args:
-        spectrum: Name of its spectrum, which is its folder below ``images/``.
-        file: Its path below that folder.
-        source: The file it was made from, relative to the imported folder; ``video.mp4#120`` for a frame of a video.
-        width: Width [px] of the pixels as stored; EXIF rotation is not applied.
-        height: Height [px].
         time: When it was taken, ISO 8601 with subseconds; without a zone where the file has none.
         latitude: [°], north positive.
         longitude: [°], east positive.
@@ -48,14 +43,9 @@ class FrameRow:
         focal_length_35mm: The focal length [mm] with the same field of view on 36x24 mm film.
         make: Maker of the camera.
         model: Name of the camera.
-        orientation: EXIF orientation, 1 to 8.
+        orientation: 1 to 8, how the stored pixels are turned for display.
     """
 
-    spectrum: str
-    file: str
-    source: str
-    width: int
-    height: int
     time: str | None = None
     latitude: float | None = None
     longitude: float | None = None
@@ -65,6 +55,25 @@ class FrameRow:
     make: str | None = None
     model: str | None = None
     orientation: int | None = None
+
+
+@dataclass(frozen=True)
+class FrameRow(Exif):
+    """One image of the capture: a row of frames.csv, which ends with what the file says of its exposure.
+
+    Args:
+        spectrum: Name of its spectrum, which is its folder below ``images/``.
+        file: Its path below that folder.
+        source: The file it was made from, relative to the imported folder; ``video.mp4#120`` for a frame of a video.
+        width: Width [px] of the pixels as stored; EXIF rotation is not applied.
+        height: Height [px].
+    """
+
+    spectrum: str
+    file: str
+    source: str
+    width: int
+    height: int
 
 
 @dataclass(frozen=True)
@@ -176,7 +185,7 @@ def _read(path: Path, kind: type[Row], hint: str) -> list[Row]:
         try:
             rows.append(_row(record, kind))
         except (KeyError, TypeError, ValueError) as error:
-            columns = ", ".join(field.name for field in fields(kind))
+            columns = ", ".join(field.name for field in _columns(kind))
             raise UserError(
                 f"Line {reader.line_num} of {path} is damaged; the columns are {columns}.", f"Correct it. Or: {hint}"
             ) from error
@@ -185,7 +194,7 @@ def _read(path: Path, kind: type[Row], hint: str) -> list[Row]:
 
 def _row(record: dict[str, str | None], kind: type[Row]) -> Row:
     values: dict[str, object] = {}
-    for field in fields(kind):
+    for field in _columns(kind):
         text = (record.get(field.name) or "").strip()
         if text:
             kinds = get_args(field.type) or (field.type,)
@@ -197,8 +206,13 @@ def _row(record: dict[str, str | None], kind: type[Row]) -> Row:
     return kind(**values)  # type: ignore[arg-type]
 
 
+def _columns(kind: type[Row]) -> list[Field[Any]]:
+    """The columns of a table: first what every row has, then what a file may say."""
+    return sorted(fields(kind), key=lambda field: field.kw_only is True)
+
+
 def _write(path: Path, rows: Sequence[Row], kind: type[Row]) -> None:
-    names = [field.name for field in fields(kind)]
+    names = [field.name for field in _columns(kind)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)

@@ -1,10 +1,13 @@
 """A bar for work that takes its time, on a terminal; nothing where there is none."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+Item = TypeVar("Item")
 
 
 @contextmanager
@@ -23,3 +26,17 @@ def progress_bar(description: str, total: int) -> Iterator[Callable[[int], None]
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         task = bars.add_task(description, total=total)
         yield lambda parts: bars.advance(task, parts)
+
+
+def tracked(items: Iterable[Item], description: str, total: int) -> Iterator[Item]:
+    """Pass items on, and show how far they have come.
+
+    Args:
+        items: The items.
+        description: What is being done with them.
+        total: How many there are.
+    """
+    with progress_bar(description, total) as advance:
+        for item in items:
+            yield item
+            advance(1)

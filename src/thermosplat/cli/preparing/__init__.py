@@ -1,0 +1,1 @@
+"""The steps of thermosplat-prepare as subcommands."""

@@ -1,0 +1,1 @@
+"""Lenses and the pose between the cameras, from pictures of a board."""

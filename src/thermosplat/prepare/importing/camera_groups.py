@@ -1,0 +1,199 @@
+"""Which files of a folder are photographs and which are thermal images.
+
+What a file holds decides first: measured values are thermal. Names come next: words in the file's name, then in its
+folders' from the deepest up (IR_0001, DJI_0001_T, VisJPG/). What neither decides is told by looking at a few images:
+grey ones and those in a palette's colours are thermal.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from thermosplat.datasets.images.flir_metadata import read_flir_palette
+from thermosplat.datasets.images.image_files import read_image
+from thermosplat.errors import UserError
+from thermosplat.prepare.capture_folder import LEADING, OTHER
+from thermosplat.prepare.counted import agreeing, counted
+from thermosplat.prepare.importing.source_files import SourceFile
+from thermosplat.thermal.radiometry import FLIR_IRON
+
+_WORDS = {
+    LEADING: frozenset(
+        ["rgb", "visible", "vis", "visual", "photo", "photos", "color", "colour", "optical", "wide", "digital", "dc"]
+    ),
+    OTHER: frozenset(
+        ["thermal", "ir", "tir", "lwir", "infrared", "rad", "radiometric", "therm", "thermo", "temperature", "flir"]
+    ),
+    "msx": frozenset({"msx", "blend", "pip"}),
+    "zoom": frozenset({"zoom"}),
+}
+"""Words in names of files and folders that say what an image is."""
+_LETTERS = {LEADING: "wv", OTHER: "tr", "zoom": "z"}
+"""The same as single letters at the end of a name: DJI's wide, visible, thermal, radiometric and zoom cameras."""
+_PALETTE_LIMIT = 25.0
+"""Mean distance of an image's colours from FLIR Iron or its own palette [8-bit levels] up to which it is
+pseudo-colour; measured in capture_palette.py."""
+_GREY_LIMIT = 6.0
+"""Mean difference between the channels of a colour image [8-bit levels] up to which it is grey."""
+_SAMPLED = 3
+
+
+@dataclass(frozen=True)
+class Groups:
+    """The files by spectrum, and what was said about those that are left out."""
+
+    files: Mapping[str, tuple[SourceFile, ...]]
+    sentences: tuple[str, ...] = field(default=())
+
+
+def group_files(files: Sequence[SourceFile]) -> Groups:
+    """Tell photographs from thermal files.
+
+    Args:
+        files: All images of a folder.
+
+    Returns:
+        Files of "rgb" and "thermal", each perhaps none.
+
+    Raises:
+        UserError: Nothing tells them apart.
+    """
+    roles: dict[str, list[SourceFile]] = {LEADING: [], OTHER: [], "msx": [], "zoom": [], "": []}
+    for file in files:
+        role = named_role(file.name)
+        if role == "" or (role in ("msx", "zoom") and file.kind == "values"):
+            role = OTHER if file.is_radiometric else ""
+        roles[role].append(file)
+    _add_unnamed(roles)
+    sentences = []
+    if roles["zoom"] and not roles[LEADING]:
+        roles[LEADING], roles["zoom"] = roles["zoom"], []
+    if roles["msx"] and not roles[OTHER]:
+        roles[OTHER], roles["msx"] = roles["msx"], []
+    for role, why in (("zoom", "of the zoom camera: its field of view changes"), ("msx", "with visible edges (MSX)")):
+        if roles[role]:
+            sentences.append(
+                f"{counted(len(roles[role]), 'image')} {why} {agreeing(len(roles[role]), 'was', 'were')} left out "
+                f"(first: {roles[role][0].name})."
+            )
+    return Groups({LEADING: tuple(roles[LEADING]), OTHER: tuple(roles[OTHER])}, tuple(sentences))
+
+
+def named_role(name: str) -> str:
+    """What a file's path says that it is: "rgb", "thermal", "msx", "zoom" or "" for nothing."""
+    path = PurePosixPath(name)
+    for place, part in enumerate([path.stem, *reversed(path.parts[:-1])]):
+        words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", part)]
+        for word in reversed(words):
+            for role, known in _WORDS.items():
+                if word in known and not (word == "flir" and place == 0):  # FLIR0001.jpg may be either
+                    return role
+        if place == 0 and len(words) > 1 and re.search(r"[_-][A-Za-z]$", part):
+            for role, letters in _LETTERS.items():
+                if words[-1] in letters:
+                    return role
+    return ""
+
+
+def _add_unnamed(roles: dict[str, list[SourceFile]]) -> None:
+    """Put files of which no name says anything to the spectrum that they look like."""
+    unnamed, roles[""] = roles[""], []
+    by_camera: dict[tuple[object, ...], list[SourceFile]] = {}
+    for file in unnamed:
+        camera = (file.exif.make, file.exif.model, file.width, file.height, file.kind, file.frame and file.name)
+        by_camera.setdefault(camera, []).append(file)
+    for group in by_camera.values():
+        thermal = not any(file.is_radiometric for file in roles[OTHER]) and looks_thermal(group)
+        roles[OTHER if thermal else LEADING] += group
+    for role in (LEADING, OTHER):
+        roles[role].sort(key=lambda file: (file.name, file.frame or 0))
+
+
+def looks_thermal(files: Sequence[SourceFile]) -> bool:
+    """Whether images look like pictures of temperatures: grey, or colours of FLIR Iron or the palette in the file."""
+    step = max(1, len(files) // _SAMPLED)
+    votes = [_is_thermal_picture(file.path) for file in files[::step][:_SAMPLED] if file.frame is None]
+    return 2 * sum(votes) > len(votes)
+
+
+def _is_thermal_picture(path: Path) -> bool:
+    image = read_image(path)[::4, ::4]
+    if image.ndim == 2:
+        return True
+    if image.dtype != np.uint8:
+        return False
+    if float(np.ptp(image.astype(np.int16), axis=-1).mean()) <= _GREY_LIMIT:
+        return True
+    palette = read_flir_palette(path) or FLIR_IRON
+    return palette.residual(image / np.float32(255)) <= _PALETTE_LIMIT
+
+
+def prefer_values(files: Sequence[SourceFile]) -> tuple[list[SourceFile], list[str]]:
+    """Of thermal files the radiometric ones, if there are any; of those the most frequent kind.
+
+    Returns:
+        The files to take, and what to say about the others.
+    """
+    kinds = Counter(file.kind for file in files if file.is_radiometric)
+    if not kinds:
+        return list(files), []
+    best = kinds.most_common(1)[0][0]
+    taken = [file for file in files if file.kind == best]
+    left = [file for file in files if file.kind != best]
+    if not left:
+        return taken, []
+    return taken, [
+        f"{counted(len(left), 'thermal picture')} without temperatures {agreeing(len(left), 'was', 'were')} left out, "
+        f"because {counted(len(taken), 'file has', 'files have')} them "
+        f"(first left out: {left[0].name})."
+    ]
+
+
+def one_camera(spectrum: str, files: Sequence[SourceFile], take_most: bool) -> tuple[list[SourceFile], list[str]]:
+    """Images of one camera at one size.
+
+    Args:
+        spectrum: Name of the spectrum.
+        files: Its images.
+        take_most: Of several cameras or sizes take the most frequent.
+
+    Returns:
+        The images to take, and what to say about the others.
+
+    Raises:
+        UserError: There are several, and ``take_most`` is not set.
+    """
+    kinds: Counter[tuple[str, int, int]] = Counter(_camera(file) for file in files)
+    if len(kinds) <= 1:
+        return list(files), []
+    best = kinds.most_common(1)[0][0]
+    taken = [file for file in files if _camera(file) == best]
+    left = [file for file in files if _camera(file) != best]
+    described = ", ".join(
+        f"{count} of {width}x{height} px{f' ({camera})' if camera else ''}"
+        for (camera, width, height), count in kinds.most_common(4)
+    )
+    first = f"first of the others: {left[0].name}"
+    if take_most:
+        gone = (
+            f"{counted(len(left), f'{spectrum} image')} of another camera or size {agreeing(len(left), 'was', 'were')}"
+        )
+        return taken, [f"{gone} left out: {described}; {first}."]
+    turned = all((file.height, file.width) == best[1:] for file in left)
+    why = (
+        " The others were turned by a program; copy them from the camera again, as EXIF turns nothing."
+        if turned
+        else " All images of a spectrum must come from one camera at one zoom and size."
+    )
+    raise UserError(
+        f"The {spectrum} images are of {len(kinds)} cameras or sizes: {described}; {first}.{why}",
+        "Take the most frequent alone with --take-most, or name the folders: --rgb DIR --thermal DIR",
+    )
+
+
+def _camera(file: SourceFile) -> tuple[str, int, int]:
+    return " ".join(filter(None, (file.exif.make, file.exif.model))), file.width, file.height

@@ -1,0 +1,1 @@
+"""Which thermal image was taken with which photograph."""

@@ -1,0 +1,201 @@
+"""Which thermal image was taken with which photograph.
+
+Rules, in the order in which they are tried: one source file (a FLIR file with its photograph), the same name without
+the words that tell the cameras apart, the same last number in the name, the time with a constant difference between the
+clocks, and the order. The first rule that pairs nearly all images is taken; what it leaves over is listed.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import PurePosixPath
+from typing import Literal
+
+from thermosplat.errors import UserError
+from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, FrameRow, PairRow
+from thermosplat.prepare.counted import counted
+from thermosplat.prepare.importing.camera_groups import named_role
+from thermosplat.prepare.pairing.clock_offset import find_clock_offset
+from thermosplat.prepare.steps import StepReport, require_step, run_step
+
+Rule = Literal["auto", "name", "number", "time", "order"]
+Pairs = list[tuple[FrameRow, FrameRow]]
+_ENOUGH = 0.8
+"""Share of the rarer spectrum's images that a rule must pair to be taken without being asked for."""
+_SHOWN = 5
+_EQUAL_CLOCKS = 0.05
+"""Difference [s] up to which two clocks agree."""
+
+
+def pair_frames(capture: CaptureFolder, rule: Rule = "auto") -> StepReport:
+    """Find the pairs and write ``pairs.csv``.
+
+    Args:
+        capture: An imported capture.
+        rule: How images are paired; "auto" takes the first rule that pairs nearly all.
+
+    Returns:
+        Which rule was used and why, and what is left over.
+
+    Raises:
+        UserError: The capture has no thermal images, or no rule pairs them.
+    """
+    require_step(capture, "import")
+    return run_step(
+        capture,
+        "pair",
+        lambda: _pair(capture, rule),
+        settings={"rule": rule},
+        inputs=[capture.marker("import"), capture.frames_csv],
+        outputs=[capture.pairs_csv],
+    )
+
+
+def _pair(capture: CaptureFolder, rule: Rule) -> list[str]:
+    photographs, thermals = capture.read_frames(LEADING), capture.read_frames(OTHER)
+    if not thermals:
+        capture.write_pairs([])
+        return ["There are no thermal images, so there is nothing to pair."]
+    pairs, sentences = _by_rule(photographs, thermals, rule)
+    capture.write_pairs([PairRow(photograph.file, thermal.file) for photograph, thermal in pairs])
+    for what, rows in (("photograph", photographs), ("thermal image", thermals)):
+        used = {row.file for pair in pairs for row in pair if row in rows}
+        left = [row.file for row in rows if row.file not in used]
+        if left:
+            more = ", ..." if len(left) > _SHOWN else ""
+            sentences.append(
+                f"{counted(len(left), f'{what} has', f'{what}s have')} no partner: {', '.join(left[:_SHOWN])}{more}."
+            )
+    return sentences
+
+
+def _by_rule(photographs: Sequence[FrameRow], thermals: Sequence[FrameRow], rule: Rule) -> tuple[Pairs, list[str]]:
+    tried: list[str] = []
+    rules: dict[str, Callable[[], tuple[Pairs, list[str]]]] = {
+        "source": lambda: _by_key(photographs, thermals, lambda row: row.source, "they come from the same files"),
+        "name": lambda: _by_key(photographs, thermals, name_key, "their names agree, but for the camera"),
+        "number": lambda: _by_key(photographs, thermals, number_key, "the last numbers in their names agree"),
+        "time": lambda: _by_time(photographs, thermals),
+        "order": lambda: _by_order(photographs, thermals, asked=rule == "order"),
+    }
+    fewest = min(len(photographs), len(thermals))
+    for name, find in rules.items():
+        if rule not in ("auto", name):
+            continue
+        pairs, sentences = find()
+        if pairs and (rule == name or len(pairs) >= _ENOUGH * fewest):
+            return pairs, [
+                f"{counted(len(pairs), 'pair')} of {counted(len(photographs), 'photograph')} and "
+                f"{counted(len(thermals), 'thermal image')}.",
+                *sentences,
+            ]
+        tried.append(f"by {name} {len(pairs)}")
+    raise UserError(
+        f"{counted(len(photographs), 'photograph')} and {counted(len(thermals), 'thermal image')} could not be "
+        f"paired ({', '.join(tried)}; "
+        f"first: {photographs[0].source} and {thermals[0].source}).",
+        "Name the files of one moment alike. Or take the rule that fits with --by name, number, time or order.",
+    )
+
+
+def name_key(row: FrameRow) -> str | None:
+    """The file's name without the words that tell the cameras apart, in lower case."""
+    stem = PurePosixPath(row.source.partition("#")[0]).stem
+    words = [word for word in re.split(r"[^A-Za-z0-9]+", stem) if word]
+    kept = [word for place, word in enumerate(words) if not _names_camera(word, last=place == len(words) - 1)]
+    frame = row.source.partition("#")[2]
+    return " ".join(filter(None, [*kept, frame])).lower() or None
+
+
+def _names_camera(word: str, *, last: bool) -> bool:
+    return bool(named_role(word)) or (last and len(word) == 1 and word.isalpha())
+
+
+def number_key(row: FrameRow) -> str | None:
+    """The last number in the file's name, without leading zeros; of a video frame its number."""
+    name, _, frame = row.source.partition("#")
+    numbers = re.findall(r"\d+", PurePosixPath(name).stem)
+    return frame or (str(int(numbers[-1])) if numbers else None)
+
+
+def _by_key(
+    photographs: Sequence[FrameRow], thermals: Sequence[FrameRow], key: Callable[[FrameRow], str | None], why: str
+) -> tuple[Pairs, list[str]]:
+    """Pairs of images whose keys agree and are unique in their spectrum."""
+    keys = [[key(row) for row in rows] for rows in (photographs, thermals)]
+    counts = [Counter(found) for found in keys]
+    by_key = {name: row for name, row in zip(keys[1], thermals) if name is not None and counts[1][name] == 1}
+    pairs = [
+        (row, by_key[name])
+        for name, row in zip(keys[0], photographs)
+        if name is not None and counts[0][name] == 1 and name in by_key
+    ]
+    return pairs, [f"Paired because {why}{_clock_of(pairs)}."]
+
+
+def _clock_of(pairs: Pairs) -> str:
+    """How far the clocks differ in pairs that were found otherwise."""
+    differences = sorted(
+        two - one for photograph, thermal in pairs if (one := seconds(photograph)) and (two := seconds(thermal))
+    )
+    if not differences:
+        return ""
+    middle = differences[len(differences) // 2]
+    if abs(middle) < _EQUAL_CLOCKS:
+        return ""
+    return f"; the thermal clock is {_ahead(middle)}"
+
+
+def _by_time(photographs: Sequence[FrameRow], thermals: Sequence[FrameRow]) -> tuple[Pairs, list[str]]:
+    one, two = _timed(photographs), _timed(thermals)
+    if len(one) < 3 or len(two) < 3:
+        return [], []
+    found = find_clock_offset([time for time, _ in one], [time for time, _ in two])
+    pairs = [(row, two[partner][1]) for (_, row), partner in zip(one, found.partners) if partner >= 0]
+    sentences = [
+        f"Paired by time: the thermal clock is {_ahead(found.seconds)} (differences of pairs vary by "
+        f"{found.spread:.2f} s in the median)."
+    ]
+    sentences += [
+        f"Warning: near {one[place][1].file} a clock jumps by {change:+.1f} s. Images beyond it are paired with "
+        "that change: look at check/ whether that is right."
+        for place, change in found.jumps
+    ]
+    return pairs, sentences
+
+
+def _timed(rows: Sequence[FrameRow]) -> list[tuple[float, FrameRow]]:
+    timed = [(time, row) for row in rows if (time := seconds(row)) is not None]
+    return sorted(timed, key=lambda item: (item[0], item[1].file))
+
+
+def seconds(row: FrameRow) -> float | None:
+    """The time of an image [s] since 1970; times without a zone count as UTC. None where there is none."""
+    if row.time is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(row.time)
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def _ahead(difference: float) -> str:
+    if abs(difference) < _EQUAL_CLOCKS:
+        return "with that of the photographs"
+    return f"{abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} that of the photographs"
+
+
+def _by_order(photographs: Sequence[FrameRow], thermals: Sequence[FrameRow], *, asked: bool) -> tuple[Pairs, list[str]]:
+    """The first with the first and so on, by name; without being asked only for equally many of each."""
+    if len(photographs) != len(thermals) and not asked:
+        return [], []
+    order = [sorted(rows, key=_natural) for rows in (photographs, thermals)]
+    why = "as --by order asks" if asked else "because neither names nor numbers nor times agree"
+    return list(zip(*order)), [f"Paired by order alone, {why}: look at check/ whether that is right."]
+
+
+def _natural(row: FrameRow) -> list[tuple[int, str]]:
+    """Sorts IR_9 before IR_10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", row.source)]

@@ -1,0 +1,1 @@
+"""Poses of the photographs by structure from motion, with COLMAP."""

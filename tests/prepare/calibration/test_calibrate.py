@@ -1,0 +1,64 @@
+"""Lenses and rig from boards, against the cameras that the boards were drawn with."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from seen_boards import true_rig, write_boards
+from thermosplat.errors import UserError
+from thermosplat.prepare.calibration.boards import Board
+from thermosplat.prepare.calibration.calibrate import calibrate
+from thermosplat.prepare.calibration.calibration_file import read_calibration
+from thermosplat.prepare.capture_folder import CaptureFolder
+
+CHECKERBOARD = Board("checkerboard", 8, 6, 0.04)
+BOARDS = [CHECKERBOARD, Board("circles", 4, 9, 0.035), Board("charuco", 9, 6, 0.05, 0.038)]
+
+
+@pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.kind)
+def test_lenses_and_rig_are_those_of_the_cameras(board: Board, tmp_path: Path) -> None:
+    """Thermal focal length to 0.2%, rotation to 0.05°, translation to 1 mm; dark squares are warm."""
+    capture, truth = CaptureFolder(tmp_path / "capture"), true_rig()
+    rgb, thermal = write_boards(tmp_path / "boards", truth, board)
+    report = calibrate(capture, rgb, thermal, board)
+    found = read_calibration(capture.calibration_json)
+    assert found is not None
+    assert abs(found.thermal.params[0] / truth.thermal.params[0] - 1) < 0.002
+    assert abs(found.rgb.params[0] / truth.rgb.params[0] - 1) < 0.002
+    turn = cv2.Rodrigues(found.thermal_from_rgb[:3, :3] @ truth.thermal_from_rgb[:3, :3].T)[0]
+    assert np.degrees(np.linalg.norm(turn)) < 0.05
+    assert np.linalg.norm(found.thermal_from_rgb[:3, 3] - truth.thermal_from_rgb[:3, 3]) < 1e-3
+    assert cv2.imread(str(capture.check / "calibration.png")).shape[1] == 640
+    assert any("px in the thermal image" in sentence for sentence in report.sentences)
+
+
+def test_too_few_boards_are_counted(tmp_path: Path) -> None:
+    """Another board than was stated: none is found, and the sentence says what was looked for."""
+    rgb, thermal = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=3)
+    with pytest.raises(
+        UserError, match=r"in \d of 3 photographs, in \d thermal images, and in both of [1-3] pairs; at least 5"
+    ):
+        calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, CHECKERBOARD)
+    with pytest.raises(UserError, match=r"checkerboard of 11x9 was found in 0 of 3 photographs"):
+        calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, Board("checkerboard", 11, 9, 0.03))
+    assert not (tmp_path / "capture" / "calibration.json").exists()
+
+
+def test_folders_must_go_together(tmp_path: Path) -> None:
+    """One thermal image is missing."""
+    rgb, thermal = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=2)
+    (thermal / "01.png").unlink()
+    with pytest.raises(UserError, match=r"has 2 images and .* has 1"):
+        calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, CHECKERBOARD)
+
+
+def test_damaged_calibration_is_refused(tmp_path: Path) -> None:
+    """A sentence, never a traceback."""
+    path = tmp_path / "calibration.json"
+    assert read_calibration(path) is None
+    for content in ("no json", "[]", '{"rgb": {}, "thermal": {}, "thermal_from_rgb": []}'):
+        path.write_text(content)
+        with pytest.raises(UserError, match="is damaged"):
+            read_calibration(path)

@@ -1,0 +1,176 @@
+"""The check of a capture: what it says of good and of bad images, and the page."""
+
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from camera_folders import centikelvin, scene, write_photograph, write_two_cameras, write_values
+from thermosplat.datasets.images.image_files import read_image
+from thermosplat.errors import UserError
+from thermosplat.prepare.capture_folder import CaptureFolder
+from thermosplat.prepare.checking.check import PAGE, SHEET, check, estimate_of, recommend
+from thermosplat.prepare.checking.findings import (
+    Finding,
+    count_dead_pixels,
+    level_drift,
+    msx_findings,
+    texture_findings,
+    thermal_findings,
+)
+from thermosplat.prepare.importing.import_files import import_files
+from thermosplat.prepare.pairing.pairing import pair_frames
+from thermosplat.runs.atomic_writes import write_bytes
+
+RNG = np.random.default_rng(7)
+WORLD = cv2.resize(RNG.integers(0, 255, (160, 420, 3), np.uint8), (1680, 640), interpolation=cv2.INTER_CUBIC)
+"""A wide textured picture, of which photographs are parts."""
+
+
+def warnings(findings: list[Finding]) -> str:
+    return " ".join(one.sentence for one in findings if one.level == "warning")
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> CaptureFolder:
+    capture = CaptureFolder(tmp_path / "shed <b>")
+    import_files(write_two_cameras(tmp_path / "in"), capture)
+    return capture
+
+
+class Pictures(HTMLParser):
+    """Collects the pictures and the addresses of a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sources: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
+
+
+def test_page_and_sheet(capture: CaptureFolder) -> None:
+    """One page that needs no other file, names escaped, and one PNG; done once."""
+    pair_frames(capture)
+    report = check(capture)
+    assert "6 RGB images of 96x72 px." in report.sentences
+    assert "6 pairs." in report.sentences
+    page = (capture.check / PAGE).read_text()
+    pictures = Pictures()
+    pictures.feed(page)
+    assert len(pictures.sources) == 6
+    assert all(source.startswith("data:image/jpeg;base64,") for source in pictures.sources)
+    assert "<b>" not in page
+    sheet = read_image(capture.check / SHEET)
+    assert sheet.shape[1] > 3 * 320
+    assert sheet.shape[0] > 6 * 200
+    assert check(capture).before
+
+
+def test_before_pairing(capture: CaptureFolder) -> None:
+    """The check says what to do first; before an import it is an error."""
+    said = " ".join(check(capture).sentences)
+    assert "! No pairs yet: thermosplat-prepare pair" in said
+    assert "No camera poses yet: thermosplat-prepare sfm" in said
+    with pytest.raises(UserError, match="thermosplat-prepare import FOLDER"):
+        check(CaptureFolder(capture.root / "none"))
+
+
+def test_a_folder_full_of_trouble(tmp_path: Path) -> None:
+    """A closed shutter and plain photographs are named."""
+    for number in range(1, 7):
+        blank = number == 3
+        write_values(
+            tmp_path / f"IR_{number}.tiff", np.full((36, 48), 29_315, np.uint16) if blank else centikelvin(number)
+        )
+        write_photograph(tmp_path / f"VIS_{number}.jpg", number)
+    capture = CaptureFolder(tmp_path / "out")
+    import_files(tmp_path, capture)
+    said = " ".join(check(capture).sentences)
+    assert "1 of 6 thermal images has one value everywhere (first: IR_3.png)" in said
+    assert "6 of 6 photographs have hardly any texture" in said
+    assert "things will probably go wrong" in said
+
+
+def test_estimate() -> None:
+    """It counts the warnings."""
+    fact, warning = Finding("fact", ""), Finding("warning", "")
+    assert "speaks against" in estimate_of([fact])
+    assert estimate_of([fact, warning]).startswith("One thing")
+    assert estimate_of([warning, warning]).startswith("2 things")
+
+
+def test_dead_pixels() -> None:
+    """Only pixels that stick out in nearly all images."""
+    images = [scene(number, 48, 36)[..., 1].astype(np.uint16) * 10 + 30_000 for number in range(10)]
+    assert count_dead_pixels(images) == 0
+    for image in images:
+        image[5, 7] = 65_000
+    images[3][9, 9] = 0  # once is noise
+    assert count_dead_pixels(images) == 1
+    findings = thermal_findings({str(number): image for number, image in enumerate(images)}, "counts")
+    assert "1 thermal pixel differs" in warnings(findings)
+
+
+def test_drift() -> None:
+    """Levels that vary more than the scene are said, with the flag that helps; a steady sensor is not."""
+    base = 20 + 3 * scene(1, 48, 36)[..., 0].astype(np.float32) / 255
+    steady = {str(number): base + 0.01 * number for number in range(8)}
+    drifting = {str(number): base + 2 * number for number in range(8)}
+    assert level_drift(list(steady.values()))[0] < 0.1
+    assert warnings(thermal_findings(steady, "°C")) == ""
+    assert "--thermal.exposure level" in warnings(thermal_findings(drifting, "°C"))
+
+
+def test_unusual_temperatures() -> None:
+    """They ask whether the unit is right."""
+    image = np.linspace(2000, 3000, 100, dtype=np.float32).reshape(10, 10)
+    assert "Is the unit right?" in warnings(thermal_findings({"a": image}, "°C"))
+
+
+def test_overlap() -> None:
+    """Neighbours that share most of their view overlap; a photograph of another place does not."""
+    walk = {f"{x}": WORLD[:, x : x + 640] for x in range(0, 1000, 120)}
+    assert warnings(texture_findings(walk)) == ""
+    other = cv2.resize(RNG.integers(0, 255, (160, 160, 3), np.uint8), (640, 640), interpolation=cv2.INTER_CUBIC)
+    assert "1 of 10 photographs shows nothing of their neighbours' (first: elsewhere)" in warnings(
+        texture_findings({**walk, "elsewhere": other})
+    )
+
+
+def test_texture() -> None:
+    """A plain photograph is named."""
+    walk = {f"{x}": WORLD[:, x : x + 640] for x in range(0, 600, 120)}
+    findings = texture_findings({**walk, "wall": np.full((640, 640, 3), 180, np.uint8)})
+    assert "1 of 6 photographs has hardly any texture (first: wall)" in warnings(findings)
+
+
+def test_msx() -> None:
+    """Thermal pictures with the photographs' edges, at another size."""
+    photographs = [WORLD[:, x : x + 640] for x in range(0, 400, 100)]
+    flat = np.full((320, 320, 3), 90, np.uint8)
+    engraved = [
+        (
+            photograph,
+            np.clip(flat + 0.5 * (cv2.resize(photograph, (320, 320)).astype(float) - 128), 0, 255).astype(np.uint8),
+        )
+        for photograph in photographs
+    ]
+    assert "MSX is probably on" in warnings(msx_findings(engraved))
+    assert msx_findings([(photograph, flat) for photograph in photographs]) == []
+
+
+def test_recommendations(capture: CaptureFolder) -> None:
+    """Drift asks for levels; a registered camera is precise enough, so nothing is refined unasked."""
+    recommend(capture, [])
+    assert not capture.train_yaml.exists()
+    write_bytes(capture.marker("register"), b"{}")
+    drift = Finding("warning", "", {"spectra": {"thermal": {"exposure": "level"}}})
+    recommend(capture, [drift])
+    settings = yaml.safe_load(capture.train_yaml.read_text())
+    assert settings == {"spectra": {"thermal": {"exposure": "level"}}}
+    recommend(capture, [])
+    assert not capture.train_yaml.exists()
