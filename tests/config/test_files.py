@@ -164,7 +164,7 @@ def test_presets_are_found_in_a_wheel(tmp_path: Path, monkeypatch: pytest.Monkey
         ("base: 7\n", "base must be the name of a preset"),
         ("base: mine.yaml\n", "is its own base"),
         ("base: 3dsg\n", 'neither a preset nor a YAML file (did you mean "3dgs"?)'),
-        ("sh_degree: 5\n", "sh_degree must be at most 3, found 5"),
+        ("sh_degree: 5\n", "sh_degree must be at most 4, found 5"),
     ],
 )
 def test_mistake_names_file_and_key(text: str, expected: str, tmp_path: Path) -> None:

@@ -116,16 +116,27 @@ def test_views_of_frames_that_did_not_train(capture: Capture) -> None:
 def test_only_what_is_refined_is_learnt(capture: Capture) -> None:
     """The names are those of the learning rates; gradients reach these parameters and no others."""
     assert list(corrections_of(capture, "poses").learnt()) == ["poses"]
-    corrections = corrections_of(capture, "rig", "intrinsics")
+    assert not corrections_of(capture, "rig", "intrinsics").learnt()  # the thermal camera is registered
+    corrections = corrections_of(capture, "rig", "intrinsics", "distortion")
     assert list(corrections.learnt()) == ["cameras"]
     views = corrections(tensors_of(capture, 1)).views
-    sum((view.viewmat.sum() + view.K.sum()) for view in views.values()).backward()  # type: ignore[union-attr]
+    sum((view.viewmat.sum() + view.K.sum() + view.distortion.sum()) for view in views.values()).backward()  # type: ignore[union-attr]
     assert corrections.cameras.grad is not None
-    assert corrections.cameras.grad[1, :7].abs().min() > 0
     assert not corrections.cameras.grad[0, :6].any()  # the first camera of the rig
     assert corrections.cameras.grad[0, 6] == 0  # nor does it zoom
-    assert not corrections.cameras.grad[:, 7:].any()  # no distortion
+    assert corrections.cameras.grad[0, 7:].abs().min() > 0
+    assert not corrections.cameras.grad[1].any()
     assert corrections.poses.grad is None
+
+
+def test_cameras_of_other_spectra_are_registered(capture: Capture) -> None:
+    """Those with something to find; the first spectrum's are learnt by gradients."""
+    assert corrections_of(capture, "poses").registered == ()
+    corrections = corrections_of(capture, "rig", "intrinsics")
+    assert corrections.registered == (1,)
+    assert list(corrections.free_coordinates(1)) == list(range(7))
+    assert list(corrections.frames_of(1)) == [0, 1, 2, 3]
+    assert list(corrections_of(capture, "distortion").free_coordinates(1)) == [7, 8]
 
 
 def test_the_only_spectrum_zooms(capture: Capture) -> None:

@@ -1,9 +1,14 @@
 """Small motions of cameras: proper rotations, rigid motions, lenses, and what is then seen."""
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pycolmap
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.refinement.camera_motion import (
@@ -70,3 +75,33 @@ def test_points_are_seen_where_colmap_sees_them(view: ViewTensors) -> None:
     lens = pycolmap.Camera(model="OPENCV", params=[33.0, 30.8, 20.0, 15.5, -0.1, 0.04, 0, 0], width=40, height=31)
     local = points @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
     np.testing.assert_allclose(seen_points(bent, points), lens.img_from_cam(local.numpy()), rtol=1e-9)
+
+
+class OneDevice(TorchDispatchMode):
+    """Fails where an operation makes a tensor on another device than the one that all is to stay on."""
+
+    def __init__(self, device: str) -> None:
+        super().__init__()
+        self.device = torch.device(device)
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """Do the operation, and look where its result lies."""
+        made = func(*args, **(kwargs or {}))
+        assert not isinstance(made, torch.Tensor) or made.device == self.device, f"{func} makes a tensor elsewhere"
+        return made
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda view, motion: moved_camera(view, motion, EXTENT),
+        lambda view, motion: moved_frame({"rgb": view}, motion, motion[3:], EXTENT),
+        lambda view, motion: with_focal_factor(view, motion[0]),
+    ],
+)
+def test_nothing_is_copied_to_the_device(view: ViewTensors, change: Callable[..., Any]) -> None:
+    """A step that is captured in a CUDA graph can copy nothing from the host."""
+    there = replace(view, viewmat=view.viewmat.to("meta"), K=view.K.to("meta"))
+    motion = MOTION.to("meta")
+    with OneDevice("meta"):
+        change(there, motion)

@@ -324,3 +324,24 @@ def test_scalars_alone() -> None:
     rendered = render(model, toy_frame(capture))
     assert all(image.min() >= 0 and image.max() <= 1 for image in rendered.images.values())
     assert [info["spectra"] for info in rendered.infos["shared"]] == [("thermal",), ("nir",)]
+
+
+@pytest.mark.parametrize("feature_dim", [8, 0])
+def test_spectra_that_do_not_shape_the_scene(feature_dim: int) -> None:
+    """Their images are the same; their colours learn, geometry does not, and density control sees no call of theirs."""
+    capture = toy_capture(aligned=False)
+    frame, model = toy_frame(capture), toy_model(toy_config(feature_dim=feature_dim), capture)
+    free, held = (render(model, frame, shared_cameras=APART, shaped_by=by) for by in (None, ("rgb",)))
+    assert [info["spectra"] for info in held.infos["shared"]] == [("rgb",)]
+    for name, image in free.images.items():
+        assert torch.equal(held.images[name], image)
+    geometry = ("means", "quats", "log_scales", "logit_opacities", "thermal_opacity_offsets")
+    reached = largest_gradients(model, free.images["thermal"].square().sum())
+    assert all(reached[f"gaussian_sets.shared.{name}"] > 0 for name in geometry)
+    held = render(model, frame, shared_cameras=APART, shaped_by=("rgb",))
+    reached = largest_gradients(model, held.images["thermal"].square().sum())
+    assert not any(reached[f"gaussian_sets.shared.{name}"] for name in geometry)
+    colors = "features" if feature_dim else "thermal_sh0"
+    assert reached[f"gaussian_sets.shared.{colors}"] > 0
+    reached = largest_gradients(model, held.images["rgb"].square().sum())
+    assert reached["gaussian_sets.shared.means"] > 0

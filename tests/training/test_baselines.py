@@ -67,7 +67,7 @@ def test_baseline_learns(name: str, tmp_path: Path, capture: Capture) -> None:
     """Thirty steps of each spectrum improve both images, with Gaussians added on the way."""
     trainer = Trainer(short(name, 30), capture, RunDirectory.create(tmp_path))
     count = trainer.model.num_gaussians
-    before = trainer._evaluate().metrics
+    before = trainer.results.evaluate().metrics
     after = trainer.train()
     assert after["rgb"]["psnr"] > before["rgb"]["psnr"] + 1.0
     assert after["thermal"]["psnr"] > before["thermal"]["psnr"] + 1.0

@@ -19,6 +19,15 @@ SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0}
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "shared": ({}, {}),
     "shared, two cameras": ({}, {"aligned": False}),
+    "shared, cameras that are refined": (
+        {
+            "refine": ("poses", "rig", "intrinsics", "distortion"),
+            "refine_from": 2,
+            "refine_every": 8,
+            "refine_first": 0.25,
+        },
+        {"aligned": False},
+    ),
     "separate, scalar thermal": ({"model": SEPARATE}, {"thermal_kind": "scalar"}),
     "shared, spherical harmonics of either spectrum": (
         {"model": {"feature_dim": 0}, "spectra": {"thermal": {"opacity": "own"}}},
@@ -69,7 +78,7 @@ def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str)
     assert trainer.guard.first_bad() is None
     counts = {name: len(gaussians) for name, gaussians in trainer.state.gaussian_sets.items()}
     assert all(strategy.grad_norm_sum.shape == (counts[name],) for name, strategy in trainer.state.strategies.items())
-    metrics = trainer._evaluate().metrics
+    metrics = trainer.results.evaluate().metrics
     assert metrics["spectra"] == list(trainer.model.spectra)
     assert all(metrics[name]["psnr"] > 5 for name in metrics["spectra"])
 

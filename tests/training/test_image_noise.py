@@ -48,6 +48,18 @@ def test_noise_of_stripes(along: int) -> None:
     assert noise.total == pytest.approx((noise.stripes**2 + noise.pixels**2) ** 0.5)
 
 
+def test_texture_counts_for_little_where_the_scene_is_plain() -> None:
+    """A sixth of the image is a fine pattern, which the mean of the responses takes for noise."""
+    torch.manual_seed(0)
+    image = scene() + 0.03 * torch.randn(HEIGHT, WIDTH, 3)
+    y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH // 6), indexing="ij")
+    image[:, : WIDTH // 6] += 0.4 * ((x // 2 + y // 2) % 2)[..., None]
+    noise = image_noise(image)
+    assert noise.pixels > 1.5 * 0.03
+    assert noise.plain < 1.3 * 0.03
+    assert image_noise(scene() + 0.03 * torch.randn(HEIGHT, WIDTH, 3)).plain == pytest.approx(0.03, rel=0.05)
+
+
 def test_a_clean_image_has_none() -> None:
     """Edges of a scene count for next to nothing."""
     assert image_noise(scene()).total < 1.5e-3

@@ -74,7 +74,7 @@ def test_three_spectra_learn(tmp_path: Path, model: dict[str, Any], nir: dict[st
     trainer = toy_trainer(
         tmp_path, config, smooth(toy_capture(others=("nir",), aligned=aligned, thermal_kind="scalar"))
     )
-    before, after = trainer._evaluate().metrics, trainer.train()
+    before, after = trainer.results.evaluate().metrics, trainer.train()
     for name in THREE:
         assert after[name]["psnr"] > before[name]["psnr"] + 1.0, name
     assert after["nir"]["mae_reflectance"] < 0.5 * before["nir"]["mae_reflectance"]

@@ -1,23 +1,19 @@
 """Cameras improve while training: rig, lenses and poses come back, and everything of a run knows of them."""
 
-import dataclasses
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pycolmap
 import pytest
 import torch
 
-from rendered_capture import rendered_capture, trained_on_the_true_scene
-from thermosplat.config import Refined
+from rendered_capture import disturbed, relief_capture, rendered_capture, trained_on_the_true_scene
+from thermosplat.config import DensificationConfig, Refined
 from thermosplat.config.checks import check_config
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import load_run
-from thermosplat.refinement.camera_motion import rigid_motion
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -25,25 +21,14 @@ from toy_scene import toy_capture
 EVERY: tuple[Refined, ...] = ("poses", "rig", "intrinsics", "distortion")
 
 
-def disturbed(capture: Capture, motion: torch.Tensor, focal: float) -> Capture:
-    """The capture with its thermal cameras moved in their own axes, and their focal lengths multiplied."""
-    matrix = rigid_motion(motion.double(), capture.scene_extent).numpy()
-
-    def wrong(frame: Any) -> Any:
-        view = frame.views["thermal"]
-        camera = dataclasses.replace(view.camera, fx=focal * view.camera.fx, fy=focal * view.camera.fy)
-        moved = dataclasses.replace(view, viewmat=matrix @ view.viewmat, camera=camera)
-        return dataclasses.replace(frame, views=frame.views | {"thermal": moved})
-
-    return dataclasses.replace(capture, train=tuple(map(wrong, capture.train)), test=tuple(map(wrong, capture.test)))
-
-
 def test_a_wrong_rig_and_focal_length_come_back(tmp_path: Path) -> None:
     """On the true scene, which is held, the thermal camera returns to where its images were taken from."""
-    capture, scene = rendered_capture()
+    capture, scene = relief_capture()
     off = disturbed(capture, torch.tensor([0.02, -0.01, 0.015, 0.01, -0.01, 0.01]), focal=1.03)
-    config = toy_run_config(150, refine=("rig", "intrinsics"), refine_from=0, spectra={"thermal": {"smoothness": 0.0}})
-    trainer = trained_on_the_true_scene(tmp_path, config, off, scene, cameras_lr=0.1)
+    config = toy_run_config(
+        24, refine=("rig", "intrinsics"), refine_from=0, refine_every=1, refine_first=1.0, log_every=100
+    )
+    trainer = trained_on_the_true_scene(tmp_path, config, off, scene)
     found = trainer.corrected_capture()
     for before, after, true in zip(off.train, found.train, capture.train, strict=True):
         views = [frame.views["thermal"] for frame in (before, after, true)]
@@ -53,12 +38,61 @@ def test_a_wrong_rig_and_focal_length_come_back(tmp_path: Path) -> None:
         assert after.views["rgb"].viewmat == pytest.approx(true.views["rgb"].viewmat)
 
 
-@pytest.mark.parametrize(("refine", "held"), [(("rig",), 4), (("poses", "distortion"), 4), (("poses",), 0), ((), 0)])
-def test_spectra_have_one_opacity_while_their_cameras_come_together(
+def test_rounds_come_first(tmp_path: Path) -> None:
+    """In two passes, cameras move every ``refine_every`` steps after ``refine_from``; then all steps follow."""
+    capture, _ = relief_capture(times=2)
+    held = DensificationConfig(enabled=False)  # a reset would hide the scene
+    config = toy_run_config(12, refine=("rig",), refine_from=2, refine_every=2, refine_first=0.7, densification=held)
+    trainer = toy_trainer(tmp_path, config, capture)
+    corrections = trainer.state.corrections
+    assert corrections is not None
+    moved, steps = [], []
+    while trainer.step < config.max_steps:
+        before = corrections.cameras.detach().clone()
+        trainer._train_step()
+        steps.append(trainer.step)
+        if not torch.equal(before, corrections.cameras):
+            moved.append(len(steps))
+    assert moved == [4, 6, 8, 9 + 6, 9 + 8]
+    assert steps == [*range(1, 9), *range(9), *range(13)]
+
+
+def test_the_scene_starts_anew_with_the_cameras_that_were_found(tmp_path: Path) -> None:
+    """Its steps are, to the bit, those of a run that had these cameras from the beginning; the next sitting, too."""
+    capture, _ = rendered_capture()
+    config = toy_run_config(
+        6,
+        refine=("rig", "intrinsics"),
+        refine_from=0,
+        refine_every=1,
+        refine_first=0.5,
+        spectra={"thermal": {"exposure": "affine"}},
+    )
+    trainer = toy_trainer(tmp_path / "whole", config, capture)
+    for _ in range(6):
+        trainer._train_step()
+    corrections = trainer.state.corrections
+    assert corrections is not None
+    assert corrections.cameras.any()
+    assert (trainer.step, trainer.state.finds_cameras) == (0, False)
+    again = toy_trainer(tmp_path / "again", config, capture)
+    assert again.state.corrections is not None
+    again.state.corrections.load_state_dict(corrections.state_dict())
+    again.state.camera_passes = 0
+    resumed = Trainer.resume(config, capture, trainer.run)
+    for each in (trainer, again, resumed):
+        while each.step < 5:
+            each._train_step()
+    assert_same_state(state_tensors(trainer), state_tensors(again))
+    assert_same_state(state_tensors(resumed), state_tensors(again))
+
+
+@pytest.mark.parametrize(("refine", "held"), [(("rig",), 8), (("poses", "distortion"), 8), (("poses",), 0), ((), 0)])
+def test_spectra_have_one_opacity_while_their_cameras_are_found(
     tmp_path: Path, refine: tuple[Refined, ...], held: int
 ) -> None:
-    """Where it is the rig or a lens that is corrected, offsets stay zero for their share of the steps."""
-    config = toy_run_config(10, refine=refine, refine_from=1, refine_together=0.4)
+    """Where it is the rig or a lens that is corrected, offsets stay zero while they are found."""
+    config = toy_run_config(10, refine=refine, refine_from=1, refine_every=1, refine_first=0.4)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(aligned=False)))
     offsets_kept = []
     while trainer.step < config.max_steps:
@@ -68,11 +102,11 @@ def test_spectra_have_one_opacity_while_their_cameras_come_together(
     assert offsets_kept[held] > 0.9
 
 
-@pytest.mark.parametrize("budget", ["fixed", "auto"])
-def test_a_run_that_refines_everything(tmp_path: Path, budget: str) -> None:
+@pytest.mark.parametrize(("budget", "steps"), [("fixed", 2), ("auto", 9)])
+def test_a_run_that_refines_everything(tmp_path: Path, budget: str, steps: int) -> None:
     """It trains, says what it changed, writes the cameras, and every later command sees them; so does a resumed run."""
     capture, _ = rendered_capture()
-    config = toy_run_config(12, refine=EVERY, refine_from=3, budget=budget)
+    config = toy_run_config(12, refine=EVERY, refine_from=1, refine_every=1, refine_first=0.25, budget=budget)
     trainer = toy_trainer(tmp_path / "whole", config, capture)
     metrics = trainer.train()
     corrections = trainer.state.corrections
@@ -85,22 +119,24 @@ def test_a_run_that_refines_everything(tmp_path: Path, budget: str) -> None:
     assert len(model.images) == 2 * (len(capture.train) + len(capture.test))
 
     half = toy_trainer(tmp_path / "half", config, capture)
-    while half.step < 5:
+    for _ in range(steps):
         half._train_step()
     half._save()
     resumed = Trainer.resume(config, capture, half.run)
-    while resumed.step < 12:
-        resumed._train_step()
     again = toy_trainer(tmp_path / "again", config, capture)
-    while again.step < 12:
-        again._train_step()
+    for each in (resumed, again):
+        while each.step < 12:
+            each._train_step()
     assert_same_state(state_tensors(resumed), state_tensors(again))
 
 
 def test_a_loaded_run_has_the_corrected_capture(tmp_path: Path) -> None:
     """thermosplat-eval, -render and viewers take the cameras that training found; of another capture, its own."""
     run = tmp_path / "run"
-    config = toy_run_config(4, refine=("poses", "rig", "intrinsics"), refine_from=0, data="sample", data_factor=8)
+    refine: tuple[Refined, ...] = ("poses", "rig", "intrinsics")
+    config = toy_run_config(
+        4, refine=refine, refine_from=0, refine_every=1, refine_first=0.5, data="sample", data_factor=8
+    )
     capture = load_capture("sample", data_factor=8)
     trainer = toy_trainer(run, config, capture)
     while trainer.step < 4:
@@ -128,3 +164,12 @@ def test_a_rig_needs_two_cameras() -> None:
     """A clear sentence for one spectrum alone."""
     with pytest.raises(UserError, match="--refine rig corrects how cameras stand to each other, and one spectrum"):
         check_config(toy_run_config(refine=("rig",), without=("thermal",)))
+
+
+def test_passes_need_a_round() -> None:
+    """A run that is too short to find cameras says so, and not one that refines poses alone, or starts with them."""
+    with pytest.raises(UserError, match=r"finds cameras in passes of 100 steps .* would begin at step 550"):
+        check_config(toy_run_config(1000, refine=("rig",)))
+    check_config(toy_run_config(1000, refine=("poses",)))
+    check_config(toy_run_config(1000, refine=("rig",), refine_first=0.0))
+    check_config(toy_run_config(1000, refine=("distortion",), without=("thermal",)))

@@ -24,7 +24,7 @@ from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.training import trainer as trainer_module
 from thermosplat.training import training_step
-from thermosplat.training.session import checkpoint_writer
+from thermosplat.training.session import checkpoint_writer, run_results
 from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer, without
@@ -137,7 +137,7 @@ def test_training_learns(tmp_path: Path, capture: Capture) -> None:
     )
     capture = dataclasses.replace(capture, train=capture.train[:1], test=capture.train[:1])
     trainer = toy_trainer(tmp_path, config, capture)
-    before = trainer._evaluate().metrics
+    before = trainer.results.evaluate().metrics
     after = trainer.train()
     assert after["rgb"]["psnr"] > before["rgb"]["psnr"] + 1.0
     assert after["thermal"]["psnr"] > before["thermal"]["psnr"] + 0.5
@@ -150,7 +150,7 @@ def test_interrupt_between_updates(
     """Ctrl-C while a step or an evaluation is being computed saves the last whole step, and nothing differs after."""
     config = toy_run_config(eval_steps=(4,))
     trainer = toy_trainer(tmp_path, config, capture)
-    owner = {"render": trainer.model, "compare_frame": training_step, "evaluate_refined": trainer_module}[place]
+    owner = {"render": trainer.model, "compare_frame": training_step, "evaluate_refined": run_results}[place]
     genuine: Callable[..., Any] = getattr(owner, place)
 
     def interrupted(*args: object, **kwargs: object) -> object:
@@ -340,8 +340,8 @@ def test_the_last_checkpoint_is_written_before_anything_else(
         assert not any(trainer.run.ply.iterdir())
         raise NotWrittenError("Could not write renders/a.png: No space left on device.")
 
-    monkeypatch.setattr(trainer_module, "evaluate_refined", evaluate)
-    monkeypatch.setattr(trainer, "_exporting", lambda: lambda: None)
+    monkeypatch.setattr(run_results, "evaluate_refined", evaluate)
+    monkeypatch.setattr(trainer.results, "exporting", lambda: lambda: None)
     with pytest.raises(UserError, match=r"renders/a\.png: No space left.* saved: .*step_000012\.pt"):
         trainer.train()
     assert_same_state(state_tensors(Trainer.resume(toy_run_config(), capture, trainer.run)), whole_run[12])
@@ -526,3 +526,15 @@ def test_decoder_precision_reaches_the_step(tmp_path: Path, capture: Capture) ->
     assert torch.equal(states["float32"], states["tf32"])
     assert not torch.equal(states["float32"], states["bfloat16"])
     assert (states["float32"] - states["bfloat16"]).abs().max() < 0.02
+
+
+def test_degree_4_trains_and_is_saved(tmp_path: Path) -> None:
+    """Its coefficients exist from the start, move once the degree is in use, and are in the checkpoint."""
+    config = toy_run_config(6, sh_degree=4, sh_degree_interval=1)
+    trainer = toy_trainer(tmp_path / "run", config, many_frames(toy_capture()))
+    trainer.train()
+    (higher,) = [value for name, value in trainer.model.named_parameters() if name.endswith("shN")]
+    assert higher.shape[1:] == (24, 3)
+    assert higher[:, 15:].abs().sum() > 0
+    saved = load_checkpoint(trainer.run.latest_checkpoint())
+    assert saved.sh_degree == 4

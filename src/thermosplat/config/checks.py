@@ -14,12 +14,14 @@ from warp_kernels.constants import SH_DEGREE_MAX
 
 _AT_LEAST: dict[str, float] = {
     "max_steps": 1,
+    "batch_size": 1,
     "data_factor": 1,
     "test_every": 2,
     "sh_degree": 0,
     "sh_degree_interval": 1,
     "log_every": 1,
     "refine_from": 0,
+    "refine_every": 1,
     "seed": 0,
     "model.feature_dim": 0,
     "model.feature_noise": 0,
@@ -35,6 +37,7 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.feature_change": 0,
     "auto_budget.sh_change": 0,
     "auto_budget.rounding_change": 0,
+    "auto_budget.noise_floor": 0,
     "auto_budget.measured_views": 1,
     "auto_budget.validation_views": 0,
     "auto_budget.validate_every": 1,
@@ -57,11 +60,12 @@ _LARGEST_INTEGER = 2**63 - 1
 _SHARES = (
     "loss.ssim_lambda",
     "loss.depth_spread_from",
-    "refine_together",
+    "refine_first",
     "densification.prune_opacity",
     "densification.keep_opacity",
 )
 _POSITIVE = (
+    "image_memory",
     "model.init_scale",
     "optimizer.eps",
     "optimizer.means_lr_final",
@@ -109,7 +113,7 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         if not 0 <= values[key] <= 1:
             raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
     for key in _POSITIVE:
-        if not values[key] > 0:
+        if values[key] is not None and not values[key] > 0:
             raise UserError(f"{name(key)} must be positive, found {values[key]}.")
     for key, value in values.items():
         if key.startswith(("loss.", "optimizer.")) and value < 0:
@@ -131,11 +135,26 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         )
     if "rig" in config.refine and len(config.modelled) < 2:
         raise UserError(f"{name('refine')} rig corrects how cameras stand to each other, and one spectrum is modelled.")
+    _check_camera_passes(config, name)
     _check_decomposition(config, name)
     _check_mcmc(config, name)
     if not all(0 < share < 1 for share in config.auto_budget.prune_at):
         shares = config.auto_budget.prune_at
         raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
+
+
+def _check_camera_passes(config: TrainConfig, name: Any) -> None:
+    """Passes that find cameras must be long enough for a round."""
+    between_cameras = [kind for kind in config.refine if kind != "poses"]
+    steps = config.refine_first * config.max_steps
+    if not between_cameras or len(config.modelled) < 2 or not 0 < steps < config.refine_from + config.refine_every:
+        return
+    raise UserError(
+        f"{name('refine')} {' '.join(between_cameras)} finds cameras in passes of {steps:,.0f} steps "
+        f"({name('refine_first')} {config.refine_first:g} of {config.max_steps:,}), and would begin at step "
+        f"{config.refine_from + config.refine_every:,}.",
+        f"Lower {name('refine_from')} and {name('refine_every')}, or raise {name('refine_first')}.",
+    )
 
 
 def _check_model(config: TrainConfig, name: Any) -> None:

@@ -11,6 +11,7 @@ from typing import Literal
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
 Refined = Literal["poses", "rig", "intrinsics", "distortion"]
+LensUse = Literal["undistort", "direct"]
 
 
 @dataclass(frozen=True)
@@ -220,6 +221,10 @@ class AutoBudgetConfig:
     """Largest such change by parameters that are rounded to float16 at the end: 0.01 dB. 0: none are. Open choice."""
     measured_views: int = 12
     """Training views, spread over all, whose change is looked at: a bisection renders them ten times. Open choice."""
+    noise_floor: float = 1.0
+    """A training view whose squared error in a spectrum is below this share of the variance of that spectrum's noise
+    (median over training images, Immerkaer 1996 by medians) has no gradient in it in that step: what is left of its
+    error is noise, which no other view has. 0: every view has one. Open choice; benchmarks/records/low-light.md."""
     validation_views: int = 2
     """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
     ends with ``densification.stop_step`` or the first pruning. None where that would be over a tenth. Open choice."""
@@ -245,12 +250,23 @@ class TrainConfig:
     max_steps: int = 30_000
     """Training steps, one frame (all its spectra) each. Other schedules (densification, SH degree) are not rescaled
     when this changes, as in gsplat. ThermoSplat, 3DGS."""
+    batch_size: int | None = None
+    """Frames of a step, whatever the number of devices. None: one for each device. All numbers of steps here are for
+    steps of one frame and are divided by it, so that as many images are seen; learning rates are multiplied by its
+    square root (docs/scaling.md). Grendel (Zhao et al. 2024)."""
     data_factor: int = 1
     """Divide the images' width and height by this."""
+    lens: LensUse = "undistort"
+    """What is done about distorted lenses: "undistort" resamples their images to pinhole images; "direct" leaves images
+    as they were taken, for training and evaluation, and renders through the lens."""
+    image_memory: float | None = None
+    """Most of the host's memory that images take [GB]. The images of a capture that needs more stay on the disk; other
+    processes read them while steps run, and what was undistorted is kept in the result folder until the training ends
+    (docs/scaling.md). Numbers do not depend on it. None: half of the memory there is. Open choice."""
     test_every: int = 8
     """Every n-th frame is held out, unless the capture's folders say which are. 3DGS, RGBT-Scenes."""
     sh_degree: int = 3
-    """Highest degree of the spherical harmonics. 3DGS."""
+    """Highest degree of the spherical harmonics, 0 to 4. 3DGS (3)."""
     sh_degree_interval: int = 1000
     """Steps after which one more SH degree is used. 3DGS."""
     device: str = "auto"
@@ -293,13 +309,18 @@ class TrainConfig:
     refine: tuple[Refined, ...] = ()
     """What of the cameras is corrected while training: the "poses" of the frames; the "rig", how the cameras of the
     spectra stand to the first one; "intrinsics", the focal lengths of these cameras, or of the only spectrum's;
-    "distortion", what undistorting the images has left. Held-out frames take over what all have in common; their poses
-    are found on the finished scene."""
+    "distortion", what undistorting the images has left, or with --lens direct the lens itself. Held-out frames take
+    over what all have in common; their poses are found on the finished scene. "intrinsics" goes with --lens direct:
+    images that were undistorted with a wrong focal length stay wrong towards the corners."""
     refine_from: int = 500
     """Steps before cameras are corrected: as long as there is no scene, images say little of them. Open choice."""
-    refine_together: float = 0.4
-    """Share of the steps in which opacity offsets stay zero where rig, focal lengths or distortion are corrected. A
-    spectrum with geometry of its own makes up for a wrong camera by a scene that is shifted or scaled. Open choice."""
+    refine_every: int = 50
+    """Steps between two rounds that register the cameras of the other spectra to the scene (rig, focal lengths,
+    distortion). Open choice."""
+    refine_first: float = 0.1
+    """Where rig, focal lengths or distortion are corrected: two passes of this share of the steps come first. They find
+    these cameras on a scene that the first spectrum alone shapes. Then it starts anew with them. Open choice: at 30,000
+    steps a pass ends before the first reset of opacities."""
     without: tuple[str, ...] = ()
     """Spectra that are left out: --without thermal trains on the others alone."""
     spectra: dict[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))

@@ -8,9 +8,12 @@ Four things may be corrected (``--refine``), each from zero:
 - intrinsics: one factor per camera on its focal lengths. Where there are several spectra, the cameras of the first keep
   theirs, which were found with the poses from points that many images share. A longer focal length and a smaller scene
   look alike to cameras that stand around it, so the scene would drift.
-- distortion: k1 and k2 of COLMAP's RADIAL model per camera, of what undistorting left (scene/lens_distortion.py).
+- distortion: k1 and k2 of COLMAP's RADIAL model per camera, of what undistorting left (scene/lens_distortion.py). Of
+  images that are as they were taken, what is added to the lens's own k1 and k2, through which the renderer projects.
 
-What is learnt are coordinates in which all of it moves the images equally far (preconditioning.py).
+What is learnt are coordinates in which all of it moves the images equally far (preconditioning.py). Poses, and the
+lenses of the first spectrum, are learnt with the scene, by gradients. The cameras of the other spectra are registered
+to the scene from time to time (image_registration.py): no gradient reaches them.
 
 Notation: F frames, L cameras, each a spectrum with intrinsics. A camera's correction θ, shape [9], is (r, t) of the
 rig [rad, scene extents], the logarithm of the focal factor, k1 and k2.
@@ -28,7 +31,7 @@ from torch import Tensor, nn
 from thermosplat.config import Refined
 from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.capture import Capture, Frame, View
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, has_fisheye, lens_tensor
 from thermosplat.refinement.camera_motion import moved_camera, moved_frame, with_focal_factor
 from thermosplat.refinement.preconditioning import normal_matrix, points_in_view, preconditioner
 
@@ -52,6 +55,10 @@ class SharedCamera:
     camera: Camera
     """Its intrinsics, as the capture has them."""
 
+    def took(self, frame: Frame) -> bool:
+        """Whether a frame has an image of it."""
+        return self.spectrum in frame.views and frame.views[self.spectrum].camera == self.camera
+
 
 class CameraCorrections(nn.Module):
     """Corrections of all cameras of a capture.
@@ -62,6 +69,8 @@ class CameraCorrections(nn.Module):
         refined: What is learnt.
         spectra: Names of the spectra, in order; the first one leads.
         shared: The cameras.
+        velocity: Last step of each camera that is registered, in the coordinates of z, shape [L, 9].
+        registered: Numbers of the cameras that are registered to the scene; gradients reach the others.
         zoomed: Spectra whose focal lengths are corrected.
         scene_extent: Radius of the scene [world units].
 
@@ -82,6 +91,8 @@ class CameraCorrections(nn.Module):
         self.shared: tuple[SharedCamera, ...] = tuple(dict.fromkeys(found))
         self.poses = nn.Parameter(torch.zeros(len(frames), 6))
         self.cameras = nn.Parameter(torch.zeros(len(self.shared), SIZE))
+        self.velocity: Tensor
+        self.register_buffer("velocity", torch.zeros(len(self.shared), SIZE))
         self._pose_basis: Tensor
         self._camera_basis: Tensor
         self._centers: Tensor
@@ -96,11 +107,22 @@ class CameraCorrections(nn.Module):
             for name in spectra
         ]
         self.register_buffer("_cameras_of", torch.tensor(cameras_of), persistent=False)
+        beyond = [shared.spectrum != self.spectra[0] for shared in self.shared]
+        changes = (self._camera_basis.diagonal(dim1=1, dim2=2) > 0).tolist()
+        self._free = [[place for place, free in enumerate(row) if free] for row in changes]
+        self.registered = tuple(k for k, (other, free) in enumerate(zip(beyond, self._free)) if other and free)
+        learnt = torch.tensor([k not in self.registered for k in range(len(self.shared))])
+        self._learnt: Tensor
+        self.register_buffer("_learnt", learnt[:, None], persistent=False)
+        self._frames_of: list[list[int]] = [
+            [place for place, frame in enumerate(frames) if shared.took(frame)] for shared in self.shared
+        ]
 
     def learnt(self) -> dict[str, nn.Parameter]:
-        """The parameters that are learnt, by the name of their learning rate."""
+        """The parameters that gradients reach, by the name of their learning rate."""
         learnt = {"poses": self.poses} if POSES in self.refined else {}
-        return learnt | ({"cameras": self.cameras} if self.refined - {POSES} else {})
+        by_gradient = any(free and number not in self.registered for number, free in enumerate(self._free))
+        return learnt | ({"cameras": self.cameras} if by_gradient else {})
 
     def pose_motions(self) -> Tensor:
         """(r, t) of every frame, shape [F, 6]; their mean is zero."""
@@ -109,7 +131,28 @@ class CameraCorrections(nn.Module):
 
     def camera_corrections(self) -> Tensor:
         """θ of every camera, shape [L, 9]."""
-        return (self._camera_basis @ self.cameras[:, :, None])[:, :, 0]
+        cameras = torch.where(self._learnt, self.cameras, self.cameras.detach())
+        return (self._camera_basis @ cameras[:, :, None])[:, :, 0]
+
+    def frames_of(self, number: int) -> Sequence[int]:
+        """Indices of the training frames that a camera took."""
+        return self._frames_of[number]
+
+    def free_coordinates(self, number: int) -> Sequence[int]:
+        """Which of a camera's coordinates z change anything."""
+        return self._free[number]
+
+    def directions(self, number: int, *, distortion: bool) -> Tensor:
+        """Orthonormal directions of a camera's free coordinates, shape [free, n].
+
+        Args:
+            number: The camera.
+            distortion: All of them; else those that leave k1 and k2 as they are.
+        """
+        free = self._free[number]
+        basis = self._camera_basis[number][free][:, free]
+        kept = [place for place, name in enumerate(free) if distortion or name < COEFFICIENTS.start]
+        return torch.linalg.qr(torch.linalg.inv(basis)[:, kept])[0]
 
     def forward(self, frame: FrameTensors) -> FrameTensors:
         """A training frame with its cameras corrected; no value is read back.
@@ -157,7 +200,9 @@ class CameraCorrections(nn.Module):
             view = moved_camera(view, correction[MOTION], self.scene_extent)
         if spectrum in self.zoomed:
             view = with_focal_factor(view, correction[FOCAL])
-        if DISTORTION in self.refined:
+        if DISTORTION in self.refined and view.lens is not None:
+            view = replace(view, lens=view.lens + torch.nn.functional.pad(correction[COEFFICIENTS], (0, 6)))
+        elif DISTORTION in self.refined:
             view = replace(view, distortion=correction[COEFFICIENTS])
         return view
 
@@ -214,7 +259,16 @@ def camera_tensors(view: View) -> ViewTensors:
     camera = view.camera
     distortion = None if camera.distortion is None else torch.tensor(camera.distortion, dtype=torch.float64)
     pose, K = torch.from_numpy(view.viewmat), torch.from_numpy(camera.K)
-    return ViewTensors(pose, K, camera.width, camera.height, distortion=distortion)
+    lens = lens_tensor(camera, "cpu")
+    return ViewTensors(
+        pose,
+        K,
+        camera.width,
+        camera.height,
+        distortion=distortion,
+        lens=None if lens is None else lens.double(),
+        fisheye=has_fisheye(camera),
+    )
 
 
 def frame_center(frame: Frame) -> Tensor:

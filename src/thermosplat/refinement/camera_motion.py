@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.scene.lens_slopes import bent
 
 
 def moved_frame(
@@ -89,7 +90,7 @@ def seen_points(view: ViewTensors, points: Tensor) -> Tensor:
         points: Points before it [world units], shape [M, 3].
     """
     camera = points @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
-    point = camera[:, :2] / camera[:, 2:]
+    point = bent(camera[:, :2] / camera[:, 2:], view)
     if view.distortion is not None:
         squared = point.square().sum(dim=1, keepdim=True)
         point = point * (1.0 + view.distortion[0] * squared + view.distortion[1] * squared.square())
@@ -97,5 +98,6 @@ def seen_points(view: ViewTensors, points: Tensor) -> Tensor:
 
 
 def _assembled(rotation: Tensor, translation: Tensor) -> Tensor:
-    last = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=rotation.dtype).to(rotation.device, non_blocking=True)
+    # made on the device: a step that is captured can copy nothing there
+    last = torch.nn.functional.pad(rotation.new_ones(1, 1), (3, 0))
     return torch.cat([torch.cat([rotation, translation[:, None]], dim=1), last])

@@ -93,7 +93,7 @@ def correction_sentences(summary: dict[str, Any]) -> list[str]:
 
 
 def write_cameras(capture: Capture, folder: Path) -> None:
-    """Write a capture's cameras as a COLMAP model without points, of the undistorted images.
+    """Write a capture's cameras as a COLMAP model without points, of the images that were trained on.
 
     Args:
         capture: The capture; its frames of both splits are written.
@@ -108,7 +108,9 @@ def write_cameras(capture: Capture, folder: Path) -> None:
         pose = " ".join(repr(float(number)) for number in (w, x, y, z, *view.viewmat[:3, 3]))
         name = view.path.relative_to(capture.root) if view.path.is_relative_to(capture.root) else Path(view.path.name)
         images.append(f"{image_id} {pose} {camera_id} {name.as_posix()}\n\n")  # no observations
-    head = "# Cameras as thermosplat refined them, of the undistorted images. "
+    untouched = any(camera.lens is not None for camera in numbers)
+    images_are = "images as they were taken" if untouched else "undistorted images"
+    head = f"# Cameras as thermosplat refined them, of the {images_are}. "
     cameras = "".join(f"{number} {_lens(camera)}\n" for camera, number in numbers.items())
     texts = {
         "cameras.txt": f"{head}CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n{cameras}",
@@ -120,10 +122,15 @@ def write_cameras(capture: Capture, folder: Path) -> None:
 
 
 def _lens(camera: Camera) -> str:
-    """A camera in the words of COLMAP: PINHOLE, or OPENCV where some distortion is left."""
+    """A camera in the words of COLMAP: its lens, PINHOLE, or OPENCV where undistorting left some distortion."""
     lens = [camera.fx, camera.fy, camera.cx, camera.cy]
     model = "PINHOLE"
-    if camera.distortion is not None:
+    if camera.lens is not None and camera.lens.model == "fisheye":
+        model, lens = "OPENCV_FISHEYE", [*lens, *camera.lens.radial[:4]]
+    elif camera.lens is not None:
+        k1, k2, *others = camera.lens.radial
+        model, lens = "FULL_OPENCV", [*lens, k1, k2, *camera.lens.tangential, *others]
+    elif camera.distortion is not None:
         model, lens = "OPENCV", [*lens, *camera.distortion, 0.0, 0.0]
     return f"{model} {camera.width} {camera.height} {' '.join(map(repr, lens))}"
 

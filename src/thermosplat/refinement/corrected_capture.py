@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from thermosplat.datasets.cameras import Camera
+from thermosplat.datasets.cameras import Camera, LensCoefficients
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
 from thermosplat.refinement.camera_corrections import CameraCorrections, camera_tensors, frame_center
@@ -78,9 +78,17 @@ def _with_cameras(frame: Frame, cameras: Mapping[str, ViewTensors]) -> Frame:
             tensors.width,
             tensors.height,
             views[name].camera.distortion if tensors.distortion is None else _pair(tensors.distortion),
+            _lens(tensors),
         )
         views[name] = replace(views[name], camera=camera, viewmat=tensors.viewmat.numpy())
     return replace(frame, views=views)
+
+
+def _lens(tensors: ViewTensors) -> LensCoefficients | None:
+    if tensors.lens is None:
+        return None
+    k1, k2, k3, k4, k5, k6, p1, p2 = tensors.lens.tolist()
+    return LensCoefficients("fisheye" if tensors.fisheye else "pinhole", (k1, k2, k3, k4, k5, k6), (p1, p2))
 
 
 def _pair(coefficients: Tensor) -> tuple[float, float]:

@@ -12,7 +12,7 @@ One traversal blends SH colours and features at α, and features at one more opa
 need. A third opacity takes a traversal of its own; spectra that share α take none.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -152,6 +152,8 @@ class SceneModel(nn.Module):
         shared_cameras: Groups | None = None,
         deterministic: bool = False,
         depth_spread_limit: float | None = None,
+        distributed: bool = False,
+        shaped_by: Collection[str] | None = None,
     ) -> RenderedFrame:
         """Render one frame: the spectra whose views are given.
 
@@ -166,20 +168,33 @@ class SceneModel(nn.Module):
             deterministic: As the rasterizer's.
             depth_spread_limit: Also measure how far depths spread along rays, counting hardly more than this
                 (``LossConfig.depth_spread_limit``); None: do not. A model without features never does.
+            distributed: Each rank holds a share of the Gaussians and renders a frame of its own (``rasterization``).
+            shaped_by: Spectra whose images shape a shared set. From those of the others, where they have cameras of
+                their own, no gradient reaches means, quats, scales and opacities, and density control sees nothing.
+                None: all shape it.
 
         Returns:
             The images.
         """
         views = {name: views[name] for name in self.spectra if name in views}
         backgrounds = self.background[None] if self._has_background else None
-        how = Rendering(sh_degree, absgrad, self.config.rasterize_mode, backgrounds, deterministic, depth_spread_limit)
+        how = Rendering(
+            sh_degree,
+            absgrad,
+            self.config.rasterize_mode,
+            backgrounds,
+            deterministic,
+            depth_spread_limit=depth_spread_limit,
+            distributed=distributed,
+        )
         if SHARED not in self.gaussian_sets:
-            shared_cameras = [[name] for name in views]
+            shared_cameras, shaped_by = [[name] for name in views], None
         elif shared_cameras is None:
             shared_cameras = views_by_camera(views)
         rendered = RenderedFrame()
         for group in shared_cameras:
             names = [name for name in self.spectra if name in group and name in views]
+            how = how._replace(geometry_held=shaped_by is not None and not set(names) & set(shaped_by))
             if names and self.decoders is not None:
                 self._render_features(self.decoders, names, views[names[0]], how, rendered)
             elif names:
@@ -189,15 +204,16 @@ class SceneModel(nn.Module):
                 rendered.bend(name, view.K, view.distortion)
         return rendered
 
-    def render_depth(self, spectrum: str, view: "ViewTensors") -> Tensor:
+    def render_depth(self, spectrum: str, view: "ViewTensors", *, distributed: bool = False) -> Tensor:
         """What a spectrum sees as far away: expected depth along z [world units], [H, W]; 0 where it sees nothing.
 
         Args:
             spectrum: Its opacity weighs the Gaussians; with separate sets, its own set.
             view: Camera and pose.
+            distributed: As in ``render``.
         """
         gaussians = self.gaussians(self.set_of(spectrum))
-        how = Rendering(0, False, self.config.rasterize_mode, None)
+        how = Rendering(0, False, self.config.rasterize_mode, None, distributed=distributed)
         depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), view, how)
         if view.distortion is None:
             return depth
@@ -240,11 +256,13 @@ class SceneModel(nn.Module):
         elif at_alpha:
             image, alpha, info = render_view(gaussians, blended, gaussians.logit_opacities, view, how)
             keep(at_alpha, image, alpha)
-            _note_call(rendered, SHARED, at_alpha, info)
+            if not how.geometry_held:
+                _note_call(rendered, SHARED, at_alpha, info)
         for name in waiting:
             image, alpha, info = render_view(gaussians, blended, gaussians.logits_in(name), view, how)
             keep([name], image, alpha)
-            _note_call(rendered, SHARED, [name], info)
+            if not how.geometry_held:
+                _note_call(rendered, SHARED, [name], info)
 
         decoded = decoders.decode({name: self.decoder_input(view, features[name]) for name in names})
         for name in sorted(names, key=lambda name: name == self.photograph):  # the photograph last
@@ -299,7 +317,8 @@ class SceneModel(nn.Module):
                 backgrounds=backgrounds,
             )
             rendered.images[name] = self._sh_image(name, image)
-            _note_call(rendered, self.set_of(name), [name], info)
+            if not how.geometry_held:
+                _note_call(rendered, self.set_of(name), [name], info)
 
     def _sh_image(self, name: str, colors: Tensor) -> Tensor:
         """A spectrum's image [H, W, channels] of its blended SH colours [H, W, 3].

@@ -26,6 +26,8 @@ class RenderedFrame:
     infos: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     """What the rasterization says about every call (means2d, radii, ...), by the name of the Gaussian set. Under
     "spectra" an info names the spectra that the call was for. Densification reads it."""
+    blank: list[Tensor] = field(default_factory=list)
+    """Images of nothing, of calls that were made for the views of other ranks alone."""
 
     def bend(self, spectrum: str, K: Tensor, coefficients: Tensor) -> None:
         """Resample all that was rendered of a spectrum as its lens shows it.

@@ -31,10 +31,12 @@ def views_by_camera(views: Mapping[str, "ViewTensors"]) -> list[list[str]]:
 
 def _same_camera(one: "ViewTensors", other: "ViewTensors") -> bool:
     return (
-        (one.width, one.height, one.orthographic) == (other.width, other.height, other.orthographic)
+        (one.width, one.height, one.orthographic, one.fisheye)
+        == (other.width, other.height, other.orthographic, other.fisheye)
         and torch.equal(one.K, other.K)
         and torch.equal(one.viewmat, other.viewmat)
         and _same_lens(one.distortion, other.distortion)
+        and _same_lens(one.lens, other.lens)
     )
 
 

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from thermosplat.scene.lens_slopes import straightened
+
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
 
@@ -23,6 +25,11 @@ def view_directions(view: "ViewTensors") -> Tensor:
     device = view.K.device
     x = (torch.arange(view.width, device=device) + 0.5 - view.K[0, 2]) / view.K[0, 0]
     y = (torch.arange(view.height, device=device) + 0.5 - view.K[1, 2]) / view.K[1, 1]
+    if view.lens is not None:
+        grid = torch.stack([x.expand(view.height, -1), y[:, None].expand(-1, view.width)], dim=-1)
+        slopes = straightened(grid, view)
+        in_camera = torch.cat([slopes, torch.ones_like(slopes[..., :1])], dim=-1)
+        return torch.nn.functional.normalize(in_camera @ view.viewmat[:3, :3], dim=-1)
     in_camera = torch.stack(
         [x.expand(view.height, -1), y[:, None].expand(-1, view.width), torch.ones_like(x).expand(view.height, -1)],
         dim=-1,

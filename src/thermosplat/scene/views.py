@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from thermosplat.distributed.collectives import tensors_of_all
 from thermosplat.fused.activations import activated
 from thermosplat.fused.depth_spread import features_and_spread, with_depth_moments
 from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
@@ -30,8 +31,30 @@ class Rendering(NamedTuple):
     """Colour behind the SH colours of photographs, [1, 3]."""
     deterministic: bool = False
     """As the rasterizer's."""
+    geometry_held: bool = False
+    """No gradient of this rasterization reaches means, quats, scales and opacities. ``render_view`` alone can do so."""
     depth_spread_limit: float | None = None
     """Also tell how far depths spread along rays, with this limit (``warp_depth_spread``); None: do not."""
+    distributed: bool = False
+    """The set is divided over ranks, each of which renders a view of its own now."""
+
+
+def lens_arguments(view: "ViewTensors") -> dict[str, Any]:
+    """What the rasterizer is told of a view's lens: its camera model and coefficients, [1, n] each.
+
+    Args:
+        view: Camera and pose.
+    """
+    if view.lens is None:
+        return {"camera_model": "ortho" if view.orthographic else "pinhole"}
+    coefficients = view.lens[None]
+    if view.fisheye:
+        return {"camera_model": "fisheye", "radial_coeffs": coefficients[:, :4]}
+    return {
+        "camera_model": "pinhole",
+        "radial_coeffs": coefficients[:, :6],
+        "tangential_coeffs": coefficients[:, 6:],
+    }
 
 
 def render_view(
@@ -56,10 +79,14 @@ def render_view(
     Returns:
         Image [H, W, X], accumulated opacity [H, W, 1], and what the rasterization says about the call.
     """
+    means: Tensor = gaussians.means
+    quats: Tensor = gaussians.quats
     scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
+    if rendering.geometry_held:
+        means, quats, scales, opacities = (values.detach() for values in (means, quats, scales, opacities))
     image, alpha, info = rasterization(
-        gaussians.means,
-        gaussians.quats,
+        means,
+        quats,
         scales,
         opacities,
         colors,
@@ -72,8 +99,9 @@ def render_view(
         backgrounds=backgrounds,
         absgrad=rendering.absgrad,
         rasterize_mode=rendering.rasterize_mode,
-        camera_model="ortho" if view.orthographic else "pinhole",
+        **lens_arguments(view),
         deterministic=rendering.deterministic,
+        distributed=rendering.distributed,
     )
     return image.squeeze(0), alpha.squeeze(0), info  # [0] would have its gradient copied into zeros
 
@@ -103,8 +131,9 @@ def render_view_depth(
         packed=False,
         render_mode="ED",
         rasterize_mode=rendering.rasterize_mode,
-        camera_model="ortho" if view.orthographic else "pinhole",
+        **lens_arguments(view),
         deterministic=rendering.deterministic,
+        distributed=rendering.distributed,
     )
     return depth[0, ..., 0]
 
@@ -147,13 +176,16 @@ def render_two_opacities(
         backgrounds=rendering.backgrounds,
         absgrad=rendering.absgrad,
         rasterize_mode=rendering.rasterize_mode,
-        camera_model="ortho" if view.orthographic else "pinhole",
+        **lens_arguments(view),
         deterministic=rendering.deterministic,
+        distributed=rendering.distributed,
     )
 
 
 def blended_features(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:
     """What is blended: features [N, d] or their coordinates [N, r], and log-depth where its spread is asked for.
+
+    Where the set is divided over ranks, with log-depth in each rank's view, [W, N, ...].
 
     Args:
         gaussians: The set.
@@ -162,7 +194,11 @@ def blended_features(gaussians: Gaussians, view: "ViewTensors", rendering: Rende
     """
     if rendering.depth_spread_limit is None:
         return gaussians.features
-    return with_depth_moments(gaussians.features, gaussians.means, view.viewmat)
+    means = gaussians.means.detach() if rendering.geometry_held else gaussians.means
+    if not rendering.distributed:
+        return with_depth_moments(gaussians.features, means, view.viewmat)
+    viewmats = tensors_of_all(view.viewmat.detach())
+    return torch.stack([with_depth_moments(gaussians.features, means, viewmat) for viewmat in viewmats])
 
 
 def split_features(

@@ -7,6 +7,7 @@ differences across the stripes, averaged along them without their outer quarters
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -18,6 +19,8 @@ from thermosplat.training.frames.train_frames import TrainFrames
 
 _FROM_MEAN = math.sqrt(math.pi / 2.0)
 """Standard deviation over mean absolute value of a normal distribution."""
+_FROM_MEDIAN = 1.0 / 0.6744897501960817
+"""Standard deviation over median absolute value of a normal distribution."""
 _VIEWS = 16
 """Most images that are looked at, spread over all."""
 
@@ -30,11 +33,18 @@ class ImageNoise:
     """That differs from pixel to pixel."""
     stripes: float
     """Of rows and columns."""
+    plain: float
+    """As ``pixels``, where the scene is plain: by the median of the responses in place of their mean, which texture
+    raises. Less than all noise where that differs from place to place, as in dark parts of photographs."""
 
     @property
     def total(self) -> float:
         """Of both together."""
         return math.hypot(self.pixels, self.stripes)
+
+
+NoiseOf = Callable[[str], ImageNoise | None]
+"""The noise of a spectrum's training images, as ``training_noise`` measures it."""
 
 
 def image_noise(image: Tensor) -> ImageNoise:
@@ -46,7 +56,8 @@ def image_noise(image: Tensor) -> ImageNoise:
     across, down = image.diff(n=2, dim=1), image.diff(n=2, dim=0)
     response = across.diff(n=2, dim=0)
     stripes = math.hypot(_stripes(across, along=0), _stripes(down, along=1))
-    return ImageNoise(_FROM_MEAN * response.abs().mean().item() / 6.0, stripes)
+    plain = _FROM_MEDIAN * response.abs().flatten(0, 1).median(dim=0).values / 6.0  # of each channel
+    return ImageNoise(_FROM_MEAN * response.abs().mean().item() / 6.0, stripes, math.sqrt(plain.square().mean().item()))
 
 
 def training_noise(frames: TrainFrames, spectrum: str) -> ImageNoise | None:
@@ -62,7 +73,11 @@ def training_noise(frames: TrainFrames, spectrum: str) -> ImageNoise | None:
     found = [image_noise(image) for image in images if image is not None]
     if not found:
         return None
-    return ImageNoise(median(noise.pixels for noise in found), median(noise.stripes for noise in found))
+    return ImageNoise(
+        median(noise.pixels for noise in found),
+        median(noise.stripes for noise in found),
+        median(noise.plain for noise in found),
+    )
 
 
 def smoothness_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
@@ -77,12 +92,12 @@ def smoothness_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
     return max(share * spectrum.smoothness, least)
 
 
-def with_measured_smoothness(config: TrainConfig, frames: TrainFrames) -> tuple[TrainConfig, tuple[str, ...]]:
+def with_measured_smoothness(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:
     """The configuration with the smoothness that the training images ask for, where it wants that measured.
 
     Args:
         config: The whole configuration.
-        frames: The training frames.
+        noise_of: The noise of a spectrum's training images.
 
     Returns:
         The configuration to train with, and what to tell the user about it.
@@ -91,7 +106,7 @@ def with_measured_smoothness(config: TrainConfig, frames: TrainFrames) -> tuple[
     for name, spectrum in config.modelled.items():
         if spectrum.smoothness_noise == 0 or spectrum.smoothness == 0:
             continue
-        noise = training_noise(frames, name)
+        noise = noise_of(name)
         if noise is None:
             continue
         weight = smoothness_for_noise(spectrum, noise.total)

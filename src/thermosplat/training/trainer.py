@@ -11,27 +11,27 @@ Ctrl-C, SIGTERM, a full memory or a bad loss.
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from thermosplat.config import TrainConfig
+from thermosplat.config.batches import in_batches
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.kept_images import forget_images, keep_images
+from thermosplat.datasets.stored_pixels import ImageLostError
 from thermosplat.errors import UserError
-from thermosplat.evaluation.held_out_poses import Judged, evaluate_refined
-from thermosplat.evaluation.labelled_regions import write_regions
-from thermosplat.export.scene import scene_splats, write_scene
-from thermosplat.image_quality.lpips import Lpips, find_lpips
 from thermosplat.rasterizer.pair_capacity import PairCapacity
-from thermosplat.refinement.camera_report import write_cameras
-from thermosplat.refinement.corrected_capture import corrected_capture
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import FolderGoneError, RunDirectory
 from thermosplat.scene.model import SceneModel
-from thermosplat.training.budget.auto_budget import AutoBudget
+from thermosplat.training.batch_steps import BatchSteps
+from thermosplat.training.budget.auto_budget import AutoBudget, Budget
+from thermosplat.training.budget.noise_floor import noise_floors
+from thermosplat.training.camera_rounds import CameraRounds
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.fast_decoders import FastDecoders
@@ -39,7 +39,7 @@ from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
-from thermosplat.training.image_noise import with_measured_smoothness
+from thermosplat.training.image_noise import training_noise, with_measured_smoothness
 from thermosplat.training.plain_steps import PlainSteps
 from thermosplat.training.session.checkpoint_writer import (
     CheckpointWriter,
@@ -51,7 +51,7 @@ from thermosplat.training.session.interruption import TrainingInterrupted, defer
 from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.session.run_logger import RunLogger, StepRecord
-from thermosplat.training.session.run_metrics import run_metrics
+from thermosplat.training.session.run_results import RunResults
 from thermosplat.training.training_state import TrainingState
 from thermosplat.training.training_step import StepKind, TrainingStep, sh_degree_at
 
@@ -75,33 +75,27 @@ class Trainer:
         logger: RunLogger | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        self.config = config
+        self.asked = config
+        """The configuration as it was given and is kept; ``config`` is what it means in steps of batches."""
+        self.config = config = in_batches(config)
         self.capture = capture
         self.run = run
-        self.device = choose_device(config.device)
-        self.logger = logger or RunLogger(
-            run,
-            max_steps=config.max_steps,
-            log_every=config.log_every,
-            device=self.device,
-            tensorboard=config.tensorboard,
-        )
+        self.device = self._choose_device()
+        self.logger = logger or self._make_logger()
         self.frames = TrainFrames(capture, config.modelled, self.device)
         self.schedule = SpectrumSchedule(config, self.frames)
-        if checkpoint is None:
-            self.model = SceneModel.from_capture(config, capture, self.device)
-        else:
-            self.model = SceneModel.from_checkpoint(checkpoint, self.device)
+        self.model = self._make_model(checkpoint)
         self.state = TrainingState(self.model, config, capture, self.device)
         if checkpoint is not None:
             self.state.load(checkpoint)
-        self.budget: AutoBudget | None = None
-        if config.budget == "auto":
-            frames = CorrectedFrames(self.frames, self.state.corrections)
-            self.budget = AutoBudget(config, self.state, frames, self.schedule)
+        self.budget: Budget | None = self._make_budget() if config.budget == "auto" else None
+        self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
-        measured, self.noise_notes = with_measured_smoothness(config, self.frames)
-        self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device))
+        noise_of = cache(partial(training_noise, self.frames))
+        measured, smoothness_notes = with_measured_smoothness(config, noise_of)
+        floors, floor_notes = noise_floors(config, noise_of)
+        self.noise_notes = (*smoothness_notes, *floor_notes)
+        self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device), floors=floors)
         on_cuda = self.device.type == "cuda"
         if on_cuda:
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
@@ -110,14 +104,43 @@ class Trainer:
                 self.model.decoders, compiled=on_cuda and config.compile, precision=config.decoder_precision
             )
             self.device_step.decoding = fast.active
-        self.steps: PlainSteps | CapturedSteps = PlainSteps(self.device_step)
-        if on_cuda and config.graph:
-            self.steps = CapturedSteps(self.device_step, len(self.frames))
+        self.steps: PlainSteps | CapturedSteps | BatchSteps = self._make_steps()
         self.checkpoints = CheckpointWriter(self.logger.say)
-        self.lpips: Lpips | None = None
+        self.results = RunResults(config, capture, run, self.state, self.logger, self.device)
         self.between_steps: Callable[[Trainer], object] | None = None
         """Called after each step but the last, when the model is whole, by the thread that trains."""
         self._warm = False
+
+    def _choose_device(self) -> torch.device:
+        return choose_device(self.config.device)
+
+    def _make_logger(self) -> RunLogger:
+        config = self.config
+        return RunLogger(
+            self.run,
+            max_steps=config.max_steps,
+            log_every=config.log_every,
+            device=self.device,
+            tensorboard=config.tensorboard,
+        )
+
+    def _make_model(self, checkpoint: Checkpoint | None) -> SceneModel:
+        if checkpoint is None:
+            return SceneModel.from_capture(self.config, self.capture, self.device)
+        return SceneModel.from_checkpoint(checkpoint, self.device)
+
+    def _make_budget(self) -> Budget:
+        return AutoBudget(self.config, self.state, CorrectedFrames(self.frames, self.state.corrections), self.schedule)
+
+    def _make_camera_rounds(self) -> CameraRounds:
+        return CameraRounds(self.config, self.state, self.frames)
+
+    def _make_steps(self) -> "PlainSteps | CapturedSteps | BatchSteps":
+        if (self.config.batch_size or 1) > 1:
+            return BatchSteps(self.device_step, self.frames, self.schedule)
+        if self.device.type == "cuda" and self.config.graph:
+            return CapturedSteps(self.device_step, len(self.frames))
+        return PlainSteps(self.device_step)
 
     @classmethod
     def resume(
@@ -135,7 +158,7 @@ class Trainer:
             UserError: If there is no checkpoint, or it is of another model or capture than is asked for.
         """
         checkpoint = newest_checkpoint(run)
-        check_resumable(checkpoint, config, run, capture)
+        check_resumable(checkpoint, in_batches(config), run, capture)
         return cls(config, capture, run, logger, checkpoint)
 
     @property
@@ -168,17 +191,18 @@ class Trainer:
         config, state = self.config, self.state
         started = time.perf_counter() - state.seconds.wall
         try:
-            self.lpips, remark = find_lpips(config.lpips_weights, self.device)
+            remark = self.results.find_lpips()
             self.run.sweep()
-            self.run.write_config(config)
+            self.run.write_config(self.asked)
             self.run.write_environment(self.device)
-            evaluates = state.step == config.max_steps or self._lacks_evaluation()
+            evaluates = state.step == config.max_steps or self.results.lack_evaluation()
             self.logger.start(state.step, evaluates=evaluates)
             self._greet(remark)
+            self._keep_images()
             if self.budget is not None:
                 self.budget.do_what_is_due(self.sh_degree)
-            if self._lacks_evaluation():  # a resumed run that was killed between a checkpoint and its evaluation
-                self._evaluate()
+            if self.results.lack_evaluation():  # a resumed run that was killed between a checkpoint and its evaluation
+                self.results.evaluate()
             while state.step < config.max_steps:
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
@@ -186,33 +210,36 @@ class Trainer:
                 if self._looks_at_guard(state.step):
                     self._stop_if_folder_gone()
                 if state.step < config.max_steps:
-                    saving = state.step in config.save_steps
+                    saving = not state.finds_cameras and state.step in config.save_steps
                     with going_on_without(self.logger.say), self._saving() if saving else nullcontext():
-                        if state.step in config.eval_steps:
-                            self._evaluate()
+                        if not state.finds_cameras and state.step in config.eval_steps:
+                            self.results.evaluate()
                     if self.between_steps is not None:
                         self.between_steps(self)
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
             self._save()  # before pictures and other files take what room there is
             with naming_the_newest_checkpoint(self.run):
-                with meanwhile(self._exporting()):
-                    judged = self._evaluate(strips=self.run.renders, per_view=self.run.stats / "per_view.csv")
+                with meanwhile(self.results.exporting()):
+                    judged = self.results.evaluate(at_the_end=True)
                 state.seconds.wall = time.perf_counter() - started
-                write_regions(self.run, self.model, judged.capture, state.step, self.sh_degree, self.device)
-                metrics = self._finish(judged)
+                metrics = self.results.write(judged)
             self.run.sweep()
             self._stop_if_folder_gone()
+            forget_images(self.capture)
             return metrics
         except (KeyboardInterrupt, Exception) as error:
             if (number := stop_signal(error)) is not None:
                 with deferred_interrupts(redeliver=False):
                     self._stop_if_not_finite()
                     raise TrainingInterrupted(self._save(), self.run.resume_command(), number) from None
+            if isinstance(error, ImageLostError):
+                raise self._image_lost(error) from error
             if not is_out_of_memory(error):
                 raise
             raise self._out_of_memory() from error
         finally:
+            self.frames.close()
             self.logger.close()
             self.checkpoints.wait()
 
@@ -222,7 +249,8 @@ class Trainer:
         step, started = state.step + 1, time.perf_counter()
         frame = self.schedule.tensors(state.step)
         densifying = any(strategy.is_active(step) for strategy in state.strategies.values())
-        kind = StepKind.at(config, step, densifying=densifying)
+        kind = StepKind.at(config, step, densifying=densifying, finding_cameras=state.finds_cameras)
+        budget = None if state.finds_cameras else self.budget
         state.begin_step(step, config.optimizer, self.capture.scene_extent)
 
         with self._first_step(), self.steps.run(frame, kind) as values:
@@ -230,22 +258,45 @@ class Trainer:
                 self._stop_if_not_finite()
                 self.steps.check_overflow()
             refining = {n: s for n, s in state.strategies.items() if s.refines_at(step) or s.resets_at(step)}
-            pruning = self.budget is not None and self.budget.prunes_at(step)
+            pruning = budget is not None and budget.prunes_at(step)
             replacing = any(strategy.replaces_tensors(state.gaussian_sets[n]) for n, strategy in refining.items())
             if replacing or pruning:
                 self.steps.forget(kernels=pruning)
-            for name, strategy in refining.items():
-                random = random_stream(config.seed, "split", step)
-                strategy.refine(state.gaussian_sets[name], state.optimizers[name], step, random)
-            if self.budget is not None and self.budget.acts_at(step):
-                self.budget.after_step(step, kind.sh_degree)
+            for name in refining:
+                self._refine(name, step)
+            if budget is not None and budget.acts_at(step):
+                budget.after_step(step, kind.sh_degree)
+            self.camera_rounds.after_step(step, kind.sh_degree)
             for name, spectrum in config.modelled.items():
                 if spectrum.start != "points" and step == state.spans[name].start:
                     self._start_from_other_set(name, spectrum.start)
             state.seconds.train += time.perf_counter() - started
 
-        losses, errors, number = values.losses, values.squared_errors, self.model.num_gaussians
+        losses, errors = values.losses, values.squared_errors
+        number = sum(map(state.num_gaussians, state.gaussian_sets))
         self.logger.step(StepRecord(step, losses, errors, number, kind.sh_degree, state.seconds.train))
+        if self.camera_rounds.pass_ends(step):
+            self._start_anew()
+
+    def _start_anew(self) -> None:
+        """Forget the scene on which cameras were found; begin with them from the capture's points."""
+        with deferred_interrupts():
+            self.steps.forget(kernels=True)
+            self._forget_scene()
+            self.logger.start_again()
+        self.logger.say("The scene starts anew with the cameras that were found.")
+        saved = self._save()
+        for found_so_far in self.run.checkpoints():
+            if found_so_far != saved:
+                found_so_far.unlink(missing_ok=True)
+
+    def _forget_scene(self) -> None:
+        self.state.start_anew(self._make_model(None))
+
+    def _refine(self, name: str, step: int) -> None:
+        """Let density control add and remove Gaussians of a set."""
+        state, random = self.state, random_stream(self.config.seed, "split", step)
+        state.strategies[name].refine(state.gaussian_sets[name], state.optimizers[name], step, random)
 
     def _start_from_other_set(self, name: str, source: str) -> None:
         """Make a spectrum's set a copy of another one's trained set, to be trained anew from it."""
@@ -267,56 +318,29 @@ class Trainer:
 
     def _greet(self, lpips: str) -> None:
         """Say once what is trained on what, and what the capture has to say."""
-        counts = {"num_frames": len(self.frames), "num_gaussians": self.model.num_gaussians}
+        numbers = map(self.state.num_gaussians, self.state.gaussian_sets)
+        counts = {"num_frames": len(self.frames), "num_gaussians": sum(numbers)}
         about = greeting(self.config, self.capture, self.run, self.device, step=self.state.step, **counts)
         for line in (*self.capture.notes, *self.noise_notes, lpips, *about):
             self.logger.say(line)
+        if self.state.finds_cameras:
+            passes, steps = self.state.camera_passes, self.camera_rounds.steps
+            self.logger.say(f"The cameras are found first: {passes} times {steps:,} steps, and each time a new scene.")
 
-    # ---- evaluation and what is left behind --------------------------------------------------------------------------
+    def _keep_images(self) -> None:
+        """Of a capture whose images stay on the disk: keep what is made of them in the result folder."""
+        for line in keep_images(self.capture, self.run.path):
+            self.logger.say(line)
 
-    def _evaluate(self, strips: Path | None = None, per_view: Path | None = None) -> Judged:
-        """Judge the model by the held-out views; at the end with strips and numbers for every view."""
-        step = self.state.step
-        judged = evaluate_refined(
-            self.model,
-            self.corrected_capture(),
-            self.config,
-            sh_degree=self.sh_degree,
-            device=self.device,
-            lpips=self.lpips,
-            strips_dir=strips,
-            csv_path=per_view,
-        )
-        self.logger.evaluation(step, judged.metrics)
-        self.run.write_json(self.run.stats / f"step_{step:06d}.json", judged.metrics)
-        return judged
-
-    def _lacks_evaluation(self) -> bool:
-        """Whether the step done, one in the middle of the run, was to be evaluated and was not."""
-        step = self.state.step
-        due = 0 < step < self.config.max_steps and step in self.config.eval_steps
-        return due and not (self.run.stats / f"step_{step:06d}.json").is_file()
+    # ---- checkpoints -------------------------------------------------------------------------------------------------
 
     def corrected_capture(self) -> Capture:
         """The capture with its cameras as they are believed to be now."""
-        corrections = self.state.corrections
-        return self.capture if corrections is None else corrected_capture(self.capture, corrections)
-
-    def _finish(self, judged: Judged) -> dict[str, Any]:
-        """Write metrics.json, last of all: where it is, everything is."""
-        if self.state.corrections is not None:
-            write_cameras(judged.capture, self.run.refined)
-        metrics = run_metrics(judged.metrics, self.state, self.device, self.lpips)
-        self.run.write_json(self.run.metrics_json, metrics)
-        return metrics
-
-    def _exporting(self) -> Callable[[], object]:
-        """What writes the scene for other viewers; in any thread, as it has tensors of its own."""
-        return partial(write_scene, scene_splats(self.model, self.capture.scales), self.run.ply)
+        return self.results.corrected_capture()
 
     def _checkpoint(self) -> tuple[Path, dict[str, Any]]:
         """File and content of a checkpoint of the steps done; callers have made sure that the state is finite."""
-        checkpoint = self.state.checkpoint(self.config, self.sh_degree, self.capture.scales, self.capture)
+        checkpoint = self.state.checkpoint(self.asked, self.sh_degree, self.capture.scales, self.capture)
         return self.run.checkpoint(self.state.step), checkpoint.state()
 
     def _saving(self) -> AbstractContextManager[None]:
@@ -376,6 +400,12 @@ class Trainer:
             self._stop_if_not_finite()
             message = f"{gone.message} What was trained is saved to {self._save()}."
             raise UserError(message, f"Go on with: {self.run.resume_command()}") from gone
+
+    def _image_lost(self, error: ImageLostError) -> UserError:
+        """Save what there is; the error says which image is to be restored."""
+        self._stop_if_not_finite()
+        message = f"{error.message} Checkpoint saved to {self._save()}."
+        return UserError(message, f"{error.hint} Then go on with: {self.run.resume_command()}".lstrip())
 
     def _out_of_memory(self) -> UserError:
         """Save what there is; the error says what would need less memory."""

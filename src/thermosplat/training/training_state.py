@@ -10,11 +10,12 @@ from torch import Tensor
 from thermosplat.config import OptimizerConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.refinement.camera_corrections import CameraCorrections
+from thermosplat.refinement.image_registration import PASSES
 from thermosplat.runs.checkpoint import Checkpoint, SavedTraining, damage_explained
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
-from thermosplat.training.density.gaussian_ops import Optimizers
+from thermosplat.training.density.gaussian_ops import Optimizers, replace_parameters
 from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
@@ -57,6 +58,8 @@ class TrainingState:
         strategies: Density control by name of the set.
         step: Steps done.
         step_on_device: int64 scalar, the number of the step that is being done.
+        camera_passes: Passes that are to find the cameras of the other spectra, with the one under way. After each of
+            them the scene starts anew; 0: it is trained with these cameras.
         growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
         offsets_dropped: Whether opacity offsets that are zero stay zero.
         budget_due: What a budget is to leave out after the step done and has not left out yet: memory ended before.
@@ -104,15 +107,60 @@ class TrainingState:
             for name, gaussians in self.gaussian_sets.items()
         }
         self.step = 0
+        finds_cameras = self.corrections is not None and bool(self.corrections.registered)
+        self.camera_passes = len(PASSES) if finds_cameras and config.refine_first > 0 else 0
+        self._forget_budget()
+        self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
+        self.seed, self.scene_extent = config.seed, capture.scene_extent
+        self.noise = torch.Generator(device)
+        self.seconds = Seconds()
+        self.counts: dict[str, list[int]] | None = None
+        """Gaussians of each rank by set, where they are divided over ranks: this state then holds one rank's."""
+
+    def _forget_budget(self) -> None:
         self.growing = True
         self.offsets_dropped = False
         self.budget_due: tuple[str, ...] = ()
         self.trimmed = False
         self.best_validation = (-math.inf, 0)
-        self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
-        self.seed, self.scene_extent = config.seed, capture.scene_extent
-        self.noise = torch.Generator(device)
-        self.seconds = Seconds()
+
+    @torch.no_grad()
+    def start_anew(self, model: SceneModel) -> None:
+        """Forget the scene and all that was learnt but the corrections of cameras; no step is done.
+
+        Args:
+            model: A new model; its parameters are taken over.
+        """
+        self.clear_gradients()
+        for name, gaussians in self.gaussian_sets.items():
+            found, optimizers = model.gaussians(name), self.optimizers[name]
+            replace_parameters(gaussians, optimizers, {key: (value, {}) for key, value in found.named_parameters()})
+            self.strategies[name].forget(len(found))
+        if self.model.decoders is not None and model.decoders is not None:
+            self.model.decoders.load_state_dict(model.decoders.state_dict())
+        for parameter in [] if self.exposures is None else self.exposures.parameters():
+            parameter.zero_()
+        for owner in self.optimizers.keys() - self.gaussian_sets.keys():
+            for optimizer in self.optimizers[owner].values():
+                optimizer.state.clear()
+        if self.corrections is not None:
+            self.corrections.velocity.zero_()
+        self.step, self.camera_passes = 0, max(self.camera_passes - 1, 0)
+        self._forget_budget()
+
+    @property
+    def finds_cameras(self) -> bool:
+        """Whether the scene is to start anew, with the cameras that are found on it."""
+        return self.camera_passes > 0
+
+    @property
+    def separates_spectra(self) -> bool:
+        """Whether density control needs each spectrum rendered by a call of its own."""
+        return any(strategy.separates_spectra for strategy in self.strategies.values())
+
+    def num_gaussians(self, name: str) -> int:
+        """Gaussians of a set, of all ranks."""
+        return len(self.gaussian_sets[name]) if self.counts is None else sum(self.counts[name])
 
     def begin_step(self, step: int, config: OptimizerConfig, scene_extent: float) -> None:
         """Tell the device the step's number and learning rates, and forget what an interrupted step left.
@@ -175,6 +223,7 @@ class TrainingState:
             strategies={name: strategy.state_dict() for name, strategy in self.strategies.items()},
             exposures=self.exposures.state_dict() if self.exposures is not None else None,
             corrections=self.corrections.state_dict() if self.corrections is not None else None,
+            camera_passes=self.camera_passes,
             growing=self.growing,
             offsets_dropped=self.offsets_dropped,
             budget_due=self.budget_due,
@@ -219,6 +268,7 @@ class TrainingState:
             self.exposures.load_state_dict(training.exposures or {})
         if self.corrections is not None:
             self.corrections.load_state_dict(training.corrections or {})
+        self.camera_passes = training.camera_passes
         self.growing = training.growing
         self.offsets_dropped = training.offsets_dropped
         self.budget_due = training.budget_due

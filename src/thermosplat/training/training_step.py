@@ -4,9 +4,11 @@ Nothing in here reads a value back, so the same lines run one by one or, capture
 (captured_steps.py).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,12 +21,13 @@ from thermosplat.losses.gaussian_penalties import gaussian_penalties
 from thermosplat.losses.image_terms import compare_frame
 from thermosplat.losses.spectrum_balance import balanced_losses
 from thermosplat.rasterizer.pair_capacity import PairCapacity
-from thermosplat.refinement.camera_corrections import POSES
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.training.budget.noise_floor import gradient_shares
 from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.optimizers import step_unless
+from thermosplat.training.sharing.calls import Calls, render_with_others
 from thermosplat.training.training_state import TrainingState
 
 
@@ -50,22 +53,49 @@ class StepKind:
     """Penalise the spread of depths along rays."""
     refining: bool = False
     """Correct the cameras."""
-    offsets_held: bool = False
-    """Leave opacity offsets that are zero at zero."""
+    geometry_held: bool = False
+    """Let the images of the first spectrum alone shape the Gaussians, and leave opacity offsets at zero."""
 
     @classmethod
-    def at(cls, config: TrainConfig, step: int, *, densifying: bool) -> "StepKind":
-        """What is done in a step, from 1."""
+    def at(cls, config: TrainConfig, step: int, *, densifying: bool, finding_cameras: bool = False) -> "StepKind":
+        """What is done in a step, from 1; one that is to find the cameras, or one that trains the scene with them."""
         late = step > config.loss.depth_spread_from * config.max_steps
         refining = bool(config.refine) and step > config.refine_from
-        between_cameras = bool(set(config.refine) - {POSES})
         return cls(
             sh_degree_at(config, step),
             densifying,
             depth_spread=config.loss.depth_spread > 0 and late,
             refining=refining,
-            offsets_held=between_cameras and step <= config.refine_together * config.max_steps,
+            geometry_held=finding_cameras,
         )
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a frame is of a step that may have several, on several ranks."""
+
+    weight: float = 1.0
+    """Of its losses; one by the number of frames."""
+    penalised: Collection[str] | None = None
+    """The sets of Gaussians whose own penalties come with this frame; None: those that it renders."""
+    calls: Calls | None = None
+    """The groups of spectra that this rank and the others render now; None: the Gaussians are not divided."""
+
+
+WHOLE_STEP = Part()
+TAKING_PART = "taking part"
+"""The loss term, always zero, that lets gradients travel between ranks."""
+
+
+@dataclass(frozen=True)
+class Differentiated:
+    """A rendered frame and what its comparison gave, after the backward pass."""
+
+    rendered: RenderedFrame
+    losses: dict[str, Tensor]
+    squared_errors: dict[str, Tensor]
+    observed: list[dict[str, list[Any]]] | None = None
+    """Of a step of several frames, what density control looks at of each, by set; None: the one frame's infos."""
 
 
 def sh_degree_at(config: TrainConfig, step: int) -> int:
@@ -82,6 +112,7 @@ class TrainingStep:
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.
         decoding: Opened around rendering and backward pass; what makes decoders fast.
+        floors: Squared errors by spectrum below which a view has no gradient (budget/noise_floor.py).
     """
 
     def __init__(
@@ -91,15 +122,17 @@ class TrainingStep:
         guard: FiniteGuard,
         capacity: PairCapacity,
         decoding: Callable[[], AbstractContextManager[None]] = nullcontext,
+        floors: Mapping[str, float] | None = None,
     ) -> None:
         self.config = config
+        self.floors = floors or {}
         self.state = state
         self.guard = guard
         self.capacity = capacity
         self.decoding = decoding
         self._one = torch.ones_like(guard.blocked)
 
-    def gradients(self, frame: FrameTensors, kind: StepKind, *, fixed_capacity: bool) -> "_Differentiated":
+    def gradients(self, frame: FrameTensors, kind: StepKind, *, fixed_capacity: bool) -> Differentiated:
         """Render the frame, compare it with its images, and leave the gradients on the parameters.
 
         Args:
@@ -110,36 +143,66 @@ class TrainingStep:
         Raises:
             UserError: If no loss has a weight.
         """
+        done = self.differentiate(frame, kind, WHOLE_STEP, fixed_capacity=fixed_capacity)
+        self.guard.observe(self.state.step_on_device, done.losses, self.state.gradients_to_watch())
+        return done
+
+    def differentiate(
+        self, frame: FrameTensors, kind: StepKind, part: Part, *, fixed_capacity: bool = False
+    ) -> Differentiated:
+        """Add a frame's gradients to those on the parameters.
+
+        Args:
+            frame: The frame.
+            kind: What is done with it.
+            part: What it is of the step.
+            fixed_capacity: Render without reading numbers of pairs back.
+
+        Raises:
+            UserError: If no loss has a weight.
+        """
         config, state = self.config, self.state
-        if state.corrections is not None:
+        if state.corrections is not None and frame.index is not None:
             with torch.set_grad_enabled(kind.refining):
                 frame = state.corrections(frame)
         with self.decoding():
             with self.capacity.step(fixed=fixed_capacity):
-                apart = any(strategy.separates_spectra for strategy in state.strategies.values())
-                rendered = state.model.render(
-                    frame.views,
+                render = partial(
+                    state.model.render,
                     sh_degree=kind.sh_degree,
                     absgrad=config.densification.absgrad,
-                    shared_cameras=[[name] for name in frame.views] if apart else frame.shared_cameras,
                     deterministic=config.deterministic,
                     depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread else None,
+                    shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
                 )
+                if part.calls is None:
+                    apart = [[name] for name in frame.views] if state.separates_spectra else None
+                    rendered = render(frame.views, shared_cameras=apart or frame.shared_cameras)
+                else:
+                    rendered = render_with_others(render, frame.views, part.calls)
             if state.exposures is not None and frame.index is not None:
                 rendered = state.exposures(rendered, frame.index)
             compared = compare_frame(rendered, frame, config)
             losses = compared.losses
-            if config.loss.feature_norm > 0 and state.model.decoders is not None:
-                features = state.gaussian_sets[SHARED].features
-                losses["feature_norm"] = config.loss.feature_norm * feature_norm_loss(features)
+            if part.penalised is None:
+                losses |= self._feature_norm()
             if rendered.depth_spreads:
                 losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
             if config.loss.balance:
-                numbers = {name: len(owned) for name, owned in state.gaussian_sets.items()}
+                numbers = {name: state.num_gaussians(name) for name in state.gaussian_sets}
                 losses = balanced_losses(losses, compared.spectra, numbers)
+            if part.weight != 1.0:
+                losses = {name: part.weight * loss for name, loss in losses.items()}
             # of sets that this step renders: nothing would hold others against their penalties
-            rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
-            losses |= gaussian_penalties(rendered_sets, config.loss, state.scene_extent)
+            if part.penalised is None:
+                rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
+                losses |= gaussian_penalties(rendered_sets, config.loss, state.scene_extent)
+            else:
+                losses |= self._penalties_of_shares(part.penalised)
+            if part.calls is not None:
+                # Every image takes part, so that every rank's backward pass makes the same exchanges.
+                seen = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
+                losses[TAKING_PART] = torch.stack([image.sum() for image in seen]).sum() * 0.0
             if not losses:
                 raise UserError(
                     "All loss weights are 0: nothing to learn.", "Set the loss of a spectrum, such as --rgb.loss 1."
@@ -147,15 +210,37 @@ class TrainingStep:
             if kind.densifying:
                 for name, strategy in state.strategies.items():
                     strategy.step_pre_backward(rendered.infos.get(name, []))
-            terms = list(losses.values())
+            shares = gradient_shares(compared, self.floors)
             # Of their sum, which nobody looks at; by this thread, since handing it to torch's own for the device and
             # waiting for it costs the host half a millisecond.
             with torch.autograd.set_multithreading_enabled(False):
-                torch.autograd.backward(terms, [self._one] * len(terms))
-        self.guard.observe(state.step_on_device, losses, state.gradients_to_watch())
-        return _Differentiated(rendered, losses, compared.squared_errors)
+                torch.autograd.backward(list(losses.values()), [shares.get(name, self._one) for name in losses])
+        losses.pop(TAKING_PART, None)
+        return Differentiated(rendered, losses, compared.squared_errors)
 
-    def update(self, kind: StepKind, done: "_Differentiated") -> StepValues:
+    def _penalties_of_shares(self, names: Collection[str]) -> dict[str, Tensor]:
+        """Penalties on this rank's share of some sets, which over all ranks add up to those on the sets."""
+        config, state = self.config, self.state
+        total: dict[str, Tensor] = {}
+        for name in names:
+            share = len(state.gaussian_sets[name]) / max(state.num_gaussians(name), 1)
+            if share == 0.0:
+                continue
+            penalties = gaussian_penalties({name: state.gaussian_sets[name]}, config.loss, state.scene_extent)
+            if name == SHARED:
+                penalties |= self._feature_norm()
+            for term, penalty in penalties.items():
+                total[term] = share * penalty + total.get(term, 0.0)
+        return total
+
+    def _feature_norm(self) -> dict[str, Tensor]:
+        """The penalty on the latent features, where there are some and it is asked for."""
+        weight = self.config.loss.feature_norm
+        if weight == 0 or self.state.model.decoders is None:
+            return {}
+        return {"feature_norm": weight * feature_norm_loss(self.state.gaussian_sets[SHARED].features)}
+
+    def update(self, kind: StepKind, done: Differentiated) -> StepValues:
         """Improve Gaussians and decoders by the gradients, except where something was not finite or did not fit.
 
         The step counts as done as soon as they are, whatever becomes of the rest.
@@ -166,7 +251,7 @@ class TrainingStep:
         """
         config, state = self.config, self.state
         blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
-        if state.offsets_dropped or kind.offsets_held:
+        if state.offsets_dropped or kind.geometry_held:
             for gaussians in state.gaussian_sets.values():
                 hold_zeros(gaussians)
         step_unless(blocked, state.optimizers)
@@ -179,16 +264,8 @@ class TrainingStep:
                 shrink_offsets(gaussians, state.optimizers[name], config.auto_budget.offset_shrinkage, blocked)
         state.clear_gradients()
         if kind.densifying:
-            for name, strategy in state.strategies.items():
-                strategy.observe(done.rendered.infos.get(name, []), blocked)
+            for infos in done.observed if done.observed is not None else [done.rendered.infos]:
+                for name, strategy in state.strategies.items():
+                    strategy.observe(infos.get(name, []), blocked)
         losses = {name: loss.detach() for name, loss in done.losses.items()}
         return StepValues(losses, done.squared_errors)
-
-
-@dataclass(frozen=True)
-class _Differentiated:
-    """A rendered frame and what its comparison gave, after the backward pass."""
-
-    rendered: RenderedFrame
-    losses: dict[str, Tensor]
-    squared_errors: dict[str, Tensor]

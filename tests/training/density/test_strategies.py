@@ -25,8 +25,9 @@ def test_strategies_keep_the_contract(name: str) -> None:
         if inspect.isfunction(expected) and not method.startswith("_"):
             found = inspect.signature(getattr(type(strategy), method))
             assert list(found.parameters) == list(inspect.signature(expected).parameters), method
-    assert {"separates_spectra", "moves_gaussians", "growing"} == FLAGS
-    assert all(isinstance(getattr(strategy, flag), bool) for flag in FLAGS)
+    assert {"separates_spectra", "moves_gaussians", "growing", "block"} == FLAGS
+    assert all(isinstance(getattr(strategy, flag), bool) for flag in FLAGS - {"block"})
+    assert strategy.block is None  # all Gaussians are here
     assert strategy.growing
     assert strategy.spectra == ("rgb", "thermal")  # type: ignore[attr-defined]
 

@@ -179,6 +179,20 @@ def test_resumed_run_drops_later_lines(tmp_path: Path) -> None:
     assert [entry["step"] for entry in _entries(tmp_path)] == [5, 10, 15]
 
 
+def test_a_run_that_starts_again_has_the_new_lines_alone(tmp_path: Path) -> None:
+    """Values from before do not go into the first mean after; on a GPU, the line that waits is said."""
+    logger, output = _logger(tmp_path, device=torch.device("cuda"))
+    logger.start(0)
+    for step in range(1, 8):
+        logger.step(_record(step, rgb=1.0))
+    logger.start_again()
+    for step in range(1, 6):
+        logger.step(_record(step, rgb=3.0))
+    logger.close()
+    assert [(entry["step"], entry["rgb"]) for entry in _entries(tmp_path)] == [(5, 3.0)]
+    assert [line.split()[1] for line in output.getvalue().splitlines()] == ["5/20", "5/20"]
+
+
 def test_infinite_psnr_is_null_in_json(tmp_path: Path) -> None:
     """A perfect image has no finite PSNR; JSON gets null."""
     logger, _ = _logger(tmp_path)

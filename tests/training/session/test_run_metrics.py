@@ -17,7 +17,7 @@ def test_what_a_run_says_of_itself(tmp_path: Path) -> None:
     state.step = 7
     state.seconds.train, state.seconds.wall, state.seconds.first_step = 3.0, 4.0, 0.5
     evaluated = {"rgb": {"psnr": 20.0}, "thermal": {"psnr": 30.0}, "spectra": ["rgb", "thermal"], "num_gaussians": 60}
-    found = run_metrics(evaluated, state, torch.device("cpu"), None)
+    found = run_metrics(evaluated, state, torch.device("cpu"), None, "direct")
     assert json.loads(json.dumps(found)) == found
     assert (found["rgb"], found["thermal"]) == (evaluated["rgb"], evaluated["thermal"])
     assert (found["steps"], found["train_seconds"], found["wall_seconds"], found["first_step_seconds"]) == (
@@ -32,6 +32,7 @@ def test_what_a_run_says_of_itself(tmp_path: Path) -> None:
     assert found["model_bytes"] == state.model.num_bytes > 0
     assert found["opacity_offsets_kept"] == {"thermal": 0.0}
     assert found["feature_channels"] == 8
+    assert found["lens"] == "direct"
     assert found["lpips_net"] is None
     assert found["device"].startswith("CPU")
 
@@ -43,5 +44,5 @@ def test_offsets_of_every_spectrum(tmp_path: Path) -> None:
     state = toy_trainer(tmp_path, toy_run_config(spectra=spectra | {"blue": {}}), capture).state
     with torch.no_grad():
         state.gaussian_sets["shared"].nir_opacity_offsets[:15] = 0.5
-    found = run_metrics({}, state, torch.device("cpu"), None)
+    found = run_metrics({}, state, torch.device("cpu"), None, "undistort")
     assert found["opacity_offsets_kept"] == {"thermal": 0.0, "nir": 0.25}

@@ -1,5 +1,6 @@
 """A model no larger than the scene needs: ``--budget auto``.
 
+- No training view is fitted more closely than its noise (noise_floor.py); that is done by the steps themselves.
 - Some training views are withheld while the number of Gaussians grows; when their PSNR has not risen for a while,
   growth stops and they are trained on like the others. Held-out test views steer nothing.
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
@@ -13,6 +14,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -30,8 +32,27 @@ from thermosplat.training.budget.rounding import round_to_half
 from thermosplat.training.budget.sh_bands import drop_bands
 from thermosplat.training.density.gaussian_ops import kept_on_failure
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
-from thermosplat.training.frames.train_frames import CorrectedFrames
+from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames
 from thermosplat.training.training_state import TrainingState
+
+
+class Budget(Protocol):
+    """What a trainer asks of a budget between its steps; see ``AutoBudget``."""
+
+    def acts_at(self, step: int) -> bool:
+        """Whether something may change after this step."""
+
+    def prunes_at(self, step: int) -> bool:
+        """Whether Gaussians may be removed after this step, and captured steps no longer fit."""
+
+    def after_step(self, step: int, sh_degree: int) -> None:
+        """Do what this step is the one to do."""
+
+    def do_what_is_due(self, sh_degree: int) -> None:
+        """Leave out what is to be left out after the step done."""
+
+    def finish(self, sh_degree: int) -> None:
+        """Drop what is not needed once training is over."""
 
 
 class AutoBudget:
@@ -207,7 +228,7 @@ class AutoBudget:
             losses: As ``ImageChange``'s.
         """
         looked_at = _spread(self._having, self.settings.measured_views)
-        return ImageChange(self.state.model, [self.frames[index] for index in looked_at], sh_degree, losses)
+        return ImageChange(self.state.model, SomeFrames(self.frames, looked_at), sh_degree, losses)
 
     def _prune(self, sh_degree: int) -> None:
         change = self.images(sh_degree)
@@ -223,7 +244,9 @@ class AutoBudget:
         weights = {}
         for spectrum, error in change.errors.items():
             views = [frame.views[spectrum] for frame in self.frames.frames if spectrum in frame.views]
-            weights[spectrum] = 1.0 / (error * sum(view.image.size for view in views))
+            weights[spectrum] = 1.0 / (
+                error * sum(view.channels * view.camera.width * view.camera.height for view in views)
+            )
         deterministic = self.config.deterministic
         return opacity_sensitivities(self.state.model, self.frames, sh_degree, weights, deterministic=deterministic)
 

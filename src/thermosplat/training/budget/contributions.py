@@ -19,6 +19,7 @@ from thermosplat.rasterizer import rasterization, rasterization_rgbt
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.model import SceneModel
+from thermosplat.scene.views import lens_arguments
 
 
 def contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
@@ -96,6 +97,7 @@ def _weights_of_two(model: SceneModel, second: str, view: ViewTensors, signs: to
         view.width,
         view.height,
         rasterize_mode=model.config.rasterize_mode,
+        **lens_arguments(view),
         deterministic=True,
     )
     thermal = output.render_thermal_features
@@ -123,6 +125,7 @@ def _weights(model: SceneModel, spectrum: str, view: ViewTensors, signs: torch.G
         view.height,
         packed=False,
         rasterize_mode=model.config.rasterize_mode,
+        **lens_arguments(view),
         deterministic=True,
     )
     return _summed_weights(torch.autograd.grad(_sum(image, signs), colors)[0], squared=signs is not None)

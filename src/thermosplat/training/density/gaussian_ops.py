@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from thermosplat.scene.gaussians import OFFSETS
+from thermosplat.scene.rotation import rotate
 
 Optimizers = dict[str, torch.optim.Adam]
 """One optimizer for each parameter name of a set of Gaussians."""
@@ -165,7 +166,7 @@ def become_copy(gaussians: nn.Module, optimizers: Optimizers, source: nn.Module)
         new = _parameter_like(parameter, copied[name].detach().clone())
         state = dict(optimizers[name].state.get(parameter, {}))
         replacements[name] = new, {k: v if k == "step" else torch.zeros_like(new) for k, v in state.items()}
-    _put(gaussians, optimizers, replacements)
+    replace_parameters(gaussians, optimizers, replacements)
 
 
 @torch.no_grad()
@@ -189,7 +190,7 @@ def in_new_basis(gaussians: nn.Module, optimizers: Optimizers, name: str, into: 
         key: value @ turned[key] if key in turned else value
         for key, value in optimizers[name].state.get(parameter, {}).items()
     }
-    _put(gaussians, optimizers, {name: (new, state)})
+    replace_parameters(gaussians, optimizers, {name: (new, state)})
 
 
 @torch.no_grad()
@@ -234,17 +235,23 @@ def _rebuild(gaussians: nn.Module, optimizers: Optimizers, rows: Tensor, num_kep
                 state[key] = torch.index_select(moment, 0, rows)
                 state[key][num_kept:].zero_()
         replacements[name] = new, state
-    _put(gaussians, optimizers, replacements)
+    replace_parameters(gaussians, optimizers, replacements)
 
 
 def _parameter_like(parameter: nn.Parameter, values: Tensor) -> nn.Parameter:
     return nn.Parameter(values, requires_grad=parameter.requires_grad)
 
 
-def _put(
+def replace_parameters(
     gaussians: nn.Module, optimizers: Optimizers, replacements: dict[str, tuple[nn.Parameter, dict[str, Tensor]]]
 ) -> None:
-    """Replace parameters and what their optimizers know of them."""
+    """Replace parameters and what their optimizers know of them.
+
+    Args:
+        gaussians: The Gaussians.
+        optimizers: Their optimizers.
+        replacements: By name, the parameter and its moments; none where nothing is known.
+    """
     parameters = dict(gaussians.named_parameters())
     for name, (new, state) in replacements.items():
         parameter = parameters[name]
@@ -253,11 +260,3 @@ def _put(
         optimizers[name].state.pop(parameter, None)
         if state:
             optimizers[name].state[new] = state
-
-
-def rotate(quats: Tensor, vectors: Tensor) -> Tensor:
-    """Rotate vectors [..., n, 3] by quaternions [n, 4] (wxyz, any length): v + 2w (u x v) + 2 u x (u x v)."""
-    w, u = nn.functional.normalize(quats, dim=-1).split((1, 3), dim=-1)
-    u = u.expand_as(vectors)
-    uv = torch.linalg.cross(u, vectors)
-    return vectors + 2.0 * (w * uv + torch.linalg.cross(u, uv))

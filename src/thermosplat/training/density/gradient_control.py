@@ -56,6 +56,8 @@ class DefaultStrategy:
         self.scene_extent = scene_extent
         self.growing = True
         """Off: faint Gaussians are removed, but none added, and opacities are not reset."""
+        self.block: tuple[int, int] | None = None
+        """Where Gaussians are divided over ranks, the first of this rank's, and the number of all."""
         self.grad_norm_sum = torch.zeros(num_gaussians, device=device)
         """Norms of the means2d gradients since the last refinement, in units of half the image, shape [N]."""
         self.observations = torch.zeros(num_gaussians, device=device)

@@ -45,7 +45,8 @@ class McmcStrategy(DefaultStrategy):
 
     def is_full(self, gaussians: Gaussians) -> bool:
         """Whether the budget is reached: from then on Gaussians only move."""
-        return len(gaussians) >= (self.config.max_gaussians or 0)
+        number = len(gaussians) if self.block is None else self.block[1]
+        return number >= (self.config.max_gaussians or 0)
 
     def replaces_tensors(self, gaussians: Gaussians) -> bool:
         """Unless Gaussians only move, and no sums of gradients start again."""
@@ -114,7 +115,9 @@ class McmcStrategy(DefaultStrategy):
             generator: Draws the noise, on the Gaussians' device.
         """
         means, rate = gaussians.means, optimizers["means"].param_groups[0]["lr"]
-        normals = torch.randn(means.shape, generator=generator, device=means.device, dtype=means.dtype)
+        first, total = self.block or (0, len(means))  # every rank draws for all, as one process would
+        normals = torch.randn(total, 3, generator=generator, device=means.device, dtype=means.dtype)
+        normals = normals[first : first + len(means)]
         strength = self.config.position_noise / self.scene_extent**2
         rate = torch.as_tensor(rate, dtype=torch.float32, device=means.device)
         second = gaussians.stored_second_opacity

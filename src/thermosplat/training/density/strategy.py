@@ -39,6 +39,8 @@ class Strategy(Protocol):
     """Moves Gaussians after every update, by :meth:`move`."""
     growing: bool
     """Off: faint Gaussians are removed, but none added, and opacities are not reset."""
+    block: tuple[int, int] | None
+    """Where Gaussians are divided over ranks, the first of this rank's, and the number of all."""
 
     def is_active(self, step: int) -> bool:
         """Whether gradients of this step count towards a refinement."""

@@ -3,7 +3,7 @@
 Notation: steps count from 1; a span (start, end) holds the steps start + 1 to end.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from thermosplat.config import TrainConfig
@@ -64,6 +64,10 @@ class SpectrumSchedule:
         self._spans = spectrum_spans(config)
         self._frames = frames
         self._seed = config.seed
+        self._size = config.batch_size or 1
+        self._steps = config.max_steps
+        self.places: Sequence[int] = range(self._size)
+        """Places of the frames, among those of each step, that this process renders."""
         self._starts = {0, *(boundary for span in self._spans.values() for boundary in span)} - {config.max_steps}
         self._trained: dict[frozenset[str], tuple[list[int], FrameOrder]] = {}
         self.withhold(())
@@ -78,7 +82,7 @@ class SpectrumSchedule:
             UserError: If some step would have no frame to learn from.
         """
         for start in self._starts:
-            shown = self._shown(start)
+            shown = self.shown(start)
             having = [
                 index
                 for index, frame in enumerate(self._frames.frames)
@@ -92,17 +96,37 @@ class SpectrumSchedule:
             self._trained[shown] = having, FrameOrder(len(having), self._seed)
 
     def frame(self, steps_done: int) -> Frame:
-        """The frame of the step that follows ``steps_done`` steps."""
+        """The (first) frame of the step that follows ``steps_done`` steps."""
         return self._frames.frames[self._index(steps_done)]
 
-    def tensors(self, steps_done: int) -> FrameTensors:
-        """The same frame on the device, with the views alone that the step trains on."""
-        return self._frames[self._index(steps_done)].only(self._shown(steps_done))
+    def tensors(self, steps_done: int, number: int = 0) -> FrameTensors:
+        """A frame of that step on the device, with the views alone that the step trains on.
 
-    def _index(self, steps_done: int) -> int:
-        having, order = self._trained[self._shown(steps_done)]
-        return having[order[steps_done]]
+        Frames that stay on the disk are read ahead if they are asked for in their order.
 
-    def _shown(self, steps_done: int) -> frozenset[str]:
+        Args:
+            steps_done: As of ``frame``.
+            number: Which of the step's frames that this process renders; without any of them there is no view.
+        """
+        count = len(self.places)
+        if not count:
+            return FrameTensors("", {}, ())
+        frame = self._frames.at(steps_done * count + number, self._at_place, self._steps * count)
+        return frame.only(self.shown(steps_done))
+
+    def _at_place(self, place: int) -> int:
+        """Index of a frame that this process renders, counted from the first step on."""
+        steps_done, number = divmod(place, len(self.places))
+        return self._index(steps_done, self.places[number])
+
+    def batch(self, steps_done: int) -> list[int]:
+        """Indices of the frames of the step that follows ``steps_done`` steps."""
+        return [self._index(steps_done, place) for place in range(self._size)]
+
+    def _index(self, steps_done: int, place: int = 0) -> int:
+        having, order = self._trained[self.shown(steps_done)]
+        return having[order[steps_done * self._size + place]]
+
+    def shown(self, steps_done: int) -> frozenset[str]:
         """Spectra that the step after so many trains on."""
         return frozenset(name for name, span in self._spans.items() if steps_done + 1 in span)

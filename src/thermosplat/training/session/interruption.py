@@ -7,7 +7,7 @@ reads any more (``| head``) stop a training as Ctrl-C does.
 import errno
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -65,16 +65,30 @@ def stop_signals() -> Iterator[None]:
     Who had a signal ignored keeps that (nohup). Importing pycolmap puts handlers of its own in their place, which print
     the C stack: begin the block again after that.
     """
+    with handled_signals(_STOPPING[1:], _stop):
+        yield
+
+
+@contextmanager
+def handled_signals(
+    numbers: Iterable[signal.Signals], handler: Callable[[int, FrameType | None], object]
+) -> Iterator[None]:
+    """Let a handler have signals in the block, but for those that are ignored; nothing is done outside the main thread.
+
+    Args:
+        numbers: The signals.
+        handler: Called by Python with the signal's number, as of ``signal.signal``.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = [number for number in _STOPPING[1:] if signal.getsignal(number) is not signal.SIG_IGN]
-    previous = {number: signal.signal(number, _stop) for number in numbers}
+    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    previous = {number: signal.signal(number, handler) for number in heard}
     try:
         yield
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        for number, before in previous.items():
+            signal.signal(number, signal.SIG_DFL if before is None else before)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

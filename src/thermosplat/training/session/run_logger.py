@@ -121,6 +121,14 @@ class RunLogger:
             except ImportError:
                 self.say('TensorBoard files are not written: pip install ".[tensorboard]" in the repository for them.')
 
+    def start_again(self) -> None:
+        """Drop all lines: steps count from 1 again."""
+        self._report_late()
+        self._sums, self._counts, self._rate_from = {}, {}, None
+        if self._writer is not None:
+            self._writer.close()
+        self.start(0)
+
     def say(self, message: str) -> None:
         """Print one line above the live line."""
         self.console.print(Text(message), soft_wrap=not self.console.is_terminal)  # a line of a log file stays one line

@@ -4,6 +4,7 @@ from typing import Any
 
 import torch
 
+from thermosplat.config import LensUse
 from thermosplat.image_quality.lpips import Lpips
 from thermosplat.refinement.camera_report import correction_summary
 from thermosplat.runs.devices import device_name
@@ -11,7 +12,7 @@ from thermosplat.training.training_state import TrainingState
 
 
 def run_metrics(
-    evaluated: dict[str, Any], state: TrainingState, device: torch.device, lpips: Lpips | None
+    evaluated: dict[str, Any], state: TrainingState, device: torch.device, lpips: Lpips | None, lens: LensUse
 ) -> dict[str, Any]:
     """The content of metrics.json.
 
@@ -20,6 +21,7 @@ def run_metrics(
         state: The state at the end of the run.
         device: What it ran on.
         lpips: What measured LPIPS, if anything did.
+        lens: Whether images were undistorted for training and for these numbers.
     """
     seconds, model = state.seconds, state.model
     corrections = state.corrections
@@ -29,6 +31,7 @@ def run_metrics(
         "steps": state.step,
         "train_seconds": seconds.train,
         "device": device_name(device),
+        "lens": lens,
         "wall_seconds": seconds.wall,
         "first_step_seconds": seconds.first_step,
         "gaussians": {name: len(gaussians) for name, gaussians in state.gaussian_sets.items()},

@@ -1,0 +1,156 @@
+"""Training steps of several frames, on one rank or on several that divide frames and Gaussians.
+
+A step's loss is the mean over its frames. Frame k of a step is rendered by rank k mod W, W frames at a time.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from thermosplat.config.batches import adam_betas
+from thermosplat.datasets.capture import Frame
+from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.distributed.team import Team
+from thermosplat.refinement.camera_corrections import POSES
+from thermosplat.scene.initial_gaussians import SHARED
+from thermosplat.training.density.gaussian_ops import Optimizers
+from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
+from thermosplat.training.frames.train_frames import TrainFrames
+from thermosplat.training.session.interruption import deferred_interrupts
+from thermosplat.training.sharing.calls import Calls, Group, calls_of, infos_of_frame
+from thermosplat.training.training_state import TrainingState
+from thermosplat.training.training_step import Differentiated, Part, StepKind, StepValues, TrainingStep
+
+NO_FRAME = FrameTensors("", {}, ())
+
+
+class BatchSteps:
+    """Runs steps of several frames; ``PlainSteps`` has the same methods.
+
+    Args:
+        step: The step.
+        frames: The training frames.
+        schedule: Which of them each step takes.
+        team: The ranks; None: there is one.
+    """
+
+    def __init__(
+        self, step: TrainingStep, frames: TrainFrames, schedule: SpectrumSchedule, team: Team | None = None
+    ) -> None:
+        self.step, self.frames, self.schedule, self.team = step, frames, schedule, team
+        rank, ranks = (0, 1) if team is None else (team.rank, team.size)
+        schedule.places = range(rank, step.config.batch_size or 1, ranks)
+        betas = adam_betas(step.config.batch_size or 1)
+        for optimizers in step.state.optimizers.values():
+            set_betas(optimizers, betas)
+
+    @contextmanager
+    def run(self, frame: FrameTensors, kind: StepKind) -> Iterator[StepValues]:
+        """Do one step; the block goes on with it, and ends before an interrupt is heard.
+
+        Args:
+            frame: The first of its frames; the others are known.
+            kind: What is done with them.
+        """
+        done = self._gradients(kind)
+        with deferred_interrupts():
+            yield self.step.update(kind, done)
+
+    def forget(self, *, kernels: bool = False) -> None:
+        """Nothing was recorded that could be forgotten."""
+
+    def check_overflow(self) -> None:
+        """Every pair has room: rasterizations read back how many there are."""
+
+    def _gradients(self, kind: StepKind) -> Differentiated:
+        state, team = self.step.state, self.team
+        batch = self.schedule.batch(state.step)
+        shown = self.schedule.shown(state.step)
+        rank, ranks = (0, 1) if team is None else (team.rank, team.size)
+        rounds = [batch[start : start + ranks] for start in range(0, len(batch), ranks)]
+        penalised = list(
+            dict.fromkeys(
+                state.model.set_of(name)
+                for name in state.model.spectra
+                if any(name in shown and name in self.frames.frames[index].views for index in batch)
+            )
+        )
+        losses: dict[str, list[Tensor]] = {}
+        errors: dict[str, list[Tensor]] = {}
+        observed: list[dict[str, list[Any]]] = []
+        done: Differentiated | None = None
+        for number, indices in enumerate(rounds):
+            calls = None if team is None else self._calls(team, indices, shown)
+            part = Part(1.0 / len(batch), penalised if number == 0 else (), calls)
+            own = self.schedule.tensors(state.step, number) if rank < len(indices) else NO_FRAME
+            done = None  # what it holds of the frame before is not needed while this one is rendered
+            done = self.step.differentiate(own, kind, part)
+            for held, found in ((losses, done.losses), (errors, done.squared_errors)):
+                for name, value in found.items():
+                    held.setdefault(name, []).append(value.detach())
+            for camera in range(len(indices)) if kind.densifying else ():
+                groups = None if calls is None else calls.of_ranks[camera]
+                observed.append(infos_of_frame(done.rendered.infos, camera, groups, len(batch)))
+        if done is None:
+            raise ValueError("A step has no frame.")
+        own_frames = max(sum(rank < len(indices) for indices in rounds), 1)
+        # a rank says of all frames what it saw of its own
+        said = {name: torch.stack(values).sum() * (len(batch) / own_frames) for name, values in losses.items()}
+        if team is not None:
+            self._add_up_replicated(team)
+        self.step.guard.observe(state.step_on_device, said, state.gradients_to_watch())
+        if team is not None:
+            team.largest_in_place(self.step.guard.blocked)
+        means = {name: torch.stack(values).mean() for name, values in errors.items()}
+        return replace(done, losses=said, squared_errors=means, observed=observed)
+
+    def _calls(self, team: Team, indices: list[int], shown: frozenset[str]) -> Calls:
+        frames = [self._groups(self.frames.frames[index], shown) for index in indices]
+        missing: list[list[Group]] = [[] for _ in range(team.size - len(frames))]
+        like = next(iter(self.step.state.gaussian_sets.values())).means
+        return calls_of([*frames, *missing], team.rank, like.detach())
+
+    def _groups(self, frame: Frame, shown: frozenset[str]) -> list[Group]:
+        """The groups in which a rank renders a frame, as every rank finds them."""
+        state = self.step.state
+        names = [name for name in state.model.spectra if name in shown and name in frame.views]
+        corrected = state.corrections is not None and not state.corrections.refined <= {POSES}
+        if corrected or state.separates_spectra or SHARED not in state.gaussian_sets:
+            return [(name,) for name in names]
+        groups = (tuple(name for name in names if name in group) for group in frame.shared_cameras)
+        return [group for group in groups if group]
+
+    def _add_up_replicated(self, team: Team) -> None:
+        """Sum the gradients of what every rank has whole, where some rank has one."""
+        parameters = replicated_parameters(self.step.state)
+        has = [int(parameter.grad is not None) for parameter in parameters]
+        wanted = [any(of_all) for of_all in zip(*team.numbers(has), strict=True)] if has else []
+        gradients = []
+        for parameter, is_wanted in zip(parameters, wanted, strict=True):
+            if is_wanted:
+                if parameter.grad is None:
+                    parameter.grad = torch.zeros_like(parameter)
+                gradients.append(parameter.grad)
+        team.sum_in_place(gradients)
+
+
+def replicated_parameters(state: TrainingState) -> list[torch.nn.Parameter]:
+    """What every rank has whole: decoders, exposures, and what is wrong with the cameras."""
+    return [
+        parameter
+        for owner, optimizers in state.optimizers.items()
+        if owner not in state.gaussian_sets
+        for optimizer in optimizers.values()
+        for parameter in optimizer.param_groups[0]["params"]
+    ]
+
+
+def set_betas(optimizers: Optimizers, betas: tuple[float, float]) -> None:
+    """Let the moments of optimizers, given by parameter name, decay so fast."""
+    for optimizer in optimizers.values():
+        for group in optimizer.param_groups:
+            group["betas"] = betas

@@ -1,0 +1,110 @@
+"""What a training makes of its model: evaluations of held-out views, and the files of a finished run."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import torch
+
+from thermosplat.config import TrainConfig
+from thermosplat.datasets.capture import Capture
+from thermosplat.evaluation.held_out_poses import Judged, evaluate_refined
+from thermosplat.evaluation.labelled_regions import write_regions
+from thermosplat.export.scene import scene_splats, write_scene
+from thermosplat.image_quality.lpips import Lpips, find_lpips
+from thermosplat.refinement.camera_report import write_cameras
+from thermosplat.refinement.corrected_capture import corrected_capture
+from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.training.session.run_logger import RunLogger
+from thermosplat.training.session.run_metrics import run_metrics
+from thermosplat.training.training_state import TrainingState
+from thermosplat.training.training_step import sh_degree_at
+
+
+class RunResults:
+    """Evaluates the model of a training, and writes what a finished run leaves behind.
+
+    Args:
+        config: The whole configuration.
+        capture: The capture as it was read.
+        run: Where files go.
+        state: The training's state; whatever its model is at the time of a call is evaluated.
+        logger: What tells the user.
+        device: Where views are rendered.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        capture: Capture,
+        run: RunDirectory,
+        state: TrainingState,
+        logger: RunLogger,
+        device: torch.device,
+    ) -> None:
+        self._config, self._capture, self._run = config, capture, run
+        self._state, self._logger, self._device = state, logger, device
+        self._lpips: Lpips | None = None
+
+    def find_lpips(self) -> str:
+        """Load what measures LPIPS, where its weights are at hand; a line that says so or says why not.
+
+        Raises:
+            UserError: the weights that were asked for cannot be read.
+        """
+        self._lpips, remark = find_lpips(self._config.lpips_weights, self._device)
+        return remark
+
+    def lack_evaluation(self) -> bool:
+        """Whether the step done, one in the middle of the run, was to be evaluated and was not."""
+        step = self._state.step
+        due = 0 < step < self._config.max_steps and step in self._config.eval_steps and not self._state.finds_cameras
+        return due and not (self._run.stats / f"step_{step:06d}.json").is_file()
+
+    def evaluate(self, *, at_the_end: bool = False) -> Judged:
+        """Judge the model by the held-out views, say and write the numbers.
+
+        Args:
+            at_the_end: Also write strips and the numbers of every view.
+        """
+        step = self._state.step
+        judged = evaluate_refined(
+            self._state.model,
+            self.corrected_capture(),
+            self._config,
+            sh_degree=sh_degree_at(self._config, step),
+            device=self._device,
+            lpips=self._lpips,
+            strips_dir=self._run.renders if at_the_end else None,
+            csv_path=self._run.stats / "per_view.csv" if at_the_end else None,
+        )
+        self._logger.evaluation(step, judged.metrics)
+        self._run.write_json(self._run.stats / f"step_{step:06d}.json", judged.metrics)
+        return judged
+
+    def corrected_capture(self) -> Capture:
+        """The capture with its cameras as they are believed to be now."""
+        corrections = self._state.corrections
+        return self._capture if corrections is None else corrected_capture(self._capture, corrections)
+
+    def exporting(self) -> Callable[[], object]:
+        """What writes the scene for other viewers; in any thread, as it has tensors of its own."""
+        return partial(write_scene, scene_splats(self._state.model, self._capture.scales), self._run.ply)
+
+    def write(self, judged: Judged) -> dict[str, Any]:
+        """Write errors by region, corrected cameras and, last of all, metrics.json: where it is, everything is.
+
+        Args:
+            judged: The evaluation at the end.
+
+        Returns:
+            The content of metrics.json.
+        """
+        state, config, device = self._state, self._config, self._device
+        degree = sh_degree_at(config, state.step)
+        write_regions(self._run, state.model, judged.capture, state.step, degree, device)
+        if state.corrections is not None:
+            write_cameras(judged.capture, self._run.refined)
+        metrics = run_metrics(judged.metrics, state, device, self._lpips, config.lens)
+        self._run.write_json(self._run.metrics_json, metrics)
+        return metrics

@@ -1,0 +1,150 @@
+"""The calls of the renderer that ranks make together for their frames.
+
+Where Gaussians are divided, every rank makes every call, and gives it a camera. Frames may lack views, and spectra of
+one frame may share a camera where those of another do not: a rank whose frame has no view for a call gives it a small
+camera that sees nothing.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.scene.rendered_frame import RenderedFrame
+
+Group = tuple[str, ...]
+"""Spectra that one camera renders, in the model's order."""
+BLANK_SIZE = 16
+"""Width and height of the image of a camera that sees nothing [px]: one tile."""
+AWAY = -1e6
+"""Where in front of such a camera the scene's origin is [world units]: behind it."""
+
+
+class Calls(NamedTuple):
+    """What all ranks render at a time."""
+
+    groups: list[Group]
+    """Every group that some rank's frame has, in an order that all ranks agree on."""
+    of_ranks: list[set[Group]]
+    """The groups of each rank's frame; none of a rank without a frame."""
+    rank: int
+    """This one."""
+    like: Tensor
+    """Any float tensor on the ranks' device."""
+
+
+def calls_of(frames: Sequence[Sequence[Group]], rank: int, like: Tensor) -> Calls:
+    """The calls for the frames that the ranks have now.
+
+    Args:
+        frames: The groups of each rank's frame.
+        rank: This one.
+        like: Any float tensor on the device.
+    """
+    groups = dict.fromkeys(group for frame in frames for group in frame)
+    return Calls(sorted(groups), [set(frame) for frame in frames], rank, like)
+
+
+def render_with_others(
+    render: Callable[..., RenderedFrame], views: Mapping[str, ViewTensors], calls: Calls
+) -> RenderedFrame:
+    """Render a rank's frame while the other ranks render theirs.
+
+    Args:
+        render: ``SceneModel.render`` with its options.
+        views: The frame's; none where the rank has no frame.
+        calls: What all ranks render.
+
+    Returns:
+        The frame. ``infos`` holds every call by set, in the order of ``calls.groups``; under "group" the group.
+    """
+    rendered = RenderedFrame()
+    for group in calls.groups:
+        is_own = group in calls.of_ranks[calls.rank]
+        shown = {name: views[name] if is_own else _blank(calls.like) for name in group}
+        part = render(shown, shared_cameras=[group], distributed=True)
+        if is_own:
+            for held, found in (
+                (rendered.images, part.images),
+                (rendered.features, part.features),
+                (rendered.alphas, part.alphas),
+            ):
+                held.update(found)
+            rendered.depth_spreads += part.depth_spreads
+        else:
+            rendered.blank += [*part.images.values(), *part.features.values(), *part.depth_spreads]
+        for name, infos in part.infos.items():
+            for info in infos:
+                info["group"] = group
+            rendered.infos.setdefault(name, []).extend(infos)
+    return rendered
+
+
+def _blank(like: Tensor) -> ViewTensors:
+    viewmat = torch.eye(4, dtype=like.dtype, device=like.device)
+    viewmat[2, 3] = AWAY
+    focal = float(BLANK_SIZE)
+    K = like.new_tensor([[focal, 0.0, focal / 2], [0.0, focal, focal / 2], [0.0, 0.0, 1.0]])
+    return ViewTensors(viewmat, K, BLANK_SIZE, BLANK_SIZE)
+
+
+class FrameGradients:
+    """``means2d`` of one frame's camera, of a call that rendered several frames, as density control reads it.
+
+    Args:
+        means2d: Of the call, [C, N, 2].
+        camera: Which camera.
+        frames: Frames of the step, whose mean the loss is: gradients are multiplied by it.
+    """
+
+    def __init__(self, means2d: Tensor, camera: int, frames: int) -> None:
+        self._means2d, self._camera, self._frames = means2d, camera, frames
+
+    @property
+    def grad(self) -> Tensor | None:
+        """The frame's own gradient, [1, N, 2]."""
+        return self._of_frame(self._means2d.grad)
+
+    @property
+    def absgrad(self) -> Tensor | None:
+        """Likewise of the sums of absolute gradients."""
+        return self._of_frame(getattr(self._means2d, "absgrad", None))
+
+    def _of_frame(self, gradient: Tensor | None) -> Tensor | None:
+        if gradient is None:
+            return None
+        own = gradient[self._camera : self._camera + 1]
+        return own if self._frames == 1 else own * self._frames
+
+
+def infos_of_frame(
+    infos: Mapping[str, Sequence[dict[str, Any]]], camera: int, groups: set[Group] | None, frames: int
+) -> dict[str, list[Any]]:
+    """What density control looks at of one frame, by set.
+
+    Args:
+        infos: Of the calls, by set.
+        camera: Which camera of each call is the frame's.
+        groups: The frame's groups; None: all calls are its own.
+        frames: Frames of the step.
+    """
+    found: dict[str, list[Any]] = {}
+    for name, calls in infos.items():
+        for info in calls:
+            if groups is None or info["group"] in groups:
+                found.setdefault(name, []).append(_info_of_frame(info, camera, frames))
+    return found
+
+
+def _info_of_frame(info: dict[str, Any], camera: int, frames: int) -> dict[str, Any]:
+    width, height = info["sizes"][camera] if "sizes" in info else (info["width"], info["height"])
+    return {
+        "means2d": FrameGradients(info["means2d"], camera, frames),
+        "radii": info["radii"][camera : camera + 1],
+        "width": width,
+        "height": height,
+        "n_cameras": 1,
+        "spectra": info["spectra"],
+    }
