@@ -12,7 +12,7 @@ import torch
 from scenes.splat_files import READERS
 from splat_scenes import random_splats, scene_like_splats
 from thermosplat.errors import UserError
-from thermosplat.export.formats import SPLAT_FORMATS, Described, SplatFormat, write_format
+from thermosplat.export.formats import HELD_DEGREES, SPLAT_FORMATS, Described, SplatFormat, write_format
 from thermosplat.export.splats import SplatArrays, Splats, drawable
 
 EXACT = {"means": 1e-6, "angle": 2e-3, "log_scales": 1e-5, "opacities": 1e-5, "sh0": 1e-6, "shN": 1e-6}
@@ -137,3 +137,15 @@ def test_usd_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(__import__("sys").modules, "pxr", None)
     with pytest.raises(UserError, match=r"thermosplat\[usd\]"):
         write_format("usd", tmp_path, Described(scene_like_splats(3, 0), "rgb"))
+
+
+@pytest.mark.parametrize("format", sorted(HELD_DEGREES))
+def test_a_format_without_room_for_a_degree_says_so(format: SplatFormat, tmp_path: Path) -> None:
+    """Nothing is left out of a file in silence; where degree 4 is zero everywhere, there is nothing to leave out."""
+    splats = random_splats(5, 4)
+    with pytest.raises(UserError, match=f"{format} holds spherical harmonics up to degree 3.*rgb use 4") as raised:
+        write_format(format, tmp_path, Described(splats, "rgb"))
+    assert "--format ply" in str(raised.value)
+    assert not list(tmp_path.iterdir())
+    splats.shN[:, 15:] = 0.0
+    assert write_format(format, tmp_path, Described(splats, "rgb")).num_gaussians == 5

@@ -19,6 +19,18 @@ INRIA_ORDER = (
 )
 
 
+def test_degree_4_is_written_where_it_is_used(tmp_path: Path) -> None:
+    """24 coefficients of each channel, channel by channel; where degree 4 is zero, the layout that viewers expect."""
+    splats = random_splats(7, 4)
+    vertex = plyfile.PlyData.read(str(write_splats(tmp_path / "four.ply", splats).path))["vertex"]
+    for channel in range(3):
+        for base in range(24):
+            np.testing.assert_array_equal(vertex[f"f_rest_{24 * channel + base}"], splats.shN[:, base, channel])
+    splats.shN[:, 15:] = 0.0
+    vertex = plyfile.PlyData.read(str(write_splats(tmp_path / "three.ply", splats).path))["vertex"]
+    assert [prop.name for prop in vertex.properties] == INRIA_ORDER
+
+
 @pytest.mark.parametrize("sh_degree", [0, 1, 3])
 def test_layout_is_inrias(sh_degree: int, tmp_path: Path) -> None:
     """Names, order, type and meaning of the 62 properties; lower SH degrees are padded with zeros."""

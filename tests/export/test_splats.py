@@ -19,7 +19,7 @@ def as_splats(arrays: SplatArrays) -> Splats:
 
 def test_half_a_turn_moves_the_scene_and_not_its_image() -> None:
     """Turned Gaussians before a camera that is turned with them look the same: harmonics of all degrees, rotations."""
-    original = drawable(scene_like_splats(60, 3))
+    original = drawable(scene_like_splats(60, 4))
     viewmat = torch.eye(4)
     viewmat[2, 3] = 12.0
     K = torch.tensor([[60.0, 0.0, 24.0], [0.0, 60.0, 18.0], [0.0, 0.0, 1.0]])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from splat_scenes import random_splats
 from thermosplat.errors import UserError
 from thermosplat.export.ply import write_splats
 from thermosplat.export.scene import spectrum_splats
@@ -33,9 +34,19 @@ def test_an_export_looks_as_its_scene(compact: bool, tmp_path: Path) -> None:
     start = viewed_toy().start()
     layer = Layer("image", "rgb")
     image = LayerRenderer(scene).render([layer], scene.view(start.viewmat, start.fov_y, 48, 36))[layer]
-    np.testing.assert_allclose(image.colors, expected.clamp(0, 1).numpy(), atol=1e-5)
+    assert image.colors is not None
+    np.testing.assert_allclose(image.colors, 255 * expected.clamp(0, 1).numpy(), atol=0.5 + 255e-5)
     assert {layer.kind for layer in available_layers(scene)} == {"image", "depth", "opacity"}
     assert scene.sh_degree == (1 if compact else 3)
+
+
+def test_a_file_of_degree_4_opens(tmp_path: Path) -> None:
+    """Its 24 higher coefficients come back in their order."""
+    splats = random_splats(6, 4)
+    write_splats(tmp_path / "a.ply", splats)
+    scene = open_splats(tmp_path / "a.ply", torch.device("cpu"))
+    assert scene.sh_degree == 4
+    torch.testing.assert_close(scene.model.gaussians("rgb").shN.detach(), splats.shN)
 
 
 def test_a_scene_without_photographs_begins_in_front_of_its_gaussians(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
+from thermosplat.datasets.read_ahead import read_ahead
 from thermosplat.image_quality.metrics import mean_absolute_error, psnr, ssim
 from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
 from thermosplat.pictures.image_display import spectrum_bytes, write_png
@@ -112,7 +113,7 @@ def evaluate(
     """
     rows: list[dict[str, Any]] = []
     with background_writes() as write:
-        for frame in capture.test:
+        for frame in read_ahead(capture.test):
             results = list(rendered_views(model, frame, capture.scales, sh_degree, device))
             numbers = [_numbers(result, lpips) for result in results]
             rows += [{"frame": frame.name, "spectrum": r.spectrum, **values} for r, values in zip(results, numbers)]

@@ -19,6 +19,7 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import FrameTensors, frame_tensors
+from thermosplat.datasets.read_ahead import read_ahead
 from thermosplat.evaluation.held_out import Lpips, evaluate
 from thermosplat.losses.image_terms import compare_frame
 from thermosplat.refinement.camera_corrections import POSES, frame_center, pose_basis
@@ -116,7 +117,7 @@ def held_out_motions(
     config = _image_losses_alone(config)
     found: dict[str, Tensor] = {}
     with _frozen(model):
-        for frame in capture.test:
+        for frame in read_ahead(capture.test):
             tensors = frame_tensors(frame, capture.scales, device).only(tuple(model.spectra))
             if tensors.views:
                 center = frame_center(frame).float().to(device)

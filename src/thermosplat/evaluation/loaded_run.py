@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from thermosplat.config import TrainConfig
-from thermosplat.datasets import load_capture
+from thermosplat.datasets import capture_of
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.warp_start import start_warp
@@ -74,9 +74,7 @@ class LoadedRun:
             )
         config = self.config
         with _palettes_at_hand(config.spectra, self.scales) as spectra:
-            capture = load_capture(
-                data or config.data, data_factor=config.data_factor, test_every=config.test_every, spectra=spectra
-            )
+            capture = capture_of(replace(config, data=str(data or config.data), spectra=spectra))
         difference = other_frames(self.train_frames, capture)
         if not difference and not self.is_own(capture):
             difference = f"{capture.root} has other held-out frames."

@@ -48,7 +48,7 @@ def depth_view(
         scales: What pixel values mean, by spectrum.
         sh_degree: Highest SH degree in use.
     """
-    pinhole = replace(view, distortion=None)
+    pinhole = replace(view, distortion=None, lens=None, fisheye=False)
     rendered = model.render(dict.fromkeys(model.spectra, pinhole), sh_degree=sh_degree)
     depth = model.render_depth(name, pinhole)
     depth = torch.where(rendered.alphas[name][..., 0] >= LEAST_COVER, depth, 0.0)

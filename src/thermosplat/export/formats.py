@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+from thermosplat.errors import UserError
 from thermosplat.export.compressed_ply import write_compressed_ply
 from thermosplat.export.glb import write_glb
 from thermosplat.export.ply import write_splats
 from thermosplat.export.sog import write_sog
-from thermosplat.export.splats import Splats, WrittenSplats
+from thermosplat.export.splats import Splats, WrittenSplats, used_coefficients
 from thermosplat.export.spz import write_spz
 from thermosplat.export.usd import write_usd
 
@@ -30,6 +31,9 @@ class Described:
     antialiased: bool = False
     """They were trained with antialiased rasterization."""
 
+
+HELD_DEGREES: dict[SplatFormat, int] = {"compressed-ply": 3, "spz": 3, "sog": 3, "glb": 3}
+"""Highest degree of spherical harmonics that a format has room for, where there is a limit."""
 
 _WRITERS: dict[SplatFormat, tuple[str, Callable[[Path, Described], WrittenSplats]]] = {
     "ply": (".ply", lambda path, scene: write_splats(path, scene.splats, scene.comments)),
@@ -55,5 +59,11 @@ def write_format(format: SplatFormat, folder: Path, scene: Described) -> Written
     Raises:
         UserError: The format cannot hold the scene, or what writes it is not installed.
     """
+    held, used = HELD_DEGREES.get(format), int((used_coefficients(scene.splats.shN) + 1) ** 0.5) - 1
+    if held is not None and used > held:
+        raise UserError(
+            f"{format} holds spherical harmonics up to degree {held}, the Gaussians of {scene.spectrum} use {used}.",
+            "Export with --format ply or usd, or train with --sh-degree 3.",
+        )
     suffix, write = _WRITERS[format]
     return write(folder / f"splat_{scene.spectrum}{suffix}", scene)

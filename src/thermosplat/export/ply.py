@@ -1,8 +1,9 @@
 """Gaussians as PLY, in the layout of the original 3D Gaussian Splatting code that third-party viewers open.
 
-One vertex a Gaussian, 62 float32 properties, binary little endian: position, a zero normal, SH degree 0, SH degrees 1
-to 3 channel by channel (padded with zeros where the model has fewer), opacity and scales before their activation, and
-the wxyz quaternion. Positions are in the frame of the capture's own camera poses (COLMAP's, for a COLMAP model).
+One vertex per Gaussian, 62 float32 properties, binary little endian: position, a zero normal, SH degree 0, SH degrees 1
+to 3 channel by channel (padded with zeros where the model has fewer; with degree 4 there are 89 properties, which few
+viewers read), opacity and scales before their activation, and the wxyz quaternion. Positions are in the frame of the
+capture's own camera poses (COLMAP's, for a COLMAP model).
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,16 +14,15 @@ from torch import Tensor
 
 from thermosplat.export.splats import Splats, WrittenSplats, is_drawable, used_coefficients
 from thermosplat.runs.atomic_writes import write_atomically
-from warp_kernels.constants import SH_DEGREE_MAX
 
-REST_COEFFICIENTS = (SH_DEGREE_MAX + 1) ** 2 - 1  # SH degrees 1 to the highest
+REST_COEFFICIENTS = 15  # of SH degrees 1 to 3, which viewers expect
 
 
 def properties(rest_coefficients: int) -> tuple[str, ...]:
     """Names in file order.
 
     Args:
-        rest_coefficients: SH coefficients of a channel above degree 0: 0, 3, 8 or 15.
+        rest_coefficients: SH coefficients of a channel above degree 0: 0, 3, 8, 15 or 24.
     """
     return (
         *("x", "y", "z", "nx", "ny", "nz"),
@@ -59,7 +59,8 @@ def write_splats(
     Returns:
         The path and how many Gaussians went in and were left out.
     """
-    rest = used_coefficients(splats.shN) if compact else REST_COEFFICIENTS
+    used = used_coefficients(splats.shN)
+    rest = used if compact else max(used, REST_COEFFICIENTS)
     table = _table(splats, rest)
     drawable = is_drawable(table, splats.logit_opacities).cpu().numpy()
     further = scalars or {}

@@ -3,7 +3,7 @@
 The model decodes features per pixel, after blending; a PLY holds a colour per Gaussian, before blending. What the file
 carries is therefore an approximation wherever there are decoders: each Gaussian's own features are decoded as if they
 alone filled a pixel (A_f = f). A hybrid photograph adds that decoded colour to the SH colour; other spectra have the
-decoded colour only, seen at their own opacity. Scenes without decoders are exported exactly. ``fitted_colors`` makes
+decoded colour only, seen at their own opacity. Scenes without decoders are exported exactly. ``fitted_splats`` makes
 the approximation a better one.
 """
 
@@ -72,7 +72,11 @@ def scene_splats(
 
 
 def write_scene(
-    scene: SceneSplats, folder: Path, *, compact: bool = False, scalars: Mapping[str, Tensor] | None = None
+    scene: SceneSplats,
+    folder: Path,
+    *,
+    compact: bool = False,
+    scalars: Mapping[str, Mapping[str, Tensor]] | None = None,
 ) -> dict[str, WrittenSplats]:
     """The files of :func:`export_scene`, side by side; in any thread, as it does not touch the model.
 
@@ -80,13 +84,15 @@ def write_scene(
         scene: What to write.
         folder: Where.
         compact: As ``ply.write_splats``.
-        scalars: Further properties of every file (``ply.write_splats``).
+        scalars: Further properties by spectrum (``ply.write_splats``).
     """
+
+    def write(name: str) -> WrittenSplats:
+        further = None if scalars is None else scalars[name]
+        return write_splats(folder / f"splat_{name}.ply", *scene[name], compact=compact, scalars=further)
+
     with ThreadPoolExecutor() as threads:
-        writing = {
-            name: threads.submit(write_splats, folder / f"splat_{name}.ply", *splats, compact=compact, scalars=scalars)
-            for name, splats in scene.items()
-        }
+        writing = {name: threads.submit(write, name) for name in scene}
     return {name: file.result() for name, file in writing.items()}
 
 

@@ -17,8 +17,8 @@ from thermosplat.scene.packed_parameters import sh_degrees
 
 INVISIBLE_OPACITY = 1.0 / 255.0
 """Fainter Gaussians never reach the renderer's smallest blended alpha, 1/255 (3DGS, gsplat)."""
-SH_SIGNS_OF_HALF_TURN = (-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1)
-"""Signs of the basis functions of degrees 1 to 3 where y and z change theirs: those with an odd power of y z flip."""
+SH_SIGNS_OF_HALF_TURN = (-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1, -1, 1, -1, 1, 1, -1, 1, -1, 1)
+"""Signs of the basis functions of degrees 1 to 4 where y and z change theirs: those with an odd power of y z flip."""
 _GRID_BITS = 21
 """Bits of a coordinate in a Morton code of 63 bits."""
 
@@ -38,7 +38,7 @@ class Splats:
     sh0: Tensor
     """SH coefficients of degree 0, shape [N, 1, 3]."""
     shN: Tensor
-    """SH coefficients of degrees 1 and up, shape [N, K-1, 3], K <= 16."""
+    """SH coefficients of degrees 1 and up, shape [N, K-1, 3], K <= 25."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class SplatArrays:
 
     @property
     def sh_degree(self) -> int:
-        """Highest degree in use, 0 to 3."""
+        """Highest degree in use, 0 to 4."""
         return int(np.sqrt(self.shN.shape[1] + 1)) - 1
 
     @property

@@ -9,7 +9,7 @@ import torch
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import load_config
-from thermosplat.datasets import load_capture
+from thermosplat.datasets import capture_of
 from thermosplat.method_matrix.cell_result import CellResult, read_regions, write_cell
 from thermosplat.method_matrix.cells import Cell, difference, settings
 from thermosplat.method_matrix.panels import write_panels
@@ -72,9 +72,7 @@ def _made(cell: Cell, config: TrainConfig, folder: Path, keep_checkpoint: bool) 
 
 
 def _trainer(config: TrainConfig, folder: Path) -> Trainer:
-    capture = load_capture(
-        config.data, data_factor=config.data_factor, test_every=config.test_every, spectra=config.spectra
-    )
+    capture = capture_of(config)
     config, run = replace(config, result_dir=str(folder), overwrite=False), RunDirectory(folder)
     if run.latest_checkpoint() is not None and run.config_yaml.is_file():
         before = load_config(run.config_yaml)

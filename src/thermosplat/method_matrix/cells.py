@@ -15,7 +15,7 @@ REFERENCE_STEPS = 30_000
 
 _NOT_SETTINGS = (
     *("data", "result_dir", "resume", "overwrite", "config", "device", "graph", "compile"),
-    *("eval_steps", "save_steps", "log_every", "tensorboard", "lpips_weights"),
+    *("eval_steps", "save_steps", "log_every", "tensorboard", "lpips_weights", "image_memory"),
 )
 """Fields that say where and how a cell is computed, not what it computes."""
 

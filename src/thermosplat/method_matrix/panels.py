@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from thermosplat.datasets.capture import Capture, Frame
-from thermosplat.datasets.frame_tensors import view_tensors
+from thermosplat.datasets.frame_tensors import without_pixels
 from thermosplat.datasets.ground_truth import GroundTruth, read_ground_truth
 from thermosplat.errors import UserError
 from thermosplat.evaluation.held_out import file_stem, frame_comparisons
@@ -87,7 +87,7 @@ def write_panels(
             }
             span = None if truth is None or spectrum not in truth.depths else _depth_span(truth)
             if truth is not None and span is not None:
-                camera = view_tensors(frame.views[spectrum], None, device)
+                camera = without_pixels(frame.views[spectrum], device)
                 depth = model.render_depth(spectrum, camera).cpu().numpy()
                 write_png(pictures / f"{stem}_true_depth.png", depth_bytes(truth.depths[spectrum], *span))
                 write_png(pictures / f"{stem}_depth.png", depth_bytes(depth, *span))

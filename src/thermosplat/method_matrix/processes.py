@@ -1,8 +1,8 @@
 """Cells in processes of their own, one at a time on each device.
 
-A process a cell keeps them apart: what one leaves on the GPU, or breaks, is gone with it, and the peak of its memory is
-its own. Ctrl-C, SIGTERM and SIGHUP are handed on to the processes as SIGTERM; each saves a checkpoint, so that the same
-command goes on.
+One process per cell keeps them apart: what one leaves on the GPU, or breaks, is gone with it, and the peak of its
+memory is its own. Ctrl-C, SIGTERM and SIGHUP are handed on to the processes as SIGTERM; each saves a checkpoint, so
+that the same command goes on.
 """
 
 import os

@@ -5,7 +5,7 @@ import time
 import torch
 
 from thermosplat.datasets.capture import Capture
-from thermosplat.datasets.frame_tensors import frame_tensors
+from thermosplat.datasets.frame_tensors import FrameTensors, without_pixels
 from thermosplat.scene.model import SceneModel
 
 LEAST_SECONDS = 1.0
@@ -24,7 +24,10 @@ def frames_per_second(model: SceneModel, capture: Capture, *, sh_degree: int, de
         sh_degree: Highest SH degree in use.
         device: Where the model is.
     """
-    frames = [frame_tensors(frame, capture.scales, device) for frame in capture.test]
+    frames = [
+        FrameTensors(f.name, {name: without_pixels(v, device) for name, v in f.views.items()}, f.shared_cameras)
+        for f in capture.test
+    ]
 
     def render_all() -> None:
         for frame in frames:

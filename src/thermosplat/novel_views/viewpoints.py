@@ -1,6 +1,7 @@
 """Images of a trained scene along a camera path."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame
-from thermosplat.datasets.frame_tensors import ViewTensors, distortion_tensor
+from thermosplat.datasets.frame_tensors import ViewTensors, distortion_tensor, has_fisheye, lens_tensor
 from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import Bookmark, fov_camera, path_through
 from thermosplat.novel_views.camera_paths import ellipse_path, interpolated_path, spiral_path
@@ -41,7 +42,7 @@ def viewpoints(
 
     "train" and "test" are the capture's own views. The other paths are made from the training poses of the first shown
     spectrum. The other cameras ride along with their own intrinsics and their poses relative to that one, taken from
-    the first training frame that has all of them.
+    the first training frame that has all of them; as pinholes, without their lenses.
 
     Args:
         capture: Gives poses and cameras.
@@ -68,7 +69,7 @@ def viewpoints(
     together = next((frame for frame in capture.train if set(names) <= frame.views.keys()), None)
     if together is None:
         raise UserError(f"{capture.name} has no frame with {listed(names)}.", "Show one of them: --spectra.")
-    cameras = {name: together.views[name].camera for name in names}
+    cameras = {name: replace(together.views[name].camera, lens=None) for name in names}
     from_leading = {
         name: together.views[name].viewmat @ np.linalg.inv(together.views[leading].viewmat) for name in names
     }
@@ -173,4 +174,6 @@ def _view_tensors(camera: Camera, viewmat: NDArray[np.float64], device: torch.de
         width=camera.width,
         height=camera.height,
         distortion=distortion_tensor(camera, device),
+        lens=lens_tensor(camera, device),
+        fisheye=has_fisheye(camera),
     )

@@ -59,6 +59,8 @@ class SavedTraining:
     """Colour changes of the training views; None where no spectrum has them."""
     corrections: dict[str, torch.Tensor] | None = None
     """What is wrong with the cameras; None where nothing of them is refined."""
+    camera_passes: int = 0
+    """Passes that find the cameras, with the one that the steps done are of; 0: the scene is trained with them."""
     growing: bool = True
     """Whether density control may still add Gaussians."""
     offsets_dropped: bool = False
@@ -187,6 +189,7 @@ class _Reader:
             "strategies": (_are_dicts, "dictionaries by set"),
             "exposures": (_or_none(_are_tensors), "tensors or None"),
             "corrections": (_or_none(_are_tensors), "tensors or None"),
+            "camera_passes": (_is_count, "a whole number from 0"),
             "growing": (_is_bool, "true or false"),
             "offsets_dropped": (_is_bool, "true or false"),
             "budget_due": (_are_due, "parts of a budget"),
@@ -219,6 +222,10 @@ def _is_int(value: Any, least: int, most: int) -> bool:
 
 def _is_bool(value: Any) -> bool:
     return isinstance(value, bool)
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
 def _is_number(value: Any) -> bool:

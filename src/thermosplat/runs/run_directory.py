@@ -8,6 +8,7 @@ exports/               other formats, maps    regions.json      errors by region
 videos/                camera paths
 refined/               refined cameras, as a COLMAP model
 tb/                    TensorBoard events     training.lock     the process that trains here, as long as it does
+pixels/                undistorted images of a capture larger than memory, as long as it is trained on
 """
 
 import importlib.metadata

@@ -18,6 +18,10 @@ FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "regions.json", "enviro
 """What lies in the result folder itself."""
 PAGE, PAGE_MARK = "index.html", "<!-- results of thermosplat -->"
 """The page of a result folder, and what tells it from other pages of that name."""
+PIXELS = "pixels"
+"""The folder of undistorted images of a capture that does not fit the memory, as long as it is trained on."""
+KEPT_PIXELS = re.compile(r"[0-9a-f]{32}\.(image|values|intensity)\.npy")
+"""Their names: what they were made of, and which array they hold."""
 CHECKPOINT_NAME = re.compile(r"step_(\d+)\.pt")
 """With the steps done."""
 
@@ -25,6 +29,7 @@ _SPECTRUM = "[a-z][a-z0-9_]*"
 _ON_CAPTURE = r"\d{6,}(_.+)?"  # a step, and the name of another capture than the run's own
 _WRITTEN = {
     "ckpts": CHECKPOINT_NAME.pattern,
+    PIXELS: KEPT_PIXELS.pattern,
     "stats": rf"step_\d{{6,}}\.json|per_view\.csv|(eval|regions)_{_ON_CAPTURE}\.(json|csv)",
     "renders": rf"eval_{_ON_CAPTURE}",
     "ply": rf"splat_{_SPECTRUM}\.ply",

@@ -57,7 +57,7 @@ class Display:
         """A layer as 8-bit RGB, shape [H, W, 3]."""
         if image.field is None:
             assert image.colors is not None  # noqa: S101  a layer of colours
-            return rgb_bytes(image.colors)
+            return image.colors
         low, high = self.range_of(image)
         there = np.isfinite(image.field)
         shares = np.clip((np.where(there, image.field, low) - low) / (high - low or 1.0), 0, 1)

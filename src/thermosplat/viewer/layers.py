@@ -17,6 +17,7 @@ from torch import Tensor
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.evaluation.held_out import LARGEST_ERROR, LARGEST_MEASURED_ERROR
 from thermosplat.pictures.display_palettes import display_palette
+from thermosplat.pictures.image_display import Image8
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.scene.views import Rendering, render_view
@@ -63,8 +64,8 @@ class LayerImage:
     """Which one."""
     field: NDArray[np.float32] | None
     """Values, shape [H, W], NaN where there is none; None of a layer of colours."""
-    colors: NDArray[np.float32] | None
-    """Colours in [0, 1], shape [H, W, 3]; None of a layer of values."""
+    colors: Image8 | None
+    """8-bit colours, shape [H, W, 3]; None of a layer of values."""
     palette: Palette
     """Palette that its values are shown with where nobody asks for another one."""
     range: tuple[float, float] | None
@@ -146,7 +147,7 @@ class LayerRenderer:
             field = self._offset(name, view).cpu().numpy()
             return LayerImage(layer, field, None, display_palette("blue red"), (-4.0, 4.0), "", "opacity offset")
         if layer.kind == "features":
-            colors = self.features_basis.colors(rendered.features[name], rendered.alphas[name]).cpu().numpy()
+            colors = _bytes(self.features_basis.colors(rendered.features[name], rendered.alphas[name]))
             return LayerImage(layer, None, colors, display_palette("white hot"), None, "", "features")
         photograph = self.photographs.nearest(name, view)
         if layer.kind == "photograph":
@@ -202,7 +203,7 @@ def image_layer(
     quantity = "intensity" if measured is None else "temperature" if unit == "°C" else measured
     decimals = 2 if unit == "°C" else 3
     if scale.kind == "photograph" or (scale.kind == "color" and not values):
-        colors = (image if valid is None else torch.where(valid[..., None], image, 0.0)).cpu().numpy()
+        colors = _bytes(image if valid is None else torch.where(valid[..., None], image, 0.0))
         if scale.kind == "photograph":
             return LayerImage(layer, None, colors, scale.palette, None)
         return LayerImage(layer, None, colors, scale.palette, span, unit, quantity, decimals)
@@ -211,6 +212,11 @@ def image_layer(
     if valid is not None:
         field = torch.where(valid, field, torch.nan)
     return LayerImage(layer, field.cpu().numpy(), None, scale.palette, span, unit, quantity, decimals)
+
+
+def _bytes(colors: Tensor) -> Image8:
+    """Colours in [0, 1], shape [H, W, 3], as ``rgb_bytes`` has them: a quarter of the bytes leaves the device."""
+    return (colors * 255.0).round().to(torch.uint8).cpu().numpy()
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from torch import Tensor
 from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.scene.lens_distortion import distorted_positions
+from thermosplat.scene.lens_slopes import bent, straightened
 from thermosplat.viewer.viewed_scene import ViewedScene, resized
 
 HIDDEN = 0.05
@@ -119,11 +120,13 @@ def _seen_from(taken: ViewTensors, view: ViewTensors, depth: Tensor) -> tuple[Te
         torch.arange(view.height, device=device) + 0.5, torch.arange(view.width, device=device) + 0.5, indexing="ij"
     )
     rays = torch.stack([x, y, torch.ones_like(x)], dim=-1) @ torch.linalg.inv(view.K).T
+    if view.lens is not None:
+        rays = torch.cat([straightened(rays[..., :2], view), rays[..., 2:]], dim=-1)
     between = taken.viewmat.double() @ torch.linalg.inv(view.viewmat.double())
     points = (rays * depth[..., None]) @ between[:3, :3].T.float() + between[:3, 3].float()
     depths = points[..., 2]
-    projected = points @ taken.K.T
-    positions = projected[..., :2] / depths.clamp(min=1e-9)[..., None]
+    slopes = bent(points[..., :2] / depths.clamp(min=1e-9)[..., None], taken)
+    positions = slopes * taken.K.diagonal()[:2] + taken.K[:2, 2]
     if taken.distortion is not None:
         positions = distorted_positions(positions, taken.K, taken.distortion)
     return torch.where(depths[..., None] > 1e-9, positions, torch.nan), depths

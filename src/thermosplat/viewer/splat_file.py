@@ -55,9 +55,9 @@ def open_splats(path: Path, device: torch.device) -> ViewedScene:
         return torch.from_numpy(np.stack([rows[name].astype(np.float32) for name in wanted], axis=-1))
 
     rest = sum(1 for name in names if re.fullmatch(r"f_rest_\d+", name))
-    if rest not in (0, 9, 24, 45) or any(f"f_rest_{index}" not in names for index in range(rest)):
-        raise UserError(f"{path} has {rest} SH coefficients f_rest_*; 0, 9, 24 or 45 are expected.", _HINT)
-    degree = {0: 0, 9: 1, 24: 2, 45: 3}[rest]
+    if rest not in (0, 9, 24, 45, 72) or any(f"f_rest_{index}" not in names for index in range(rest)):
+        raise UserError(f"{path} has {rest} SH coefficients f_rest_*; 0, 9, 24, 45 or 72 are expected.", _HINT)
+    degree = {0: 0, 9: 1, 24: 2, 45: 3, 72: 4}[rest]
     higher = torch.zeros(len(rows), 0, 3)
     if rest:
         higher = columns(*(f"f_rest_{index}" for index in range(rest))).view(len(rows), 3, rest // 3).transpose(1, 2)

@@ -8,8 +8,9 @@ from concurrent.futures import Future
 from typing import Any, Protocol, TypeVar
 
 Result = TypeVar("Result")
-TRAINING_SHARE = 0.05
-"""Share of the time of training that renders for viewers may take."""
+TRAINING_SHARE = 0.03
+"""Share of the time of training that renders for viewers may take. What a viewer costs in all is more, such as the wait
+for steps that a GPU has in its queue: with 0.05 about 8% (benchmarks/records/viewer.md)."""
 
 
 class Turns(Protocol):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from made_cells import made_cell
 from thermosplat.method_matrix.cell_result import CellResult
+from thermosplat.method_matrix.published_scenes import COLLECTIONS
 from thermosplat.method_matrix.results import Results
 from thermosplat.method_matrix.tables.paper import ablation_table, all_tables, cost_table, quality_table
 from thermosplat.method_matrix.tables.paper_numbers import SCENES
@@ -48,6 +49,15 @@ def test_paper_numbers_stand_beside_ours() -> None:
     assert "(paper)" in one.title
     ten = quality_table(results_of(*(made_cell(scene, "3dgs") for scene in SCENES)))
     assert row(ten, "thermal", "SSIM", "3dgs (paper)")[-1] == "0.861"
+
+
+def test_thermonerf_stands_beside_its_own_ten_scenes() -> None:
+    """Its mean error in degrees, and only where the scenes are all of its own."""
+    scenes = list(COLLECTIONS["thermoscenes"].scenes)
+    ten = quality_table(results_of(*(made_cell(scene, "3dgs") for scene in scenes)))
+    assert row(ten, "thermal", "MAE [°C]", "thermonerf (paper)") == (*["-"] * 10, "1.500")
+    nine = quality_table(results_of(*(made_cell(scene, "3dgs") for scene in scenes[1:])))
+    assert "thermonerf (paper)" not in {line[2] for line in nine.rows}
 
 
 def test_ablations_have_a_table_of_their_own() -> None:

@@ -16,7 +16,7 @@ def entry(values: list[float], form: str) -> str:
     """Mean over the seeds as text, with ± their standard deviation where there are several; a dash for none.
 
     Args:
-        values: A number a seed.
+        values: One number per seed.
         form: As ``str.format`` takes it.
     """
     if not values:

@@ -10,7 +10,13 @@ from thermosplat.method_matrix.cell_result import CellResult
 from thermosplat.method_matrix.cells import method_group
 from thermosplat.method_matrix.results import Results
 from thermosplat.method_matrix.tables.entries import entry, known, means_over_scenes
-from thermosplat.method_matrix.tables.paper_numbers import FULL_METHOD, paper_mean, paper_scene, paper_value
+from thermosplat.method_matrix.tables.paper_numbers import (
+    FULL_METHOD,
+    others_means,
+    paper_mean,
+    paper_scene,
+    paper_value,
+)
 from thermosplat.method_matrix.tables.table import Table
 from thermosplat.spectra import MAE, unit_label
 
@@ -47,6 +53,8 @@ def quality_table(results: Results) -> Table:
                 paper.append(paper_mean(method, spectrum, metric, scenes))
                 if any(value is not None for value in paper):
                     rows.append((spectrum, heading, f"{method} (paper)", *(entry(_listed(v), form) for v in paper)))
+            for method, value in others_means(metric, scenes).items():
+                rows.append((spectrum, heading, f"{method} (paper)", *["-"] * len(scenes), form.format(value)))
     title = f"Table 1. Held-out views, PSNR in dB.{_lpips_note(results)}{_paper_note(scenes)}"
     return Table("table1", title, ("spectrum", "metric", "method", *scenes, "mean"), tuple(rows), labels=3)
 
@@ -72,7 +80,7 @@ def ablation_table(results: Results, methods: Sequence[str]) -> Table:
 
 
 def cost_table(results: Results) -> Table:
-    """What every method took on every scene: Gaussians, bytes, minutes, memory, frames a second."""
+    """What every method took on every scene: Gaussians, bytes, minutes, memory, frames per second."""
     columns: dict[str, tuple[Callable[[CellResult], float | None], str]] = {
         "steps": (lambda cell: cell.steps, "{:,.0f}"),
         "Gaussians": (lambda cell: cell.num_gaussians, "{:,.0f}"),

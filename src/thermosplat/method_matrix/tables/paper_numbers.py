@@ -6,10 +6,10 @@ completeness: the paper's rows mix backbones and input scalings (docs/method.md)
 
 from typing import NamedTuple
 
-SCENES = (
-    *("Dimsum", "DailyStuff", "Ebike", "RoadBlock", "Truck"),
-    *("RotaryKiln", "Building", "IronIngot", "Parterre", "LandScape"),
-)
+from thermosplat.method_matrix.published_scenes import COLLECTIONS, plain_name
+from thermosplat.spectra import CELSIUS, MAE
+
+SCENES = tuple(COLLECTIONS["rgbt-scenes"].scenes)
 """The ten scenes of RGBT-Scenes in the paper's order."""
 
 
@@ -57,11 +57,14 @@ SCENE_PSNR: dict[str, dict[str, dict[str, float]]] = {
 }
 """PSNR by preset, spectrum and scene, as far as it is at hand."""
 
+THERMONERF_MAE = 1.5
+"""Mean absolute error of ThermoNeRF over its ten scenes [°C]. Hassan et al., arXiv 2403.12154v1, abstract."""
+
 
 def paper_scene(name: str) -> str | None:
     """The paper's scene of that name, whatever its capitals and underscores; None where it has none."""
-    plain = _plain(name)
-    return next((scene for scene in SCENES if _plain(scene) == plain), None)
+    plain = plain_name(name)
+    return next((scene for scene in SCENES if plain_name(scene) == plain), None)
 
 
 def paper_value(method: str, spectrum: str, metric: str, scene: str) -> float | None:
@@ -79,5 +82,13 @@ def paper_mean(method: str, spectrum: str, metric: str, scenes: list[str]) -> fl
     return getattr(MEANS[method][spectrum], metric, None)
 
 
-def _plain(name: str) -> str:
-    return "".join(letter for letter in name.lower() if letter.isalnum())
+def others_means(metric: str, scenes: list[str]) -> dict[str, float]:
+    """What authors of methods that are not here report as their mean over these very scenes, by method.
+
+    Args:
+        metric: Name of a metric of thermal images.
+        scenes: The scenes' names.
+    """
+    names = {plain_name(scene) for scene in scenes}
+    ten = {plain_name(scene) for scene in COLLECTIONS["thermoscenes"].scenes}
+    return {"thermonerf": THERMONERF_MAE} if metric == f"{MAE}{CELSIUS}" and names == ten else {}

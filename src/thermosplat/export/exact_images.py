@@ -1,0 +1,62 @@
+"""What a model shows of one spectrum, and what splats show in its place."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.export.scene import Colors, decoded_features, shown_colors
+from thermosplat.export.splat_rendering import render_splats
+from thermosplat.export.splats import Splats
+from thermosplat.image_quality.metrics import psnr
+from thermosplat.scene.model import SceneModel
+from thermosplat.thermal.radiometry import PixelScale
+
+
+class ExactImages:
+    """Images of a model and of splats that are comparable: the same camera, colours and background.
+
+    Args:
+        model: The trained scene.
+        name: The spectrum.
+        scale: What its pixel values mean.
+        sh_degree: Highest SH degree in use.
+        colors: What the splats show.
+    """
+
+    def __init__(self, model: SceneModel, name: str, scale: PixelScale, sh_degree: int, colors: Colors) -> None:
+        self.model, self.name, self.scale, self.sh_degree, self.colors = model, name, scale, sh_degree, colors
+        self.background = self._background()
+
+    @torch.no_grad()
+    def _background(self) -> Tensor:
+        """What the model shows where there are no Gaussians, [3]; splats shall not take it up."""
+        model, name = self.model, self.name
+        empty = torch.zeros(1, self.scale.channels, device=model.background.device)
+        if model.decoders is not None and not model.decoder_config.covered_only:
+            features = model.gaussians(model.set_of(name)).features
+            empty = decoded_features(model, name, torch.zeros_like(features[:1]))
+        if name == model.photograph and model.decoder_config.hybrid:
+            empty = empty + model.background
+        return shown_colors(empty[:, None].clamp(0, 1), self.scale, self.colors)[0, 0]
+
+    @torch.no_grad()
+    def image(self, view: ViewTensors) -> Tensor:
+        """The exact image by a pinhole camera, colours [H, W, 3] in [0, 1]."""
+        pinhole = dataclasses.replace(view, distortion=None, lens=None, fisheye=False)
+        exact = self.model.render({self.name: pinhole}, sh_degree=self.sh_degree).images[self.name].clamp(0, 1)
+        return shown_colors(exact, self.scale, self.colors)
+
+    def render(self, splats: Splats, view: ViewTensors) -> Tensor:
+        """The splats' image, [H, W, 3], not clamped from above."""
+        mode = self.model.config.rasterize_mode
+        return render_splats(splats, view, rasterize_mode=mode, background=self.background)
+
+    @torch.no_grad()
+    def mean_psnr(self, splats: Splats, views: Sequence[ViewTensors]) -> float:
+        """PSNR of the splats against the exact images [dB], the mean over the views."""
+        total = sum(psnr(self.render(splats, view), self.image(view)) for view in views)
+        return total / len(views) if views else math.nan
