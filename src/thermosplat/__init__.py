@@ -4,6 +4,7 @@ Importing the package is quick; the renderer (torch, Warp) loads when one of its
 
     from thermosplat import rasterization        # gsplat's signature and meaning
     from thermosplat import rasterization_rgbt   # colours and features at two opacities in one traversal
+    from thermosplat import fully_fused_projection, rasterize_to_pixels  # and the other steps that gsplat has
     from thermosplat import PairCapacity         # to capture renders in CUDA graphs
     from thermosplat import load_run             # a trained scene
 """
@@ -16,26 +17,54 @@ from thermosplat.errors import UserError
 if TYPE_CHECKING:
     from thermosplat.evaluation.loaded_run import LoadedRun, load_run
     from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
+    from thermosplat.rasterizer.lenses import (
+        FThetaCameraDistortionParameters,
+        FThetaPolynomialType,
+        RollingShutterType,
+    )
     from thermosplat.rasterizer.pair_capacity import PairCapacity
+    from thermosplat.rasterizer.steps import (
+        fully_fused_projection,
+        isect_offset_encode,
+        isect_tiles,
+        rasterize_to_pixels,
+        spherical_harmonics,
+    )
 
 __version__ = "0.2.0"
 __all__ = [
+    "FThetaCameraDistortionParameters",
+    "FThetaPolynomialType",
     "LoadedRun",
     "PairCapacity",
     "RGBTRender",
+    "RollingShutterType",
     "UserError",
     "__version__",
+    "fully_fused_projection",
+    "isect_offset_encode",
+    "isect_tiles",
     "load_run",
     "rasterization",
     "rasterization_rgbt",
+    "rasterize_to_pixels",
+    "spherical_harmonics",
 ]
 _LOADED_WHEN_USED = {
+    "fully_fused_projection": "thermosplat.rasterizer.steps",
+    "isect_offset_encode": "thermosplat.rasterizer.steps",
+    "isect_tiles": "thermosplat.rasterizer.steps",
+    "rasterize_to_pixels": "thermosplat.rasterizer.steps",
+    "spherical_harmonics": "thermosplat.rasterizer.steps",
+    "FThetaCameraDistortionParameters": "thermosplat.rasterizer.lenses",
+    "FThetaPolynomialType": "thermosplat.rasterizer.lenses",
     "LoadedRun": "thermosplat.evaluation.loaded_run",
     "PairCapacity": "thermosplat.rasterizer.pair_capacity",
-    "RGBTRender": "thermosplat.rasterizer.api",
+    "RGBTRender": "thermosplat.rasterizer.rgbt",
+    "RollingShutterType": "thermosplat.rasterizer.lenses",
     "load_run": "thermosplat.evaluation.loaded_run",
     "rasterization": "thermosplat.rasterizer.api",
-    "rasterization_rgbt": "thermosplat.rasterizer.api",
+    "rasterization_rgbt": "thermosplat.rasterizer.rgbt",
 }
 
 

@@ -97,8 +97,8 @@ def test_file_cannot_ask_to_resume(tmp_path: Path) -> None:
 
 def test_impossible_flag_value() -> None:
     """Values out of range are refused with the flag's name."""
-    with pytest.raises(UserError, match="--sh-degree must be at most 3, found 4"):
-        parse_train_arguments(["x", "--sh-degree", "4"])
+    with pytest.raises(UserError, match="--sh-degree must be at most 4, found 5"):
+        parse_train_arguments(["x", "--sh-degree", "5"])
 
 
 def test_typo_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:

@@ -131,7 +131,7 @@ def test_ctrl_c_saves_and_resume_finishes(run: Run, tmp_path: Path, monkeypatch:
         (["sample", "--config", "mine.yaml"], "no configuration file mine.yaml"),
         (["sample", "--max-step", "3"], "--max-steps"),
         (["sample", "--data-factor", "half"], "--data-factor"),
-        (["sample", "--sh-degree", "7"], "--sh-degree must be at most 3"),
+        (["sample", "--sh-degree", "7"], "--sh-degree must be at most 4"),
         (["sample", "--device", "gpu"], "gpu"),
         (["--resume", "no/such/run"], "No training run in no/such/run"),
         (["sample", "--test-every", "1"], "--test-every must be at least 2"),

@@ -27,6 +27,7 @@ def test_steps_name_the_next_one(run: Run, tmp_path: Path) -> None:
     code, printed = run(prepare.main, "check", out)
     assert code == 0
     assert f"Look at '{out}/check/index.html'" in printed
+    assert "\n\n" not in printed
     assert run(prepare.main, "pair", out)[1].startswith("pair: complete already.")
     code, printed = run(train.main, out)
     assert code == 2
@@ -87,7 +88,7 @@ def test_a_killed_import_goes_on(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     script = (
         "import sys, time\n"
-        "from thermosplat.prepare import thermal_images\n"
+        "from thermosplat.prepare.importing import thermal_images\n"
         "write = thermal_images.write_png\n"
         "thermal_images.write_png = lambda path, image: (write(path, image), time.sleep(0.05))\n"
         "from thermosplat.cli.prepare import main\n"

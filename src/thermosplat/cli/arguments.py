@@ -19,7 +19,17 @@ from thermosplat.errors import UserError
 
 HELP_FLAGS = ("-h", "--help")
 MAY_CHANGE_ON_RESUME = frozenset(
-    {"data", "max_steps", "eval_steps", "save_steps", "log_every", "tensorboard", "lpips_weights", "device"}
+    {
+        "data",
+        "max_steps",
+        "eval_steps",
+        "save_steps",
+        "log_every",
+        "tensorboard",
+        "lpips_weights",
+        "device",
+        "image_memory",
+    }
 )
 """Fields that say how a run is watched or how long it goes, not what is trained; ``data`` for a capture that moved."""
 REMEDIES_ON_RESUME = ("data_factor", "optimizer.", "densification.")
@@ -37,6 +47,7 @@ class TrainArguments(TrainConfig):
       thermosplat-train data/shed --data-factor 2 --result-dir results/shed
       thermosplat-train data/shed --config 3dgs --max-steps 7000
       thermosplat-train --resume results/shed
+      thermosplat-train data/shed --devices 4
     """
 
     data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")] = ""
@@ -47,6 +58,8 @@ class TrainArguments(TrainConfig):
     viewer_host: str = LOCAL_HOST
     """Address of the viewer. Others than this machine's own can be reached from elsewhere: the page's address then has
     a random token in it."""
+    devices: int | None = None
+    """Train on so many devices of this machine, each with a process and a share of the Gaussians. None: one."""
     debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Show the traceback of an error."""
 

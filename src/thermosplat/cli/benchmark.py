@@ -15,6 +15,8 @@ from thermosplat.cli.program import run_program
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
 from thermosplat.method_matrix.overrides import parse_overrides
+from thermosplat.method_matrix.published_scenes import expand_collections
+from thermosplat.method_matrix.shards import parse_shard
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,16 +35,19 @@ class BenchmarkArguments:
     Examples:
       thermosplat-benchmark data/Dimsum data/Truck --out results/matrix
       thermosplat-benchmark sample --methods 3dgs thermosplat --max-steps 500 --out results/quick
+      thermosplat-benchmark rgbt-scenes=data/RGBT-Scenes --methods baselines thermosplat ablations --out results/paper
       thermosplat-benchmark data/Truck --set 3dgs:densification.max_gaussians=200000 --time-limit 3000
+      thermosplat-benchmark data/Dimsum data/Truck --shard 2/8 --out /shared/matrix
       thermosplat-benchmark --out results/matrix --merge from_another_machine
     """
 
     scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENES")] = ()
-    """Folders of captures, or "sample"; NAME=FOLDER for another name in the tables. None: tables of what is there."""
+    """Folders of captures, or "sample"; NAME=FOLDER for another name in the tables. rgbt-scenes=FOLDER and
+    thermoscenes=FOLDER stand for all scenes of these collections. None: tables of what is there."""
     methods: tuple[str, ...] = ("baselines", "thermosplat")
     """Presets or YAML files; "baselines" and "ablations" stand for all presets of that folder."""
     out: str = "results/benchmark"
-    """Folder for everything: a run folder a cell (scene/method/seed_42), tables and sheets."""
+    """Folder for everything: one run folder per cell (scene/method/seed_42), tables and sheets."""
     max_steps: int | None = None
     """Shorten the trainings: steps of a method that has 30,000, others in proportion. None: as each method has it."""
     seeds: tuple[int, ...] = (42,)
@@ -58,6 +63,9 @@ class BenchmarkArguments:
     overrides: Annotated[tuple[str, ...], tyro.conf.arg(name="set", metavar="[CELLS:]FIELD=VALUE")] = ()
     """Settings other than the presets', of every cell or of a method, a scene or scene/method:
     3dgs:densification.max_gaussians=200000."""
+    shard: str | None = None
+    """Make one part of the cells: 2/8 is the second of eight, each of which another host makes. With one --out on a
+    shared disk the tables hold what all have made so far; elsewhere --merge joins the folders."""
     time_limit: float | None = None
     """Seconds after which no further cell starts; those in work are finished. The same command then goes on."""
     save_every: int = 5000
@@ -89,13 +97,15 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
     from thermosplat.method_matrix.report import write_report
     from thermosplat.method_matrix.results import Results
 
+    shard = parse_shard(arguments.shard)
     matrix, merged = _matrix(arguments), [Path(folder) for folder in arguments.merge]
     if not matrix.scenes and not merged and not matrix.out.is_dir():
         raise UserError("No scene given.", "Name captures: thermosplat-benchmark data/Dimsum data/Truck --out FOLDER.")
     if matrix.out.exists() and not matrix.out.is_dir():
         raise UserError(f"{matrix.out} is a file; a matrix needs a folder.", "Give another --out.")
     finished = Results.collect(matrix.out, merged).cells
-    cells, missing = matrix.cells(), matrix.missing(finished)
+    cells = shard.of(matrix.cells())
+    missing = [cell for cell in matrix.missing(finished) if cell in set(cells)]
     devices = choose_devices(arguments.devices, arguments.gpus) if missing else []
     if len(devices) > 1:  # one device takes as long in any order, and scene by scene its tables are complete earlier
         missing = matrix.longest_first(missing, finished)
@@ -167,7 +177,10 @@ def _matrix(arguments: BenchmarkArguments) -> "Matrix":
             raise UserError(f"--{name.replace('_', '-')} must be at least {least}, found {value}.")
     if not arguments.seeds or min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds):
         raise UserError(f"--seeds must be different whole numbers from 0 on, found {list(arguments.seeds)}.")
-    scenes, methods = parse_scenes(arguments.scenes), parse_methods(arguments.methods)
+    words, notes = expand_collections(arguments.scenes)
+    for note in notes:
+        print(note, flush=True)
+    scenes, methods = parse_scenes(words), parse_methods(arguments.methods)
     from thermosplat.method_matrix.matrix import Matrix
 
     return Matrix(

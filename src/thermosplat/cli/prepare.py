@@ -1,6 +1,5 @@
 """thermosplat-prepare: from the files of two cameras to a capture, in one command or step by step."""
 
-import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,14 +8,14 @@ from typing import Annotated, Any
 
 import tyro
 
-from thermosplat.cli import prepare_cameras, prepare_files
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.prepare_steps import capture_at, say
+from thermosplat.cli.preparing import cameras, files
+from thermosplat.cli.preparing.steps import capture_at, say, say_next
 from thermosplat.cli.program import run_program
 
 
 @dataclass(frozen=True)
-class PrepareArguments(prepare_files.SourceArguments):
+class PrepareArguments(files.SourceArguments):
     """Make a capture of a folder with photographs and thermal files: all steps, one after the other.
 
     A step that is complete is not done again, so the same command goes on after an interruption.
@@ -39,12 +38,12 @@ class PrepareArguments(prepare_files.SourceArguments):
 
 
 STEPS: dict[str, tuple[type[Any], Callable[[Any], int]]] = {
-    "import": (prepare_files.ImportArguments, prepare_files.run_import),
-    "pair": (prepare_files.PairArguments, prepare_files.run_pair),
-    "calibrate": (prepare_cameras.CalibrateArguments, prepare_cameras.run_calibrate),
-    "sfm": (prepare_cameras.SfmArguments, prepare_cameras.run_sfm),
-    "register": (prepare_cameras.RegisterArguments, prepare_cameras.run_register),
-    "check": (prepare_files.CheckArguments, prepare_files.run_check),
+    "import": (files.ImportArguments, files.run_import),
+    "pair": (files.PairArguments, files.run_pair),
+    "calibrate": (cameras.CalibrateArguments, cameras.run_calibrate),
+    "sfm": (cameras.SfmArguments, cameras.run_sfm),
+    "register": (cameras.RegisterArguments, cameras.run_register),
+    "check": (files.CheckArguments, files.run_check),
 }
 """Arguments and body of each subcommand."""
 
@@ -67,16 +66,16 @@ def main(argv: list[str] | None = None) -> int:
 
 def _prepare(arguments: PrepareArguments) -> int:
     root = Path(arguments.capture_folder)
-    prepare_files.import_source(arguments, root)
+    files.import_source(arguments, root)
     with importing():
-        from thermosplat.prepare.check import check
-        from thermosplat.prepare.pairing import pair_frames
+        from thermosplat.prepare.checking.check import check
+        from thermosplat.prepare.pairing.pairing import pair_frames
 
     capture = capture_at(root)
     say("pair", pair_frames(capture))
-    prepare_cameras.find_cameras(capture)
+    cameras.find_cameras(capture)
     say("check", check(capture))
-    print(f"Next: thermosplat-train {shlex.quote(str(root))}")
+    say_next("train", capture)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""thermosplat-export --format ply, sog, ...: splats, their colours fitted to the exact render."""
+"""thermosplat-export --format ply, sog, ...: splats, fitted to the exact render."""
 
 import sys
 from functools import partial
@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
-    from thermosplat.cli.export import ExportArguments
+    from torch import Tensor
+
+    from thermosplat.cli.exporting.arguments import ExportArguments
     from thermosplat.datasets.frame_tensors import ViewTensors
     from thermosplat.evaluation.loaded_run import LoadedRun
     from thermosplat.export.scene import SceneSplats
@@ -29,17 +31,18 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
     from thermosplat.export.formats import SPLAT_FORMATS, Described, write_format
     from thermosplat.export.scene import spectrum_values, write_scene
 
-    scene = _scene(arguments, loaded)
+    scene, sources = _scene(arguments, loaded)
     if arguments.format == "ply":
         scalars = None
         if arguments.values:
             measured = {name: unit for name in scene if (unit := loaded.scales[name].measured_unit) is not None}
             if not measured:
                 raise UserError("No spectrum of this run has a unit, so nothing is measured.", "Leave --values out.")
-            scalars = {
+            values = {
                 f"scalar_{name}_{unit}": spectrum_values(loaded.model, name, loaded.scales)
                 for name, unit in measured.items()
             }
+            scalars = {name: {scalar: of_each[sources[name]] for scalar, of_each in values.items()} for name in scene}
         written = write_scene(scene, folder, compact=arguments.compact, scalars=scalars)
     else:
         format = next(name for name in SPLAT_FORMATS if name == arguments.format)
@@ -54,16 +57,17 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
         print(f"{file.path}: {file.num_gaussians:,} Gaussians, {size:.1f} MB{dropped}")
 
 
-def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "SceneSplats":
-    """The splats of the chosen spectra, fitted where there are decoders."""
+def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSplats, dict[str, Tensor | slice]]":
+    """The splats of the chosen spectra, fitted where there are decoders, and which Gaussians they are made of."""
     from thermosplat.export.scene import scene_splats
 
     names = arguments.chosen(list(loaded.model.spectra))
     if loaded.model.decoders is None or arguments.fit_passes == 0:
-        return scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors)
+        unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors)
+        return unfitted, dict.fromkeys(unfitted, slice(None))
     from rich.progress import track
 
-    from thermosplat.export.fitted_colors import fit_splats
+    from thermosplat.export.fitted_splats import fit_splats
     from thermosplat.export.scene import header_comments
     from thermosplat.novel_views.viewpoints import viewpoints
 
@@ -74,6 +78,7 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "SceneSplats":
     for note in capture.notes:
         print(note)
     scene: SceneSplats = {}
+    sources: dict[str, Tensor | slice] = {}
     paths: tuple[PathName, PathName] = ("train", "test")
     for name in names:
         views: dict[PathName, list[ViewTensors]] = {}
@@ -93,5 +98,6 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "SceneSplats":
             progress=partial(track, description=f"Fitting {name}", transient=True, disable=not sys.stdout.isatty()),
         )
         print(f"{name}: {fit.after:.2f} dB from the exact render, {fit.before:.2f} dB before the fit")
+        sources[name] = fit.sources
         scene[name] = (fit.splats, header_comments(loaded.model, name, loaded.scales[name], colors=arguments.colors))
-    return scene
+    return scene, sources

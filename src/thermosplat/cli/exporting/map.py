@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from thermosplat.cli.export import ExportArguments
+    from thermosplat.cli.exporting.arguments import ExportArguments
     from thermosplat.evaluation.loaded_run import LoadedRun
 
 PIXELS_BY_DEFAULT = 1000

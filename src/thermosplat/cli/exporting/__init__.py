@@ -1,0 +1,1 @@
+"""What thermosplat-export writes: splats, surfaces, maps."""

@@ -1,0 +1,1 @@
+"""What thermosplat-train does around a training: on one device or several, watched or not."""

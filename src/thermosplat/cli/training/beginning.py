@@ -1,0 +1,42 @@
+"""Before a training, on one device or several: the capture is read while torch is imported."""
+
+import shlex
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from thermosplat.cli.host_settings import importing
+from thermosplat.errors import UserError
+
+if TYPE_CHECKING:
+    from thermosplat.config import TrainConfig
+    from thermosplat.datasets.capture import Capture
+    from thermosplat.training.trainer import Trainer
+
+
+def check_capture_to_go_on_with(config: "TrainConfig") -> None:
+    """Say how to name the capture of a resumed run that is no longer where it was."""
+    from thermosplat.runs.run_directory import RunDirectory
+
+    run = RunDirectory.open(str(config.resume))
+    if config.data != "sample" and not Path(config.data).exists():
+        raise UserError(
+            f"The capture {config.data}, on which {run.path} was to go on, is not there.",
+            f"Say where it lies now: thermosplat-train FOLDER --resume {shlex.quote(str(run.path))}",
+        )
+
+
+def capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Trainer"]]:
+    """The capture, and the trainer's class: images are read while torch and the trainer are imported."""
+    with importing():
+        from thermosplat.datasets import capture_of  # takes no torch
+
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        reading = thread.submit(capture_of, config)
+        with importing():
+            from thermosplat.prepare.checking.quick_check import quick_notes
+            from thermosplat.training.trainer import Trainer
+
+        capture = reading.result()
+        return replace(capture, notes=(*capture.notes, *quick_notes(capture, config.spectra))), Trainer

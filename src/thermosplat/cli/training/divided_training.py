@@ -1,0 +1,232 @@
+"""``thermosplat-train`` as one of several ranks, which torchrun or ``--devices`` started.
+
+Rank 0 understands the command line, speaks and writes. What goes wrong on a rank is said once, and ends all of them.
+"""
+
+import contextlib
+import io
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from thermosplat.cli.arguments import parse_train_arguments
+from thermosplat.cli.errors import print_error, print_last, run_command
+from thermosplat.cli.host_settings import importing, prepare_host
+from thermosplat.cli.training.beginning import capture_and_trainer, check_capture_to_go_on_with
+from thermosplat.cli.training.devices import GRACE
+from thermosplat.cli.training.ending import say_what_and_where
+from thermosplat.cli.viewer_flags import viewer_flags
+from thermosplat.config.files import data_from_anywhere
+from thermosplat.distributed.lifeline import Lifeline
+from thermosplat.distributed.team import EndedElsewhere, Team
+from thermosplat.errors import UserError
+
+if TYPE_CHECKING:
+    from thermosplat.config import TrainConfig
+    from thermosplat.datasets.capture import Capture
+    from thermosplat.runs.run_directory import RunDirectory
+    from thermosplat.training.sharing.divided_trainer import DividedTrainer
+
+_POLL = 0.5
+"""Between looks at whether the parent lives [s]."""
+_SHOWN_CAUSE = 200
+"""Letters of a library's message that are shown."""
+FIRST_WORD = 1.0
+"""What another rank leaves rank 0 to tell the user of what all have met [s]."""
+
+
+class RankOfTraining:
+    """One rank's part of a training.
+
+    Args:
+        argv: Arguments of thermosplat-train.
+    """
+
+    def __init__(self, argv: list[str]) -> None:
+        self.argv = argv
+        self.lifeline: Lifeline | None = None
+        self.run: RunDirectory | None = None
+        self.finish_writing: Callable[[], None] | None = None
+        """On rank 0: lets the checkpoint that is under way come to its end."""
+        self.agreed = False
+        """Whether all ranks know that they end, and another one may still have to say why."""
+
+    def main(self) -> int:
+        """Train with the other ranks; the exit code."""
+        _end_with_the_parent()
+        try:
+            code = run_command(self._train, debug="--debug" in self.argv)
+        except Exception:
+            time.sleep(FIRST_WORD)  # an exchange that broke as another rank died: the lifeline tells of that meanwhile
+            traceback.print_exc()
+            print_error("This rank failed, and the training ended with it.", self._how_to_go_on())
+            code = 1
+        if self.lifeline is not None:
+            if code and not self.agreed:
+                self.lifeline.failed(code)
+            else:
+                self.lifeline.done()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)  # other threads wait for ranks that may not answer any more
+
+    def _train(self) -> int:
+        prepare_host()
+        with importing():
+            from thermosplat.distributed.joining import join_team
+
+        try:
+            team = join_team(_device_asked(self.argv))
+            self.lifeline = Lifeline(team, self._tell_death)
+        except (RuntimeError, OSError) as error:
+            cause = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise UserError(
+                f"The ranks did not meet: one ended, or cannot be reached ({cause[:_SHOWN_CAUSE]}).",
+                "Nothing was trained yet: start it again. Hosts must reach each other at any port.",
+            ) from error
+        silence = contextlib.nullcontext() if team.is_first else contextlib.redirect_stdout(io.StringIO())
+        with silence:
+            try:
+                return self._train_in(team)
+            except UserError:
+                if not team.is_first:  # where rank 0 failed likewise, it says so and ends this one meanwhile
+                    time.sleep(FIRST_WORD + 0.2 * min(team.rank, 10))
+                raise
+            except EndedElsewhere as end:
+                self.agreed = True
+                return end.code
+            except KeyboardInterrupt:
+                if team.is_first:
+                    raise
+                return 130
+
+    def _train_in(self, team: Team) -> int:
+        config = team.asked_of_first(lambda: parse_train_arguments(self.argv))
+        if viewer_flags(self.argv).port is not None:
+            team.asked_of_first(_refuse_viewer)
+        capture = team.done_by_all(lambda: _capture(config))
+        with importing():
+            from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
+            from thermosplat.training.sharing.same_capture import check_same_capture
+
+        check_same_capture(team, capture)
+        trainer = self._trainer(team, config, capture)
+        self.run = trainer.run
+        trainer.newest_checkpoint = self._newest_checkpoint
+        if self.lifeline is not None and team.is_first:
+            self.finish_writing = trainer.finish_writing
+            self.lifeline.before_end = trainer.finish_writing
+            self.lifeline.answer = lambda: str(self._newest_checkpoint() or "")
+        try:
+            with stop_signals():
+                metrics = trainer.train()
+        except TrainingInterrupted as stop:
+            self.agreed = True
+            if team.is_first:
+                print_last(
+                    f"Stopped at step {trainer.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}"
+                )
+            return stop.exit_code
+        if team.is_first:
+            say_what_and_where(trainer, metrics)
+        return 0
+
+    def _trainer(self, team: Team, config: "TrainConfig", capture: "Capture") -> "DividedTrainer":
+        from thermosplat.runs.run_directory import RunDirectory
+        from thermosplat.training.sharing.divided_trainer import DividedTrainer
+
+        if config.resume is not None:
+            run = RunDirectory(config.resume)
+            # a run of one process from before there were batches has steps of one frame
+            kept = replace(config, data=data_from_anywhere(config.data), resume=None, batch_size=config.batch_size or 1)
+            return DividedTrainer.resume_divided(kept, capture, run, team)
+        folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
+        kept = replace(
+            config,
+            data=data_from_anywhere(config.data),
+            result_dir=folder,
+            overwrite=False,
+            batch_size=config.batch_size or team.size,
+        )
+        trainer = DividedTrainer(kept, capture, RunDirectory(folder), team)
+
+        def create() -> None:  # last, as it may delete here
+            RunDirectory.create(folder, overwrite=config.overwrite)
+
+        team.asked_of_first(create)
+        return trainer
+
+    def _tell_death(self, name: str) -> None:
+        """Say that another rank died; called by the thread that noticed."""
+        print_error(
+            f"{name} ended without a word: it was killed, or it crashed. The training ended with it.",
+            self._how_to_go_on(),
+        )
+
+    def _how_to_go_on(self) -> str:
+        if self.run is None:
+            return "Nothing was trained yet: start it again."
+        latest, resume = self._newest_checkpoint(), self.run.resume_command()
+        if latest is not None:
+            return f"The newest checkpoint that is saved: {latest}. Go on with: {resume}"
+        if not self.run.path.is_dir():
+            return f"Its checkpoints are in {self.run.path} on the host of rank 0. Go on with: {resume}"
+        return f"No checkpoint is saved in {self.run.path}: start it again, with --save-steps for the next time."
+
+    def _newest_checkpoint(self) -> Path | None:
+        """The newest one, as rank 0 says, which writes them; as it looks from here where rank 0 is dead."""
+        if self.run is None:
+            return None
+        if self.finish_writing is None and self.lifeline is not None:
+            answer = self.lifeline.asked_of_first()
+            if answer is not None:
+                return Path(answer) if answer else None
+        if self.finish_writing is not None:
+            self.finish_writing()
+        return self.run.latest_checkpoint() if self.run.ckpts.is_dir() else None
+
+
+def _capture(config: "TrainConfig") -> "Capture":
+    if config.resume is not None:
+        check_capture_to_go_on_with(config)
+    return capture_and_trainer(config)[0]
+
+
+def _refuse_viewer() -> None:
+    raise UserError(
+        "--viewer shows a training of one process, and this one has several.",
+        "Leave --viewer out, and look at a checkpoint with thermosplat-view.",
+    )
+
+
+def _device_asked(argv: list[str]) -> str:
+    found = "auto"
+    for word, following in zip(argv, [*argv[1:], ""]):
+        if word == "--device":
+            found = following
+        elif word.startswith("--device="):
+            found = word.removeprefix("--device=")
+    return found
+
+
+def _end_with_the_parent() -> None:
+    """Of a process that ``--devices`` started: stop where that one is killed."""
+    parent = os.environ.get("THERMOSPLAT_PARENT")
+    if parent is None:
+        return
+
+    def watch() -> None:
+        while os.getppid() == int(parent):
+            time.sleep(_POLL)
+        os.kill(os.getpid(), signal.SIGTERM)  # save what there is, if Python can act on it
+        time.sleep(GRACE)
+        os._exit(128 + signal.SIGTERM)
+
+    threading.Thread(target=watch, daemon=True).start()
