@@ -21,6 +21,7 @@ from scenes.trained_scene import trained_scene
 from thermosplat.rasterizer.binning import tile_lists
 from thermosplat.rasterizer.projection import Project, ProjectInputs
 from thermosplat.runs.atomic_writes import write_text
+from thermosplat.torch_bridge.arrays import view
 from thermosplat.torch_bridge.streams import on_torch_stream
 from warp_kernels.blending.blend_layout import BlendLayout
 from warp_kernels.blending.blending_step import BlendedArrays, blend
@@ -46,10 +47,11 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
     count = len(scene.means)
     settings = ProjectionSettings(width, height, count, 1, 1)
     opacities, thermal = scene.opacities, scene.thermal_opacities
+    bounds = (view(opacities, wp.float32), view(thermal, wp.float32))
     with torch.no_grad():
         *_projected, arrays = Project.apply(
-            scene.means, scene.quats, scene.scales, None, opacities, thermal, scene.viewmat[None],
-            scene.intrinsics(width, height)[None], ProjectInputs(settings, (), (1,), nullcontext()),
+            scene.means, scene.quats, scene.scales, None, scene.viewmat[None], scene.intrinsics(width, height)[None],
+            None, None, ProjectInputs(*bounds, settings, (), (1,), nullcontext(), recorded=False),
         )  # fmt: skip
     flat = scene.features(max(channels for channels, _ in args.channels))
     bins, memory = tile_lists(arrays, opacities, thermal, flat, settings, args.tile_size)

@@ -62,7 +62,11 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
     checkpoint = newest_checkpoint(run)
     before = load_config(run.config_yaml)
     auto = AutoBudgetConfig(
-        prune_at=(), validation_views=0, offset_shrinkage=0.0, prune_by=cast(Any, settings.prune_by)
+        prune_at=(),
+        validation_views=0,
+        offset_shrinkage=0.0,
+        noise_floor=0.0,
+        prune_by=cast(Any, settings.prune_by),
     )
     config = replace(
         before,
@@ -123,7 +127,7 @@ def plot(scenes: dict[str, Rows], path: Path) -> bool:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    quantities = {"num_gaussians": "Gaussians", "model_bytes": "model bytes", MILLISECONDS: "ms a frame, all spectra"}
+    quantities = {"num_gaussians": "Gaussians", "model_bytes": "model bytes", MILLISECONDS: "ms per frame, all spectra"}
     spectra = measured_spectra([row for rows in scenes.values() for row in rows])
     size = {"figsize": (13, 3.5 * len(spectra)), "sharex": "col", "sharey": "row", "squeeze": False}
     figure, grid = plt.subplots(len(spectra), len(quantities), layout="constrained", **size)

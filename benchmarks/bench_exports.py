@@ -1,17 +1,20 @@
 """What does a scene lose on its way into a file for other programs?
 
-    python benchmarks/bench_exports.py RUN... [--data FOLDER] [--device auto] [--passes 4] [--out results/exports]
+    python benchmarks/bench_exports.py RUN... [--data FOLDER] [--device auto] [--passes N] [--formats spz ...]
+                                       [--out results/exports]
 
 Fits the splats of every spectrum of a finished run to the exact render, writes every format, reads each back by a
 reader that is not ours, and renders the held-out views from what was read. Prints two tables and writes exports.json
 and exports.md: the fit (PSNR of the splats against the exact render, and of both against the photographs), and the
-formats (bytes, PSNR against the exact render and against the uncompressed splats).
+formats (bytes, PSNR against the exact render and against the uncompressed splats). "below exact" is how much nearer the
+exact render is to the photographs than the fitted splats, with its standard error over the views.
 """
 
 import argparse
 import importlib.util
 import json
 import math
+import statistics
 import tempfile
 import time
 from collections.abc import Sequence
@@ -25,8 +28,8 @@ from torch import Tensor
 from scenes.splat_files import READERS
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run
-from thermosplat.export.fitted_colors import fit_splats
-from thermosplat.export.formats import SPLAT_FORMATS, Described, write_format
+from thermosplat.export.fitted_splats import fit_splats
+from thermosplat.export.formats import SPLAT_FORMATS, Described, SplatFormat, write_format
 from thermosplat.export.scene import spectrum_splats
 from thermosplat.export.splat_rendering import render_splats
 from thermosplat.export.splats import Splats
@@ -43,6 +46,17 @@ def mean_psnr(images: Sequence[Tensor], targets: Sequence[Tensor]) -> float:
     return sum(psnr(*pair) for pair in zip(images, targets, strict=True)) / max(len(images), 1)
 
 
+def below_exact(splats: Sequence[Tensor], exact: Sequence[Tensor], photographs: Sequence[Tensor]) -> str:
+    """How much nearer to the photographs the exact render is than splats [dB], mean and standard error of the views."""
+    losses = [
+        psnr(rendered, photograph) - psnr(shown, photograph)
+        for shown, rendered, photograph in zip(splats, exact, photographs, strict=True)
+    ]
+    if len(losses) < 2:
+        return f"{losses[0]:.2f}"
+    return f"{statistics.mean(losses):.2f} ± {statistics.stdev(losses) / math.sqrt(len(losses)):.2f}"
+
+
 @torch.no_grad()
 def rendered(splats: Splats, views: Sequence[ViewTensors], loaded: LoadedRun) -> list[Tensor]:
     """Images of splats in some views, clamped."""
@@ -52,7 +66,9 @@ def rendered(splats: Splats, views: Sequence[ViewTensors], loaded: LoadedRun) ->
     return [render_splats(moved, view, rasterize_mode=mode).clamp(0, 1) for view in views]
 
 
-def measured(loaded: LoadedRun, data: str | None, passes: int) -> tuple[Rows, Rows]:
+def measured(
+    loaded: LoadedRun, data: str | None, passes: int | None, formats: Sequence[SplatFormat]
+) -> tuple[Rows, Rows]:
     """Rows of the two tables for one run."""
     capture = loaded.capture(data)
     fits, files = [], []
@@ -79,12 +95,13 @@ def measured(loaded: LoadedRun, data: str | None, passes: int) -> tuple[Rows, Ro
         if scale.channels == 3:  # else the splats show a palette and the photographs values
             row |= {
                 "exact_photo": mean_psnr(exact, photographs),
+                "below": below_exact(after, exact, photographs),
                 "before_photo": mean_psnr(before, photographs),
                 "after_photo": mean_psnr(after, photographs),
             }
         fits.append(row)
         with tempfile.TemporaryDirectory() as folder:
-            for format in SPLAT_FORMATS:
+            for format in formats:
                 package, read = READERS[format]
                 if importlib.util.find_spec(package) is None:
                     print(f"{format} is left out: {package} is not installed")
@@ -136,6 +153,7 @@ FIT_COLUMNS = {
     "exact, to photographs": ("exact_photo", ".2f"),
     "splats before, to photographs": ("before_photo", ".2f"),
     "splats fitted, to photographs": ("after_photo", ".2f"),
+    "below exact": ("below", ""),
     "seconds": ("seconds", ".0f"),
 }
 FILE_COLUMNS = {
@@ -157,19 +175,21 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", metavar="RUN")
     parser.add_argument("--data")
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--passes", type=int, default=4)
+    parser.add_argument("--passes", type=int)
+    parser.add_argument("--formats", nargs="*", choices=SPLAT_FORMATS, default=SPLAT_FORMATS)
     parser.add_argument("--out", type=Path, default=Path("results/exports"))
     arguments = parser.parse_args()
     fits, files = [], []
     for run in arguments.runs:
-        more_fits, more_files = measured(load_run(run, device=arguments.device), arguments.data, arguments.passes)
+        loaded = load_run(run, device=arguments.device)
+        more_fits, more_files = measured(loaded, arguments.data, arguments.passes, arguments.formats)
         fits += more_fits
         files += more_files
         for row in (*fits, *files):
             row["label"] = label(row["spectrum"])
             if "bytes" in row:
                 row["bytes_each"] = row["bytes"] / max(row["gaussians"], 1)
-        tables = (table(fits, FIT_COLUMNS), table(files, FILE_COLUMNS))
+        tables = [table(fits, FIT_COLUMNS), *([table(files, FILE_COLUMNS)] if files else [])]
         text = "\n\n".join(["PSNR [dB], the mean over the held-out views.", *tables]) + "\n"
         write_text(arguments.out / "exports.md", text)
         write_text(arguments.out / "exports.json", json.dumps({"fits": fits, "files": files}, indent=2) + "\n")

@@ -13,7 +13,6 @@ trainings share a GPU, so nothing here says anything of time.
 import argparse
 import json
 import math
-import queue
 import shlex
 import shutil
 import statistics
@@ -27,43 +26,12 @@ from pathlib import Path
 from typing import Any
 
 from thermosplat.method_matrix.cell_result import write_json
-from thermosplat.method_matrix.processes import choose_devices, device_environment
+from thermosplat.method_matrix.processes import choose_devices
 from thermosplat.runs.run_directory import RunDirectory
-from training.command import apart, failure, run_python
+from training.command import apart
+from training.trainings import Trainings
 
-TRAIN = "import sys; from thermosplat.cli.train import main; sys.exit(main())"
 Row = dict[str, Any]
-
-
-class Trainings:
-    """Runs of thermosplat-train, so many at a time.
-
-    Args:
-        devices: "cpu" or "cuda:<index>".
-        at_once: trainings a device.
-    """
-
-    def __init__(self, devices: Sequence[str], at_once: int) -> None:
-        self.count = len(devices) * at_once
-        self._free: queue.Queue[str] = queue.Queue()
-        for device in (*devices,) * at_once:
-            self._free.put(device)
-
-    def train(self, folder: Path, *words: str) -> dict[str, float]:
-        """Trains, and returns the held-out PSNR of each spectrum [dB].
-
-        Raises:
-            RuntimeError: with the end of what the command wrote, if it failed.
-        """
-        device = self._free.get()
-        try:
-            done = run_python(["-c", TRAIN, *words], device_environment(device, sharing=self.count))
-        finally:
-            self._free.put(device)
-        if error := failure(done):
-            raise RuntimeError(error)
-        metrics = json.loads(RunDirectory(folder).metrics_json.read_text(encoding="utf-8"))
-        return {spectrum: metrics[spectrum]["psnr"] for spectrum in metrics["spectra"] if metrics[spectrum]}
 
 
 def measured(trainings: Trainings, command: Sequence[str], seed: int, branch: int, folder: Path) -> Row:

@@ -1,8 +1,8 @@
-"""How fast is the rasterizer, and how exact? Beside gsplat 1.5.3 and gswarp 1.1.0 where they are installed.
+"""How fast is the rasterizer, and how exact? Beside gsplat, its main branch, Faster-GS and gswarp where installed.
 
     python benchmarks/bench_rasterization.py --device cpu --cores 1 2
     python benchmarks/bench_rasterization.py --device cuda --scene test_garden.npz huge results/desk --grid 1 5 11 \\
-        --json rasterization.json --markdown rasterization.md --time-limit 360
+        --peers gsplat gsplat-main faster-gs gswarp --json rasterization.json --markdown rasterization.md
 
 Every case checks that images and gradients agree before it is timed, and the files are rewritten after every case, so
 that an interrupted run keeps what it measured. README.md says what is compared and how it is measured.
@@ -13,6 +13,7 @@ import gc
 import json
 import os
 import platform
+import subprocess
 import sys
 import time
 import traceback
@@ -25,7 +26,9 @@ import warp as wp
 
 from measuring.agreement import largest
 from measuring.device_peaks import DevicePeaks, measure_peaks
-from peers.renderers import CASES, PEERS, Peer, cpu_peers, cuda_peers
+from peers.installed import MAKERS, cuda_peers
+from peers.peer import CASES, Peer
+from peers.renderers import PEERS, cpu_peers
 from rasterization.case import one_line, run_case
 from rasterization.summary import summaries, summary_lines
 from rasterization.tables import markdown
@@ -74,10 +77,11 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--peers",
         nargs="*",
-        choices=(*PEERS, "deterministic"),
+        choices=sorted({*PEERS, *MAKERS, "deterministic"}),
         default=list(PEERS),
         help="beside whom; on CUDA 'callable' is thermosplat under torch.cuda.make_graphed_callables, 'graph' in a "
-        "CUDA graph and 'deterministic' with deterministic=True; none: thermosplat alone",
+        "CUDA graph and 'deterministic' with deterministic=True; none: thermosplat alone. peers/README.md says how the "
+        "others are installed. Beside gsplat, gsplat-main is measured in a process of its own, after the rest",
     )
     options = parser.parse_args()
     if options.resume and options.json is None:
@@ -207,9 +211,33 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
                     torch.cuda.empty_cache()
 
 
+def in_two_processes(given: list[str], options: argparse.Namespace) -> int:
+    """Measures gsplat-main in a process of its own, after the other peers: two gsplats do not fit into one.
+
+    Args:
+        given: the command line.
+        options: what it says.
+
+    Returns:
+        1 if either process failed.
+    """
+    codes = []
+    for peers in ([name for name in options.peers if name != "gsplat-main"], ["gsplat-main"]):
+        words = [*given, "--peers", *peers]  # the last one counts
+        if peers == ["gsplat-main"]:
+            for flag, path in (("--json", options.json), ("--markdown", options.markdown)):
+                if path is not None:
+                    words += [flag, str(path.with_stem(f"{path.stem}-gsplat-main"))]
+            print("\ngsplat-main, in a process of its own:", flush=True)
+        codes.append(subprocess.run([sys.executable, __file__, *words], check=False).returncode)
+    return int(any(codes))
+
+
 def main() -> int:
     """Runs the cases asked for; returns 1 if any failed, or a peer rendered something else."""
     options = arguments()
+    if {"gsplat", "gsplat-main"} <= {*options.peers}:
+        return in_two_processes(sys.argv[1:], options)
     device = torch.device(options.device)
     if options.one_thread:
         torch.autograd.set_multithreading_enabled(False)

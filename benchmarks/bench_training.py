@@ -226,7 +226,7 @@ class Benchmark:
 
 
 def print_row(row: dict[str, Any], kernels: int) -> None:
-    """One line a step, then its parts, and its costliest kernels by name."""
+    """One line per step, then its parts, and its costliest kernels by name."""
     line = f"{row['name']:<24} {row['size']:>10} {row['num_gaussians']:>9,} Gaussians"
     if "median_ms" in row:
         line += f" {row['median_ms']:8.2f} ms, kernels {row['kernels_ms']:.2f}, floor {row['floor_ms']:.2f}"

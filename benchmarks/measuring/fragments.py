@@ -1,6 +1,6 @@
 """Counts the fragments of a frame, the (pixel, Gaussian) pairs that are drawn: the work no exact renderer can avoid.
 
-A pass of its own, one thread a pixel, that walks the pixel's tile by the plain rules and shares no code with the
+A pass of its own, one thread per pixel, that walks the pixel's tile by the plain rules and shares no code with the
 blending kernels. It takes gsplat's ``info`` dictionary, so that it counts what the public function said it drew.
 """
 

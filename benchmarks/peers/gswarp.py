@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from measuring.agreement import OTHER_CONVENTIONS
-from peers.renderers import Peer, Rendered, Tensors
+from peers.peer import Peer, Rendered, Tensors
 
 NEAR_PLANE = 0.2
 

@@ -1,25 +1,20 @@
 """The renderers that are compared: each takes a case's tensors and returns its images."""
 
 import sys
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from measuring.agreement import SAME_CONVENTIONS, Tolerance
+from peers.peer import NEAR_PLANE, Peer, Rendered, Renderer, Tensors
+from peers.torch_renderer import torch_peer
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "fixtures"))
 import gsplat_reference
-
-NEAR_PLANE = 0.01
-"""gsplat's and thermosplat's default [world units]."""
-
-CASES = ("rgb", "features8", "features11", "features32", "rgbt")
-"""rgb: SH colour of degree 3. featuresN: N channels. rgbt: SH colour and 8 features at α, the 8 features at α_t."""
 
 PEERS = ("gsplat", "gswarp", "torch", "callable", "graph")
 """Whom thermosplat is compared with unless others are asked for; "callable" is itself made a function by
@@ -31,54 +26,7 @@ GRAPH = "thermosplat in a graph"
 ALL_OURS = (OURS, CALLABLE, GRAPH)
 """Ways to call thermosplat that give the same and are each compared with the peers."""
 
-Tensors = dict[str, Tensor]
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict]]
-
-
-class Rendered(NamedTuple):
-    """What a renderer made of a case.
-
-    Attributes:
-        images: [1, H, W, X] colours and alphas, the same for every renderer of a case.
-        infos: one dictionary of gsplat's kind a rasterization; none where the renderer has no such thing.
-    """
-
-    images: list[Tensor]
-    infos: list[Mapping[str, Any]]
-
-    @property
-    def intersections(self) -> int | None:
-        """(Gaussian, tile) pairs of all rasterizations together."""
-        return sum(len(info["flatten_ids"]) for info in self.infos) if self.infos else None
-
-
-Renderer = Callable[[str, Tensors, int, int], Callable[[], Rendered]]
-
-
-@dataclass(frozen=True)
-class Peer:
-    """A renderer by name.
-
-    Attributes:
-        name: as printed.
-        description: version and kind.
-        renderer: (case, tensors, width, height) -> a call that renders.
-        cases: those it can render.
-        near_plane: Gaussians nearer than this are not drawn [world units].
-        tolerance: how far its images and gradients may be from thermosplat's.
-        release: gives back memory that it keeps between calls.
-        captured: what is captured in CUDA graphs that are replayed: nothing, each of the two calls of a case
-            ("call"), or, by ``torch.cuda.make_graphed_callables``, a function's forward and backward pass ("function").
-    """
-
-    name: str
-    description: str
-    renderer: Renderer
-    cases: tuple[str, ...] = CASES
-    near_plane: float = NEAR_PLANE
-    tolerance: Tolerance = SAME_CONVENTIONS
-    release: Callable[[], object] = lambda: None
-    captured: Literal["call", "function"] | None = None
 
 
 def _camera(t: Tensors, width: int, height: int) -> dict[str, Any]:
@@ -179,33 +127,6 @@ def gsplat_renderer(rasterization: Rasterization, spherical_harmonics: Callable,
     return renderer
 
 
-def cuda_peers(names: Collection[str]) -> list[Peer]:
-    """thermosplat and, of those named and importable, itself captured, gsplat's CUDA kernels and gswarp."""
-    peers = [thermosplat_peer()]
-    if "callable" in names:
-        peers.append(callable_peer())
-    if "graph" in names:
-        peers.append(graph_peer())
-    try:
-        if "gsplat" in names:
-            import gsplat
-
-            renderer = gsplat_renderer(gsplat.rasterization, gsplat.spherical_harmonics, packed=False)
-            peers.append(Peer("gsplat", f"gsplat {version('gsplat')}, CUDA kernels", renderer))
-    except ImportError as error:
-        print(f"gsplat is not importable ({error}); it is left out")
-    try:
-        if "gswarp" in names:
-            from peers.gswarp import gswarp_peer
-
-            peers.append(gswarp_peer())
-    except ImportError as error:
-        print(f"gswarp is not importable ({error}); it is left out")
-    if "deterministic" in names:
-        peers.append(thermosplat_peer(deterministic=True))
-    return peers
-
-
 def cpu_peers(names: Collection[str]) -> list[Peer]:
     """thermosplat and, of those named, a plain torch renderer and, where it can be imported, gsplat's torch reference.
 
@@ -214,8 +135,6 @@ def cpu_peers(names: Collection[str]) -> list[Peer]:
     """
     peers = [thermosplat_peer()]
     if "torch" in names:
-        from peers.torch_renderer import torch_peer
-
         peers.append(torch_peer())
     if "gsplat" not in names:
         return peers

@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from peers.renderers import NEAR_PLANE, Peer, Rendered, Tensors
+from peers.peer import NEAR_PLANE, Peer, Rendered, Tensors
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "fixtures"))
 from reference_projection import ALPHA_MIN, flat_scene, project, view_colors

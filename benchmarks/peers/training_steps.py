@@ -66,7 +66,7 @@ def compare_steps(
         rounds: Measurements of each, in turns.
 
     Returns:
-        ``num_gaussians``; ``peers``: for each name median and spread of the milliseconds a step and ``steps_per_s``;
+        ``num_gaussians``; ``peers``: for each name median and spread of the milliseconds per step and ``steps_per_s``;
         ``agreement``; ``left_out``: why others are not there.
     """
     result: dict[str, Any] = {"window": window, "rounds": rounds, "left_out": {}}

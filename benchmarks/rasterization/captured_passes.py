@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from measuring.gpu_memory import peak_memory
-from peers.renderers import Rendered, Tensors
+from peers.peer import Rendered, Tensors
 from rasterization.passes import Passes, Result
 from thermosplat import PairCapacity
 

@@ -12,7 +12,8 @@ from measuring.floors import stage_floors
 from measuring.fragments import count_fragments
 from measuring.stages import blended_channels, stage_times
 from measuring.timing import time_interleaved
-from peers.renderers import Peer, Rendered, Renderer, Tensors, float64_renderer, thermosplat_peer
+from peers.peer import Peer, Rendered, Renderer, Tensors
+from peers.renderers import float64_renderer, thermosplat_peer
 from rasterization.captured_passes import CapturedPasses, GraphedPasses
 from rasterization.passes import Passes, Result
 from scenes.benchmark_scenes import BenchmarkScene
@@ -110,18 +111,20 @@ def _checked(
     names = [name for name, tensor in inputs.items() if tensor.requires_grad]
     row |= {"error_to_float64": {}, "difference": {}, "left_out": {}, "apart": {}}
     exact = {k: v.detach().double().requires_grad_(v.requires_grad) for k, v in inputs.items()} if with_truth else {}
-    references: dict[float, Result] = {}
-    truths: dict[float, Result] = {}
+    references: dict[tuple[float, int | None], Result] = {}
+    truths: dict[tuple[float, int | None], Result] = {}
     passes: dict[str, Passes | CapturedPasses] = {}
 
-    def result(renderer: Renderer, tensors: Tensors) -> Result:
-        return Passes(renderer(case, tensors, *size), tensors).forward_backward()
+    def result(renderer: Renderer, tensors: Tensors, num_images: int | None) -> Result:
+        return Passes(renderer(case, tensors, *size), tensors, num_images).forward_backward()
 
     for peer in peers:
-        near = peer.near_plane
+        near, seen = peer.near_plane, (peer.near_plane, peer.num_images)
         try:
             made = _passes(peer, case, inputs, size)
             found = made.forward_backward()
+            if peer.raw is not None:
+                found = found[0], peer.raw.gradients(inputs, found[1])
         except Exception as error:
             if peer is peers[0]:
                 raise
@@ -130,24 +133,26 @@ def _checked(
             torch.cuda.empty_cache()
             continue
         if peer is peers[0]:
-            references[near] = found
+            references[seen] = found
             row["results_mib"] = round(sum(tensor.nbytes for part in found for tensor in part) / 2**20, 1)
         else:
-            if near not in references:
-                references[near] = result(thermosplat_peer(near).renderer, inputs)
-            difference = differences(found, references[near], names, peer.tolerance.pixel)
+            if seen not in references:
+                references[seen] = result(thermosplat_peer(near).renderer, inputs, peer.num_images)
+            difference = differences(found, references[seen], names, peer.tolerance.pixel)
             row["difference"][peer.name] = difference
             if (reason := disagreement(difference, peer.tolerance)) is not None:
                 row["apart"][peer.name] = reason
         if with_truth:
-            if near not in truths:
-                truths[near] = result(float64_renderer(near), exact)
-            row["error_to_float64"][peer.name] = differences(found, truths[near], names, peers[0].tolerance.pixel)
+            if seen not in truths:
+                truths[seen] = result(float64_renderer(near), exact, peer.num_images)
+            row["error_to_float64"][peer.name] = differences(found, truths[seen], names, peers[0].tolerance.pixel)
         passes[peer.name] = made
     return passes
 
 
 def _passes(peer: Peer, case: str, inputs: Tensors, size: tuple[int, int]) -> Passes | CapturedPasses:
+    if peer.raw is not None:
+        inputs = peer.raw.leaves(inputs)
     eager = Passes(peer.renderer(case, inputs, *size), inputs)
     if peer.captured == "function":
         return GraphedPasses(eager, inputs)

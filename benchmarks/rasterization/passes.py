@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from measuring.gpu_memory import peak_memory
-from peers.renderers import Rendered, Tensors
+from peers.peer import Rendered, Tensors
 
 Result = tuple[list[Tensor], tuple[Tensor, ...]]
 
@@ -17,14 +17,19 @@ class Passes:
     Args:
         render: renders the case.
         inputs: what it renders; gradients go to those that require them.
+        num_images: only so many images are looked at, the first of them; None: all.
 
     Attributes:
         render: as given.
         intersections: (Gaussian, tile) pairs of all its rasterizations together.
     """
 
-    def __init__(self, render: Callable[[], Rendered], inputs: Tensors) -> None:
-        self.render = render
+    def __init__(self, render: Callable[[], Rendered], inputs: Tensors, num_images: int | None = None) -> None:
+        def seen() -> Rendered:
+            rendered = render()
+            return rendered._replace(images=rendered.images[:num_images])
+
+        self.render = render if num_images is None else seen
         self._leaves = [tensor for tensor in inputs.values() if tensor.requires_grad]
         first = self.forward()
         self.intersections = first.intersections

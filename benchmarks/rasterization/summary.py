@@ -98,7 +98,7 @@ def summary(rows: list[Row], peer: str, ours: str = OURS) -> dict[str, Any]:
         ours: which of our own renderers.
 
     Returns:
-        ``peer`` and ``ours``; ``targets``, one entry a target that any row belongs to, and ``faster_gs``, one entry a
+        ``peer`` and ``ours``; ``targets``, one entry per target that any row belongs to, and ``faster_gs``, one per
         row that was measured there too.
     """
     entries = []

@@ -13,13 +13,16 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("image losses", ("image_loss_", "_ImageLoss", "_WindowFilter", "conv2d", "convolution")),
     (
         "projection adjoint",
-        ("project_adjoint", "activate_adjoint", "finish_camera_gradients", "strand_sums", "ProjectBackward"),
+        (
+            *("project_adjoint", "activate_adjoint", "finish_camera_gradients", "strand_sums", "ProjectBackward"),
+            *("affine_camera_adjoint", "finish_lens_gradients"),
+        ),
     ),
-    ("projection", ("project_", "activate_", "Project")),
+    ("projection", ("project_", "activate_", "affine_cameras", "lens_limits", "Project")),
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint")),
     ("SH", ("sh_colors", "camera_positions")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "BlendBackward")),
-    ("blending", ("blend_", "join_segments", "Blend")),
+    ("blending", ("blend_", "join_segments", "contributors_", "Blend")),
     (
         "binning",
         ("count_tiles", "compact_gaussians", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan"),

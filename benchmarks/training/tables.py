@@ -57,7 +57,7 @@ def _whole(rows: list[Row]) -> Iterator[str]:
         "s to metrics.json",
         "of these first step, later compilation",
         "without both",
-        "ms a step",
+        "ms per step",
         "Gaussians",
     ]
     spectra = list(dict.fromkeys(name for row in rows for name in row.get("psnr", {})))
@@ -112,7 +112,7 @@ def _peers(found: Row | None) -> Iterator[str]:
         for name, row in found["peers"].items()
     ]
     count = f"{found['num_gaussians']:,} Gaussians"
-    yield from _table([count, "steps/s", "ms a step", "of ours"], body)
+    yield from _table([count, "steps/s", "ms per step", "of ours"], body)
 
 
 def _steps(rows: list[Row]) -> Iterator[str]:
@@ -159,7 +159,7 @@ def _densification(found: Row | None) -> Iterator[str]:
     if found is not None:
         yield (
             f"A refinement adds {found['refinement_ms']:.1f} ms (median of {found['timed']}) every "
-            f"{found['every']} steps: {found['ms_a_step']:.3f} ms a step while there are any."
+            f"{found['every']} steps: {found['ms_a_step']:.3f} ms per step while there are any."
         )
 
 
@@ -172,8 +172,8 @@ def _memory(report: dict[str, Any]) -> Iterator[str]:
     yield from _table(["Gaussians", "size", "peak [MiB]", "reserved with graph [MiB]"], body)
     if fit := report.get("memory"):
         yield (
-            f"\nLeast squares: {fit['bytes_a_gaussian']:,.0f} bytes a Gaussian, {fit['bytes_a_pixel']:,.0f} a pixel, "
-            f"{fit['bytes_besides'] / 2**20:,.0f} MiB besides; worst residual {fit['worst_mib']:,.0f} MiB."
+            f"\nLeast squares: {fit['bytes_a_gaussian']:,.0f} bytes per Gaussian, {fit['bytes_a_pixel']:,.0f} per "
+            f"pixel, {fit['bytes_besides'] / 2**20:,.0f} MiB besides; worst residual {fit['worst_mib']:,.0f} MiB."
         )
 
 

@@ -9,7 +9,8 @@ import reference_rasterizer
 from measuring.agreement import OTHER_CONVENTIONS, SAME_CONVENTIONS, differences, disagreement, largest
 from measuring.fragments import count_fragments
 from peers.gswarp import projection_matrix
-from peers.renderers import CALLABLE, CASES, GRAPH, OURS, callable_peer, float64_renderer, graph_peer, thermosplat_peer
+from peers.peer import CASES
+from peers.renderers import CALLABLE, GRAPH, OURS, callable_peer, float64_renderer, graph_peer, thermosplat_peer
 from peers.torch_renderer import torch_peer
 from rasterization.case import inputs_of, run_case
 from rasterization.passes import Passes

@@ -108,3 +108,36 @@ def test_loops_benchmark_runs(tmp_path: Path) -> None:
         assert row[loop] == pytest.approx(row["default"], rel=0, abs=1e-5), loop
     assert all(value > 5 for value in row["default"].values())
     assert "thermal, plain minus default: +0.000" in done.stdout
+
+
+@pytest.mark.slow
+def test_distributed_benchmark_runs(tmp_path: Path) -> None:
+    """A row for one process and one for two ranks, which exchange something and share the Gaussians."""
+    report, table = tmp_path / "report.json", tmp_path / "table.md"
+    options = ["--device", "cpu", "--ranks", "1", "2", "--counts", "500", "--size", "48x32", "--steps", "1"]
+    done = run_script("bench_distributed.py", *options, "--json", str(report), "--markdown", str(table))
+    assert done.returncode == 0, done.stdout + done.stderr
+    alone, divided = json.loads(report.read_text())["rows"]
+    assert alone["sent_mb"] == 0 < divided["sent_mb"]
+    assert all(row["images_per_second"] > 0 < row["memory_gb"] for row in (alone, divided))
+    assert "| 500 | 2 |" in table.read_text()
+
+
+def test_scaling_estimate_counts_bytes() -> None:
+    """What a Gaussian takes between ranks is counted in a call; more bytes on a slower link take longer."""
+    done = run_script("estimate_scaling.py")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "takes 96 bytes" in done.stdout
+    assert "its gradients 76" in done.stdout
+    fast, slow = (line for line in done.stdout.splitlines() if line.startswith("| 4 hosts"))
+    assert float(fast.split("|")[3].removesuffix("ms ")) < float(slow.split("|")[3].removesuffix("ms "))
+
+
+def test_memory_estimate_counts_the_tensors_of_a_training() -> None:
+    """Of thermosplat's 68 numbers: all, gradients, two moments; two GPUs hold more Gaussians, but not twice as many."""
+    done = run_script("estimate_memory.py", "--configs", "thermosplat", "--ranks", "1", "2", "--memory", "10")
+    assert done.returncode == 0, done.stdout + done.stderr
+    cells = [cell.strip() for cell in done.stdout.splitlines()[-1].strip("|").split("|")]
+    assert [float(cell) for cell in cells[1:4]] == [68 * 4, 68 * 4, 68 * 8]
+    one, two = (float(cell.removesuffix(" M")) for cell in cells[-2:])
+    assert one < two < 2 * one

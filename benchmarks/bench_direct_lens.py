@@ -1,0 +1,188 @@
+"""What does it cost to undistort thermal images? A rig with two distorted lenses, trained both ways.
+
+    python benchmarks/bench_direct_lens.py RIG_DESK --out results/direct_lens --data-factor 4 -- --max-steps 1000
+
+RIG_DESK is a folder of rendered photographs and temperatures with the true cameras (visible/, thermal/, truth.json:
+OPENCV lenses in one rig, camera_to_world of the photographs); --points names a COLMAP model of the scene to start from,
+without which training starts from random points. The folder becomes a capture with true cameras, which is trained on
+with --lens undistort and with --lens direct; flags behind "--" go to both trainings. A finished training is not done
+again. Both scenes are then rendered through the lenses and compared with the held-out images as they were taken.
+"""
+
+import argparse
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import numpy as np
+import pycolmap
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from thermosplat.datasets import load_capture
+from thermosplat.datasets.cameras import Camera
+from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.evaluation.held_out import rendered_views
+from thermosplat.evaluation.loaded_run import load_run
+from thermosplat.runs.atomic_writes import write_text
+from thermosplat.scene.lens_slopes import straightened
+from thermosplat.spectra import label
+
+LENSES = ("undistort", "direct")
+
+
+def write_capture(rig: Path, points: Path | None, folder: Path) -> None:
+    """The folder of a rig as a capture: links to its images, and a COLMAP model of its true cameras."""
+    truth = json.loads((rig / "truth.json").read_text())
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True, exist_ok=True)
+    (folder / "images").mkdir(exist_ok=True)
+    for name, source in (("rgb", "visible"), ("thermal", "thermal")):
+        if not (folder / "images" / name).exists():
+            os.symlink((rig / source).resolve(), folder / "images" / name)
+    numbers = ("width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    cameras = [
+        f"{number} OPENCV " + " ".join(str(truth[name][key]) for key in numbers)
+        for number, name in ((1, "visible"), (2, "thermal"))
+    ]
+    from_visible = np.linalg.inv(np.array(truth["thermal_to_visible"]))
+    thermal = sorted(path.name for path in (rig / "thermal").iterdir())
+    frames, images = [], []
+    for index, (name, pose) in enumerate(sorted(truth["camera_to_world"].items())):
+        viewmat = np.linalg.inv(np.array(pose))
+        first, second = 2 * index + 1, 2 * index + 2
+        frames.append(f"{index + 1} 1 {_pose(viewmat)} 2 CAMERA 1 {first} CAMERA 2 {second}")
+        images.append(f"{first} {_pose(viewmat)} 1 rgb/{name}\n")
+        images.append(f"{second} {_pose(from_visible @ viewmat)} 2 thermal/{thermal[index]}\n")
+    texts = {
+        "cameras.txt": cameras,
+        "rigs.txt": [f"1 2 CAMERA 1 CAMERA 2 1 {_pose(from_visible)}"],
+        "frames.txt": frames,
+        "images.txt": images,
+        "points3D.txt": _points(points),
+    }
+    for name, lines in texts.items():
+        write_text(model / name, "\n".join(lines) + "\n")
+
+
+def _pose(viewmat: np.ndarray) -> str:
+    x, y, z, w = pycolmap.Rotation3d(viewmat[:3, :3]).quat
+    return " ".join(repr(float(number)) for number in (w, x, y, z, *viewmat[:3, 3]))
+
+
+def _points(model: Path | None) -> list[str]:
+    if model is None:
+        return []
+    found = pycolmap.Reconstruction(str(model)).points3D
+    return [f"{number} {' '.join(map(str, (*p.xyz, *p.color)))} {p.error}" for number, p in found.items()]
+
+
+def trained(capture: Path, out: Path, lens: str, data_factor: int, flags: list[str]) -> Path:
+    """The result folder of a training, which is done if it is not."""
+    run = out / lens
+    if not (run / "metrics.json").is_file():
+        command = [sys.executable, "-m", "thermosplat", "train", str(capture), "--lens", lens]
+        command += ["--data-factor", str(data_factor), "--result-dir", str(run), "--overwrite", *flags]
+        subprocess.run(command, check=True)
+    return run
+
+
+def judged(run: Path, capture: Path, data_factor: int) -> dict[str, Any]:
+    """By spectrum a scene's PSNR [dB] against the held-out images as they were taken: whole, and where undistorted
+    images show them, rendered through the lens and as a bent pinhole image; its own number; and seconds of training."""
+    loaded = load_run(str(run), device="auto")
+    config, model = loaded.config, loaded.model
+    how: dict[str, Any] = {"test_every": config.test_every, "spectra": config.spectra, "data_factor": data_factor}
+    untouched, resampled = load_capture(capture, lens="direct", **how), load_capture(capture, **how)
+    rows: dict[str, list[list[float]]] = {name: [] for name in model.spectra}
+    for frame, other in zip(untouched.test, resampled.test, strict=True):
+        pinholes = rendered_views(model, other, resampled.scales, loaded.sh_degree, loaded.device)
+        straight = {view.spectrum: view.image for view in pinholes}
+        for view in rendered_views(model, frame, untouched.scales, loaded.sh_degree, loaded.device):
+            places = places_in(other.views[view.spectrum].camera, view.camera)
+            inside = (places.abs() < 1).all(dim=-1)
+            bent = functional.grid_sample(
+                straight[view.spectrum].permute(2, 0, 1)[None], places[None], mode="bicubic", align_corners=False
+            )
+            errors = [
+                (image - view.target).square().mean(dim=-1)
+                for image in (view.image, bent[0].permute(1, 2, 0).clamp(0, 1))
+            ]
+            shown = (errors[0].mean(), errors[0][inside].mean(), errors[1][inside].mean())
+            rows[view.spectrum].append([decibels(error) for error in shown])
+    metrics = json.loads((run / "metrics.json").read_text())
+    numbers = {}
+    for name, found in rows.items():
+        whole, inside, bent = (sum(column) / len(found) for column in zip(*found, strict=True))
+        numbers[name] = {"whole": whole, "inside": inside, "bent": bent, "own": metrics[name]["psnr"]}
+    return {"numbers": numbers, "seconds": metrics["train_seconds"]}
+
+
+def decibels(error: Tensor) -> float:
+    """PSNR [dB] of a mean squared error of images in [0, 1]."""
+    return -10 * math.log10(max(float(error), 1e-12))
+
+
+def places_in(pinhole: Camera, view: ViewTensors) -> Tensor:
+    """Where pixels of a view through a lens lie in the undistorted image, [H, W, 2], from -1 to 1 within it."""
+    y, x = torch.meshgrid(torch.arange(view.height) + 0.5, torch.arange(view.width) + 0.5, indexing="ij")
+    K = view.K.cpu()
+    bent_slopes = (torch.stack([x, y], dim=-1) - K[:2, 2]) / K.diagonal()[:2]
+    slopes = straightened(bent_slopes.to(view.K.device), view)
+    scale = slopes.new_tensor([2 * pinhole.fx / pinhole.width, 2 * pinhole.fy / pinhole.height])
+    start = slopes.new_tensor([2 * pinhole.cx / pinhole.width - 1, 2 * pinhole.cy / pinhole.height - 1])
+    return slopes * scale + start
+
+
+@torch.no_grad()
+def main() -> None:
+    """Prints and writes the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rig", type=Path)
+    parser.add_argument("--points", type=Path, default=None, help="COLMAP model whose points training starts from")
+    parser.add_argument("--out", type=Path, default=Path("results/direct_lens"))
+    parser.add_argument("--data-factor", type=int, default=4)
+    own, flags = sys.argv[1:], []
+    if "--" in own:
+        own, flags = own[: own.index("--")], own[own.index("--") + 1 :]
+    options = parser.parse_args(own)
+    capture = options.out / "capture"
+    write_capture(options.rig, options.points, capture)
+    numbers = {}
+    for lens in LENSES:
+        run = trained(capture, options.out, lens, options.data_factor, flags)
+        numbers[lens] = judged(run, capture, options.data_factor)
+    device = "CUDA" if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores"
+    lines = [
+        f"{time.strftime('%Y-%m-%d')}, {platform.machine()} {device}, torch {torch.__version__}; "
+        f"--data-factor {options.data_factor} {' '.join(flags)}. PSNR [dB] against the images as they were taken.",
+        "",
+        "| spectrum | images | undistort | direct | difference |",
+        "|---|---|---|---|---|",
+    ]
+    for name in numbers["direct"]["numbers"]:
+        before, after = (numbers[lens]["numbers"][name] for lens in LENSES)
+        for words, old, new in (
+            ("all pixels, rendered through the lens", before["whole"], after["whole"]),
+            ("pixels that undistorted images show, too", before["inside"], after["inside"]),
+            ("those; undistort rendered as a pinhole, and bent", before["bent"], after["inside"]),
+        ):
+            lines.append(f"| {label(name)} | {words} | {old:.2f} | {new:.2f} | {new - old:+.2f} |")
+        own = f"{before['own']:.2f} | {after['own']:.2f}"
+        lines.append(f"| {label(name)} | each against the images it was trained on | {own} | |")
+    seconds = [numbers[lens]["seconds"] for lens in LENSES]
+    lines += ["", f"Training took {seconds[0]:.0f} s and {seconds[1]:.0f} s ({seconds[1] / seconds[0]:.2f} times)."]
+    print("\n".join(lines))
+    write_text(options.out / "direct_lens.md", "\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""How fast do several devices train one scene beside one, and how much memory does each take?
+
+    python benchmarks/bench_distributed.py --ranks 1 2 --counts 1000000 4000000 --size 1280x1024 --batch 2
+    python benchmarks/bench_distributed.py --device cpu --ranks 1 2 --counts 5000 --size 160x120 --batch 2 --steps 3
+
+Random Gaussians fill the view of random images of two spectra. The steps are those of thermosplat-train without density
+control. A row is a process, or so many: images per second, the most memory of a rank, and of its step the part spent in
+the exchange of Gaussians and gradients (measured in further steps, in which each exchange is waited for).
+"""
+
+import argparse
+import json
+import os
+import resource
+import time
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import torch
+import torch.distributed as dist
+import torch.multiprocessing as processes
+
+from measuring.exchanged_bytes import Exchanged, counted_bytes
+from thermosplat.config import DensificationConfig, TrainConfig
+from thermosplat.datasets.cameras import Camera
+from thermosplat.datasets.capture import Capture, Frame, View
+from thermosplat.distributed.team import Team
+from thermosplat.runs.atomic_writes import write_text
+from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.thermal.radiometry import GREY, PixelScale
+from thermosplat.training.sharing.divided_trainer import DividedTrainer
+from thermosplat.training.trainer import Trainer
+
+WARM_UP = 3
+"""Steps before any is timed."""
+FRAMES = 8
+
+
+def random_capture(count: int, width: int, height: int) -> Capture:
+    """Points that fill the view of cameras side by side, with images of noise."""
+    random = np.random.default_rng(0)
+    camera = Camera(float(width), float(width), width / 2, height / 2, width, height)
+
+    def frame(number: int) -> Frame:
+        viewmat = np.eye(4)
+        viewmat[0, 3] = 0.05 * number
+        image = random.integers(0, 256, (height, width, 3), dtype=np.uint8)
+        heat = random.random((height, width, 1), dtype=np.float32)
+        name = f"frame{number}"
+        return Frame(
+            name,
+            {
+                "rgb": View("rgb", name, Path(f"{name}.png"), camera, viewmat, image),
+                "thermal": View("thermal", name, Path(f"{name}_t.png"), camera, viewmat, heat),
+            },
+        )
+
+    points = random.uniform((-1.0, -0.8, 2.0), (1.0, 0.8, 6.0), (count, 3)).astype(np.float32)
+    points[:, :2] *= 0.5 * points[:, 2:]
+    frames = tuple(map(frame, range(FRAMES + 1)))
+    return Capture(
+        name="random",
+        root=Path("random"),
+        layout="rgbt-scenes",
+        train=frames[1:],
+        test=frames[:1],
+        points=points,
+        point_colors=random.integers(0, 256, (count, 3), dtype=np.uint8),
+        scales={"rgb": PixelScale("photograph"), "thermal": PixelScale("scalar", GREY, (0.0, 1.0), "celsius")},
+        spectra=dict(TrainConfig().spectra),
+    )
+
+
+def measured(rank: int, ranks: int, options: argparse.Namespace, count: int, folder: str) -> None:
+    """One rank's steps; rank 0 writes the row."""
+    on_cuda = options.device == "cuda"
+    device = torch.device("cuda", rank) if on_cuda else torch.device("cpu")
+    if not on_cuda:
+        torch.set_num_threads(max((os.cpu_count() or 1) // ranks, 1))
+    width, height = map(int, options.size.split("x"))
+    config = TrainConfig(
+        max_steps=10_000,
+        batch_size=options.batch,
+        device="cuda" if on_cuda else "cpu",
+        tensorboard=False,
+        log_every=10**9,
+        densification=DensificationConfig(enabled=False),
+    )
+    config = replace(config, sh_degree_interval=1, compile=on_cuda)
+    capture, run = random_capture(count, width, height), RunDirectory(Path(folder) / "run")
+    trainer: Trainer
+    if ranks == 1:
+        trainer = Trainer(config, capture, run)
+    else:
+        store = dist.FileStore(str(Path(folder) / "store"), ranks)
+        backend = "cpu:gloo,cuda:nccl" if on_cuda else "gloo"
+        if on_cuda:
+            torch.cuda.set_device(device)
+        dist.init_process_group(backend, store=store, rank=rank, world_size=ranks)
+        trainer = DividedTrainer(config, capture, run, Team(rank, ranks, device))
+
+    def steps(number: int) -> float:
+        wait(device)
+        started = time.perf_counter()
+        for _ in range(number):
+            trainer._train_step()
+        wait(device)
+        return time.perf_counter() - started
+
+    steps(WARM_UP)
+    if on_cuda:
+        torch.cuda.reset_peak_memory_stats(device)
+    seconds = steps(options.steps)
+    memory = (
+        torch.cuda.max_memory_allocated(device)
+        if on_cuda
+        else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    )
+    exchanged = Exchanged()
+    if ranks > 1:
+        with counted_bytes() as exchanged:
+            steps(options.steps)
+    of_rank = {"seconds": seconds, "memory": memory, "bytes": exchanged.bytes, "exchange": exchanged.seconds}
+    every: list[Any] = [of_rank]
+    if ranks > 1:
+        every = [None] * ranks
+        dist.all_gather_object(every, of_rank)
+        dist.destroy_process_group()
+    if rank == 0:
+        (Path(folder) / "row.json").write_text(json.dumps(every))
+
+
+def wait(device: torch.device) -> None:
+    """Let a device finish its work."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def row(options: argparse.Namespace, count: int, ranks: int) -> dict[str, Any]:
+    """What so many ranks reach with so many Gaussians."""
+    with TemporaryDirectory() as folder:
+        processes.spawn(measured, (ranks, options, count, folder), nprocs=ranks)
+        every = json.loads((Path(folder) / "row.json").read_text())
+    slowest = max(of_rank["seconds"] for of_rank in every)
+    sent = [of_rank["bytes"] / options.steps for of_rank in every]
+    return {
+        "gaussians": count,
+        "ranks": ranks,
+        "images_per_second": options.steps * options.batch / slowest,
+        "step_ms": 1e3 * slowest / options.steps,
+        "exchange_ms": 1e3 * max(of_rank["exchange"] for of_rank in every) / options.steps,
+        "sent_mb": max(sent) / 1e6,
+        "imbalance": max(sent) * len(sent) / sum(sent) if sum(sent) else 1.0,
+        "memory_gb": max(of_rank["memory"] for of_rank in every) / 1e9,
+    }
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """The rows as a table, beside one process where that was measured."""
+    alone = {found["gaussians"]: found for found in rows if found["ranks"] == 1}
+    lines = [
+        "| Gaussians | ranks | images/s | x one | step [ms] | exchange [ms] | sent per step [MB] | most / mean sent | "
+        "memory per rank [GB] | of one |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for found in rows:
+        one = alone.get(found["gaussians"])
+        faster = f"{found['images_per_second'] / one['images_per_second']:.2f}" if one else ""
+        smaller = f"{found['memory_gb'] / one['memory_gb']:.2f}" if one else ""
+        lines.append(
+            f"| {found['gaussians']:,} | {found['ranks']} | {found['images_per_second']:.2f} | {faster} | "
+            f"{found['step_ms']:.1f} | {found['exchange_ms']:.1f} | {found['sent_mb']:.1f} | "
+            f"{found['imbalance']:.2f} | {found['memory_gb']:.2f} | {smaller} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure and print, a row at a time."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--counts", type=int, nargs="+", default=[1_000_000, 4_000_000], help="Gaussians")
+    parser.add_argument("--size", default="1280x1024", help="WIDTHxHEIGHT of the images")
+    parser.add_argument("--batch", type=int, default=2, help="frames of a step")
+    parser.add_argument("--steps", type=int, default=30, help="that are timed")
+    parser.add_argument("--device", choices=("cuda", "cpu"), default="cuda")
+    parser.add_argument("--json", type=Path, default=None, help="file to write")
+    parser.add_argument("--markdown", type=Path, default=None, help="file to write the table to")
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for count in options.counts:
+        for ranks in options.ranks:
+            rows.append(row(options, count, ranks))
+            print(markdown(rows), flush=True)
+            if options.json is not None:
+                write_text(options.json, json.dumps({"rows": rows, "options": vars(options)}, default=str))
+            if options.markdown is not None:
+                write_text(options.markdown, markdown(rows))
+
+
+if __name__ == "__main__":
+    main()
