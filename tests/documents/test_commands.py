@@ -9,9 +9,9 @@ import pytest
 from repository_documents import NAMES, REPOSITORY, code_blocks, read, without_code_blocks
 from thermosplat.cli.benchmark import BenchmarkArguments
 from thermosplat.cli.evaluate import EvalArguments
-from thermosplat.cli.export import ExportArguments
-from thermosplat.cli.prepare_cameras import CalibrateArguments, RegisterArguments, SfmArguments
-from thermosplat.cli.prepare_files import CheckArguments, ImportArguments, PairArguments
+from thermosplat.cli.exporting.arguments import ExportArguments
+from thermosplat.cli.preparing.cameras import CalibrateArguments, RegisterArguments, SfmArguments
+from thermosplat.cli.preparing.files import CheckArguments, ImportArguments, PairArguments
 from thermosplat.cli.render import RenderArguments
 from thermosplat.cli.view import ViewArguments
 from thermosplat.config import TrainConfig
@@ -56,7 +56,7 @@ def test_the_dotted_flags_in_the_documents_exist() -> None:
 
 def _flags_of_programs() -> dict[str, set[str]]:
     """What every command and every benchmark accepts, by its name."""
-    flags = {"thermosplat-train": {*_train_flags(), "--viewer", "--viewer-host", "--debug", "--help"}}
+    flags = {"thermosplat-train": {*_train_flags(), "--viewer", "--viewer-host", "--devices", "--debug", "--help"}}
     commands = {"eval": EvalArguments, "render": RenderArguments, "export": ExportArguments, "view": ViewArguments}
     for name, arguments in {**commands, "benchmark": BenchmarkArguments}.items():
         flags[f"thermosplat-{name}"] = {*_train_flags(arguments), "--help", *({"--set"} if name == "benchmark" else ())}
@@ -77,7 +77,8 @@ def test_the_flags_of_commands_in_the_documents_exist(name: str) -> None:
         for command in re.split(r"&&|#|\|", line):
             found = re.search(r"thermosplat-\w+|\b(?:bench_\w+|train_gsplat_peer)\.py", command)
             if found is not None and found[0] in flags:
-                own = command[found.end() :].split(" -- ")[0]  # what follows is for thermosplat-train
+                own = re.sub(r'"[^"]*"', "", command[found.end() :])  # quoted flags are settings of trainings
+                own = own.split(" -- ")[0]  # what follows is for thermosplat-train
                 asked = set(re.findall(r"(?<=[\s\[])--[a-z][a-z-]*(?![\w.-])", own))
                 assert asked <= flags[found[0]], f"{name}: {line}"
 

@@ -60,14 +60,12 @@ def render(values: dict[str, torch.Tensor], size: tuple[int, int], differentiate
 
 
 def memory_in_use(device: torch.device) -> int:
-    """Resident memory of this process, or memory of the device that is not free [bytes]."""
-    if device.type == "cuda":
-        free, total = torch.cuda.mem_get_info(device)
-        return total - free
+    """Memory of this process [bytes]: resident, and what torch, which Warp takes arrays from, has on a GPU."""
+    on_device = torch.cuda.memory_reserved(device) if device.type == "cuda" else 0
     status = Path("/proc/self/statm")
     if status.exists():
-        return int(status.read_text().split()[1]) * resource.getpagesize()
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        return on_device + int(status.read_text().split()[1]) * resource.getpagesize()
+    return on_device + resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def main() -> int:
