@@ -38,14 +38,17 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 
 @pytest.fixture
 def stoppable() -> Iterator[None]:
-    """Signals stop this process and what it starts, also under nohup or behind a shell's ``&``, which ignore some."""
+    """Signals stop this process and what it starts, also where who started it has some ignored or blocked, as under
+    nohup, behind a shell's ``&`` or in a service."""
     usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
     ignored = [number for number in usual if signal.getsignal(number) is signal.SIG_IGN]
     for number in ignored:
         signal.signal(number, usual[number])
+    blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, usual)
     try:
         yield
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         for number in ignored:
             signal.signal(number, signal.SIG_IGN)
 
