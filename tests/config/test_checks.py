@@ -1,11 +1,12 @@
 """Ranges of configuration values, and settings that exclude each other."""
 
+import re
 from dataclasses import Field, fields, is_dataclass, replace
 from typing import Any
 
 import pytest
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import ResolutionConfig, TrainConfig
 from thermosplat.config.checks import check_config
 from thermosplat.config.files import load_config
 from thermosplat.errors import UserError
@@ -55,6 +56,8 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ),
         ("densification.max_gaussians", 0, "--densification.max-gaussians must be at least 1"),
         ("auto_budget.prune_at", (0.5, 1.0), "--auto-budget.prune-at must be shares of the run between 0 and 1"),
+        ("resolution.growth_power", -1.0, "--resolution.growth-power must be at least 0"),
+        ("resolution.factors", (2.0,), "one share of the run for each factor, found 1 and 0"),
         ("auto_budget.prune_change", -1.0, "--auto-budget.prune-change must be at least 0"),
         ("auto_budget.noise_floor", -1.0, "--auto-budget.noise-floor must be at least 0"),
         ("auto_budget.feature_change", -1.0, "--auto-budget.feature-change must be at least 0"),
@@ -157,3 +160,28 @@ def test_features_may_be_many() -> None:
 def test_default_is_valid() -> None:
     """The schema's defaults pass."""
     check_config(TrainConfig())
+
+
+@pytest.mark.parametrize(
+    ("factors", "until", "expected"),
+    [
+        ((2.0, 4.0), (0.2, 0.5), "--resolution.factors must be above 1 and fall, found 2.0, 4.0"),
+        ((2.0, 2.0), (0.2, 0.5), "--resolution.factors must be above 1 and fall"),
+        ((2.0, 1.0), (0.2, 0.5), "--resolution.factors must be above 1 and fall"),
+        ((4.0, 2.0), (0.5, 0.2), "--resolution.until must be shares of the run between 0 and 1 and rise, found 0.5"),
+        ((4.0, 2.0), (0.5, 1.0), "--resolution.until must be shares of the run between 0 and 1"),
+        ((4.0, 2.0), (0.0, 0.5), "--resolution.until must be shares of the run between 0 and 1"),
+        ((4.0, float("nan")), (0.1, 0.5), "--resolution.factors must be finite"),
+    ],
+)
+def test_sizes_of_images_must_grow(factors: tuple[float, ...], until: tuple[float, ...], expected: str) -> None:
+    """Factors that fall to above 1, one after the other, and steps of full size at the end."""
+    config = replace(TrainConfig(), resolution=ResolutionConfig(factors, until))
+    with pytest.raises(UserError, match=re.escape(expected)):
+        check_config(config)
+
+
+def test_sizes_that_grow_pass() -> None:
+    """One size or several."""
+    for factors, until in (((2.0,), (0.5,)), ((8.0, 4.0, 1.5), (0.1, 0.2, 0.9))):
+        check_config(replace(TrainConfig(), resolution=ResolutionConfig(factors, until)))

@@ -12,7 +12,7 @@ from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.trainer import Trainer
 
 STEPS = 10
-SLOW = [(kind, 3) for kind in ("uneven", "absgrad", "separate", "decomposing", "exposures", "lens", "budget")]
+SLOW = [(kind, 3) for kind in ("uneven", "absgrad", "separate", "decomposing", "exposures", "lens", "budget", "sizes")]
 CASES = [
     ("default", 2),
     ("mcmc", 2),

@@ -9,6 +9,7 @@ from thermosplat.config.schema import (
     ModelConfig,
     OptimizerConfig,
     Refined,
+    ResolutionConfig,
     TrainConfig,
 )
 
@@ -21,5 +22,6 @@ __all__ = [
     "ModelConfig",
     "OptimizerConfig",
     "Refined",
+    "ResolutionConfig",
     "TrainConfig",
 ]

@@ -31,6 +31,7 @@ _AT_LEAST: dict[str, float] = {
     "densification.reset_every": 1,
     "densification.max_gaussians": 1,
     "densification.growth": 0,
+    "resolution.growth_power": 0,
     "auto_budget.offset_shrinkage": 0,
     "auto_budget.prune_change": 0,
     "auto_budget.offset_change": 0,
@@ -136,6 +137,7 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     if "rig" in config.refine and len(config.modelled) < 2:
         raise UserError(f"{name('refine')} rig corrects how cameras stand to each other, and one spectrum is modelled.")
     _check_camera_passes(config, name)
+    _check_resolution(config, name)
     _check_decomposition(config, name)
     _check_mcmc(config, name)
     if not all(0 < share < 1 for share in config.auto_budget.prune_at):
@@ -155,6 +157,27 @@ def _check_camera_passes(config: TrainConfig, name: Any) -> None:
         f"{config.refine_from + config.refine_every:,}.",
         f"Lower {name('refine_from')} and {name('refine_every')}, or raise {name('refine_first')}.",
     )
+
+
+def _check_resolution(config: TrainConfig, name: Any) -> None:
+    """Smaller images come first, each size for a share of the run."""
+    factors, until = config.resolution.factors, config.resolution.until
+    if len(factors) != len(until):
+        raise UserError(
+            f"{name('resolution.factors')} and {name('resolution.until')} belong together, one share of the run for "
+            f"each factor, found {len(factors)} and {len(until)}."
+        )
+    if list(factors) != sorted(set(factors), reverse=True) or not all(factor > 1 for factor in factors):
+        raise UserError(
+            f"{name('resolution.factors')} must be above 1 and fall, found {', '.join(map(str, factors))}.",
+            "For example 4 and then 2; the steps after them have images of full size.",
+        )
+    if list(until) != sorted(set(until)) or not all(0 < share < 1 for share in until):
+        raise UserError(
+            f"{name('resolution.until')} must be shares of the run between 0 and 1 and rise, found "
+            f"{', '.join(map(str, until))}.",
+            "The last share must leave steps at full size.",
+        )
 
 
 def _check_model(config: TrainConfig, name: Any) -> None:

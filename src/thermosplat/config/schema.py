@@ -193,6 +193,21 @@ class DensificationConfig:
 
 
 @dataclass(frozen=True)
+class ResolutionConfig:
+    """Early steps on smaller images, which take less time and show what there is to learn first (DashGaussian, Chen et
+    al. 2025). Off by default. Evaluation, validation views and the search for cameras have images of full size."""
+
+    factors: tuple[float, ...] = ()
+    """The sides of training images are divided by these, one after the other, before steps at full size. No side
+    becomes shorter than 32 pixels. Open choice; DashGaussian chooses by the images' frequencies."""
+    until: tuple[float, ...] = ()
+    """For each of the factors the share of the run after which it ends."""
+    growth_power: float = 1.0
+    """While sides are divided by f, Gaussians are added up to ``densification.max_gaussians`` / f to this power. 2: as
+    many to a pixel as at the end; 0: the limit is always the same. DashGaussian: from 2 in the first step to 1."""
+
+
+@dataclass(frozen=True)
 class AutoBudgetConfig:
     """How ``--budget auto`` finds the size of the model; without it nothing of this happens."""
 
@@ -329,6 +344,7 @@ class TrainConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     densification: DensificationConfig = field(default_factory=DensificationConfig)
+    resolution: ResolutionConfig = field(default_factory=ResolutionConfig)
     auto_budget: AutoBudgetConfig = field(default_factory=AutoBudgetConfig)
 
     @property

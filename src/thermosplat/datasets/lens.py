@@ -160,7 +160,7 @@ def camera_through_lens(lens: Lens, width: int, height: int) -> Camera | None:
     return camera.resized(width, height)
 
 
-def shrunk(camera: Camera, factor: int) -> Camera:
+def shrunk(camera: Camera, factor: float) -> Camera:
     """The camera of an image whose sides are divided by `factor` (rounded, at least 1 px)."""
     return camera.resized(max(1, round(camera.width / factor)), max(1, round(camera.height / factor)))
 

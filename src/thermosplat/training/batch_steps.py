@@ -86,7 +86,9 @@ class BatchSteps:
         for number, indices in enumerate(rounds):
             calls = None if team is None else self._calls(team, indices, shown)
             part = Part(1.0 / len(batch), penalised if number == 0 else (), calls)
-            own = self.schedule.tensors(state.step, number) if rank < len(indices) else NO_FRAME
+            own = (
+                self.schedule.tensors(state.step, number, factor=kind.image_factor) if rank < len(indices) else NO_FRAME
+            )
             done = None  # what it holds of the frame before is not needed while this one is rendered
             done = self.step.differentiate(own, kind, part)
             for held, found in ((losses, done.losses), (errors, done.squared_errors)):

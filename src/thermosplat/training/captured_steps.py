@@ -2,7 +2,8 @@
 
 A step launches some hundreds of small kernels; launching them takes Python longer than running them takes the GPU. A
 graph is good as long as the tensors it works on are the same ones: until Gaussians are added or removed, the degree of
-the spherical harmonics changes, or frames have another size. Frames are copied into tensors that stay.
+the spherical harmonics changes, or frames have another size. Frames are copied into tensors that stay. Where all frames
+get another size (``resolution``), steps run line by line again for as long as it takes to see their pairs.
 """
 
 from collections.abc import Iterator
@@ -55,7 +56,8 @@ class CapturedSteps:
 
     def __init__(self, step: TrainingStep, num_frames: int) -> None:
         self.step = step
-        self._to_measure = min(num_frames, MEASURED)
+        self._measured_anew = self._to_measure = min(num_frames, MEASURED)
+        self._image_factor = 1.0
         self._seen: set[tuple[_Shape, StepKind]] = set()
         self._frames: dict[_Shape, FrameTensors] = {}
         self._graphs: dict[tuple[_Shape, StepKind], _Captured] = {}
@@ -75,6 +77,9 @@ class CapturedSteps:
             yield self._run(frame, kind)
 
     def _run(self, frame: FrameTensors, kind: StepKind) -> StepValues:
+        if kind.image_factor != self._image_factor:
+            self._image_factor = kind.image_factor
+            self._forget_sizes()
         shape = _shape(frame)
         if self._to_measure > 0 or (shape, kind) not in self._seen:
             # also loads kernels, picks algorithms and makes the optimizers' state, none of which can be captured
@@ -98,6 +103,12 @@ class CapturedSteps:
         self._graphs.clear()
         if kernels:
             self._seen.clear()
+
+    def _forget_sizes(self) -> None:
+        """Frames have other sizes from now on: graphs and their frames go, and pairs are counted anew."""
+        self.forget()
+        self._frames.clear()
+        self._to_measure = self._measured_anew
 
     def check_overflow(self) -> None:
         """See whether all pairs had room; if not, those steps changed nothing, and the next ones get more room."""

@@ -37,6 +37,7 @@ from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.random_streams import random_stream
+from thermosplat.training.frames.resolution_schedule import most_gaussians, resolution_note
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
 from thermosplat.training.image_noise import training_noise, with_measured_smoothness
@@ -247,9 +248,9 @@ class Trainer:
         """One step: render a frame, compare it with its images, improve Gaussians and decoders."""
         config, state = self.config, self.state
         step, started = state.step + 1, time.perf_counter()
-        frame = self.schedule.tensors(state.step)
         densifying = any(strategy.is_active(step) for strategy in state.strategies.values())
         kind = StepKind.at(config, step, densifying=densifying, finding_cameras=state.finds_cameras)
+        frame = self.schedule.tensors(state.step, factor=kind.image_factor)
         budget = None if state.finds_cameras else self.budget
         state.begin_step(step, config.optimizer, self.capture.scene_extent)
 
@@ -262,7 +263,8 @@ class Trainer:
             replacing = any(strategy.replaces_tensors(state.gaussian_sets[n]) for n, strategy in refining.items())
             if replacing or pruning:
                 self.steps.forget(kernels=pruning)
-            for name in refining:
+            for name, strategy in refining.items():
+                strategy.most = most_gaussians(config, kind.image_factor)
                 self._refine(name, step)
             if budget is not None and budget.acts_at(step):
                 budget.after_step(step, kind.sh_degree)
@@ -321,7 +323,7 @@ class Trainer:
         numbers = map(self.state.num_gaussians, self.state.gaussian_sets)
         counts = {"num_frames": len(self.frames), "num_gaussians": sum(numbers)}
         about = greeting(self.config, self.capture, self.run, self.device, step=self.state.step, **counts)
-        for line in (*self.capture.notes, *self.noise_notes, lpips, *about):
+        for line in (*self.capture.notes, *self.noise_notes, lpips, *about, *resolution_note(self.config)):
             self.logger.say(line)
         if self.state.finds_cameras:
             passes, steps = self.state.camera_passes, self.camera_rounds.steps

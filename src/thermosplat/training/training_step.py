@@ -26,6 +26,7 @@ from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.budget.noise_floor import gradient_shares
 from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.finite_guard import FiniteGuard
+from thermosplat.training.frames.resolution_schedule import image_factor
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.sharing.calls import Calls, render_with_others
 from thermosplat.training.training_state import TrainingState
@@ -55,6 +56,8 @@ class StepKind:
     """Correct the cameras."""
     geometry_held: bool = False
     """Let the images of the first spectrum alone shape the Gaussians, and leave opacity offsets at zero."""
+    image_factor: float = 1.0
+    """What the sides of the images are divided by."""
 
     @classmethod
     def at(cls, config: TrainConfig, step: int, *, densifying: bool, finding_cameras: bool = False) -> "StepKind":
@@ -67,6 +70,7 @@ class StepKind:
             depth_spread=config.loss.depth_spread > 0 and late,
             refining=refining,
             geometry_held=finding_cameras,
+            image_factor=1.0 if finding_cameras else image_factor(config, step),
         )
 
 
@@ -210,7 +214,9 @@ class TrainingStep:
             if kind.densifying:
                 for name, strategy in state.strategies.items():
                     strategy.step_pre_backward(rendered.infos.get(name, []))
-            shares = gradient_shares(compared, self.floors)
+            # the mean of k independent pixels has a k-th of their noise's variance
+            floors = {name: floor / kind.image_factor**2 for name, floor in self.floors.items()}
+            shares = gradient_shares(compared, floors)
             # Of their sum, which nobody looks at; by this thread, since handing it to torch's own for the device and
             # waiting for it costs the host half a millisecond.
             with torch.autograd.set_multithreading_enabled(False):

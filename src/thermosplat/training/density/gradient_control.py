@@ -56,6 +56,8 @@ class DefaultStrategy:
         self.scene_extent = scene_extent
         self.growing = True
         """Off: faint Gaussians are removed, but none added, and opacities are not reset."""
+        self.most = config.max_gaussians
+        """As many Gaussians as there may be by now; None: no limit."""
         self.block: tuple[int, int] | None = None
         """Where Gaussians are divided over ranks, the first of this rank's, and the number of all."""
         self.grad_norm_sum = torch.zeros(num_gaussians, device=device)
@@ -206,9 +208,9 @@ class DefaultStrategy:
 
     def _within_cap(self, doubled: Tensor, values: Tensor) -> Tensor:
         """Of the Gaussians that are to become two, mask [N], those of the largest values [N] that there is room for."""
-        if self.config.max_gaussians is None:
+        if self.most is None:
             return doubled
-        return doubled & _largest(values.masked_fill(~doubled, -torch.inf), self.config.max_gaussians - len(values))
+        return doubled & _largest(values.masked_fill(~doubled, -torch.inf), self.most - len(values))
 
     def _follow(self, rows: Tensor) -> None:
         """Growth made Gaussian k a copy of the one that was ``rows[k]``: nothing is kept here that has to follow."""

@@ -95,7 +95,7 @@ class McmcStrategy(DefaultStrategy):
             if len(moved):
                 sources = _draw(self._weights(gaussians) * ~dead, len(moved), generator)
                 relocate(gaussians, optimizers, moved, sources, config.prune_opacity)
-            room = (config.max_gaussians or 0) - len(gaussians)
+            room = (self.most or 0) - len(gaussians)
             added = max(0, min(room, int(config.growth * len(gaussians)))) if self.growing else 0
             if added:
                 sources = _draw(self._weights(gaussians), added, generator)

@@ -39,6 +39,8 @@ class Strategy(Protocol):
     """Moves Gaussians after every update, by :meth:`move`."""
     growing: bool
     """Off: faint Gaussians are removed, but none added, and opacities are not reset."""
+    most: int | None
+    """As many Gaussians as there may be by now; None: no limit."""
     block: tuple[int, int] | None
     """Where Gaussians are divided over ranks, the first of this rank's, and the number of all."""
 

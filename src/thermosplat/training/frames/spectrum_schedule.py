@@ -11,6 +11,7 @@ from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
 from thermosplat.training.frames.random_streams import FrameOrder
+from thermosplat.training.frames.shrunk_frames import ShrunkFrames
 from thermosplat.training.frames.train_frames import TrainFrames
 
 
@@ -63,6 +64,7 @@ class SpectrumSchedule:
     def __init__(self, config: TrainConfig, frames: TrainFrames) -> None:
         self._spans = spectrum_spans(config)
         self._frames = frames
+        self._sized = ShrunkFrames(frames)
         self._seed = config.seed
         self._size = config.batch_size or 1
         self._steps = config.max_steps
@@ -99,7 +101,7 @@ class SpectrumSchedule:
         """The (first) frame of the step that follows ``steps_done`` steps."""
         return self._frames.frames[self._index(steps_done)]
 
-    def tensors(self, steps_done: int, number: int = 0) -> FrameTensors:
+    def tensors(self, steps_done: int, number: int = 0, *, factor: float = 1.0) -> FrameTensors:
         """A frame of that step on the device, with the views alone that the step trains on.
 
         Frames that stay on the disk are read ahead if they are asked for in their order.
@@ -107,11 +109,12 @@ class SpectrumSchedule:
         Args:
             steps_done: As of ``frame``.
             number: Which of the step's frames that this process renders; without any of them there is no view.
+            factor: What the sides of the images are divided by.
         """
         count = len(self.places)
         if not count:
             return FrameTensors("", {}, ())
-        frame = self._frames.at(steps_done * count + number, self._at_place, self._steps * count)
+        frame = self._sized.at(steps_done * count + number, self._at_place, self._steps * count, factor)
         return frame.only(self.shown(steps_done))
 
     def _at_place(self, place: int) -> int:

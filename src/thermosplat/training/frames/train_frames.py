@@ -70,11 +70,16 @@ class TrainFrames:
             return self._cache[index]
         place = torch.tensor(index, device=self.device)
         frame = packed(replace(frame_tensors(self.frames[index], self.scales, self.device), index=place))
-        size = sum(map(_bytes, frame.views.values()))
-        if size <= self._budget:
-            self._budget -= size
+        if self.reserve(frame_bytes(frame)):
             self._cache[index] = frame
         return frame
+
+    def reserve(self, size: int) -> bool:
+        """Whether there is memory to keep so many bytes more, which is then taken; less than 0 gives some back."""
+        if size > self._budget:
+            return False
+        self._budget -= size
+        return True
 
     def at(self, place: int, order: Callable[[int], int], end: int) -> FrameTensors:
         """Tensors of the frame at a place of an order.
@@ -223,6 +228,11 @@ class SomeFrames(Sequence[FrameTensors]):
         if isinstance(place, slice):
             return SomeFrames(self._frames, self._indices[place])
         return self._frames[self._indices[place]]
+
+
+def frame_bytes(frame: FrameTensors) -> int:
+    """Memory of the images and values of a frame [bytes]."""
+    return sum(map(_bytes, frame.views.values()))
 
 
 def _bytes(view: ViewTensors) -> int:

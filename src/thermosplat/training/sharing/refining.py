@@ -51,7 +51,7 @@ def refine_divided(
     after: dict[str, Tensor] = {}
     if team.is_first:
         whole = _whole_strategy(state, name, config, sum(counts), team.device)
-        whole.growing = strategy.growing
+        whole.growing, whole.most = strategy.growing, strategy.most
         whole.load_state_dict({key: _as_kept(value) for key, value in whole_sums.items() if value is not None})
         whole.refine(stood_in.gaussians, stood_in.optimizers, step, generator)
         after = {key: _by_gaussian(value) for key, value in whole.state_dict().items()}
