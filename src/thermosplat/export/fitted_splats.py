@@ -23,6 +23,7 @@ from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
 from thermosplat.export.exact_images import ExactImages
 from thermosplat.export.scene import Colors, spectrum_splats
+from thermosplat.export.seen_harmonics import SeenHarmonics
 from thermosplat.export.splat_relocation import errors_of_splats, moves, relocate
 from thermosplat.export.splats import INVISIBLE_OPACITY, Splats
 from thermosplat.export.views_between import ViewsBetween
@@ -32,9 +33,10 @@ from thermosplat.thermal.radiometry import PixelScale
 
 PASSES = {"cpu": 20, "cuda": 240}
 """Passes by type of device where none are asked for."""
-RATES = {"means": 0.3, "quats": 0.3, "log_scales": 0.6, "logit_opacities": 3.0, "sh0": 1.0, "shN": 0.2}
+RATES = {"means": 0.2, "quats": 0.2, "log_scales": 0.4, "logit_opacities": 2.0, "color": 0.4, "changes": 0.05}
 """Adam's step sizes at the start, of the images' root-mean-square error before the fit: what is wrong by little is to
-be moved by little. Those of the means also of the splat's own standard deviations, along its own axes."""
+be moved by little. Those of the means also of the splat's own standard deviations, along its own axes. The colour is
+that which all cameras see, the changes are those from camera to camera (``seen_harmonics``)."""
 LAST_SHARE = 0.01
 """The step size at the end, of that at the start. It falls as half a wave of the cosine does: after 420 steps lab's
 thermal splats are 43.3 dB from the exact render, and 42.2 dB where it falls exponentially."""
@@ -96,7 +98,7 @@ def fit_splats(
     unfitted = spectrum_splats(model, name, {name: scale}, colors=colors)
     exact = ExactImages(model, name, scale, sh_degree, colors)
     before = exact.mean_psnr(unfitted, measured or views)
-    fit = _Fit(unfitted, sh_degree, error=10.0 ** (-before / 20.0))
+    fit = _Fit(unfitted, views, sh_degree, error=10.0 ** (-before / 20.0))
     steps = len(views) * (PASSES[unfitted.means.device.type] if passes is None else passes)
     schedule = torch.optim.lr_scheduler.LambdaLR(fit.adam, lambda step: _share_of_rate(step / steps))
     between = ViewsBetween(views)
@@ -133,28 +135,40 @@ class _Fit:
 
     Args:
         unfitted: As they are at the start.
+        views: The cameras that see them.
         sh_degree: Highest degree to learn.
         error: Root-mean-square error of their images in [0, 1].
     """
 
-    def __init__(self, unfitted: Splats, sh_degree: int, error: float) -> None:
-        values = {field.name: getattr(unfitted, field.name).clone() for field in dataclasses.fields(unfitted)}
-        values["shN"] = values["shN"][:, : (sh_degree + 1) ** 2 - 1]
-        self.centers, self.quats, self.units = (
-            value.clone() for value in (values["means"], values["quats"], values["log_scales"].exp())
-        )
-        values["means"] = torch.zeros_like(self.centers)
+    def __init__(self, unfitted: Splats, views: Sequence[ViewTensors], sh_degree: int, error: float) -> None:
+        self.centers, self.quats = unfitted.means.clone(), unfitted.quats.clone()
+        self.units = unfitted.log_scales.exp()
+        self.harmonics = SeenHarmonics(unfitted.means, views, sh_degree)
+        coefficients = torch.cat([unfitted.sh0, unfitted.shN], dim=1)[:, : (sh_degree + 1) ** 2]
+        coordinates = self.harmonics.coordinates(coefficients)
+        values = {
+            "means": torch.zeros_like(unfitted.means),
+            "quats": unfitted.quats.clone(),
+            "log_scales": unfitted.log_scales.clone(),
+            "logit_opacities": unfitted.logit_opacities.clone(),
+            "color": coordinates[:, :1].clone(),
+            "changes": coordinates[:, 1:].clone(),
+        }
         self.learnt = {name: value.requires_grad_() for name, value in values.items()}
         self.sources = torch.arange(len(unfitted.means))
         self.invisible = (torch.sigmoid(unfitted.logit_opacities) < INVISIBLE_OPACITY).float().mean().item()
         groups = [{"params": [self.learnt[name]], "lr": rate * error} for name, rate in RATES.items()]
-        self.adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15)
+        fused = unfitted.means.device.type in ("cpu", "cuda")
+        self.adam = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15, fused=fused)
 
     @property
     def splats(self) -> Splats:
         """The splats as they are now; gradients flow into all that learns."""
-        means = self.centers + rotate(self.quats, self.units * self.learnt["means"])
-        return Splats(**(self.learnt | {"means": means}))
+        learnt = self.learnt
+        means = self.centers + rotate(self.quats, self.units * learnt["means"])
+        coefficients = self.harmonics.coefficients(torch.cat([learnt["color"], learnt["changes"]], dim=1))
+        shape = learnt["quats"], learnt["log_scales"], learnt["logit_opacities"]
+        return Splats(means, *shape, coefficients[:, :1], coefficients[:, 1:])
 
     @torch.no_grad()
     def detached(self) -> Splats:
@@ -173,8 +187,13 @@ class _Fit:
             self.centers[changed] = splats.means[changed]
             self.quats[changed] = splats.quats[changed]
             self.units[changed] = splats.log_scales[changed].exp()
-            for name, value in self.learnt.items():
-                value[changed] = 0.0 if name == "means" else getattr(splats, name)[changed]
+            self.harmonics.from_coordinates[moved] = self.harmonics.from_coordinates[onto]
+            learnt = self.learnt
+            learnt["means"][changed] = 0.0
+            for name in ("quats", "log_scales", "logit_opacities"):
+                learnt[name][changed] = getattr(splats, name)[changed]
+            for name in ("color", "changes"):
+                learnt[name][moved] = learnt[name][onto]
         for state in self.adam.state.values():
             for moment in (state["exp_avg"], state["exp_avg_sq"]):
                 moment[changed] = 0.0
