@@ -100,6 +100,7 @@ def measured(
                 "after_photo": mean_psnr(after, photographs),
             }
         fits.append(row)
+        print(json.dumps(row), flush=True)  # what a time limit leaves
         with tempfile.TemporaryDirectory() as folder:
             for format in formats:
                 package, read = READERS[format]
