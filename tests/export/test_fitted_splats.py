@@ -84,6 +84,19 @@ def test_what_is_exact_already_stays() -> None:
     torch.testing.assert_close(fit.splats.sh0, spectrum_splats(model, "rgb", capture.scales).sh0, rtol=0, atol=0)
 
 
+def test_views_without_splats_do_no_harm() -> None:
+    """Cameras that see the background alone are exact from the start; the splats stay finite."""
+    views, capture = cameras("thermal", "scalar")
+    model = decoding_model(capture)
+    back = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
+    away = [dataclasses.replace(view, viewmat=back @ view.viewmat) for view in views]
+    scale = capture.scales["thermal"]
+    fit = fit_splats(model, "thermal", scale, [*views, *away], sh_degree=1, measured=views, passes=6)
+    assert fit.after > fit.before
+    assert fit_splats(model, "thermal", scale, away, sh_degree=1, passes=2).after == 100.0
+    assert all(bool(torch.isfinite(value).all()) for value in vars(fit.splats).values())
+
+
 def test_invisible_splats_are_used() -> None:
     """What another spectrum alone shows becomes a splat of this one, and its source says of which Gaussian."""
     views, capture = cameras("thermal", "scalar")
