@@ -43,8 +43,7 @@ thermal splats are 43.3 dB from the exact render, and 42.2 dB where it falls exp
 RELOCATE_AT = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
 """Shares of the steps at which faint splats move. At the start 62% of lab's thermal splats are invisible and 24% of
 yard's: that they move brought 1.4 dB after 10 passes. Those that become faint while the others learn move, too."""
-_EXACT = 1e-12
-"""Added to the mean square: the root has a gradient where a view is exact."""
+_LEAST_SQUARE = 1e-12
 _SEED = 0
 
 
@@ -111,15 +110,24 @@ def fit_splats(
         order = order or torch.randperm(len(views), generator=generator).tolist()
         view = between.draw(order.pop(), generator)
         fit.adam.zero_grad()
-        image, wanted = exact.render(fit.splats, view), exact.image(view)
-        shown = torch.where(wanted == 1.0, image.clamp(max=1.0), image)  # brighter than white is white
-        ((shown - wanted).square().mean() + _EXACT).sqrt().backward()
+        distance(exact.render(fit.splats, view), exact.image(view)).backward()
         fit.adam.step()
         schedule.step()
     after = exact.mean_psnr(fit.detached(), measured or views)
     if after <= before:  # it was as good as the passes can make it
         return FittedSplats(unfitted, torch.arange(len(fit.sources)), before, before)
     return FittedSplats(fit.detached(), fit.sources, before, after)
+
+
+def distance(image: Tensor, exact: Tensor) -> Tensor:
+    """Root-mean-square error of an image of splats, a scalar; its gradient is zero where the images are the same.
+
+    Args:
+        image: Colours, not clamped from above: brighter than white is white.
+        exact: Colours in [0, 1] of the same shape.
+    """
+    shown = torch.where(exact == 1.0, image.clamp(max=1.0), image)
+    return ((shown - exact).square().mean() + _LEAST_SQUARE).sqrt()
 
 
 def _share_of_rate(done: float) -> float:
