@@ -8,7 +8,7 @@ import torch
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
-from thermosplat.export.fitted_splats import distance, fit_splats
+from thermosplat.export.fitted_splats import fit_splats
 from thermosplat.export.scene import spectrum_splats
 from thermosplat.export.splat_rendering import render_splats
 from thermosplat.scene.model import SceneModel
@@ -95,16 +95,6 @@ def test_views_without_splats_do_no_harm() -> None:
     assert fit.after > fit.before
     assert fit_splats(model, "rgb", scale, away, sh_degree=1, passes=2).after == 100.0
     assert all(bool(torch.isfinite(value).all()) for value in vars(fit.splats).values())
-
-
-def test_the_distance_of_images() -> None:
-    """The root of the mean square; brighter than white is white; the gradient of equal images is zero, not NaN."""
-    exact = torch.tensor([[[1.0, 0.5, 0.25]]])
-    image = torch.tensor([[[1.7, 0.5, 0.65]]])
-    assert distance(image, exact).item() == pytest.approx((0.4**2 / 3) ** 0.5, rel=1e-5)
-    equal = exact.clone().requires_grad_()
-    distance(equal, exact).backward()
-    torch.testing.assert_close(equal.grad, torch.zeros_like(exact), rtol=0, atol=0)
 
 
 def test_invisible_splats_are_used() -> None:
