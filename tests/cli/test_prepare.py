@@ -98,7 +98,7 @@ def test_a_killed_import_goes_on(run: Run, tmp_path: Path) -> None:
     process = subprocess.Popen([sys.executable, "-c", f"import sys; sys.path[:0] = {path!r}\n{script}"])
     thermal = out / "images" / "thermal"
     deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and len(list(thermal.glob("*.png"))) < 5:
+    while time.monotonic() < deadline and len(list(thermal.glob("IR_*.png"))) < 5:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()

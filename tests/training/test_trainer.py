@@ -1,5 +1,6 @@
 """The loop trains, stops at any moment without loss, and goes on exactly where it stopped."""
 
+import contextlib
 import csv
 import dataclasses
 import errno
@@ -202,6 +203,23 @@ def test_interrupt_during_an_update(
     assert stop.value.checkpoint == tmp_path / "ckpts" / "step_000006.pt"
     resumed = Trainer.resume(toy_run_config(), capture, RunDirectory.open(tmp_path))
     assert_same_state(state_tensors(resumed), whole_run[6])
+
+
+def test_a_signal_that_was_lost_is_heard(tmp_path: Path, capture: Capture) -> None:
+    """C code may clear what a signal raised: the training stops before the next step all the same."""
+    trainer = toy_trainer(tmp_path, toy_run_config(), capture)
+
+    def lose(_: Trainer) -> None:
+        if trainer.step == 4:
+            with contextlib.suppress(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGTERM)
+                time.sleep(1)
+
+    trainer.between_steps = lose
+    with pytest.raises(TrainingInterrupted) as stop, stop_signals():
+        trainer.train()
+    assert stop.value.exit_code == 128 + signal.SIGTERM
+    assert stop.value.checkpoint == tmp_path / "ckpts" / "step_000004.pt"
 
 
 def write_when(monkeypatch: pytest.MonkeyPatch, ready: Callable[[Path], bool]) -> list[Path]:

@@ -48,7 +48,13 @@ from thermosplat.training.session.checkpoint_writer import (
     naming_the_newest_checkpoint,
 )
 from thermosplat.training.session.greeting import greeting
-from thermosplat.training.session.interruption import TrainingInterrupted, deferred_interrupts, meanwhile, stop_signal
+from thermosplat.training.session.interruption import (
+    TrainingInterrupted,
+    deferred_interrupts,
+    hear_lost_stop,
+    meanwhile,
+    stop_signal,
+)
 from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.session.run_logger import RunLogger, StepRecord
@@ -205,6 +211,7 @@ class Trainer:
             if self.results.lack_evaluation():  # a resumed run that was killed between a checkpoint and its evaluation
                 self.results.evaluate()
             while state.step < config.max_steps:
+                hear_lost_stop()
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
                 self.checkpoints.tell_failure()

@@ -9,7 +9,14 @@ import time
 
 import pytest
 
-from thermosplat.training.session.interruption import Stopped, deferred_interrupts, meanwhile, stop_signal, stop_signals
+from thermosplat.training.session.interruption import (
+    Stopped,
+    deferred_interrupts,
+    hear_lost_stop,
+    meanwhile,
+    stop_signal,
+    stop_signals,
+)
 
 pytestmark = pytest.mark.usefixtures("stoppable")
 
@@ -140,6 +147,20 @@ def test_other_stop_signals_wait_like_ctrl_c(number: signal.Signals) -> None:
     assert done == ["inner", "outer"]
     assert stop_signal(caught.value) == number
     assert signal.getsignal(number) == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_lost_stop_is_heard(number: signal.Signals) -> None:
+    """What C code has cleared is raised again, and is forgotten with the block."""
+    with stop_signals():
+        hear_lost_stop()
+        with contextlib.suppress(Stopped):
+            os.kill(os.getpid(), number)
+            time.sleep(1)
+        with pytest.raises(Stopped) as caught:
+            hear_lost_stop()
+    assert stop_signal(caught.value) == number
+    hear_lost_stop()
 
 
 def test_ignored_signals_stay_ignored() -> None:

@@ -15,9 +15,12 @@ from types import FrameType
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
+_raised: list["Stopped"] = []
+"""What a signal has raised in the present block of ``stop_signals``."""
+
 
 class Stopped(KeyboardInterrupt):
-    """SIGTERM or SIGHUP: ends what Ctrl-C ends.
+    """Ctrl-C, SIGTERM or SIGHUP: ends what Ctrl-C ends.
 
     Args:
         number: The signal.
@@ -60,13 +63,27 @@ def stop_signal(error: BaseException) -> signal.Signals | None:
 
 @contextmanager
 def stop_signals() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise ``Stopped`` in the block, where Python would end at once and lose what it has.
+    """Let Ctrl-C, SIGTERM and SIGHUP raise ``Stopped`` in the block; at the last two Python would end at once.
 
     Who had a signal ignored keeps that (nohup). Importing pycolmap puts handlers of its own in their place, which print
-    the C stack: begin the block again after that.
+    the C stack: begin the block again after that. A loop that must stop calls ``hear_lost_stop`` in every round.
     """
-    with handled_signals(_STOPPING[1:], _stop):
-        yield
+    _raised.clear()
+    try:
+        with handled_signals(_STOPPING, _stop):
+            yield
+    finally:
+        _raised.clear()
+
+
+def hear_lost_stop() -> None:
+    """Raise the ``Stopped`` that a signal raised in this block of ``stop_signals``, if it came to nothing.
+
+    Python may run a handler in the middle of C code, and C code that clears errors clears this one, too. CPython 3.11
+    does so while ``os.fdopen`` opens a file.
+    """
+    if _raised:
+        raise _raised[0]
 
 
 @contextmanager
@@ -92,7 +109,8 @@ def handled_signals(
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    raise Stopped(number)
+    _raised[:] = [Stopped(number)]
+    raise _raised[0]
 
 
 @contextmanager
