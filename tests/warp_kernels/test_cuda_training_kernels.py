@@ -16,12 +16,14 @@ from warp_kernels.training.depth_spread import moment_kernels, spread_kernels
 from warp_kernels.training.finite_check import note_bad_kernel
 from warp_kernels.training.gaussian_penalties import penalty_kernels
 from warp_kernels.training.position_noise import noise_kernel
+from warp_kernels.training.row_adam import row_adam_kernel
 
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     """Adam and the finite check, with tables of addresses as arguments, and what is noted of pairs."""
-    compile_all([adam_coefficients_kernel, adam_update_kernel, note_bad_kernel, note_pairs_kernel], arch, tmp_path)
+    adam = [adam_coefficients_kernel, adam_update_kernel, row_adam_kernel]
+    compile_all([*adam, note_bad_kernel, note_pairs_kernel], arch, tmp_path)
 
 
 @pytest.mark.slow

@@ -29,6 +29,8 @@ MAY_CHANGE_ON_RESUME = frozenset(
         "lpips_weights",
         "device",
         "image_memory",
+        "offload",
+        "gpu_memory",
     }
 )
 """Fields that say how a run is watched or how long it goes, not what is trained; ``data`` for a capture that moved."""

@@ -67,6 +67,7 @@ _SHARES = (
 )
 _POSITIVE = (
     "image_memory",
+    "gpu_memory",
     "model.init_scale",
     "optimizer.eps",
     "optimizer.means_lr_final",

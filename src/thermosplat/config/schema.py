@@ -286,6 +286,13 @@ class TrainConfig:
     """Steps after which one more SH degree is used. 3DGS."""
     device: str = "auto"
     """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    offload: Literal["auto", "on", "moments", "off"] = "auto"
+    """Keep spherical harmonics above degree 0, latent features and what Adam knows of them ("on"), or the latter alone
+    ("moments"), in the host's memory. A step fetches and updates those of the Gaussians in view; Adam leaves those of
+    others as they are (docs/scaling.md). "auto": on CUDA, as much as is needed for the Gaussians to fit on the device.
+    """
+    gpu_memory: float | None = None
+    """Most of the GPU's memory that the training takes [GB]. None: all that is free."""
     graph: bool = True
     """On CUDA, record the work of a step once and replay it as a CUDA graph (--no-graph: launch it line by line)."""
     compile: bool = True

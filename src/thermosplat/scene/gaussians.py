@@ -130,8 +130,8 @@ class Gaussians(nn.Module):
     def stored_opacity(self, spectrum: str) -> StoredOpacity:
         """What is stored of the opacity in a spectrum beside α."""
         for name, is_offset in ((own_logits_name(spectrum), False), (offsets_name(spectrum), True)):
-            if name in self._parameters:
-                return StoredOpacity(self.get_parameter(name), is_offset)
+            if (values := getattr(self, name, None)) is not None:
+                return StoredOpacity(values, is_offset)
         return StoredOpacity(None, False)
 
     @property
@@ -173,13 +173,12 @@ class Gaussians(nn.Module):
         """As ``sh_coeffs``, of a spectrum: coefficients of its own where it is not the first of a set without
         features."""
         first, higher = sh_names(spectrum)
-        has_own = first in self._parameters
-        return (self.get_parameter(first), self.get_parameter(higher)) if has_own else self.sh_coeffs
+        return (getattr(self, first), getattr(self, higher)) if hasattr(self, first) else self.sh_coeffs
 
     @property
     def has_features(self) -> bool:
         """Whether the Gaussians carry latent features."""
-        return "features" in self._parameters
+        return hasattr(self, "features")
 
     def expanded(self, coordinates: Tensor) -> Tensor:
         """Features [..., d] of what Gaussians hold of them, or of what was blended of that, [..., r]."""

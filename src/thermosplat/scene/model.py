@@ -24,8 +24,10 @@ from thermosplat.fused.covered_images import warp_covered
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
 from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.gaussians_in_view import GaussiansInView, gaussians_in_view
 from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians, sets_of
 from thermosplat.scene.lens_distortion import nearest_distorted
+from thermosplat.scene.offloaded import stored_values
 from thermosplat.scene.packed_parameters import num_bytes, pack
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.scene.saved_gaussians import restored_gaussians
@@ -191,18 +193,28 @@ class SceneModel(nn.Module):
             shared_cameras, shaped_by = [[name] for name in views], None
         elif shared_cameras is None:
             shared_cameras = views_by_camera(views)
-        rendered = RenderedFrame()
+        sets = {name: self._to_render(name, views, shared_cameras, sh_degree) for name in self.gaussian_sets}
+        rendered = RenderedFrame(
+            in_view={name: some for name, some in sets.items() if isinstance(some, GaussiansInView)}
+        )
         for group in shared_cameras:
             names = [name for name in self.spectra if name in group and name in views]
             how = how._replace(geometry_held=shaped_by is not None and not set(names) & set(shaped_by))
             if names and self.decoders is not None:
-                self._render_features(self.decoders, names, views[names[0]], how, rendered)
+                self._render_features(self.decoders, sets, names, views[names[0]], how, rendered)
             elif names:
-                self._render_sh(names, views[names[0]], how, rendered)
+                self._render_sh(sets, names, views[names[0]], how, rendered)
         for name, view in views.items():
             if view.distortion is not None:
                 rendered.bend(name, view.K, view.distortion)
         return rendered
+
+    def _to_render(self, name: str, views: Views, groups: Groups, sh_degree: int) -> Gaussians:
+        """What of a set is rendered for these views, in groups that share a camera: all, or where some of it is
+        offloaded, what is in view."""
+        firsts = (next((spectrum for spectrum in group if spectrum in views), None) for group in groups)
+        cameras = [views[spectrum] for spectrum in firsts if spectrum is not None and self.set_of(spectrum) == name]
+        return gaussians_in_view(self.gaussians(name), cameras, sh_degree, self.config.rasterize_mode)
 
     def render_depth(self, spectrum: str, view: "ViewTensors", *, distributed: bool = False) -> Tensor:
         """What a spectrum sees as far away: expected depth along z [world units], [H, W]; 0 where it sees nothing.
@@ -222,13 +234,14 @@ class SceneModel(nn.Module):
     def _render_features(
         self,
         decoders: Decoders | SpectrumDecoders,
+        sets: Mapping[str, Gaussians],
         names: Sequence[str],
         view: "ViewTensors",
         how: Rendering,
         rendered: RenderedFrame,
     ) -> None:
         """Spectra of one camera: features blended at each opacity, then decoded."""
-        gaussians = self.gaussians(SHARED)
+        gaussians = sets[SHARED]
         blended = blended_features(gaussians, view, how)
         waiting = dict.fromkeys(name for name in names if name in gaussians.second_opacities)
         at_alpha = [name for name in names if name not in waiting]
@@ -289,12 +302,19 @@ class SceneModel(nn.Module):
             return features
         return torch.cat([features, view_directions(view)], dim=-1)
 
-    def _render_sh(self, names: Sequence[str], view: "ViewTensors", how: Rendering, rendered: RenderedFrame) -> None:
+    def _render_sh(
+        self,
+        sets: Mapping[str, Gaussians],
+        names: Sequence[str],
+        view: "ViewTensors",
+        how: Rendering,
+        rendered: RenderedFrame,
+    ) -> None:
         """Spectra of one camera from their spherical harmonics: the first two by one traversal of a shared set."""
         rest = list(names)
         if len(names) > 1 and names[0] == next(iter(self.spectra)):
             first, second, *rest = names
-            gaussians = self.gaussians(SHARED)
+            gaussians = sets[SHARED]
             has_own = second in gaussians.second_opacities
             sh_coeffs = gaussians.sh_coeffs_of(second)
             output = render_two_opacities(gaussians, second if has_own else None, sh_coeffs, view, how)
@@ -306,7 +326,7 @@ class SceneModel(nn.Module):
             rendered.alphas[first], rendered.alphas[second] = output.render_alphas.squeeze(0), alphas.squeeze(0)
             _note_call(rendered, SHARED, [first, second], output.info)
         for name in rest:
-            gaussians = self.gaussians(self.set_of(name))
+            gaussians = sets[self.set_of(name)]
             backgrounds = how.backgrounds if self.spectra[name].is_photograph else None
             image, rendered.alphas[name], info = render_view(
                 gaussians,
@@ -355,7 +375,7 @@ class SceneModel(nn.Module):
     def checkpoint_state(self) -> SavedModel:
         """The model of a checkpoint, which ``from_checkpoint`` restores."""
         return SavedModel(
-            gaussian_sets={name: pack(self.gaussians(name).state_dict()) for name in self.gaussian_sets},
+            gaussian_sets={name: pack(stored_values(self.gaussians(name))) for name in self.gaussian_sets},
             decoders=self.decoders.state_dict() if self.decoders is not None else None,
             color_spaces={name: spectrum.color_space for name, spectrum in self.spectra.items()},
         )

@@ -23,7 +23,7 @@ def pack(parameters: dict[str, Tensor]) -> dict[str, Tensor]:
     packed: dict[str, Tensor] = {}
     for name, value in parameters.items():
         parts = {}
-        if _is_band(name) and value.numel() > 0:
+        if is_band(name) and value.numel() > 0:
             degrees = sh_degrees(value)
             parts = {f"{name}.degrees": degrees, f"{name}.values": value[_within(degrees, value.shape[1])]}
         elif name.endswith(OFFSETS):
@@ -46,7 +46,7 @@ def unpack(packed: dict[str, Tensor], num_bases: int) -> dict[str, Tensor]:
             parameters[name] = packed[name]
             continue
         values = packed[f"{name}.values"]
-        if _is_band(name):
+        if is_band(name):
             degrees = packed[f"{name}.degrees"]
             dense = values.new_zeros(len(degrees), num_bases, 3)
             dense[_within(degrees, num_bases)] = values
@@ -70,7 +70,7 @@ def sh_degrees(shN: Tensor) -> Tensor:
     return (used * degrees).amax(dim=1)
 
 
-def _is_band(name: str) -> bool:
+def is_band(name: str) -> bool:
     """Whether a parameter holds the higher degrees of a spectrum's spherical harmonics."""
     return name == "shN" or name.endswith("_shN")
 

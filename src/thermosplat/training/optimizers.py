@@ -15,7 +15,9 @@ from torch import Tensor, nn
 
 from thermosplat.config import OptimizerConfig
 from thermosplat.fused.adam import WarpAdam, step_together
+from thermosplat.fused.row_adam import RowAdam
 from thermosplat.scene.gaussians import OFFSETS
+from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.training.density.gaussian_ops import Optimizers
 
 _MOMENTS = {"step", "exp_avg", "exp_avg_sq"}
@@ -69,6 +71,8 @@ def _adam(parameters: list[nn.Parameter], config: OptimizerConfig) -> torch.opti
     # fused: one kernel for the whole update (ten times faster than torch's loop on the CPU), and the one variant that
     # can be told on the device, without waiting for it, to leave the parameters alone (found_inf)
     device = parameters[0].device
+    if isinstance(parameters[0], OffloadedParameter):
+        return RowAdam(parameters, lr=torch.zeros((), device=device), eps=config.eps)
     if device.type == "cuda":  # a rate that a captured step sees change
         return WarpAdam(parameters, lr=torch.zeros((), device=device), eps=config.eps, fused=True, capturable=True)
     return torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
@@ -123,6 +127,8 @@ def step_unless(blocked: Tensor, optimizers: Mapping[str, Optimizers]) -> None:
     every = [optimizer for owned in optimizers.values() for optimizer in owned.values()]
     step_together([optimizer for optimizer in every if isinstance(optimizer, WarpAdam)], blocked)
     for optimizer in every:
-        if not isinstance(optimizer, WarpAdam):
+        if isinstance(optimizer, RowAdam):
+            optimizer.step_rows(blocked)
+        elif not isinstance(optimizer, WarpAdam):
             optimizer.found_inf = blocked  # type: ignore[attr-defined]  # as torch.amp.GradScaler tells a fused one
             optimizer.step()

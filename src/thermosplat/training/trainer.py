@@ -28,6 +28,7 @@ from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import FolderGoneError, RunDirectory
 from thermosplat.scene.model import SceneModel
+from thermosplat.scene.offloaded import offload
 from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import AutoBudget, Budget
 from thermosplat.training.budget.noise_floor import noise_floors
@@ -41,6 +42,7 @@ from thermosplat.training.frames.resolution_schedule import most_gaussians, reso
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
 from thermosplat.training.image_noise import training_noise, with_measured_smoothness
+from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
 from thermosplat.training.plain_steps import PlainSteps
 from thermosplat.training.session.checkpoint_writer import (
     CheckpointWriter,
@@ -89,8 +91,13 @@ class Trainer:
         self.run = run
         self.device = self._choose_device()
         self.logger = logger or self._make_logger()
+        if self.device.type == "cuda" and config.gpu_memory is not None:
+            limit_device_memory(self.device, config.gpu_memory)
         self.frames = TrainFrames(capture, config.modelled, self.device)
         self.schedule = SpectrumSchedule(config, self.frames)
+        self.offloaded: Offloaded | None = None
+        """What lies in the host's memory; None: nothing was decided yet."""
+        self.offload_notes: tuple[str, ...] = ()
         self.model = self._make_model(checkpoint)
         self.state = TrainingState(self.model, config, capture, self.device)
         if checkpoint is not None:
@@ -133,8 +140,15 @@ class Trainer:
 
     def _make_model(self, checkpoint: Checkpoint | None) -> SceneModel:
         if checkpoint is None:
-            return SceneModel.from_capture(self.config, self.capture, self.device)
-        return SceneModel.from_checkpoint(checkpoint, self.device)
+            model = SceneModel.from_capture(self.config, self.capture, "cpu")
+        else:
+            model = SceneModel.from_checkpoint(checkpoint, "cpu")
+        if self.offloaded is None:
+            self.offloaded, note = decided(self.config, model, self.device)
+            self.offload_notes = () if note is None else (note,)
+        for name in model.gaussian_sets if self.offloaded != "nothing" else ():
+            offload(model.gaussians(name), self.device, parameters=self.offloaded == "all")
+        return model.to(self.device)
 
     def _make_budget(self) -> Budget:
         return AutoBudget(self.config, self.state, CorrectedFrames(self.frames, self.state.corrections), self.schedule)
@@ -145,7 +159,7 @@ class Trainer:
     def _make_steps(self) -> "PlainSteps | CapturedSteps | BatchSteps":
         if (self.config.batch_size or 1) > 1:
             return BatchSteps(self.device_step, self.frames, self.schedule)
-        if self.device.type == "cuda" and self.config.graph:
+        if self.device.type == "cuda" and self.config.graph and self.offloaded == "nothing":
             return CapturedSteps(self.device_step, len(self.frames))
         return PlainSteps(self.device_step)
 
@@ -330,7 +344,8 @@ class Trainer:
         numbers = map(self.state.num_gaussians, self.state.gaussian_sets)
         counts = {"num_frames": len(self.frames), "num_gaussians": sum(numbers)}
         about = greeting(self.config, self.capture, self.run, self.device, step=self.state.step, **counts)
-        for line in (*self.capture.notes, *self.noise_notes, lpips, *about, *resolution_note(self.config)):
+        notes = (*self.capture.notes, *self.noise_notes, *self.offload_notes)
+        for line in (*notes, lpips, *about, *resolution_note(self.config)):
             self.logger.say(line)
         if self.state.finds_cameras:
             passes, steps = self.state.camera_passes, self.camera_rounds.steps
@@ -433,4 +448,5 @@ class Trainer:
             self.device,
             f"Checkpoint saved to {self._save()}.",
             self.run.resume_command(),
+            can_offload=self.device.type == "cuda" and self.offloaded != "all" and refused(self.config) is None,
         )

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from thermosplat.config import OptimizerConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
+from thermosplat.fused.row_adam import RowAdam
 from thermosplat.refinement.camera_corrections import CameraCorrections
 from thermosplat.refinement.image_registration import PASSES
 from thermosplat.runs.checkpoint import Checkpoint, SavedTraining, damage_explained
@@ -182,6 +183,8 @@ class TrainingState:
         """Forget all gradients, and free their memory."""
         for optimizers in self.optimizers.values():
             for optimizer in optimizers.values():
+                if isinstance(optimizer, RowAdam):
+                    optimizer.rows = None
                 for parameter in optimizer.param_groups[0]["params"]:
                     parameter.grad = None  # Optimizer.zero_grad takes ten times as long
 
@@ -193,9 +196,7 @@ class TrainingState:
         """
         return {
             owner if owner == name else f"{owner} {name}": [
-                parameter.grad
-                for parameter in optimizer.param_groups[0]["params"]
-                if parameter.grad is not None and parameter.numel() > 0
+                learnt.grad for learnt in _learnt(optimizer) if learnt.grad is not None and learnt.numel() > 0
             ]
             for owner, optimizers in self.optimizers.items()
             for name, optimizer in optimizers.items()
@@ -275,3 +276,11 @@ class TrainingState:
         self.trimmed = training.trimmed
         self.best_validation = training.best_validation
         self.seconds = Seconds(**training.seconds or {})
+
+
+def _learnt(optimizer: torch.optim.Adam) -> list[Tensor]:
+    """What may have gradients that an optimizer applies: its parameters, or rows of an offloaded one."""
+    if isinstance(optimizer, RowAdam):
+        return [] if optimizer.rows is None else [optimizer.rows.values]
+    learnt: list[Tensor] = optimizer.param_groups[0]["params"]
+    return learnt

@@ -6,7 +6,7 @@ Nothing in here reads a value back, so the same lines run one by one or, capture
 
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -28,6 +28,7 @@ from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offs
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.resolution_schedule import image_factor
 from thermosplat.training.optimizers import step_unless
+from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
 from thermosplat.training.sharing.calls import Calls, render_with_others
 from thermosplat.training.training_state import TrainingState
 
@@ -99,7 +100,7 @@ class Differentiated:
     losses: dict[str, Tensor]
     squared_errors: dict[str, Tensor]
     observed: list[dict[str, list[Any]]] | None = None
-    """Of a step of several frames, what density control looks at of each, by set; None: the one frame's infos."""
+    """What density control looks at of each frame, by set; None: the one frame's infos."""
 
 
 def sh_degree_at(config: TrainConfig, step: int) -> int:
@@ -148,6 +149,11 @@ class TrainingStep:
             UserError: If no loss has a weight.
         """
         done = self.differentiate(frame, kind, WHOLE_STEP, fixed_capacity=fixed_capacity)
+        if done.rendered.in_view:
+            hand_rows_over(done.rendered, self.state.optimizers)
+            if kind.densifying:
+                numbers = {name: len(gaussians) for name, gaussians in self.state.gaussian_sets.items()}
+                done = replace(done, observed=[observed_in_order(done.rendered, numbers)])
         self.guard.observe(self.state.step_on_device, done.losses, self.state.gradients_to_watch())
         return done
 

@@ -39,11 +39,12 @@ def test_kinds_of_errors(error: Exception, expected: bool) -> None:
 
 def test_message_names_step_size_and_flags() -> None:
     """The user reads where it happened, what is safe, and three things to do."""
-    error = out_of_memory_error(
-        8412, 3_100_000, "1600x1200", torch.device("cpu"), "Checkpoint saved to a.pt.", "thermosplat-train --resume a"
-    )
+    found = 8412, 3_100_000, "1600x1200", torch.device("cpu"), "Checkpoint saved to a.pt."
+    error = out_of_memory_error(*found, "thermosplat-train --resume a")
     assert "step 8,412 with 3,100,000 Gaussians at 1600x1200" in error.message
     assert "Checkpoint saved to a.pt." in error.message
     assert "--data-factor 2" in error.hint
     assert "--densification.max-gaussians 3000000" in error.hint
     assert "thermosplat-train --resume a" in error.hint
+    assert "--offload" not in error.hint
+    assert "--offload on" in out_of_memory_error(*found, "", can_offload=True).hint

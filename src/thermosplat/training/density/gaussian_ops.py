@@ -13,7 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from thermosplat.scene.gaussians import OFFSETS
+from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.scene.rotation import rotate
+from thermosplat.torch_bridge.host_memory import host_empty, in_host_memory
 
 Optimizers = dict[str, torch.optim.Adam]
 """One optimizer for each parameter name of a set of Gaussians."""
@@ -163,7 +165,7 @@ def become_copy(gaussians: nn.Module, optimizers: Optimizers, source: nn.Module)
     copied = dict(source.named_parameters())
     replacements = {}
     for name, parameter in gaussians.named_parameters():
-        new = _parameter_like(parameter, copied[name].detach().clone())
+        new = parameter_like(parameter, copied[name].detach().clone())
         state = dict(optimizers[name].state.get(parameter, {}))
         replacements[name] = new, {k: v if k == "step" else torch.zeros_like(new) for k, v in state.items()}
     replace_parameters(gaussians, optimizers, replacements)
@@ -184,7 +186,7 @@ def in_new_basis(gaussians: nn.Module, optimizers: Optimizers, name: str, into: 
     """
     parameter = dict(gaussians.named_parameters())[name]
     into, basis = into.to(parameter), basis.to(parameter)
-    new = _parameter_like(parameter, parameter.detach() @ into)
+    new = parameter_like(parameter, parameter.detach() @ into)
     turned = {"exp_avg": basis, "exp_avg_sq": basis.square()}
     state = {
         key: value @ turned[key] if key in turned else value
@@ -228,17 +230,35 @@ def _rebuild(gaussians: nn.Module, optimizers: Optimizers, rows: Tensor, num_kep
     """Make Gaussian k a copy of the present one ``rows[k]``; the first ``num_kept`` keep their moments."""
     replacements = {}
     for name, parameter in gaussians.named_parameters():
-        new = _parameter_like(parameter, torch.index_select(parameter.detach(), 0, rows))
+        offloaded = isinstance(parameter, OffloadedParameter)
+        new = parameter_like(parameter, _selected(parameter.detach(), rows, getattr(parameter, "on_host", False)))
         state = dict(optimizers[name].state.get(parameter, {}))
         for key, moment in state.items():
             if key != "step":
-                state[key] = torch.index_select(moment, 0, rows)
+                state[key] = _selected(moment, rows, offloaded)
                 state[key][num_kept:].zero_()
         replacements[name] = new, state
     replace_parameters(gaussians, optimizers, replacements)
 
 
-def _parameter_like(parameter: nn.Parameter, values: Tensor) -> nn.Parameter:
+def _selected(values: Tensor, rows: Tensor, on_host: bool) -> Tensor:
+    """Rows of a parameter or of a moment [N, ...], in the host's memory where that is."""
+    if not on_host:
+        return torch.index_select(values, 0, rows)
+    selected = host_empty((len(rows), *values.shape[1:]), values.device)
+    return torch.index_select(values, 0, rows, out=selected)
+
+
+def parameter_like(parameter: nn.Parameter, values: Tensor) -> nn.Parameter:
+    """Values as a parameter that is trained as another one is, and lies where that lies.
+
+    Args:
+        parameter: The other one.
+        values: On its device.
+    """
+    if isinstance(parameter, OffloadedParameter):
+        trained = parameter.requires_grad
+        return OffloadedParameter.of(values, parameter.device, on_host=parameter.on_host, requires_grad=trained)
     return nn.Parameter(values, requires_grad=parameter.requires_grad)
 
 
@@ -258,5 +278,7 @@ def replace_parameters(
         setattr(gaussians, name, new)
         optimizers[name].param_groups[0]["params"] = [new]
         optimizers[name].state.pop(parameter, None)
+        if state and isinstance(new, OffloadedParameter):
+            state = {key: v if key == "step" else in_host_memory(v, new.device) for key, v in state.items()}
         if state:
             optimizers[name].state[new] = state

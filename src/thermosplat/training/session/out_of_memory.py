@@ -17,7 +17,14 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def out_of_memory_error(
-    step: int, num_gaussians: int, image_size: str, device: torch.device, saved: str, resume_command: str
+    step: int,
+    num_gaussians: int,
+    image_size: str,
+    device: torch.device,
+    saved: str,
+    resume_command: str,
+    *,
+    can_offload: bool = False,
 ) -> UserError:
     """The error to show.
 
@@ -28,6 +35,7 @@ def out_of_memory_error(
         device: The device.
         saved: One sentence about the checkpoint.
         resume_command: The command line that goes on from it.
+        can_offload: Whether moving parameters to the host's memory would help.
     """
     where = "memory"
     if device.type == "cuda":
@@ -36,8 +44,9 @@ def out_of_memory_error(
         where = f"GPU memory ({used:.1f} of {total:.1f} GiB)"
     return UserError(
         f"Out of {where} at step {step:,} with {num_gaussians:,} Gaussians at {image_size}. {saved}",
-        f"Go on with: {resume_command} and --data-factor 2 (smaller images) or --densification.max-gaussians "
-        f"{_round_down(num_gaussians)} (no more Gaussians than that).",
+        f"Go on with: {resume_command} and --data-factor 2 (smaller images), "
+        f"{'--offload on (spherical harmonics and features in the host memory), ' if can_offload else ''}"
+        f"or --densification.max-gaussians {_round_down(num_gaussians)} (no more Gaussians than that).",
     )
 
 

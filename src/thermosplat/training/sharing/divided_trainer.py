@@ -30,6 +30,7 @@ from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import Budget
 from thermosplat.training.camera_rounds import CameraRounds
 from thermosplat.training.frames.random_streams import random_stream
+from thermosplat.training.offloading import refused
 from thermosplat.training.session.checkpoint_writer import going_on_without, naming_the_newest_checkpoint
 from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
@@ -66,6 +67,8 @@ class DividedTrainer(Trainer):
         logger: RunLogger | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> None:
+        if config.offload in ("on", "moments") and (why := refused(config, divided=True)) is not None:
+            raise UserError(why, "Leave --offload out.")
         self.team = team
         self._counts: dict[str, list[int]] = {}
         self.wish = StopWish()

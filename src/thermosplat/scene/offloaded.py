@@ -1,0 +1,81 @@
+"""Parameters of Gaussians that lie in the host's memory, or whose moments do: ``--offload``.
+
+Of a Gaussian's 68 numbers 53 are spherical harmonics above degree 0 and latent features. To find out which Gaussians a
+camera sees takes none of them. So they and what Adam keeps of them may lie in the host's memory, from where a step
+fetches the rows of the Gaussians in view (``gaussians_in_view``) and where it updates them (``fused.row_adam``). The
+idea is CLM's (Zhao et al. 2025, arXiv 2511.04951).
+"""
+
+import torch
+from torch import Tensor, nn
+
+from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.packed_parameters import is_band
+from thermosplat.torch_bridge.host_memory import in_host_memory
+
+
+class OffloadedParameter(nn.Parameter):
+    """A parameter [N, ...] whose moments lie in the host's memory, and with ``on_host`` its numbers, too.
+
+    It says that it is on the device, whose kernels reach the host's memory over the bus. It never has a gradient of its
+    own shape.
+    """
+
+    on_host: bool = False
+
+    @classmethod
+    def of(
+        cls, values: Tensor, device: torch.device | str, *, on_host: bool, requires_grad: bool = True
+    ) -> "OffloadedParameter":
+        """A parameter of these values, which are copied unless they lie where they shall.
+
+        Args:
+            values: float32, anywhere.
+            device: The device that trains it.
+            on_host: Whether the numbers lie in the host's memory.
+            requires_grad: Whether it is trained.
+        """
+        values = values.detach()
+        made = cls(in_host_memory(values, device) if on_host else values.to(device), requires_grad)
+        made.on_host = on_host
+        return made
+
+
+def can_be_offloaded(name: str, parameter: Tensor) -> bool:
+    """Whether a parameter has long rows that only Gaussians in view need.
+
+    Args:
+        name: Its name in a set of Gaussians.
+        parameter: Its values, [N, ...].
+    """
+    return (name == "features" or is_band(name)) and parameter.numel() > 0
+
+
+def offload(gaussians: Gaussians, device: torch.device, *, parameters: bool) -> None:
+    """Have what can be offloaded trained in the host's memory; the rest stays as it is.
+
+    Args:
+        gaussians: A set of Gaussians, that no optimizer knows yet.
+        device: The device that trains it.
+        parameters: Move the parameters themselves, too; else their moments alone will lie there.
+    """
+    for name, parameter in list(gaussians.named_parameters()):
+        if can_be_offloaded(name, parameter):
+            moved = OffloadedParameter.of(parameter, device, on_host=parameters, requires_grad=parameter.requires_grad)
+            setattr(gaussians, name, moved)
+
+
+def some_offloaded(gaussians: nn.Module) -> bool:
+    """Whether steps use rows of a parameter of the set, and not all of it."""
+    return any(isinstance(value, OffloadedParameter) for value in gaussians.parameters())
+
+
+def stored_values(gaussians: nn.Module) -> dict[str, Tensor]:
+    """A set's state as checkpoints take it. What lies in the host's memory is copied to tensors of the CPU, so that
+    packing it takes none of the device's memory.
+
+    Args:
+        gaussians: A set of Gaussians.
+    """
+    on_host = {name for name, value in gaussians.named_parameters() if getattr(value, "on_host", False)}
+    return {name: value.cpu() if name in on_host else value for name, value in gaussians.state_dict().items()}

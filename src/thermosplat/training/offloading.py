@@ -1,0 +1,161 @@
+"""What of the Gaussians is trained in the host's memory: ``--offload`` and what it needs."""
+
+from typing import Literal, NamedTuple
+
+import torch
+
+from thermosplat.config import TrainConfig
+from thermosplat.datasets.host_memory import host_memory
+from thermosplat.errors import UserError
+from thermosplat.scene.model import SceneModel
+from thermosplat.scene.offloaded import can_be_offloaded
+
+Offloaded = Literal["nothing", "moments", "all"]
+"""What lies in the host's memory of the parameters that can: nothing, their moments, or they and their moments."""
+STEP_BYTES = 36
+"""A Gaussian's part of what a step holds beside parameters, gradients, moments and density control, measured
+(docs/scaling.md)."""
+OBSERVED_BYTES = 8
+"""What density control keeps of a Gaussian."""
+SHARE_OF_DEVICE = 0.8
+"""Of the device's memory that Gaussians may take: images, decoders and lists of pairs need the rest. Open choice."""
+SHARE_OF_HOST = 0.5
+"""Of the host's memory that offloaded parameters may take: images and checkpoints need it too. Open choice."""
+_GB = 1e9
+
+
+def refused(config: TrainConfig, *, divided: bool = False) -> str | None:
+    """Why a training cannot offload, in one sentence; None: it can.
+
+    Args:
+        config: The whole configuration.
+        divided: Whether several processes train the scene.
+    """
+    if divided:
+        return "--offload works on one device, and this training is divided over several."
+    if (config.batch_size or 1) > 1:
+        return f"--offload works with one frame per step, and --batch-size is {config.batch_size}."
+    if config.loss.feature_norm > 0:
+        return "--offload cannot hold all features near unit length, as --loss.feature-norm asks for."
+    return None
+
+
+def decided(config: TrainConfig, model: SceneModel, device: torch.device) -> tuple[Offloaded, str | None]:
+    """What to offload, and a line that says so where there is something to say.
+
+    Args:
+        config: The whole configuration.
+        model: The model at the start of the training or as it was resumed, anywhere.
+        device: The device that trains it.
+
+    Raises:
+        UserError: It is asked for where it does not work.
+    """
+    if config.offload == "off":
+        return "nothing", None
+    why, most = refused(config), config.densification.max_gaussians or 0
+    sizes = [SetSize.of(model, name, most) for name in model.gaussian_sets]
+    if why is None and not any(size.movable for size in sizes):
+        why = "--offload found nothing to offload: there are no features and no spherical harmonics above degree 0."
+    if config.offload != "auto":
+        if why is not None:
+            raise UserError(why, "Leave --offload out.")
+        return _said(f"--offload {config.offload}", "all" if config.offload == "on" else "moments", sizes, config)
+    if why is not None or device.type != "cuda":
+        return "nothing", None
+    free, growing = free_device_memory(device, config.gpu_memory), config.densification.enabled
+    whole = sum(size.on_device("nothing", growing) for size in sizes)
+    if whole <= SHARE_OF_DEVICE * free:
+        return "nothing", None
+    number = sum(size.number for size in sizes)
+    needs = f"{number:,} Gaussians need {whole / _GB:.1f} GB, and {free / _GB:.1f} GB of the GPU are free"
+    steps: tuple[Offloaded, Offloaded] = ("moments", "all")
+    fitting = [kind for kind in steps if sum(size.on_device(kind, growing) for size in sizes) <= SHARE_OF_DEVICE * free]
+    kind = fitting[0] if fitting else "all"
+    on_host = sum(size.on_host(kind, growing) for size in sizes)
+    if on_host > SHARE_OF_HOST * host_memory():
+        return "nothing", f"{needs}. The host has not the {on_host / _GB:.1f} GB that --offload would put there."
+    return _said(needs, kind, sizes, config)
+
+
+def _said(why: str, kind: Offloaded, sizes: "list[SetSize]", config: TrainConfig) -> tuple[Offloaded, str]:
+    growing = config.densification.enabled
+    on_host = sum(size.on_host(kind, growing) for size in sizes) / _GB
+    on_device = sum(size.on_device(kind, growing) for size in sizes) / _GB
+    what = "Spherical harmonics, features and their moments" if kind == "all" else "Moments of harmonics and features"
+    return kind, (
+        f"{why}. {what} lie in the host's memory: up to {on_host:.1f} GB there, {on_device:.1f} GB on the device. "
+        "Adam updates them where Gaussians are in view."
+    )
+
+
+class SetSize(NamedTuple):
+    """How large a set of Gaussians is, or becomes."""
+
+    number: int
+    """Gaussians."""
+    floats: int
+    """Numbers of each."""
+    movable: int
+    """Those of them that can be offloaded."""
+
+    @classmethod
+    def of(cls, model: SceneModel, name: str, most: int = 0) -> "SetSize":
+        """Of a model's set, which grows to so many Gaussians.
+
+        Args:
+            model: The model.
+            name: Of the set.
+            most: Gaussians; fewer than there are have no effect.
+        """
+        gaussians = model.gaussians(name)
+        parameters = dict(gaussians.named_parameters())
+        each = {key: value[0].numel() if len(value) else 0 for key, value in parameters.items()}
+        movable = sum(size for key, size in each.items() if can_be_offloaded(key, parameters[key]))
+        return cls(max(len(gaussians), most), sum(each.values()), movable)
+
+    def on_device(self, kind: Offloaded, growing: bool) -> float:
+        """Bytes on the device.
+
+        Args:
+            kind: What is offloaded.
+            growing: Also of a refinement, which copies parameters and moments; else of a step.
+        """
+        here = self.floats if kind == "nothing" else self.floats - self.movable
+        alone = self.movable if kind == "moments" else 0  # parameters whose moments are elsewhere
+        in_step = 16 * here + 4 * alone + STEP_BYTES + OBSERVED_BYTES
+        return self.number * (max(in_step, 24 * here + 8 * alone) if growing else in_step)
+
+    def on_host(self, kind: Offloaded, growing: bool) -> float:
+        """Bytes in the host's memory.
+
+        Args:
+            kind: What is offloaded.
+            growing: As in ``on_device``.
+        """
+        each = {"nothing": 0, "moments": 8, "all": 12}[kind] * self.movable
+        return self.number * each * (2 if growing else 1)
+
+
+def limit_device_memory(device: torch.device, gigabytes: float) -> None:
+    """Let this process take no more of a CUDA device's memory than this.
+
+    Args:
+        device: The device.
+        gigabytes: The limit [GB]. What CUDA itself takes, some hundred megabytes, comes on top.
+    """
+    total = torch.cuda.get_device_properties(device).total_memory
+    torch.cuda.set_per_process_memory_fraction(min(1.0, gigabytes * _GB / total), device)
+
+
+def free_device_memory(device: torch.device, gigabytes: float | None) -> float:
+    """Memory of a CUDA device that this process may still take [bytes].
+
+    Args:
+        device: The device.
+        gigabytes: The limit, as of ``limit_device_memory``; None: there is none.
+    """
+    free, total = torch.cuda.mem_get_info(device)
+    reserved = torch.cuda.memory_reserved(device)
+    allowed = total if gigabytes is None else gigabytes * _GB
+    return min(free, allowed - reserved) + reserved - torch.cuda.memory_allocated(device)
