@@ -13,6 +13,9 @@ bytes for each Gaussian between 100,000 and a million random ones (records/train
 projection for each Gaussian of the scene, whatever the number of ranks: at least the bytes of what is exchanged, both
 ways, which estimate_scaling.py counts.
 
+A second table says what a Gaussian takes on the device and in the host's memory with ``--offload``, in a step and where
+density control adds Gaussians.
+
 Images, decoders and what a recorded step reserves are not in these numbers, nor is what a refinement holds for a
 moment.
 """
@@ -27,10 +30,9 @@ from estimate_scaling import bytes_per_row
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.datasets import load_capture
 from thermosplat.scene.model import SceneModel
+from thermosplat.training.offloading import STEP_BYTES, Offloaded, SetSize
 from thermosplat.training.training_state import TrainingState
 
-STEP_BYTES = 1132 - 1096
-"""A Gaussian's part of what a step holds beside the state, on one device."""
 GIGABYTE = 1e9
 CPU = torch.device("cpu")
 
@@ -39,15 +41,41 @@ def _bytes(tensors: Iterable[Tensor]) -> int:
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
 
 
-def bytes_by_kind(config_name: str) -> dict[str, float]:
-    """Bytes of a Gaussian in the state of a training, by what they are; of separate sets those of the first.
+def state_of(config_name: str) -> TrainingState:
+    """The state at the start of a training of the sample.
 
     Args:
         config_name: A preset.
     """
     config = parse_train_arguments(["sample", "--config", config_name, "--device", "cpu", "--data-factor", "8"])
     capture = load_capture("sample", data_factor=8, test_every=config.test_every, spectra=config.spectra)
-    state = TrainingState(SceneModel.from_capture(config, capture, CPU), config, capture, CPU)
+    return TrainingState(SceneModel.from_capture(config, capture, CPU), config, capture, CPU)
+
+
+def offload_rows(config_name: str) -> list[str]:
+    """Rows of the second table; of separate sets those of the first.
+
+    Args:
+        config_name: A preset.
+    """
+    model = state_of(config_name).model
+    size = SetSize.of(model, next(iter(model.gaussian_sets)))._replace(number=1)
+    kinds: dict[str, Offloaded] = {"off": "nothing", "moments": "moments", "on": "all"}
+    rows = []
+    for asked, kind in kinds.items():
+        found = [size.on_device(kind, False), size.on_device(kind, True)]
+        found += [size.on_host(kind, False), size.on_host(kind, True)]
+        rows.append(f"| {config_name} | {asked} | {' | '.join(f'{number:,.0f}' for number in found)} |")
+    return rows
+
+
+def bytes_by_kind(config_name: str) -> dict[str, float]:
+    """Bytes of a Gaussian in the state of a training, by what they are; of separate sets those of the first.
+
+    Args:
+        config_name: A preset.
+    """
+    state = state_of(config_name)
     name, gaussians = next(iter(state.gaussian_sets.items()))
     for parameter in gaussians.parameters():  # Adam has no moments before its first step
         parameter.grad = torch.zeros_like(parameter)
@@ -90,6 +118,10 @@ def main() -> None:
             of_rank = state / ranks + (STEP_BYTES if ranks == 1 else projected)
             cells.append(f"{options.memory * GIGABYTE / of_rank / 1e6:.1f} M")
         print(f"| {config} | {' | '.join(cells)} |")
+    print("\n| preset | --offload | device, step | device, growing | host, step | host, growing |")
+    print("|---|---|---|---|---|---|")
+    for config in options.configs:
+        print("\n".join(offload_rows(config)))
 
 
 if __name__ == "__main__":

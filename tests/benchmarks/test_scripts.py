@@ -137,7 +137,26 @@ def test_memory_estimate_counts_the_tensors_of_a_training() -> None:
     """Of thermosplat's 68 numbers: all, gradients, two moments; two GPUs hold more Gaussians, but not twice as many."""
     done = run_script("estimate_memory.py", "--configs", "thermosplat", "--ranks", "1", "2", "--memory", "10")
     assert done.returncode == 0, done.stdout + done.stderr
-    cells = [cell.strip() for cell in done.stdout.splitlines()[-1].strip("|").split("|")]
+    rows = [line for line in done.stdout.splitlines() if line.startswith("| thermosplat")]
+    cells, *offloaded = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     assert [float(cell) for cell in cells[1:4]] == [68 * 4, 68 * 4, 68 * 8]
     one, two = (float(cell.removesuffix(" M")) for cell in cells[-2:])
     assert one < two < 2 * one
+    off, moments, on = ([float(cell.replace(",", "")) for cell in row[2:]] for row in offloaded)
+    assert off == [68 * 16 + 44, 68 * 24, 0, 0]
+    assert moments == [15 * 16 + 53 * 4 + 44, 15 * 24 + 53 * 8, 53 * 8, 53 * 16]
+    assert on == [15 * 16 + 44, 15 * 24, 53 * 12, 53 * 24]
+
+
+def test_offload_benchmark_runs(tmp_path: Path) -> None:
+    """Each kind of offloading is timed, and those that fetch Gaussians in view say how many and how long."""
+    report = tmp_path / "report.json"
+    options = ["--device", "cpu", "--gaussians", "1000", "--size", "32x24", "--steps", "1", "--json", str(report)]
+    done = run_script("bench_offload.py", *options)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = {row["offload"]: row for row in json.loads(report.read_text())["rows"]}
+    assert list(rows) == ["off", "moments", "on"]
+    assert all(row["ms_per_step"] > 0 for row in rows.values())
+    assert rows["off"]["in_view"] is None
+    assert 0 < rows["on"]["in_view"] == rows["moments"]["in_view"] < 1000
+    assert rows["on"]["updated_ms"] > 0
