@@ -25,7 +25,7 @@ def test_strategies_keep_the_contract(name: str) -> None:
         if inspect.isfunction(expected) and not method.startswith("_"):
             found = inspect.signature(getattr(type(strategy), method))
             assert list(found.parameters) == list(inspect.signature(expected).parameters), method
-    assert {"separates_spectra", "moves_gaussians", "growing", "block"} == FLAGS
+    assert {"separates_spectra", "moves_gaussians", "growing", "block", "most"} == FLAGS
     assert all(isinstance(getattr(strategy, flag), bool) for flag in FLAGS - {"block"})
     assert strategy.block is None  # all Gaussians are here
     assert strategy.growing
