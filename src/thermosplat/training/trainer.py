@@ -1,7 +1,7 @@
 """The training loop: one frame per step, all its spectra at once.
 
     thermosplat-train data/shed                       on the GPU where there is one
-    thermosplat-train sample                          a few minutes on two CPU cores
+    thermosplat-train sample                          about a minute on two CPU cores
 
 Read :meth:`Trainer.train` for the run and :meth:`Trainer._train_step` for a step; everything they call says what it
 does in its own file. Steps count from 1. The state is always that of a whole number of steps, whatever ends the run:

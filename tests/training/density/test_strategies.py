@@ -26,7 +26,8 @@ def test_strategies_keep_the_contract(name: str) -> None:
             found = inspect.signature(getattr(type(strategy), method))
             assert list(found.parameters) == list(inspect.signature(expected).parameters), method
     assert {"separates_spectra", "moves_gaussians", "growing", "block", "most"} == FLAGS
-    assert all(isinstance(getattr(strategy, flag), bool) for flag in FLAGS - {"block"})
+    assert all(isinstance(getattr(strategy, flag), bool) for flag in FLAGS - {"block", "most"})
+    assert strategy.most == 9  # as the configuration says
     assert strategy.block is None  # all Gaussians are here
     assert strategy.growing
     assert strategy.spectra == ("rgb", "thermal")  # type: ignore[attr-defined]
