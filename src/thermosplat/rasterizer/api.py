@@ -22,11 +22,13 @@ from thermosplat.rasterizer.lenses import LensArguments
 from thermosplat.rasterizer.project import project
 from thermosplat.rasterizer.ray_blending import blend_along_rays, check_ray_arguments
 from thermosplat.rasterizer.render_options import render_options
+from thermosplat.rasterizer.replay.replayed_calls import replayed
 from thermosplat.rasterizer.signals import grouped, rejoined
 from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
 
 
 @not_compiled
+@replayed
 def rasterization(  # noqa: D417 (one sentence has the arguments that are not supported)
     means: Tensor,  # [..., N, 3]
     quats: Tensor | None,  # [..., N, 4]

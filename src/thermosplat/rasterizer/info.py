@@ -1,7 +1,8 @@
 """gsplat's dictionary of intermediate results, of which costly ones are computed when they are read."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -101,6 +102,83 @@ class RasterizationInfo(dict[str, Any]):
     def _compute_all(self) -> None:
         for key in list(self._computed):
             self[key]
+
+
+class InfoTensors(NamedTuple):
+    """What the dictionary is made of."""
+
+    means2d: Tensor
+    """[..., C, N, 2] px, as are those below where ``rasterization`` names them."""
+    radii: Tensor
+    depths: Tensor
+    roots: Tensor
+    """Of inverse 2D covariances, [..., C, N, 3]; see ``conics``."""
+    opacities: Tensor
+    thermal_opacities: Tensor | None
+    flatten_ids: Tensor
+    tile_offsets: Tensor
+    """int32 [images · tiles + 1], first sorted pair of each tile; the last entry is the number of pairs."""
+    tiles_per_gaussian: Tensor
+    """int32 [images · N]."""
+
+
+class TiledSize(NamedTuple):
+    """An image's size and tiles."""
+
+    width: int
+    height: int
+    tile_size: int
+    tiles_x: int
+    tiles_y: int
+
+
+def rasterization_info(
+    tensors: InfoTensors, size: TiledSize, count_nonfinite: Callable[[], int]
+) -> RasterizationInfo:
+    """gsplat's dictionary.
+
+    Args:
+        tensors: What it is made of; held as long as something may have to be computed of it.
+        size: Of the images.
+        count_nonfinite: Counts what ``num_nonfinite`` says, when that is read.
+
+    Returns:
+        The dictionary, whose costly entries are computed when they are read.
+    """
+    shape, count = tensors.radii.shape[:-2], tensors.radii.shape[-2]
+    flatten_ids, tile_offsets = tensors.flatten_ids, tensors.tile_offsets
+    depths, tiles_per_gaussian = tensors.depths, tensors.tiles_per_gaussian
+    roots, radii = tensors.roots, tensors.radii
+    tiles_y, tiles_x = size.tiles_y, size.tiles_x
+    values = {
+        "batch_ids": None,
+        "camera_ids": None,
+        "gaussian_ids": None,
+        "radii": radii,
+        "means2d": tensors.means2d,
+        "depths": depths,
+        "opacities": tensors.opacities,
+        "tile_width": tiles_x,
+        "tile_height": tiles_y,
+        "flatten_ids": flatten_ids,
+        "width": size.width,
+        "height": size.height,
+        "tile_size": size.tile_size,
+        "n_batches": math.prod(shape[:-1]),
+        "n_cameras": shape[-1],
+    }
+    if tensors.thermal_opacities is not None:
+        values["thermal_opacities"] = tensors.thermal_opacities
+    return RasterizationInfo(
+        values,
+        {
+            "conics": lambda: conics(roots, radii),
+            "tiles_per_gauss": lambda: tiles_per_gaussian.reshape(*shape, count),
+            "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
+            "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
+            "num_nonfinite": count_nonfinite,
+        },
+    )
 
 
 def num_nonfinite(

@@ -67,7 +67,7 @@ class PairCapacity:
     def __init__(self, device: torch.device | str, spare: float = SPARE) -> None:
         self.most = torch.zeros(CALLS, dtype=torch.int64, device=device)
         self.most_listed = torch.zeros_like(self.most)
-        self.overflow = torch.zeros((), device=device)
+        self.overflow = torch.zeros((), dtype=torch.float32, device=device)
         self.spare = spare
         self._rooms: list[Room] = []
         self._calls = 0

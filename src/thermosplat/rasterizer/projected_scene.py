@@ -3,7 +3,9 @@
 import functools
 import math
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from typing import NamedTuple, cast
 
@@ -13,7 +15,7 @@ from torch import Tensor
 from thermosplat.rasterizer.binning import TileLists, tile_lists
 from thermosplat.rasterizer.blending import Blend, BlendedTensors, BlendInputs
 from thermosplat.rasterizer.distances import distances
-from thermosplat.rasterizer.info import RasterizationInfo, conics, isect_ids, num_nonfinite
+from thermosplat.rasterizer.info import InfoTensors, RasterizationInfo, TiledSize, num_nonfinite, rasterization_info
 from thermosplat.rasterizer.lenses import Lenses
 from thermosplat.rasterizer.pair_capacity import active_pair_capacity
 from thermosplat.rasterizer.projection import Harmonics, Project, ProjectedTensors, ProjectInputs
@@ -31,6 +33,23 @@ class Drawn(NamedTuple):
     per_camera: bool
     clamped: bool = True
     """Sums of spherical harmonics below 0 become 0."""
+
+
+_watcher: "ContextVar[Callable[[ProjectedScene], None] | None]" = ContextVar("watcher of scenes", default=None)
+
+
+@contextmanager
+def scenes_told_to(watcher: "Callable[[ProjectedScene], None]") -> Iterator[None]:
+    """Tells of every scene that this thread projects, for code that needs what lies between projection and blending.
+
+    Args:
+        watcher: Called with each scene once it is projected.
+    """
+    outer = _watcher.set(watcher)
+    try:
+        yield
+    finally:
+        _watcher.reset(outer)
 
 
 class ProjectedScene:
@@ -133,6 +152,9 @@ class ProjectedScene:
         self.opacities = self._per_image_opacities(opacities)
         self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
         self._lists: TileLists | None = None
+        watcher = _watcher.get()
+        if watcher is not None:
+            watcher(self)
 
     def _per_image_opacities(self, opacities: Tensor) -> Tensor:
         self._inputs.append((opacities, 1))
@@ -235,47 +257,40 @@ class ProjectedScene:
 
     def info(self) -> RasterizationInfo:
         """gsplat's ``meta`` dictionary, once something has been blended."""
-        settings = self.settings
+        scenes, num_gaussians = math.prod(self.images_shape[:-1]), self.settings.num_gaussians
+        inputs, harmonics, cameras = self._inputs, self._harmonics, self._cameras
+        # What is computed later holds the tensors that it reads and not this scene.
+        return rasterization_info(
+            self.shown(),
+            self.size,
+            lambda: num_nonfinite([*inputs, *_used(harmonics)], cameras, scenes, num_gaussians),
+        )
+
+    @property
+    def size(self) -> TiledSize:
+        """Of the images, once something has been blended."""
+        bins = self._made_lists().bins
+        return TiledSize(self.settings.width, self.settings.height, bins.tile_size, bins.tiles_x, bins.tiles_y)
+
+    def shown(self) -> InfoTensors:
+        """What ``info`` is made of, once something has been blended."""
+        lists = self._made_lists().tensors
+        return InfoTensors(
+            self.means2d,
+            self.projected.radii,
+            self.depths,
+            self.projected.roots,
+            self.opacities,
+            self.thermal_opacities,
+            lists["gaussian_ids"],
+            lists["tile_offsets"],
+            lists["tiles_per_gaussian"],
+        )
+
+    def _made_lists(self) -> TileLists:
         if self._lists is None:
             raise RuntimeError("info() comes after blend().")
-        bins, tensors = self._lists
-        shape, scenes = self.images_shape, math.prod(self.images_shape[:-1])
-        flatten_ids, tile_offsets = tensors["gaussian_ids"], tensors["tile_offsets"]
-        values = {
-            "batch_ids": None,
-            "camera_ids": None,
-            "gaussian_ids": None,
-            "radii": self.projected.radii,
-            "means2d": self.means2d,
-            "depths": self.depths,
-            "opacities": self.opacities,
-            "tile_width": bins.tiles_x,
-            "tile_height": bins.tiles_y,
-            "flatten_ids": flatten_ids,
-            "width": settings.width,
-            "height": settings.height,
-            "tile_size": bins.tile_size,
-            "n_batches": scenes,
-            "n_cameras": settings.num_cameras,
-        }
-        if self.thermal_opacities is not None:
-            values["thermal_opacities"] = self.thermal_opacities
-        # What is computed later holds the tensors that it reads and not this scene.
-        depths, tiles_of_gaussians = self.depths, tensors["tiles_per_gaussian"]
-        tiles_y, tiles_x = bins.tiles_y, bins.tiles_x
-        roots, radii = self.projected.roots, self.projected.radii
-        inputs, harmonics, cameras = self._inputs, self._harmonics, self._cameras
-        num_gaussians = settings.num_gaussians
-        return RasterizationInfo(
-            values,
-            {
-                "conics": lambda: conics(roots, radii),
-                "tiles_per_gauss": lambda: tiles_of_gaussians.reshape(*shape, num_gaussians),
-                "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
-                "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
-                "num_nonfinite": lambda: num_nonfinite([*inputs, *_used(harmonics)], cameras, scenes, num_gaussians),
-            },
-        )
+        return self._lists
 
 
 _color_settings = functools.lru_cache(maxsize=256)(ColorSettings)

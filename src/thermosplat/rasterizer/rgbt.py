@@ -10,6 +10,7 @@ from thermosplat.rasterizer.checked_numbers import as_whole
 from thermosplat.rasterizer.graph_breaks import not_compiled
 from thermosplat.rasterizer.lenses import LensArguments
 from thermosplat.rasterizer.project import project
+from thermosplat.rasterizer.replay.replayed_calls import replayed
 from warp_kernels.constants import CHANNELS_MAX
 
 
@@ -31,6 +32,7 @@ class RGBTRender(NamedTuple):
 
 
 @not_compiled
+@replayed
 def rasterization_rgbt(
     means: Tensor,  # [..., N, 3]
     quats: Tensor,  # [..., N, 4]

@@ -206,7 +206,7 @@ def _joined_capture(device: torch.device) -> Iterator[bool]:
 
 
 @functools.cache
-def _capture_stream(device: torch.device) -> torch.cuda.Stream:
+def capture_stream(device: torch.device) -> torch.cuda.Stream:
     """Where a device's work is captured; torch would take one stream for all devices, of the first that captures."""
     return torch.cuda.Stream(device)
 
@@ -221,6 +221,6 @@ def captured_in(graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
     """
     device = torch.device("cuda", torch.cuda.current_device())
     # thread_local: other threads (a progress line, a loader) may use the device meanwhile
-    captured = torch.cuda.graph(graph, pool=pool, stream=_capture_stream(device), capture_error_mode="thread_local")
+    captured = torch.cuda.graph(graph, pool=pool, stream=capture_stream(device), capture_error_mode="thread_local")
     with captured, on_torch_stream(device) as warp_device, wp.ScopedCapture(warp_device, external=True):
         yield

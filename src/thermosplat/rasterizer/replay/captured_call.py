@@ -1,0 +1,164 @@
+"""One call in fixed memory: copy its tensors in, replay, and copy out what belongs to the caller.
+
+What a caller gets lies in memory of its own, so that the fixed memory is free for the next call as soon as nothing is
+left to be differentiated. Large tensors that lay in one place in all calls seen, as parameters do, are read where they
+lie; a call that brings them from elsewhere is another one (``is_at``).
+"""
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from thermosplat.rasterizer.replay.cuda_graphs import Recorder, RoomForOne
+from thermosplat.rasterizer.replay.nodes import Blended, Lease, Projected
+from thermosplat.rasterizer.replay.recorded_call import EXTRA, RecordedCall, Subject, images_of
+from thermosplat.rasterizer.replay.replayed_info import replayed_info
+
+WARM_UPS = 2
+"""Runs before anything is recorded, in which kernels are loaded."""
+
+
+class CapturedCall:
+    """A call, recorded.
+
+    Args:
+        subject: The call; its tensors are not kept.
+        bound: Which of them are read where they lie.
+        most: Pairs, and Gaussians with pairs, that were seen at most.
+        recorder: Records.
+
+    Attributes:
+        turns: Held by whoever uses the memory of gradients.
+        room: For pairs; what a replay needed is noted there.
+        recorded: What is the same in every replay.
+    """
+
+    def __init__(self, subject: Subject, bound: Sequence[bool], most: tuple[int, int], recorder: Recorder) -> None:
+        tensors = subject.call.tensors
+        self.turns = threading.Lock()
+        self.room = RoomForOne(tensors[0].device, most)
+        self._bound = [(i, tensors[i].data_ptr()) for i, read in enumerate(bound) if read]
+        self._copied = [i for i, read in enumerate(bound) if not read]
+        with recorder.recording():
+            fixed = [
+                one.detach() if read else one.detach().clone(memory_format=torch.contiguous_format)
+                for one, read in zip(tensors, bound, strict=True)
+            ]
+            self._inputs = [fixed[i] for i in self._copied]
+            for _ in range(WARM_UPS):
+                _run(RecordedCall(subject, fixed, self.room))
+            body = RecordedCall(subject, fixed, self.room)
+            written, self._forward = recorder.forward(body.forward, self.room)
+            self.recorded = body.describe()
+            own = 1 + len({view.of for view in self.recorded.views})
+            self._own, self._block = written[:own], [one.view(torch.float32).view(-1) for one in written[own:]]
+            self._sizes = [len(one) for one in self._block]
+            self._to_images, self._to_mids = body.to_images, body.to_mids
+            if True in self.recorded.differentiable:
+                self._from_blend, self._blend = recorder.backward(body.blend_backward)
+                self._from_project, self._project = recorder.backward(body.project_backward)
+
+    def is_at(self, tensors: Sequence[Tensor]) -> bool:
+        """Whether what is read where it lies lies there.
+
+        Args:
+            tensors: Of a call.
+        """
+        return all(tensors[i].data_ptr() == place and tensors[i].is_contiguous() for i, place in self._bound)
+
+    def render(self, subject: Subject, free: list["CapturedCall"]) -> Any:
+        """The call's result, from a replay.
+
+        Args:
+            subject: The call; it has the signature of what was recorded, and ``is_at`` its place.
+            free: Where this is put once it may be used again: now, or when nothing can be differentiated any more.
+
+        Returns:
+            What the function returns; None where the pairs had no room, and then this is put nowhere.
+        """
+        tensors, recorded = subject.call.tensors, self.recorded
+        with torch.no_grad():
+            if self._inputs:
+                torch._foreach_copy_(self._inputs, [tensors[i] for i in self._copied])
+            self._forward.replay()
+            means2d, *bases = own = [torch.empty_like(one) for one in self._own]
+            block = means2d.new_empty(sum(self._sizes)).split(self._sizes)
+            torch._foreach_copy_([*own, *block], [*self._own, *self._block])
+            images = images_of(recorded.views, bases)
+        if not self._forward.fits():
+            return None
+        if True in recorded.differentiable:
+            lease = Lease(self, free, 2 if recorded.wanted else 1)
+            edges: Sequence[Tensor] = ()
+            if recorded.wanted:
+                means2d, *edges = Projected.apply(lease, [means2d], *tensors)
+            images = Blended.apply(lease, images, means2d, *edges, *[tensors[i] for i in recorded.behind])
+        else:
+            free.append(self)
+        info = replayed_info(recorded.layout, block, means2d, subject.with_tensors, tensors)
+        left = iter(images)
+        result = [next(left) if given else None for given in recorded.given]
+        for extra in left:
+            info[EXTRA] = extra
+        return recorded.make([*result, info])
+
+    def blend_backward(self, gradients: Sequence[Tensor | None]) -> tuple[list[Tensor | None], Tensor | None]:
+        """Gradients to ``means2d`` if it moves, to the edges and to the backgrounds; and sums of absolute ones.
+
+        Args:
+            gradients: To all images.
+
+        Returns:
+            In memory of their own.
+        """
+        _put(self._to_images, [one for one, needed in zip(gradients, self.recorded.differentiable) if needed])
+        self._blend()
+        *found, absolute = _copies(self._from_blend)
+        return found, absolute
+
+    def project_backward(self, gradients: Sequence[Tensor | None]) -> list[Tensor | None]:
+        """Gradients to the call's tensors; None for those that have none from here.
+
+        Args:
+            gradients: To ``means2d`` if it moves, and to the edges.
+
+        Returns:
+            In memory of their own.
+        """
+        _put(self._to_mids, gradients)
+        self._project()
+        found: list[Tensor | None] = [None] * (len(self._bound) + len(self._copied))
+        for i, gradient in zip(self.recorded.wanted, _copies(self._from_project), strict=True):
+            found[i] = gradient
+        return found
+
+
+def _run(body: RecordedCall) -> None:
+    """Runs what will be recorded."""
+    body.forward()
+    if True in body.describe().differentiable:
+        body.blend_backward()
+        body.project_backward()
+
+
+def _put(memory: Sequence[Tensor], values: Sequence[Tensor | None]) -> None:
+    """Copies values to fixed memory; None stands for zeros."""
+    given = [(one, value) for one, value in zip(memory, values, strict=True) if value is not None]
+    absent = [one for one, value in zip(memory, values, strict=True) if value is None]
+    if given:
+        torch._foreach_copy_([one for one, _ in given], [value for _, value in given])
+    if absent:
+        torch._foreach_zero_(absent)
+
+
+def _copies(memory: Sequence[Tensor | None]) -> list[Tensor | None]:
+    """Copies of fixed memory."""
+    there = [one for one in memory if one is not None]
+    copies = [torch.empty_like(one) for one in there]
+    if there:
+        torch._foreach_copy_(copies, there)
+    left = iter(copies)
+    return [None if one is None else next(left) for one in memory]

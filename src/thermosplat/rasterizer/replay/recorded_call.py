@@ -1,0 +1,200 @@
+"""What is recorded of a call: its forward pass in fixed memory, and its backward pass in two halves.
+
+Backward it is cut where ``info["means2d"]`` lies, between projection and blending: from the images to what passes there
+(the mids), and from those to the call's tensors. Backgrounds are read by the blending alone, and are mids, too.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from thermosplat.rasterizer.info import InfoTensors
+from thermosplat.rasterizer.projected_scene import ProjectedScene, scenes_told_to
+from thermosplat.rasterizer.replay.call_signature import Call, with_tensors
+from thermosplat.rasterizer.replay.cuda_graphs import RoomForOne
+from thermosplat.rasterizer.replay.replayed_info import InfoLayout
+
+EXTRA = "render_extra_signals"
+"""An image that is an entry of ``info``."""
+
+CONSTANT = frozenset(
+    "batch_ids camera_ids gaussian_ids tile_width tile_height width height tile_size n_batches n_cameras".split()
+)
+"""Entries of ``info`` that are the same in every replay."""
+
+
+class Subject(NamedTuple):
+    """A call that is recorded or replayed."""
+
+    function: Callable[..., Any]
+    arguments: Sequence[Any]
+    options: Mapping[str, Any]
+    call: Call
+    behind: frozenset[int]
+    """Which of its tensors are backgrounds."""
+
+    def with_tensors(self, tensors: Sequence[Tensor]) -> Any:
+        """The call as it is, of other tensors."""
+        arguments, options = with_tensors(self.arguments, self.options, tensors)
+        return self.function(*arguments, **options)
+
+
+class ImageView(NamedTuple):
+    """An image: one of the tensors that are copied, or a part of it."""
+
+    of: int
+    strided: tuple[torch.Size, tuple[int, ...], int] | None
+
+
+class Recorded(NamedTuple):
+    """What is the same in every replay."""
+
+    moves: bool
+    """Whether ``info["means2d"]`` needs a gradient."""
+    edges: tuple[Tensor, ...]
+    """Tensors like those that pass from the projection to the blending, too, and need one; fixed memory."""
+    wanted: tuple[int, ...]
+    """The tensors that the projection's half has gradients to."""
+    behind: tuple[int, ...]
+    """The backgrounds that need a gradient."""
+    views: tuple[ImageView, ...]
+    differentiable: tuple[bool, ...]
+    """Which images need gradients."""
+    given: tuple[bool, ...]
+    """Which of the function's results, without info, are no None."""
+    make: Callable[[Sequence[Any]], Any]
+    """Makes a result of its parts."""
+    layout: InfoLayout
+
+
+class RecordedCall:
+    """The passes of a call, each to be run once while it is recorded.
+
+    Args:
+        subject: The call.
+        fixed: Its tensors in fixed memory.
+        room: For its pairs.
+
+    Attributes:
+        to_images: Memory for gradients to the images that need them.
+        to_mids: Memory for gradients to the mids without backgrounds, where the second half reads them.
+    """
+
+    def __init__(self, subject: Subject, fixed: Sequence[Tensor], room: RoomForOne) -> None:
+        self._subject, self._room = subject, room
+        needs = subject.call.needs
+        self._leaves = [one.detach().requires_grad_(needed) for one, needed in zip(fixed, needs, strict=True)]
+        self._recorded = True in needs
+        self._behind = tuple(i for i in sorted(subject.behind) if needs[i])
+        self._wanted = tuple(i for i, needed in enumerate(needs) if needed and i not in subject.behind)
+        self.to_images: list[Tensor] = []
+        self.to_mids: list[Tensor] = []
+
+    def forward(self) -> list[Tensor]:
+        """Runs the call. Returns means2d, tensors that hold the images, and what ``info`` is made of."""
+        scenes: list[ProjectedScene] = []
+        with (
+            torch.set_grad_enabled(self._recorded),
+            scenes_told_to(scenes.append),
+            self._room.step(fixed=True),
+        ):
+            self._result = self._subject.with_tensors(self._leaves)
+            (self._scene,) = scenes
+        info = self._result[-1]
+        self._images = [image for image in (*self._result[:-1], dict.get(info, EXTRA)) if image is not None]
+        bases: list[Tensor] = []
+        self._views = tuple(_view(image, bases) for image in self._images)
+        shown = self._scene.shown()._replace(roots=self._scene.projected.packed_roots)
+        given = {leaf.data_ptr() for leaf in self._leaves}  # what is read where it lies may be gone later
+        self._in_block = {
+            name: tensor.detach().clone() if tensor.data_ptr() in given else tensor.detach().contiguous()
+            for name, tensor in zip(InfoTensors._fields, shown, strict=True)
+            if name != "means2d" and tensor is not None
+        }
+        self._seen = [image for image in self._images if image.requires_grad]
+        scene = self._scene
+        crossing = (scene.projected.roots, scene.depths, scene.opacities, scene.thermal_opacities, *scene.features)
+        self._roots = [one for one in (scene.means2d, *crossing) if one is not None and one.requires_grad]
+        if not self.to_images:
+            self.to_images = [_zeros_like(image) for image in self._seen]
+            self.to_mids = [_zeros_like(one) for one in self._roots]
+        return [one.detach() for one in (scene.means2d, *bases, *self._in_block.values())]
+
+    def describe(self) -> Recorded:
+        """What is known once ``forward`` has run."""
+        moves = self._scene.means2d.requires_grad
+        return Recorded(
+            moves,
+            tuple(self.to_mids[1 if moves else 0 :]),
+            self._wanted if self._roots else (),
+            self._behind,
+            self._views,
+            tuple(image.requires_grad for image in self._images),
+            tuple(one is not None for one in self._result[:-1]),
+            getattr(type(self._result), "_make", tuple),
+            self._layout(),
+        )
+
+    def _layout(self) -> InfoLayout:
+        scene, info = self._scene, self._result[-1]
+        keys = [key for key in info if key not in ("means2d", EXTRA)]
+        entries = {
+            "depths": scene.depths,
+            "conics": scene.projected.roots,
+            "opacities": scene.opacities,
+            "thermal_opacities": scene.thermal_opacities,
+        }
+        return InfoLayout(
+            {key: info[key] for key in keys if key in CONSTANT},
+            tuple(key for key in keys if key not in CONSTANT),
+            scene.size,
+            tuple((name, tensor.shape, tensor.dtype) for name, tensor in self._in_block.items()),
+            frozenset(key for key, one in entries.items() if one is not None and one.requires_grad),
+        )
+
+    def blend_backward(self) -> list[Tensor | None]:
+        """From ``to_images`` to the mids; last, the sums of absolute gradients, if they are asked for."""
+        means2d: Any = self._scene.means2d
+        if hasattr(means2d, "absgrad"):
+            del means2d.absgrad
+        mids = [*self._roots, *[self._leaves[i] for i in self._behind]]
+        found = torch.autograd.grad(self._seen, mids, self.to_images, retain_graph=True, allow_unused=True)
+        return [*[None if one is None else one.contiguous() for one in found], getattr(means2d, "absgrad", None)]
+
+    def project_backward(self) -> list[Tensor | None]:
+        """From ``to_mids`` to the call's tensors that are wanted."""
+        inputs = [self._leaves[i] for i in self._wanted]
+        if not inputs or not self._roots:
+            return []
+        found = torch.autograd.grad(self._roots, inputs, self.to_mids, retain_graph=True, allow_unused=True)
+        return [None if one is None else one.contiguous() for one in found]
+
+
+def _zeros_like(tensor: Tensor) -> Tensor:
+    return torch.zeros(tensor.shape, dtype=tensor.dtype, device=tensor.device)
+
+
+def _view(image: Tensor, bases: list[Tensor]) -> ImageView:
+    """Where an image lies; several are often parts of one tensor, which is copied as a whole."""
+    base = image._base
+    if image.is_contiguous() or base is None or not base.is_contiguous():
+        bases.append(image.contiguous())
+        return ImageView(len(bases) - 1, None)
+    of = next((i for i, one in enumerate(bases) if one is base), len(bases))
+    if of == len(bases):
+        bases.append(base)
+    return ImageView(of, (image.shape, image.stride(), image.storage_offset() - base.storage_offset()))
+
+
+def images_of(views: Sequence[ImageView], bases: Sequence[Tensor]) -> list[Tensor]:
+    """The images in copies of the tensors that hold them.
+
+    Args:
+        views: Of a recorded call.
+        bases: Copies, in their order.
+    """
+    return [bases[of] if strided is None else bases[of].as_strided(*strided) for of, strided in views]
+
+

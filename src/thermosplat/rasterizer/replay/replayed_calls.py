@@ -1,0 +1,388 @@
+"""Calls that come again are replayed from CUDA graphs: when a call is captured, how many are kept, and when not.
+
+A call whose signature (``call_signature``) was seen some times is captured, and replayed from then on. A signature has
+several captured calls where several renders are in flight, between forward and backward. Everything that a replay
+cannot do is done by the plain call: a new signature, a tensor that lies elsewhere, a frame whose pairs have no room,
+no captured call free, another thread that captures.
+"""
+
+import functools
+import inspect
+import logging
+import os
+import threading
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar, cast
+
+import torch
+from torch import Tensor
+
+from thermosplat.rasterizer.pair_capacity import PairCapacity
+from thermosplat.rasterizer.replay.call_signature import (
+    Call,
+    Place,
+    call_of,
+    cuda_place,
+    is_never_replayed,
+    names_of_tensors,
+)
+from thermosplat.rasterizer.replay.captured_call import CapturedCall
+from thermosplat.rasterizer.replay.cuda_graphs import CudaGraphs, Recorder
+from thermosplat.rasterizer.replay.recorded_call import Subject
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+SEEN = 8
+"""Plain calls of a signature before it is captured. A capture takes as long as some fifty calls can save."""
+
+PAYS = 64
+"""Replays that pay for a capture. Where one has had fewer when the next signature comes, as where Gaussians are added
+every few steps, the next has to be seen twice as often."""
+
+SEEN_AT_MOST = 1024
+
+SIGNATURES = 16
+"""Signatures of which captured calls are kept; of more, the least recently used are let go."""
+
+IN_FLIGHT = 4
+"""Captured calls of one signature: so many renders may wait for their backward pass and be replayed nonetheless."""
+
+NOTED = 256
+"""Signatures that are counted, captured or not."""
+
+COPIES_MS = 0.15
+"""Most time that the copies of a call may take on the device [ms]. A replay saves 0.4 ms of the host's forward pass and
+as much backward (benchmarks/notes/calls-from-python.md); a frame with more to copy is not limited by the host."""
+
+BOUND_BYTES = 2**20
+"""Tensors from this size on are read where they lie if that is always the same place; smaller ones are copied."""
+
+MEMORY_SHARE = 1 / 24
+"""Part of the device's memory that the captured calls of a function may keep."""
+
+_log = logging.getLogger(__name__)
+
+
+class Counts(NamedTuple):
+    """What has happened so far to the calls of a function."""
+
+    plain: int
+    captured: int
+    replayed: int
+    outgrown: int
+    """Replays whose pairs had no room, done again by the plain call."""
+    failed: int
+    """Signatures that could not be captured."""
+
+
+class Machine:
+    """What replaying needs of a device; tests have another one.
+
+    Attributes:
+        place: Where a call's work is done, or None where nothing may be replayed.
+    """
+
+    place: Place = staticmethod(cuda_place)
+
+    def recorder(self, device: torch.device) -> Recorder:
+        """Records a call."""
+        return CudaGraphs(device)
+
+    def copied_at_most(self, device: torch.device) -> float:
+        """Bytes that may be copied in a call, from measured speed."""
+        return 1e-3 * COPIES_MS * _bytes_copied_per_s(device)
+
+    def memory(self, device: torch.device) -> tuple[int, int]:
+        """Bytes that are allocated and those that there are."""
+        return torch.cuda.memory_reserved(device), torch.cuda.get_device_properties(device).total_memory
+
+    def wait(self, device: torch.device) -> None:
+        """Until nothing that is let go is used any more."""
+        torch.cuda.synchronize(device)
+
+
+class _Signature:
+    """What is known of the calls of one signature."""
+
+    def __init__(self, device: torch.device) -> None:
+        self.device = device
+        self.needed = PairCapacity(device)
+        self.seen = 0
+        self.refused = False
+        self.places: list[int] = []
+        self.moving: set[int] = set()
+        self.free: list[CapturedCall] = []
+        self.captured: list[weakref.ref[CapturedCall]] = []
+        self.bytes = 0
+        self.replays = 0
+        self.used = 0
+        self.behind: frozenset[int] = frozenset()
+
+    def look(self, call: Call) -> None:
+        """Note where the tensors of a call lie."""
+        places = [tensor.data_ptr() if tensor.is_contiguous() else 0 for tensor in call.tensors]
+        self.moving |= {i for i, (now, then) in enumerate(zip(places, self.places)) if now != then or now == 0}
+        self.places = places
+
+    def bound(self, call: Call) -> list[bool]:
+        """Which tensors are read where they lie."""
+        return [one.nbytes >= BOUND_BYTES and i not in self.moving for i, one in enumerate(call.tensors)]
+
+    def drop(self) -> None:
+        """Let go of what was captured; what is in flight goes when it is done."""
+        self.free, self.captured, self.bytes, self.seen = [], [], 0, 0
+
+
+class ReplayedCalls:
+    """A function whose calls are replayed.
+
+    Args:
+        function: ``rasterization`` or ``rasterization_rgbt``.
+        machine: What it runs on.
+    """
+
+    def __init__(self, function: Callable[..., Any], machine: Machine | None = None) -> None:
+        self._function = function
+        self._machine = Machine() if machine is None else machine
+        self._parameters = list(inspect.signature(function).parameters)
+        self._place = self._machine.place
+        self._counts = [0] * len(Counts._fields)
+        self._turn = threading.Lock()
+        self.clear()
+        _all.add(self)
+
+    def clear(self) -> None:
+        """Let go of everything that is kept."""
+        self._signatures: dict[Any, _Signature] = {}
+        self._seen_at_least = SEEN
+        self._last: _Signature | None = None
+        self._clock = 0
+
+    @property
+    def counts(self) -> Counts:
+        """What has happened so far."""
+        return Counts(*self._counts)
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """The function's result."""
+        call = call_of(arguments, options, self._place)
+        if call is None:
+            return self._plain(arguments, options)
+        signature = self._signatures.get(call.key)
+        if signature is None or not signature.captured:
+            return self._learned(call, arguments, options)
+        free = signature.free
+        try:
+            captured = free.pop()
+        except IndexError:  # all of them are in flight
+            return self._learned(call, arguments, options)
+        if not captured.is_at(call.tensors):
+            free.append(captured)
+            return self._learned(call, arguments, options, moved=True)
+        result = captured.render(Subject(self._function, arguments, options, call, signature.behind), free)
+        if result is None:
+            self._counts[3] += 1
+            return self._learned(call, arguments, options, outgrown=captured)
+        self._clock += 1
+        signature.used = self._clock
+        signature.replays += 1
+        self._counts[2] += 1
+        return result
+
+    def _plain(self, arguments: Sequence[Any], options: Mapping[str, Any]) -> Any:
+        self._counts[0] += 1
+        return self._function(*arguments, **options)
+
+    def _learned(
+        self,
+        call: Call,
+        arguments: Sequence[Any],
+        options: Mapping[str, Any],
+        *,
+        moved: bool = False,
+        outgrown: CapturedCall | None = None,
+    ) -> Any:
+        """A plain call, of which is noted what a capture needs; the last before that is followed by it."""
+        turn = self._turn
+        if not turn.acquire(blocking=False):
+            return self._plain(arguments, options)
+        try:
+            signature = self._signatures.get(call.key)
+            if signature is None:
+                signature = self._noted(call, arguments, options)
+            signature.captured = [one for one in signature.captured if one() is not None]
+            if signature.refused or len(signature.captured) >= IN_FLIGHT and not moved and outgrown is None:
+                return self._plain(arguments, options)
+            if moved or outgrown is not None:
+                if outgrown is not None:
+                    torch.maximum(signature.needed.most, outgrown.room.most, out=signature.needed.most)
+                    torch.maximum(
+                        signature.needed.most_listed, outgrown.room.most_listed, out=signature.needed.most_listed
+                    )
+                self._machine.wait(signature.device)
+                signature.drop()
+            signature.look(call)
+            with signature.needed.step(fixed=False):
+                result = self._plain(arguments, options)
+            signature.seen += 1
+            if signature.seen >= (2 if signature.captured else self._seen_at_least):
+                self._capture(signature, Subject(self._function, arguments, options, call, signature.behind), result)
+            return result
+        finally:
+            turn.release()
+
+    def _noted(self, call: Call, arguments: Sequence[Any], options: Mapping[str, Any]) -> _Signature:
+        """A signature that was not seen before."""
+        if len(self._signatures) >= NOTED:
+            oldest = min(self._signatures, key=lambda key: (bool(self._signatures[key].captured), self._signatures[key].used))
+            self._machine.wait(self._signatures[oldest].device)
+            del self._signatures[oldest]
+        signature = self._signatures[call.key] = _Signature(call.tensors[0].device)
+        names = names_of_tensors(self._parameters, arguments, options)
+        signature.behind = frozenset(i for i, name in enumerate(names) if name == "backgrounds")
+        signature.refused = is_never_replayed(self._parameters, arguments, options) or not all(
+            one.dtype is torch.float32
+            and one.layout is torch.strided
+            and one.numel() > 0
+            and one.device == signature.device
+            for one in call.tensors
+        )
+        self._clock += 1
+        signature.used = self._clock
+        return signature
+
+    def _capture(self, signature: _Signature, subject: Subject, result: Any) -> None:
+        """Captures a call, if that pays and there is memory."""
+        signature.seen = 0
+        device, bound = signature.device, signature.bound(subject.call)
+        if _copied_bytes(subject.call, bound, result) > self._machine.copied_at_most(device):
+            signature.refused = True
+            return
+        self._weigh(signature)
+        self._make_room(signature)
+        before, _ = self._machine.memory(device)
+        most = int(signature.needed.most.max()), int(signature.needed.most_listed.max())
+        try:
+            captured = CapturedCall(subject, bound, most, self._machine.recorder(device))
+        except Exception:
+            _log.info("a call of %s cannot be captured", self._function.__name__, exc_info=True)
+            signature.refused = True
+            self._counts[4] += 1
+            return
+        signature.bytes += max(0, self._machine.memory(device)[0] - before)
+        signature.captured.append(weakref.ref(captured))
+        signature.free.append(captured)
+        self._clock += 1
+        signature.used = self._clock
+        self._counts[1] += 1
+
+    def _weigh(self, signature: _Signature) -> None:
+        """Wait longer before a capture where the last one has not paid."""
+        last, self._last = self._last, signature
+        if last is not None and last is not signature:
+            unpaid = last.replays < PAYS
+            self._seen_at_least = min(2 * self._seen_at_least, SEEN_AT_MOST) if unpaid else SEEN
+
+    def _make_room(self, signature: _Signature) -> None:
+        """Let go of the least recently used ones that are too many, or keep too much memory."""
+        _, there_is = self._machine.memory(signature.device)
+        while True:
+            kept = [one for one in self._signatures.values() if one.captured and one is not signature]
+            too_much = sum(one.bytes for one in (*kept, signature)) > MEMORY_SHARE * there_is
+            if not kept or not (too_much or len(kept) >= SIGNATURES):
+                return
+            self._machine.wait(signature.device)
+            min(kept, key=lambda one: one.used).drop()
+
+
+def _copied_bytes(call: Call, bound: Sequence[bool], result: Any) -> int:
+    """Bytes that a replay copies: tensors in, images, what info is made of and gradients out."""
+    *images, info = result
+    count = sum(one.nbytes for one, read in zip(call.tensors, bound, strict=True) if not read)
+    shown = sum(image.nbytes for image in images if image is not None)
+    gaussians = info["radii"].numel() // 2
+    count += shown + 44 * gaussians + 4 * len(info["flatten_ids"])  # a Gaussian's: means2d, radii, depth, root, ...
+    if True in call.needs:
+        # images' gradients; what passes from blending to projection, out and in; gradients of the tensors
+        count += shown + 2 * 4 * gaussians * (6 + sum(image.shape[-1] for image in images if image is not None))
+        count += sum(one.nbytes for one, needed in zip(call.tensors, call.needs, strict=True) if needed)
+    return count
+
+
+@functools.cache
+def _bytes_copied_per_s(device: torch.device) -> float:
+    """How fast the device copies, measured once."""
+    source = torch.empty(2**26, dtype=torch.uint8, device=device)
+    target = torch.empty_like(source)
+    times = []
+    for _ in range(4):
+        start, end = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
+        start.record()
+        target.copy_(source)
+        end.record()
+        end.synchronize()
+        times.append(start.elapsed_time(end))
+    return 1e3 * source.nbytes / min(times)
+
+
+_all: "weakref.WeakSet[ReplayedCalls]" = weakref.WeakSet()
+_left_by_parent: list[Any] = []
+
+
+def _after_fork() -> None:
+    """A child process has no CUDA device: it neither uses nor destroys what its parent captured."""
+    for calls in _all:
+        _left_by_parent.append(calls._signatures)
+        calls._turn = threading.Lock()
+        calls.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+ON_BY_DEFAULT = False
+"""Unless the environment variable says otherwise."""
+
+_on = os.environ.get("THERMOSPLAT_REPLAY", str(int(ON_BY_DEFAULT))) not in ("0", "")
+
+
+def enable(on: bool = True) -> None:
+    """Switches the replaying of calls on or off, in all threads.
+
+    Args:
+        on: False: every call is a plain one. What was captured is kept; see :func:`clear`.
+    """
+    global _on
+    _on = on
+
+
+def is_enabled() -> bool:
+    """Whether calls are replayed."""
+    return _on
+
+
+def clear() -> None:
+    """Lets go of all that was captured, and of its memory; it is captured anew where calls come again."""
+    for calls in list(_all):
+        calls.clear()
+
+
+def counts() -> dict[str, Counts]:
+    """What has happened so far to calls of ``rasterization`` and ``rasterization_rgbt``, by name."""
+    return {calls._function.__name__: calls.counts for calls in _all}
+
+
+def replayed(function: Function) -> Function:
+    """Lets the calls of a function be replayed where they come again.
+
+    Args:
+        function: Returns images and, last, an info dictionary.
+    """
+    calls = ReplayedCalls(function)
+
+    @functools.wraps(function)
+    def called(*arguments: Any, **options: Any) -> Any:
+        return calls(*arguments, **options) if _on else function(*arguments, **options)
+
+    return cast("Function", called)
