@@ -16,15 +16,20 @@ from peers.torch_renderer import torch_peer
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "fixtures"))
 import gsplat_reference
 
-PEERS = ("gsplat", "gswarp", "torch", "callable", "graph")
+PEERS = ("gsplat", "gswarp", "torch", "callable", "graph", "replayed")
 """Whom thermosplat is compared with unless others are asked for; "callable" is itself made a function by
-``torch.cuda.make_graphed_callables``, "graph" itself in one CUDA graph, "deterministic" itself with that option."""
+``torch.cuda.make_graphed_callables``, "graph" itself in one CUDA graph, "replayed" plain calls that it replays itself,
+"deterministic" itself with that option."""
 
 OURS = "thermosplat"
 CALLABLE = "thermosplat, graphed callable"
 GRAPH = "thermosplat in a graph"
-ALL_OURS = (OURS, CALLABLE, GRAPH)
+REPLAYED = "thermosplat, replayed"
+ALL_OURS = (OURS, CALLABLE, GRAPH, REPLAYED)
 """Ways to call thermosplat that give the same and are each compared with the peers."""
+
+WARM_UP_OF_REPLAYS = 10
+"""Calls of each kind, after which those that are replayed at all are replayed."""
 
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict]]
 
@@ -70,6 +75,34 @@ def callable_peer() -> Peer:
     eager = thermosplat_peer()
     description = f"{eager.description} under torch.cuda.make_graphed_callables"
     return replace(eager, name=CALLABLE, description=description, captured="function")
+
+
+def replayed_peer() -> Peer:
+    """thermosplat again, whose plain calls replay graphs of its own where they come again."""
+    from thermosplat.rasterizer import replay
+
+    eager = thermosplat_peer()
+
+    def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:
+        plain = eager.renderer(case, t, width, height)
+
+        def render() -> Rendered:
+            replay.enable()
+            try:
+                return plain()
+            finally:
+                replay.enable(False)
+
+        for _ in range(WARM_UP_OF_REPLAYS):
+            images = render().images
+            torch.autograd.grad([image.sum() for image in images], t["means"])
+            with torch.no_grad():
+                render()
+        print(f"{case} {width}x{height}: {replay.counts()}", flush=True)
+        return render
+
+    description = f"{eager.description}, replayed"
+    return replace(eager, name=REPLAYED, description=description, renderer=renderer, release=replay.clear)
 
 
 def float64_renderer(near_plane: float = NEAR_PLANE) -> Renderer:

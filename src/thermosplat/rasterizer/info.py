@@ -132,9 +132,7 @@ class TiledSize(NamedTuple):
     tiles_y: int
 
 
-def rasterization_info(
-    tensors: InfoTensors, size: TiledSize, count_nonfinite: Callable[[], int]
-) -> RasterizationInfo:
+def rasterization_info(tensors: InfoTensors, size: TiledSize, count_nonfinite: Callable[[], int]) -> RasterizationInfo:
     """gsplat's dictionary.
 
     Args:
@@ -172,7 +170,7 @@ def rasterization_info(
     return RasterizationInfo(
         values,
         {
-            "conics": lambda: conics(roots, radii),
+            "conics": torch.enable_grad()(lambda: conics(roots, radii)),  # also where it is read without
             "tiles_per_gauss": lambda: tiles_per_gaussian.reshape(*shape, count),
             "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
             "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),

@@ -122,9 +122,7 @@ def with_tensors(
     return [replaced(one) for one in arguments], {name: replaced(one) for name, one in options.items()}
 
 
-def names_of_tensors(
-    parameters: Sequence[str], arguments: Sequence[Any], options: Mapping[str, Any]
-) -> list[str]:
+def names_of_tensors(parameters: Sequence[str], arguments: Sequence[Any], options: Mapping[str, Any]) -> list[str]:
     """The name of the argument that each tensor was given for.
 
     Args:

@@ -6,7 +6,7 @@ part, which sorts nothing and blends, still runs, so that the device never waits
 
 import gc
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol, TypeVar
 
 import torch
@@ -58,14 +58,10 @@ class Recorder(Protocol):
     def recording(self) -> Any:
         """A context around everything that is recorded of one call."""
 
-    def forward(
-        self, body: Callable[[], list[Tensor]], room: RoomForOne
-    ) -> tuple[list[Tensor], ForwardPass]:
+    def forward(self, body: Callable[[], list[Tensor]], room: RoomForOne) -> tuple[list[Tensor], ForwardPass]:
         """Records a forward pass; returns the tensors that it and its replays write."""
 
-    def backward(
-        self, body: Callable[[], list[Tensor | None]]
-    ) -> tuple[list[Tensor | None], Callable[[], None]]:
+    def backward(self, body: Callable[[], list[Tensor | None]]) -> tuple[list[Tensor | None], Callable[[], None]]:
         """Records a backward pass; returns the tensors that it and its replays write, and the replay."""
 
 
@@ -137,10 +133,8 @@ class CudaGraphs:
 def _abandon(capturing: list[torch.cuda.CUDAGraph]) -> None:
     """Ends a capture whose work failed; what was wrong is told by the error of that."""
     for graph in capturing:
-        try:
+        with suppress(RuntimeError):
             graph.capture_end()
-        except RuntimeError:
-            pass
 
 
 class _TwoGraphs:

@@ -5,12 +5,13 @@ read, change and differentiate. A replayed call has the same two: everything tha
 ordinary gradient in memory of its own.
 """
 
-from typing import Any
+import functools
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
-from thermosplat.torch_bridge.arrays import once_in_turns
+from thermosplat.torch_bridge.arrays import Backward, once_in_turns
 
 
 class Lease:
@@ -52,6 +53,26 @@ class Lease:
         self.end()
 
 
+def never_twice(backward: Backward) -> Backward:
+    """As ``once_in_turns``, and refuses every second derivative.
+
+    A plain call does so where its own steps in torch (backgrounds, expected depths) multiply by what needs gradients;
+    those are inside the graph here, and torch cannot see them.
+
+    Args:
+        backward: Of an autograd function whose ``ctx.turns`` is a lock.
+    """
+    in_turn = once_in_turns(backward)
+
+    @functools.wraps(backward)
+    def refusing(ctx: Any, *gradients: Tensor | None) -> Any:
+        if torch.is_grad_enabled():
+            gradients = tuple(None if one is None else one.detach().requires_grad_() for one in gradients)
+        return in_turn(ctx, *gradients)
+
+    return cast("Backward", refusing)
+
+
 class Projected(torch.autograd.Function):
     """The call's tensors to ``means2d`` and what else the blending reads (``Recorded.edges``)."""
 
@@ -67,7 +88,7 @@ class Projected(torch.autograd.Function):
         return shown, *[edge.detach() for edge in captured.recorded.edges]
 
     @staticmethod
-    @once_in_turns
+    @never_twice
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         held = ctx.saved_tensors
         captured = ctx.lease.captured
@@ -94,7 +115,7 @@ class Blended(torch.autograd.Function):
         return given
 
     @staticmethod
-    @once_in_turns
+    @never_twice
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         held = ctx.saved_tensors
         captured = ctx.lease.captured

@@ -19,8 +19,8 @@ from thermosplat.rasterizer.replay.replayed_info import InfoLayout
 EXTRA = "render_extra_signals"
 """An image that is an entry of ``info``."""
 
-CONSTANT = frozenset(
-    "batch_ids camera_ids gaussian_ids tile_width tile_height width height tile_size n_batches n_cameras".split()
+CONSTANT = frozenset(("batch_ids", "camera_ids", "gaussian_ids", "n_batches", "n_cameras")) | frozenset(
+    ("width", "height", "tile_size", "tile_width", "tile_height")
 )
 """Entries of ``info`` that are the same in every replay."""
 
@@ -185,7 +185,7 @@ def _view(image: Tensor, bases: list[Tensor]) -> ImageView:
     of = next((i for i, one in enumerate(bases) if one is base), len(bases))
     if of == len(bases):
         bases.append(base)
-    return ImageView(of, (image.shape, image.stride(), image.storage_offset() - base.storage_offset()))
+    return ImageView(of, (image.shape, image.stride(), int(image.storage_offset() - base.storage_offset())))
 
 
 def images_of(views: Sequence[ImageView], bases: Sequence[Tensor]) -> list[Tensor]:
@@ -196,5 +196,3 @@ def images_of(views: Sequence[ImageView], bases: Sequence[Tensor]) -> list[Tenso
         bases: Copies, in their order.
     """
     return [bases[of] if strided is None else bases[of].as_strided(*strided) for of, strided in views]
-
-

@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
-from torch import Tensor
 
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.rasterizer.replay.call_signature import (
@@ -212,7 +211,7 @@ class ReplayedCalls:
             if signature is None:
                 signature = self._noted(call, arguments, options)
             signature.captured = [one for one in signature.captured if one() is not None]
-            if signature.refused or len(signature.captured) >= IN_FLIGHT and not moved and outgrown is None:
+            if signature.refused or (len(signature.captured) >= IN_FLIGHT and not moved and outgrown is None):
                 return self._plain(arguments, options)
             if moved or outgrown is not None:
                 if outgrown is not None:
@@ -235,9 +234,10 @@ class ReplayedCalls:
     def _noted(self, call: Call, arguments: Sequence[Any], options: Mapping[str, Any]) -> _Signature:
         """A signature that was not seen before."""
         if len(self._signatures) >= NOTED:
-            oldest = min(self._signatures, key=lambda key: (bool(self._signatures[key].captured), self._signatures[key].used))
-            self._machine.wait(self._signatures[oldest].device)
-            del self._signatures[oldest]
+            known = self._signatures
+            oldest = min(known, key=lambda key: (bool(known[key].captured), known[key].used))
+            self._machine.wait(known[oldest].device)
+            del known[oldest]
         signature = self._signatures[call.key] = _Signature(call.tensors[0].device)
         names = names_of_tensors(self._parameters, arguments, options)
         signature.behind = frozenset(i for i, name in enumerate(names) if name == "backgrounds")
@@ -260,7 +260,6 @@ class ReplayedCalls:
             signature.refused = True
             return
         self._weigh(signature)
-        self._make_room(signature)
         before, _ = self._machine.memory(device)
         most = int(signature.needed.most.max()), int(signature.needed.most_listed.max())
         try:
@@ -276,6 +275,7 @@ class ReplayedCalls:
         self._clock += 1
         signature.used = self._clock
         self._counts[1] += 1
+        self._make_room(signature)
 
     def _weigh(self, signature: _Signature) -> None:
         """Wait longer before a capture where the last one has not paid."""
@@ -284,16 +284,17 @@ class ReplayedCalls:
             unpaid = last.replays < PAYS
             self._seen_at_least = min(2 * self._seen_at_least, SEEN_AT_MOST) if unpaid else SEEN
 
-    def _make_room(self, signature: _Signature) -> None:
+    def _make_room(self, newest: _Signature) -> None:
         """Let go of the least recently used ones that are too many, or keep too much memory."""
-        _, there_is = self._machine.memory(signature.device)
+        most = MEMORY_SHARE * self._machine.memory(newest.device)[1]
         while True:
-            kept = [one for one in self._signatures.values() if one.captured and one is not signature]
-            too_much = sum(one.bytes for one in (*kept, signature)) > MEMORY_SHARE * there_is
-            if not kept or not (too_much or len(kept) >= SIGNATURES):
+            kept = [one for one in self._signatures.values() if one.captured]
+            if sum(one.bytes for one in kept) <= most and len(kept) <= SIGNATURES:
                 return
-            self._machine.wait(signature.device)
-            min(kept, key=lambda one: one.used).drop()
+            self._machine.wait(newest.device)
+            least = min(kept, key=lambda one: one.used)
+            least.refused = least is newest  # it is too large by itself
+            least.drop()
 
 
 def _copied_bytes(call: Call, bound: Sequence[bool], result: Any) -> int:
@@ -327,6 +328,7 @@ def _bytes_copied_per_s(device: torch.device) -> float:
 
 
 _all: "weakref.WeakSet[ReplayedCalls]" = weakref.WeakSet()
+_public: dict[str, ReplayedCalls] = {}
 _left_by_parent: list[Any] = []
 
 
@@ -370,7 +372,7 @@ def clear() -> None:
 
 def counts() -> dict[str, Counts]:
     """What has happened so far to calls of ``rasterization`` and ``rasterization_rgbt``, by name."""
-    return {calls._function.__name__: calls.counts for calls in _all}
+    return {name: calls.counts for name, calls in _public.items()}
 
 
 def replayed(function: Function) -> Function:
@@ -379,7 +381,7 @@ def replayed(function: Function) -> Function:
     Args:
         function: Returns images and, last, an info dictionary.
     """
-    calls = ReplayedCalls(function)
+    calls = _public[function.__name__] = ReplayedCalls(function)
 
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
