@@ -81,6 +81,7 @@ def replayed_peer() -> Peer:
     """thermosplat again, whose plain calls replay graphs of its own where they come again."""
     from thermosplat.rasterizer import replay
 
+    replay.enable(False)
     eager = thermosplat_peer()
 
     def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:

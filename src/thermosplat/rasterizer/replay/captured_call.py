@@ -14,7 +14,7 @@ from torch import Tensor
 
 from thermosplat.rasterizer.replay.cuda_graphs import Recorder, RoomForOne
 from thermosplat.rasterizer.replay.nodes import Blended, Lease, Projected
-from thermosplat.rasterizer.replay.recorded_call import EXTRA, RecordedCall, Subject, images_of
+from thermosplat.rasterizer.replay.recorded_call import EXTRA, GradientMemory, RecordedCall, Subject, images_of
 from thermosplat.rasterizer.replay.replayed_info import replayed_info
 
 WARM_UPS = 2
@@ -48,15 +48,16 @@ class CapturedCall:
                 for one, read in zip(tensors, bound, strict=True)
             ]
             self._inputs = [fixed[i] for i in self._copied]
+            memory = GradientMemory([], [])
             for _ in range(WARM_UPS):
-                _run(RecordedCall(subject, fixed, self.room))
-            body = RecordedCall(subject, fixed, self.room)
+                _run(RecordedCall(subject, fixed, self.room, memory))
+            body = RecordedCall(subject, fixed, self.room, memory)
             written, self._forward = recorder.forward(body.forward, self.room)
             self.recorded = body.describe()
             own = 1 + len({view.of for view in self.recorded.views})
             self._own, self._block = written[:own], [one.view(torch.float32).view(-1) for one in written[own:]]
             self._sizes = [len(one) for one in self._block]
-            self._to_images, self._to_mids = body.to_images, body.to_mids
+            self._to_images, self._to_mids = memory
             if True in self.recorded.differentiable:
                 self._from_blend, self._blend = recorder.backward(body.blend_backward)
                 self._from_project, self._project = recorder.backward(body.project_backward)

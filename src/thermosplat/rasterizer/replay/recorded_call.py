@@ -69,6 +69,15 @@ class Recorded(NamedTuple):
     layout: InfoLayout
 
 
+class GradientMemory(NamedTuple):
+    """Fixed memory for gradients, made by the first run of a call, before anything is captured."""
+
+    to_images: list[Tensor]
+    """Of the images that need gradients."""
+    to_mids: list[Tensor]
+    """Of the mids without backgrounds, where the second half reads them."""
+
+
 class RecordedCall:
     """The passes of a call, each to be run once while it is recorded.
 
@@ -76,21 +85,16 @@ class RecordedCall:
         subject: The call.
         fixed: Its tensors in fixed memory.
         room: For its pairs.
-
-    Attributes:
-        to_images: Memory for gradients to the images that need them.
-        to_mids: Memory for gradients to the mids without backgrounds, where the second half reads them.
+        memory: For gradients; filled by the first run.
     """
 
-    def __init__(self, subject: Subject, fixed: Sequence[Tensor], room: RoomForOne) -> None:
-        self._subject, self._room = subject, room
+    def __init__(self, subject: Subject, fixed: Sequence[Tensor], room: RoomForOne, memory: GradientMemory) -> None:
+        self._subject, self._room, self._memory = subject, room, memory
         needs = subject.call.needs
         self._leaves = [one.detach().requires_grad_(needed) for one, needed in zip(fixed, needs, strict=True)]
         self._recorded = True in needs
         self._behind = tuple(i for i in sorted(subject.behind) if needs[i])
         self._wanted = tuple(i for i, needed in enumerate(needs) if needed and i not in subject.behind)
-        self.to_images: list[Tensor] = []
-        self.to_mids: list[Tensor] = []
 
     def forward(self) -> list[Tensor]:
         """Runs the call. Returns means2d, tensors that hold the images, and what ``info`` is made of."""
@@ -117,9 +121,9 @@ class RecordedCall:
         scene = self._scene
         crossing = (scene.projected.roots, scene.depths, scene.opacities, scene.thermal_opacities, *scene.features)
         self._roots = [one for one in (scene.means2d, *crossing) if one is not None and one.requires_grad]
-        if not self.to_images:
-            self.to_images = [_zeros_like(image) for image in self._seen]
-            self.to_mids = [_zeros_like(one) for one in self._roots]
+        if not self._memory.to_images:
+            self._memory.to_images.extend(map(_zeros_like, self._seen))
+            self._memory.to_mids.extend(map(_zeros_like, self._roots))
         return [one.detach() for one in (scene.means2d, *bases, *self._in_block.values())]
 
     def describe(self) -> Recorded:
@@ -127,7 +131,7 @@ class RecordedCall:
         moves = self._scene.means2d.requires_grad
         return Recorded(
             moves,
-            tuple(self.to_mids[1 if moves else 0 :]),
+            tuple(self._memory.to_mids[1 if moves else 0 :]),
             self._wanted if self._roots else (),
             self._behind,
             self._views,
@@ -155,20 +159,20 @@ class RecordedCall:
         )
 
     def blend_backward(self) -> list[Tensor | None]:
-        """From ``to_images`` to the mids; last, the sums of absolute gradients, if they are asked for."""
+        """From gradients to the images to the mids; last, the sums of absolute gradients, if they are asked for."""
         means2d: Any = self._scene.means2d
         if hasattr(means2d, "absgrad"):
             del means2d.absgrad
         mids = [*self._roots, *[self._leaves[i] for i in self._behind]]
-        found = torch.autograd.grad(self._seen, mids, self.to_images, retain_graph=True, allow_unused=True)
+        found = torch.autograd.grad(self._seen, mids, self._memory.to_images, retain_graph=True, allow_unused=True)
         return [*[None if one is None else one.contiguous() for one in found], getattr(means2d, "absgrad", None)]
 
     def project_backward(self) -> list[Tensor | None]:
-        """From ``to_mids`` to the call's tensors that are wanted."""
+        """From gradients to the mids to the call's tensors that are wanted."""
         inputs = [self._leaves[i] for i in self._wanted]
         if not inputs or not self._roots:
             return []
-        found = torch.autograd.grad(self._roots, inputs, self.to_mids, retain_graph=True, allow_unused=True)
+        found = torch.autograd.grad(self._roots, inputs, self._memory.to_mids, retain_graph=True, allow_unused=True)
         return [None if one is None else one.contiguous() for one in found]
 
 
