@@ -9,7 +9,7 @@ import torch
 from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
 from thermosplat import PairCapacity
-from thermosplat.rasterizer.replay import replayed_calls
+from thermosplat.rasterizer.replay import machine
 
 pytestmark = pytest.mark.cuda
 
@@ -136,7 +136,7 @@ def test_compiled_callers(gpu_bench: Bench) -> None:
 
 def test_a_large_share_of_the_copies_limits_what_is_replayed(gpu_bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """The device's speed is measured, and decides."""
-    monkeypatch.setattr(replayed_calls, "COPIES_MS", 1e-9)
+    monkeypatch.setattr(machine, "COPIES_MS", 1e-9)
     for _ in range(SEEN + 2):
         gpu_bench.calls(**gpu_bench.scene(0))
     assert gpu_bench.calls.counts == (SEEN + 2, 0, 0, 0, 0)

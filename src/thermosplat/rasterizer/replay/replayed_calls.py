@@ -20,14 +20,12 @@ import torch
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.rasterizer.replay.call_signature import (
     Call,
-    Place,
     call_of,
-    cuda_place,
     is_never_replayed,
     names_of_tensors,
 )
 from thermosplat.rasterizer.replay.captured_call import CapturedCall
-from thermosplat.rasterizer.replay.cuda_graphs import CudaGraphs, Recorder
+from thermosplat.rasterizer.replay.machine import Machine
 from thermosplat.rasterizer.replay.recorded_call import Subject
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -50,10 +48,6 @@ IN_FLIGHT = 4
 NOTED = 256
 """Signatures that are counted, captured or not."""
 
-COPIES_MS = 0.15
-"""Most time that the copies of a call may take on the device [ms]. A replay saves 0.4 ms of the host's forward pass and
-as much backward (benchmarks/notes/calls-from-python.md); a frame with more to copy is not limited by the host."""
-
 BOUND_BYTES = 2**20
 """Tensors from this size on are read where they lie if that is always the same place; smaller ones are copied."""
 
@@ -73,32 +67,6 @@ class Counts(NamedTuple):
     """Replays whose pairs had no room, done again by the plain call."""
     failed: int
     """Signatures that could not be captured."""
-
-
-class Machine:
-    """What replaying needs of a device; tests have another one.
-
-    Attributes:
-        place: Where a call's work is done, or None where nothing may be replayed.
-    """
-
-    place: Place = staticmethod(cuda_place)
-
-    def recorder(self, device: torch.device) -> Recorder:
-        """Records a call."""
-        return CudaGraphs(device)
-
-    def copied_at_most(self, device: torch.device) -> float:
-        """Bytes that may be copied in a call, from measured speed."""
-        return 1e-3 * COPIES_MS * _bytes_copied_per_s(device)
-
-    def memory(self, device: torch.device) -> tuple[int, int]:
-        """Bytes that are allocated and those that there are."""
-        return torch.cuda.memory_reserved(device), torch.cuda.get_device_properties(device).total_memory
-
-    def wait(self, device: torch.device) -> None:
-        """Until nothing that is let go is used any more."""
-        torch.cuda.synchronize(device)
 
 
 class _Signature:
@@ -309,22 +277,6 @@ def _copied_bytes(call: Call, bound: Sequence[bool], result: Any) -> int:
         count += shown + 2 * 4 * gaussians * (6 + sum(image.shape[-1] for image in images if image is not None))
         count += sum(one.nbytes for one, needed in zip(call.tensors, call.needs, strict=True) if needed)
     return count
-
-
-@functools.cache
-def _bytes_copied_per_s(device: torch.device) -> float:
-    """How fast the device copies, measured once."""
-    source = torch.empty(2**26, dtype=torch.uint8, device=device)
-    target = torch.empty_like(source)
-    times = []
-    for _ in range(4):
-        start, end = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
-        start.record()
-        target.copy_(source)
-        end.record()
-        end.synchronize()
-        times.append(start.elapsed_time(end))
-    return 1e3 * source.nbytes / min(times)
 
 
 _all: "weakref.WeakSet[ReplayedCalls]" = weakref.WeakSet()
