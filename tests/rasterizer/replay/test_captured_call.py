@@ -139,11 +139,13 @@ def test_extra_signals_and_pairs_of_coefficients(bench: Bench) -> None:
     assert bench.calls.counts.replayed == 1
 
 
-def test_without_gradients(either_bench: Bench) -> None:
-    """Nothing is saved, and the captured call is free again at once."""
+@pytest.mark.parametrize("first", [torch.no_grad, torch.inference_mode])
+@pytest.mark.parametrize("then", [torch.no_grad, torch.inference_mode])
+def test_without_gradients(either_bench: Bench, first: Any, then: Any) -> None:
+    """Nothing is saved, and the captured call is free again at once; inference mode has the same graphs."""
     bench = either_bench
-    with torch.no_grad():
-        for seed in range(SEEN + 3):
+    for seed in range(SEEN + 3):
+        with first() if seed < SEEN else then():
             scene = bench.scene(seed)
             found, expected = bench.calls(**scene), bench.plain(**scene)
             for image, truth in zip(images_of(found), images_of(expected), strict=True):

@@ -39,10 +39,10 @@ class CapturedCall:
     def __init__(self, subject: Subject, bound: Sequence[bool], most: tuple[int, int], recorder: Recorder) -> None:
         tensors = subject.call.tensors
         self.turns = threading.Lock()
-        self.room = RoomForOne(tensors[0].device, most)
         self._bound = [(i, tensors[i].data_ptr()) for i, read in enumerate(bound) if read]
         self._copied = [i for i, read in enumerate(bound) if not read]
-        with recorder.recording():
+        with torch.inference_mode(False), recorder.recording():
+            self.room = RoomForOne(tensors[0].device, most)
             fixed = [
                 one.detach() if read else one.detach().clone(memory_format=torch.contiguous_format)
                 for one, read in zip(tensors, bound, strict=True)

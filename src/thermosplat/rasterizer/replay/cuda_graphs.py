@@ -84,7 +84,7 @@ class CudaGraphs:
         gc.disable()  # what is collected while a graph is captured may be another graph, or an event
         try:
             torch.cuda.synchronize(self._device)
-            with torch.cuda.stream(self._stream), torch.inference_mode(False):
+            with torch.cuda.stream(self._stream):
                 yield
             torch.cuda.synchronize(self._device)
         finally:

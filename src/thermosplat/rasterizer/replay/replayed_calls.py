@@ -74,7 +74,8 @@ class _Signature:
 
     def __init__(self, device: torch.device) -> None:
         self.device = device
-        self.needed = PairCapacity(device)
+        with torch.inference_mode(False):  # it will count outside that mode, too
+            self.needed = PairCapacity(device)
         self.seen = 0
         self.refused = False
         self.places: list[int] = []
