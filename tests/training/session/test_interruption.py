@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("stoppable")
 
 
 @pytest.fixture(autouse=True)
-def _python_sigint() -> None:
+def _python_sigint(stoppable: None) -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
