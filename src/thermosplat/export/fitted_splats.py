@@ -31,7 +31,7 @@ from thermosplat.scene.model import SceneModel
 from thermosplat.scene.rotation import rotate
 from thermosplat.thermal.radiometry import PixelScale
 
-PASSES = {"cpu": 30, "cuda": 240}
+PASSES = {"cpu": 30, "cuda": 60}
 """Passes by type of device where none are asked for."""
 RATES = {"means": 0.2, "quats": 0.2, "log_scales": 0.4, "logit_opacities": 2.0, "color": 0.4, "changes": 0.05}
 """Adam's step sizes at the start, of the images' root-mean-square error before the fit: what is wrong by little is to
