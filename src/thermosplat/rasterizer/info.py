@@ -104,6 +104,12 @@ class RasterizationInfo(dict[str, Any]):
             self[key]
 
 
+@torch.enable_grad()
+def _recorded_conics(roots: Tensor, radii: Tensor) -> Tensor:
+    """``conics`` with their gradient, also where they are first read under ``no_grad``."""
+    return conics(roots, radii)
+
+
 class InfoTensors(NamedTuple):
     """What the dictionary is made of."""
 
@@ -170,7 +176,7 @@ def rasterization_info(tensors: InfoTensors, size: TiledSize, count_nonfinite: C
     return RasterizationInfo(
         values,
         {
-            "conics": torch.enable_grad()(lambda: conics(roots, radii)),  # also where it is read without
+            "conics": lambda: _recorded_conics(roots, radii),
             "tiles_per_gauss": lambda: tiles_per_gaussian.reshape(*shape, count),
             "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
             "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
