@@ -171,6 +171,8 @@ def test_chosen_pixels_are_those_of_whole_images(device: torch.device) -> None:
     assert torch.equal(ids, whole[0][at][:, : ids.shape[1]])
     assert torch.equal(weights, whole[1][at][:, : ids.shape[1]])
     top, _ = rasterize_top_contributing_gaussian_ids_sparse(*shown, *of_tiles, layout.pixel_map, *size, 2)
+    with pytest.raises(UserError, match="num_depth_samples must be at least 1"):
+        rasterize_top_contributing_gaussian_ids_sparse(*shown, *of_tiles, layout.pixel_map, *size, 0)
     assert torch.equal(top, rasterize_top_contributing_gaussian_ids(*lists(p), 2)[0][at])
 
 

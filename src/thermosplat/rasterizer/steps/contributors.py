@@ -88,7 +88,7 @@ def rasterize_contributing_gaussian_ids(
     Raises:
         UserError: an argument has the wrong shape or type.
     """
-    most = int(num_contributing_gaussians.max()) if num_contributing_gaussians.numel() > 0 else 0
+    most = room_for_all(num_contributing_gaussians)
     size = (image_width, image_height, tile_size)
     found, shape = _of_images(means2d, conics, opacities, tile_offsets, flatten_ids, size, most)
     return found.ids.reshape(*shape, most), found.weights.reshape(*shape, most)
@@ -124,12 +124,22 @@ def rasterize_top_contributing_gaussian_ids(
     Raises:
         UserError: an argument has the wrong shape or type.
     """
-    most, size = _room(num_depth_samples), (image_width, image_height, tile_size)
+    most, size = room_for_top(num_depth_samples), (image_width, image_height, tile_size)
     found, shape = _of_images(means2d, conics, opacities, tile_offsets, flatten_ids, size, most)
     return found.ids.reshape(*shape, most), found.weights.reshape(*shape, most)
 
 
-def _room(num_depth_samples: int) -> int:
+def room_for_all(num_contributing_gaussians: Tensor) -> int:
+    """Places per pixel for all Gaussians that were counted: the largest count, 0 where there is no pixel."""
+    return int(num_contributing_gaussians.max()) if num_contributing_gaussians.numel() > 0 else 0
+
+
+def room_for_top(num_depth_samples: int) -> int:
+    """Places per pixel for so many Gaussians.
+
+    Raises:
+        UserError: It is no whole number of at least 1.
+    """
     room = as_whole(num_depth_samples)
     if type(room) is not int or room < 1:
         raise UserError(f"num_depth_samples must be at least 1, and whole, got {num_depth_samples!r}.")

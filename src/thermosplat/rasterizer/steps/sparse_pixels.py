@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.steps.contributors import contributors_of
+from thermosplat.rasterizer.steps.contributors import contributors_of, room_for_all, room_for_top
 from thermosplat.rasterizer.steps.pixels import rasterize_to_pixels
 from thermosplat.rasterizer.steps.tiles import isect_offset_encode, isect_tiles
 
@@ -232,7 +232,7 @@ def rasterize_contributing_gaussian_ids_sparse(
     tile_height: int,
 ) -> tuple[Tensor, Tensor]:
     """``rasterize_contributing_gaussian_ids`` of chosen pixels, [P, most] each; arguments as in the others here."""
-    most = int(num_contributing_gaussians.max()) if num_contributing_gaussians.numel() > 0 else 0
+    most = room_for_all(num_contributing_gaussians)
     lists = (active_tiles, tile_offsets, flatten_ids, tile_pixel_mask, pixel_map)
     size = (image_width, image_height, tile_size, tile_width, tile_height)
     return _contributors(means2d, conics, opacities, *lists, *size, most)[2:]
@@ -258,7 +258,7 @@ def rasterize_top_contributing_gaussian_ids_sparse(
     """``rasterize_top_contributing_gaussian_ids`` of chosen pixels, [P, K] each; arguments as in the others here."""
     lists = (active_tiles, tile_offsets, flatten_ids, tile_pixel_mask, pixel_map)
     size = (image_width, image_height, tile_size, tile_width, tile_height)
-    return _contributors(means2d, conics, opacities, *lists, *size, num_depth_samples)[2:]
+    return _contributors(means2d, conics, opacities, *lists, *size, room_for_top(num_depth_samples))[2:]
 
 
 def _contributors(
