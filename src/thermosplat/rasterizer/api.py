@@ -268,7 +268,7 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
     if behind is not None:
         render = torch.addcmul(render, transmittance, behind[..., None, None, :])
     distances = along.hits if options.hits else None
-    render_colors, render_extra_signals = columns.taken_apart(render, expected=options.expected, hits=distances)
+    render_colors, render_extra_signals = columns.split_image(render, expected=options.expected, hits=distances)
     info = scene.info()
     if return_normals:
         info["normals"] = along.normals

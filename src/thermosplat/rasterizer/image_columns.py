@@ -52,7 +52,7 @@ class ImageColumns(NamedTuple):
             return backgrounds
         return torch.cat([*kept, backgrounds.new_zeros(*backgrounds.shape[:-1], channels - filled)], -1)
 
-    def taken_apart(self, image: Tensor, *, expected: bool, hits: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+    def split_image(self, image: Tensor, *, expected: bool, hits: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
         """The image of colours and depth, and that of the extra signals.
 
         Args:

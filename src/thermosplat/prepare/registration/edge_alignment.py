@@ -134,8 +134,8 @@ def _prior(edges: EdgePoints, camera: RigCamera) -> Array:
 
 def _projected(camera: RigCamera, edges: EdgePoints) -> tuple[NDArray[np.int64], Array, Array]:
     """Which points lie inside the image, their pixels, and the unit normals of their edges there."""
-    pixels, depth = camera.see(edges.points)
-    ends, end_depth = camera.see(edges.along)
+    pixels, depth = camera.project(edges.points)
+    ends, end_depth = camera.project(edges.along)
     along = ends - pixels
     length = np.linalg.norm(along, axis=1)
     low, high = _MARGIN, np.array([camera.width, camera.height]) - _MARGIN

@@ -143,8 +143,8 @@ def _drawn(
 ) -> NDArray[np.complex64]:
     """[height, width] the photograph's edges as the camera sees them, its axis in the middle."""
     chosen = edges.frame == frame
-    pixels, depth = camera.see(edges.points[chosen])
-    ends, end_depth = camera.see(edges.along[chosen])
+    pixels, depth = camera.project(edges.points[chosen])
+    ends, end_depth = camera.project(edges.along[chosen])
     middle = np.array([camera.width, camera.height]) / 2
     at = np.floor((pixels - middle) * scale + np.array([width, height]) / 2)
     fits = (depth > 0) & (end_depth > 0) & (at >= 0).all(1) & (at < [width, height]).all(1)

@@ -59,8 +59,8 @@ class RigCamera:
         """The pose as COLMAP's ``sensor_from_rig``, the photographs' camera being the reference."""
         return pycolmap.Rigid3d(np.column_stack([self.rotation, self.translation]))
 
-    def see(self, points: Array) -> tuple[Array, Array]:
-        """Where points are seen.
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Projects points to the image.
 
         Args:
             points: [N, 3] in the axes of the photographs' camera.

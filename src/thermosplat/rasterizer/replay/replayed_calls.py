@@ -87,7 +87,7 @@ class _Signature:
         self.used = 0
         self.behind: frozenset[int] = frozenset()
 
-    def look(self, call: Call) -> None:
+    def note_places(self, call: Call) -> None:
         """Note where the tensors of a call lie."""
         places = [tensor.data_ptr() if tensor.is_contiguous() else 0 for tensor in call.tensors]
         self.moving |= {i for i, (now, then) in enumerate(zip(places, self.places)) if now != then or now == 0}
@@ -190,7 +190,7 @@ class ReplayedCalls:
                     )
                 self._machine.wait(signature.device)
                 signature.drop()
-            signature.look(call)
+            signature.note_places(call)
             with signature.needed.step(fixed=False):
                 result = self._plain(arguments, options)
             signature.seen += 1
