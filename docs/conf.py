@@ -42,6 +42,7 @@ SIDEBAR = {
         "docs/prepar*",
         "docs/data-layouts",
         "docs/spectra",
+        "docs/viewer",
         "docs/exports",
         "docs/conventions",
         "docs/comparing-methods",
@@ -52,7 +53,7 @@ SIDEBAR = {
         "docs/results",
         "docs/accuracy",
     ],
-    "Understand": ["docs/method", "docs/kernels", "docs/warp*", "docs/migrating"],
+    "Build on it": ["docs/migrating", "docs/cuda-graphs", "docs/warp", "docs/warp-tape", "docs/kernels", "docs/method"],
     "Reference": ["docs/api/*"],
     "Contribute": [
         "CONTRIBUTING",
