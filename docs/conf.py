@@ -53,7 +53,8 @@ SIDEBAR = {
         "docs/results",
         "docs/accuracy",
     ],
-    "Build on it": ["docs/migrating", "docs/cuda-graphs", "docs/warp", "docs/warp-tape", "docs/kernels", "docs/method"],
+    "Build on it": ["docs/migrating", "docs/cuda-graphs", "docs/warp", "docs/warp-tape", "docs/kernels"],
+    "The method": ["docs/method", "docs/thermosplat-plus", "docs/budget", "docs/refining-cameras"],
     "Reference": ["docs/api/*"],
     "Contribute": [
         "CONTRIBUTING",

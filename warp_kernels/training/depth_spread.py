@@ -1,4 +1,4 @@
-"""How far apart along its ray the Gaussians lie that a pixel is made of (docs/method.md, equation 16).
+"""How far apart along its ray the Gaussians lie that a pixel is made of (docs/thermosplat-plus.md, equation 16).
 
 Before blending, log z and its square join each Gaussian's features; after it they are taken from the image again and
 become the pixel's spread.
