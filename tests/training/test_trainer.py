@@ -23,10 +23,11 @@ from thermosplat.runs.atomic_writes import NotWrittenError
 from thermosplat.runs.checkpoint_file import load_checkpoint, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
+from thermosplat.stop_signals import stopped_by_signals
 from thermosplat.training import trainer as trainer_module
 from thermosplat.training import training_step
 from thermosplat.training.session import checkpoint_writer, run_results
-from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
+from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture
@@ -196,7 +197,7 @@ def test_interrupt_during_an_update(
         return genuine(*args, **kwargs)
 
     monkeypatch.setattr(owner, place, interrupted)
-    with pytest.raises(TrainingInterrupted) as stop, stop_signals():
+    with pytest.raises(TrainingInterrupted) as stop, stopped_by_signals():
         trainer.train()
     assert stop.value.exit_code == 128 + number
     monkeypatch.undo()
@@ -216,7 +217,7 @@ def test_a_signal_that_was_lost_is_heard(tmp_path: Path, capture: Capture) -> No
                 time.sleep(1)
 
     trainer.between_steps = lose
-    with pytest.raises(TrainingInterrupted) as stop, stop_signals():
+    with pytest.raises(TrainingInterrupted) as stop, stopped_by_signals():
         trainer.train()
     assert stop.value.exit_code == 128 + signal.SIGTERM
     assert stop.value.checkpoint == tmp_path / "ckpts" / "step_000004.pt"

@@ -45,13 +45,14 @@ def _make(arguments: CellArguments) -> int:
     with importing():
         from thermosplat.method_matrix.cell_run import make_cell
         from thermosplat.rasterizer.warp_start import start_warp
-        from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
+        from thermosplat.stop_signals import stopped_by_signals
+        from thermosplat.training.session.interruption import TrainingInterrupted
 
     start_warp()
     config = load_config(arguments.folder / "cell.yaml")
     cell = Cell(arguments.scene, arguments.method, arguments.seed)
     try:
-        with stop_signals():  # again: pycolmap has been imported
+        with stopped_by_signals():  # again: pycolmap has been imported
             make_cell(cell, config, arguments.folder, keep_checkpoint=arguments.keep_checkpoint)
     except TrainingInterrupted as stop:
         print(f"Interrupted; saved {stop.checkpoint}.")

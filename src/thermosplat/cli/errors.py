@@ -13,7 +13,7 @@ from rich.panel import Panel
 from rich.text import Text
 
 from thermosplat.errors import UserError
-from thermosplat.training.session.interruption import stop_signal, stop_signals
+from thermosplat.stop_signals import signal_of, stopped_by_signals
 
 USER_ERROR = 2
 _REFUSALS = {
@@ -44,13 +44,13 @@ def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False)
         The exit code. Errors that are no mistake of the user's are raised as they are.
     """
     _print_what_cannot_be_encoded()
-    with stop_signals():
+    with stopped_by_signals():
         code = _code_of(body, debug, print_error_line if one_line else print_error)
     try:
         sys.stdout.flush()
     except OSError as error:  # nobody reads what is left of it (| head)
         _discard(sys.stdout)
-        number = stop_signal(error)
+        number = signal_of(error)
         if number is None:
             raise
         return code or 128 + number
@@ -77,7 +77,7 @@ def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], No
         tell(error.message, error.hint)
         return USER_ERROR
     except (KeyboardInterrupt, OSError) as error:
-        number = stop_signal(error)
+        number = signal_of(error)
         if number is None:
             if debug or not isinstance(error, OSError) or error.errno not in _REFUSALS or not error.filename:
                 raise

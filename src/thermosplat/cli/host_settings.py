@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from thermosplat.training.session.interruption import deferred_interrupts
+from thermosplat.stop_signals import deferred_interrupts
 
 KEPT_BYTES = 2**31 - 1
 """Freed memory that stays with the process; the largest number that ``mallopt`` takes."""

@@ -71,10 +71,11 @@ def _train(argv: list[str]) -> int:
         make = _new_trainer if config.resume is None else _resumed_trainer
         trainer = make(config, capture, trainer_class)
     from thermosplat.cli.training.watched_training import watched
-    from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
+    from thermosplat.stop_signals import stopped_by_signals
+    from thermosplat.training.session.interruption import TrainingInterrupted
 
     try:
-        with stop_signals(), trainer.run.locked():  # the signals again: pycolmap has been imported
+        with stopped_by_signals(), trainer.run.locked():  # the signals again: pycolmap has been imported
             if config.resume is None:  # last, when nothing in the input can stop the run any more: it may delete here
                 trainer.run.create(trainer.run.path, overwrite=config.overwrite)
             with watched(trainer, viewer_flags(argv)):

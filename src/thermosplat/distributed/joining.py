@@ -2,8 +2,6 @@
 
 import os
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import timedelta
 
 import torch
@@ -11,11 +9,11 @@ import torch.distributed as dist
 
 from thermosplat.distributed.team import Team
 from thermosplat.errors import UserError
+from thermosplat.stop_signals import handled_signals
 
 PATIENCE = timedelta(days=1)
 """How long a rank waits for another one that lives: rank 0 may evaluate for hours. The lifeline tells of those that do
 not live any more."""
-_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def join_team(device: str) -> Team:
@@ -32,21 +30,10 @@ def join_team(device: str) -> Team:
     if own.type == "cuda":
         torch.cuda.set_device(own)
     backend = "cpu:gloo,cuda:nccl" if own.type == "cuda" else "gloo"
-    with _ended_at_once_by_signals():
+    # a wait in C++, where no handler of Python's is called: signals end the process, which has nothing yet
+    with handled_signals(signal.SIG_DFL):
         dist.init_process_group(backend, rank=rank, world_size=size, timeout=PATIENCE)
     return Team(rank, size, own)
-
-
-@contextmanager
-def _ended_at_once_by_signals() -> Iterator[None]:
-    """Around a wait in C++, where no handler of Python's is called: signals end the process, which has nothing yet."""
-    numbers = [number for number in _STOPPING if signal.getsignal(number) is not signal.SIG_IGN]
-    previous = {number: signal.signal(number, signal.SIG_DFL) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def _device(name: str, local_rank: int) -> torch.device:

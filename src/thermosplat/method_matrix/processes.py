@@ -16,7 +16,7 @@ from pathlib import Path
 
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import open_to_append
-from thermosplat.training.session.interruption import stop_signals
+from thermosplat.stop_signals import stopped_by_signals
 
 POLL_SECONDS = 0.2
 
@@ -108,7 +108,7 @@ def run_jobs(
     """
     waiting, running, began = list(jobs), dict[str, _Running](), time.monotonic()
     left: list[Job] = []
-    with stop_signals():
+    with stopped_by_signals():
         try:
             while waiting or running:
                 if time_limit is not None and time.monotonic() - began >= time_limit:

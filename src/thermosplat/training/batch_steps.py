@@ -17,10 +17,10 @@ from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.distributed.team import Team
 from thermosplat.refinement.camera_corrections import POSES
 from thermosplat.scene.initial_gaussians import SHARED
+from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.training.density.gaussian_ops import Optimizers
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import TrainFrames
-from thermosplat.training.session.interruption import deferred_interrupts
 from thermosplat.training.sharing.calls import Calls, Group, calls_of, infos_of_frame
 from thermosplat.training.training_state import TrainingState
 from thermosplat.training.training_step import Differentiated, Part, StepKind, StepValues, TrainingStep

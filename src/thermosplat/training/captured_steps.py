@@ -14,8 +14,8 @@ import torch
 
 from thermosplat.datasets.frame_tensors import FrameTensors, packed_elsewhere, packed_memory, place_in_frame
 from thermosplat.rasterizer.pair_capacity import SPARE
+from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.torch_bridge.streams import captured_in
-from thermosplat.training.session.interruption import deferred_interrupts
 from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
 
 MEASURED = 16

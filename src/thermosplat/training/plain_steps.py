@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from thermosplat.datasets.frame_tensors import FrameTensors
-from thermosplat.training.session.interruption import deferred_interrupts
+from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
 
 

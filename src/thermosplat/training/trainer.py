@@ -29,6 +29,7 @@ from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import FolderGoneError, RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import offload
+from thermosplat.stop_signals import deferred_interrupts, raise_lost_stop, signal_of
 from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import AutoBudget, Budget
 from thermosplat.training.budget.noise_floor import noise_floors
@@ -50,13 +51,7 @@ from thermosplat.training.session.checkpoint_writer import (
     naming_the_newest_checkpoint,
 )
 from thermosplat.training.session.greeting import greeting
-from thermosplat.training.session.interruption import (
-    TrainingInterrupted,
-    deferred_interrupts,
-    hear_lost_stop,
-    meanwhile,
-    stop_signal,
-)
+from thermosplat.training.session.interruption import TrainingInterrupted, meanwhile
 from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.session.run_logger import RunLogger, StepRecord
@@ -225,7 +220,7 @@ class Trainer:
             if self.results.lack_evaluation():  # a resumed run that was killed between a checkpoint and its evaluation
                 self.results.evaluate()
             while state.step < config.max_steps:
-                hear_lost_stop()
+                raise_lost_stop()
                 self._train_step()
                 state.seconds.wall = time.perf_counter() - started
                 self.checkpoints.tell_failure()
@@ -251,7 +246,7 @@ class Trainer:
             forget_images(self.capture)
             return metrics
         except (KeyboardInterrupt, Exception) as error:
-            if (number := stop_signal(error)) is not None:
+            if (number := signal_of(error)) is not None:
                 with deferred_interrupts(redeliver=False):
                     self._stop_if_not_finite()
                     raise TrainingInterrupted(self._save(), self.run.resume_command(), number) from None

@@ -14,6 +14,7 @@ from types import FrameType
 
 from thermosplat.cli.errors import print_error
 from thermosplat.errors import UserError
+from thermosplat.stop_signals import STOP_SIGNALS, handled_signals
 
 FLAG = "--devices"
 GRACE = 20.0
@@ -21,7 +22,6 @@ GRACE = 20.0
 TELLING = 3.0
 """Time in which the others end by themselves, where they have met [s]: those that wait to meet are ended then."""
 _POLL = 0.05
-_NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def devices_asked(argv: list[str]) -> int | None:
@@ -99,19 +99,17 @@ def train_on_devices(devices: int, argv: list[str]) -> int:
             if process.poll() is None:
                 process.send_signal(number)
 
-    previous = {number: signal.signal(number, pass_on) for number in _NUMBERS}
-    try:
-        for rank in range(devices):
-            of_rank = {"RANK": str(rank), "LOCAL_RANK": str(rank)}
-            processes.append(subprocess.Popen(command, env={**os.environ, **shared, **of_rank}))
-        return _wait(processes)
-    finally:
-        for process in processes:
-            if process.poll() is None:
-                process.kill()
-                process.wait()
-        for number, handler in previous.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+    with handled_signals(pass_on):
+        try:
+            for rank in range(devices):
+                of_rank = {"RANK": str(rank), "LOCAL_RANK": str(rank)}
+                processes.append(subprocess.Popen(command, env={**os.environ, **shared, **of_rank}))
+            return _wait(processes)
+        finally:
+            for process in processes:
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
 
 
 def _wait(processes: "list[subprocess.Popen[bytes]]") -> int:
@@ -138,7 +136,7 @@ def _wait(processes: "list[subprocess.Popen[bytes]]") -> int:
     if all((code or 0) <= 0 for code in codes):  # nobody who was left had to tell of a death
         if codes[0] == 0:
             return 0  # rank 0 has written everything
-        if any(code < 0 and -code not in _NUMBERS for code in codes if code):
+        if any(code < 0 and -code not in STOP_SIGNALS for code in codes if code):
             print_error(f"{_failure(codes)} at its end: some of the results may be missing.", "Go on with --resume.")
     return max(_exit_code(code or 0) for code in codes)
 
@@ -152,7 +150,7 @@ def _failure(codes: list[int | None]) -> str:
 
 def _exit_code(code: int) -> int:
     """A process's as a shell has it; of one that was killed 2, as the others end with that."""
-    return code if code >= 0 else 128 - code if -code in _NUMBERS else 2
+    return code if code >= 0 else 128 - code if -code in STOP_SIGNALS else 2
 
 
 def _free_port() -> int:

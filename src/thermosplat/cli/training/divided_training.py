@@ -113,7 +113,8 @@ class RankOfTraining:
             team.asked_of_first(_refuse_viewer)
         capture = team.done_by_all(lambda: _capture(config))
         with importing():
-            from thermosplat.training.session.interruption import TrainingInterrupted, stop_signals
+            from thermosplat.stop_signals import stopped_by_signals
+            from thermosplat.training.session.interruption import TrainingInterrupted
             from thermosplat.training.sharing.same_capture import check_same_capture
 
         check_same_capture(team, capture)
@@ -125,7 +126,7 @@ class RankOfTraining:
             self.lifeline.before_end = trainer.finish_writing
             self.lifeline.answer = lambda: str(self._newest_checkpoint() or "")
         try:
-            with stop_signals():
+            with stopped_by_signals():
                 metrics = trainer.train()
         except TrainingInterrupted as stop:
             self.agreed = True

@@ -15,7 +15,7 @@ from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import NotWrittenError
 from thermosplat.runs.checkpoint_file import num_stored_bytes, on_host, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
-from thermosplat.training.session.interruption import deferred_interrupts
+from thermosplat.stop_signals import deferred_interrupts
 
 
 class CheckpointWriter:

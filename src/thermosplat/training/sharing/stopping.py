@@ -1,13 +1,10 @@
 """Ctrl-C, SIGTERM and SIGHUP of a rank, which must not leave the others alone in the middle of a step."""
 
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from thermosplat.training.session.interruption import Stopped, handled_signals
-
-_NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+from thermosplat.stop_signals import Stopped, handled_signals
 
 
 class StopWish:
@@ -46,5 +43,5 @@ def stop_wishes(wish: StopWish) -> Iterator[None]:
     Args:
         wish: Where.
     """
-    with handled_signals(_NUMBERS, wish.note):
+    with handled_signals(wish.note):
         yield

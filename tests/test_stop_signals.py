@@ -1,0 +1,134 @@
+"""Ctrl-C, SIGTERM and SIGHUP wait for what must not stop half-way, and are not forgotten."""
+
+import contextlib
+import errno
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from thermosplat.stop_signals import Stopped, deferred_interrupts, raise_lost_stop, signal_of, stopped_by_signals
+
+pytestmark = pytest.mark.usefixtures("stoppable")
+
+
+@pytest.fixture(autouse=True)
+def _python_sigint(stoppable: None) -> None:
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_block_is_finished_first() -> None:
+    """An interrupt inside the block is raised at its end."""
+    done = []
+
+    def work() -> None:
+        with deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == [1]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_nested_blocks_finish_all() -> None:
+    """An interrupt inside an inner block waits for the outer one as well."""
+    done = []
+
+    def work() -> None:
+        with deferred_interrupts():
+            with deferred_interrupts():
+                os.kill(os.getpid(), signal.SIGINT)
+                done.append("inner")
+            done.append("outer")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == ["inner", "outer"]
+
+
+def test_last_block_swallows() -> None:
+    """Where the program ends anyway, a second Ctrl-C changes nothing."""
+    with deferred_interrupts(redeliver=False), deferred_interrupts():
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_error_goes_before_interrupt() -> None:
+    """An error in the block is what the caller sees, and Ctrl-C works again."""
+
+    def work() -> None:
+        with deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        work()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_other_threads_can_use_it() -> None:
+    """In a thread, where no signals arrive and none may be set, the block just runs."""
+    done = []
+
+    def work() -> None:
+        with deferred_interrupts():
+            done.append(1)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert done == [1]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_other_stop_signals_wait_like_ctrl_c(number: signal.Signals) -> None:
+    """They are raised at the end of the outer block, as an interrupt that knows its signal; then all is as before."""
+    done = []
+    before = signal.getsignal(number)
+    with pytest.raises(Stopped) as caught, stopped_by_signals(), stopped_by_signals():  # noqa: PT012  it comes at the block's end
+        with deferred_interrupts():
+            with deferred_interrupts():
+                os.kill(os.getpid(), number)
+                done.append("inner")
+            done.append("outer")
+        done.append("after")
+    assert done == ["inner", "outer"]
+    assert signal_of(caught.value) == number
+    assert signal.getsignal(number) == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_lost_stop_is_heard(number: signal.Signals) -> None:
+    """What C code has cleared is raised again, and is forgotten with the block."""
+    with stopped_by_signals():
+        raise_lost_stop()
+        with contextlib.suppress(Stopped):
+            os.kill(os.getpid(), number)
+            time.sleep(1)
+        with pytest.raises(Stopped) as caught:
+            raise_lost_stop()
+    assert signal_of(caught.value) == number
+    raise_lost_stop()
+
+
+def test_ignored_signals_stay_ignored() -> None:
+    """What nohup has set is kept, also by a block that defers."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stopped_by_signals(), deferred_interrupts():
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_signals_that_errors_stand_for() -> None:
+    """An output that nobody reads, or a terminal that is closed, stops as a signal does; a full disk does not."""
+    assert signal_of(KeyboardInterrupt()) == signal.SIGINT
+    assert signal_of(BrokenPipeError(errno.EPIPE, "Broken pipe")) == signal.SIGPIPE
+    assert signal_of(OSError(errno.EIO, "Input/output error")) == signal.SIGPIPE
+    assert signal_of(OSError(errno.ENOSPC, "No space left on device")) is None
+    assert signal_of(ZeroDivisionError()) is None
