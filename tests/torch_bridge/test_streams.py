@@ -1,5 +1,6 @@
 """Sharing a device: whose memory arrays lie in, and for how long."""
 
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -86,3 +87,25 @@ def test_launches_go_to_the_stream_of_torch() -> None:
         with on_torch_stream(device):
             assert warp_device.stream.cuda_stream == side.cuda_stream
         assert warp_device.stream is own
+
+
+@pytest.mark.cuda
+def test_threads_take_turns() -> None:
+    """Warp's stream is one for all threads, so a second thread waits until the first has left."""
+    device, sides = torch.device("cuda"), [torch.cuda.Stream() for _ in range(2)]
+    wanted, inside = threading.Event(), threading.Event()
+
+    def second() -> int:
+        with torch.cuda.stream(sides[1]):
+            wanted.set()
+            with on_torch_stream(device) as warp_device:
+                inside.set()
+                return warp_device.stream.cuda_stream
+
+    with ThreadPoolExecutor(1) as pool:
+        with torch.cuda.stream(sides[0]), on_torch_stream(device) as warp_device:
+            other = pool.submit(second)
+            assert wanted.wait(10)
+            assert not inside.wait(0.2)
+            assert warp_device.stream.cuda_stream == sides[0].cuda_stream
+        assert other.result(10) == sides[1].cuda_stream

@@ -19,6 +19,6 @@ def distances(means: Tensor, viewmats: Tensor, visible: Tensor) -> Tensor:
     rotations, translations = viewmats[..., :3, :3].double(), viewmats[..., :3, 3].double()
     seen = torch.where(visible[..., None], means.double().unsqueeze(-3), 0.0)
     positions = seen @ rotations.transpose(-1, -2) + translations.unsqueeze(-2)
-    ahead = positions.new_tensor([0.0, 0.0, 1.0])  # keeps the root's gradient finite where nothing is drawn
-    lengths = torch.linalg.vector_norm(torch.where(visible[..., None], positions, ahead), dim=-1)
+    drawn = torch.where(visible[..., None], positions, 1.0)  # keeps the root's gradient finite where nothing is drawn
+    lengths = torch.linalg.vector_norm(drawn, dim=-1)
     return torch.where(visible, lengths, 0.0).to(means.dtype)

@@ -88,6 +88,8 @@ class _Place(NamedTuple):
     device: wp.Device
     memory: TorchMemory
     allocator: TorchAllocator | None
+    turns: AbstractContextManager[Any]
+    """Held while Warp's stream and allocator of the device are this place's; Warp has one of each for all threads."""
 
 
 class _Entered(threading.local):
@@ -130,7 +132,8 @@ class launches_on_torch_stream:
 class on_torch_stream(launches_on_torch_stream):
     """As ``launches_on_torch_stream``, and Warp's own sorts, scans, launches and allocations.
 
-    Entered again on the same stream it does nothing.
+    Entered again on the same stream it does nothing. Other threads that enter for the same device wait until it is
+    left.
 
     Args:
         device: a CPU or CUDA device.
@@ -142,6 +145,7 @@ class on_torch_stream(launches_on_torch_stream):
         self._scopes: tuple[Any, ...] = ()
         if place.memory.stream is not None and self._outer_place is not place:
             self._scopes = (
+                place.turns,
                 wp.ScopedAllocator(place.device, place.allocator),
                 wp.ScopedStream(place.memory.stream, sync_enter=False),
             )
@@ -166,7 +170,13 @@ def _is_cuda(device: torch.device) -> bool:
 @made_once
 def _cpu_place(device: torch.device) -> _Place:
     start_warp()
-    return _Place(wp.device_from_torch(device), TorchMemory(device, None), None)
+    return _Place(wp.device_from_torch(device), TorchMemory(device, None), None, nullcontext())
+
+
+@made_once
+def _turns(index: int) -> AbstractContextManager[Any]:
+    """One for all streams of a device."""
+    return threading.RLock()
 
 
 @made_once
@@ -175,7 +185,7 @@ def _cuda_place(index: int, cuda_stream: int) -> _Place:
     start_warp()
     torch_device, device = torch.device("cuda", index), wp.get_device(f"cuda:{index}")
     stream = wp.Stream(device, cuda_stream=cuda_stream)
-    return _Place(device, TorchMemory(torch_device, stream), TorchAllocator(torch_device))
+    return _Place(device, TorchMemory(torch_device, stream), TorchAllocator(torch_device), _turns(index))
 
 
 _NOT_CAPTURED = nullcontext(False)

@@ -9,7 +9,7 @@ import torch
 from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
 from thermosplat import PairCapacity
-from thermosplat.rasterizer.replay import machine
+from thermosplat.rasterizer.replay import machine, replayed_calls
 
 pytestmark = pytest.mark.cuda
 
@@ -41,8 +41,9 @@ def test_captures_of_others_hold_plain_calls(gpu_bench: Bench) -> None:
     assert bench.calls.counts.replayed == 0
 
 
-def test_streams_have_their_own(gpu_bench: Bench) -> None:
+def test_streams_have_their_own(gpu_bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """A render on another stream waits for nothing of this one, and disturbs nothing."""
+    monkeypatch.setattr(replayed_calls, "PAYS", 0)
     bench = gpu_bench.warmed_up()
     streams = [torch.cuda.Stream() for _ in range(2)]
     scenes = [bench.scene(seed, n=50) for seed in (5, 6)]
@@ -103,6 +104,7 @@ def test_large_scenes_in_turns_with_small_ones(gpu_bench: Bench) -> None:
         results = []
         for render in (bench.calls, bench.plain):
             optimizer.zero_grad()
+            scene["scales"].grad = None
             image, alphas, _ = render(**scene | {"viewmats": viewmats})
             (image.square().sum() + alphas.sum()).backward()
             results.append([image.detach(), *[scene[name].grad.clone() for name in ("means", "colors", "scales")]])
@@ -110,7 +112,6 @@ def test_large_scenes_in_turns_with_small_ones(gpu_bench: Bench) -> None:
         optimizer.step()
         assert torch.equal(results[0][0], results[1][0])
         assert all(relative_error(ours, theirs) < 1e-4 for ours, theirs in zip(*results, strict=True))
-        scene["scales"].grad = None
     assert bench.calls.counts.replayed >= 8
     assert bench.calls.counts.failed == 0
 
@@ -136,7 +137,7 @@ def test_compiled_callers(gpu_bench: Bench) -> None:
 
 def test_a_large_share_of_the_copies_limits_what_is_replayed(gpu_bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """The device's speed is measured, and decides."""
-    monkeypatch.setattr(machine, "COPIES_MS", 1e-9)
+    monkeypatch.setattr(machine, "COPIES_WITH_GRADIENTS_MS", 1e-9)
     for _ in range(SEEN + 2):
         gpu_bench.calls(**gpu_bench.scene(0))
     assert gpu_bench.calls.counts == (SEEN + 2, 0, 0, 0, 0)

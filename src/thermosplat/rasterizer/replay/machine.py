@@ -8,8 +8,11 @@ from thermosplat.rasterizer.replay.call_signature import Place, cuda_place
 from thermosplat.rasterizer.replay.cuda_graphs import CudaGraphs, Recorder
 
 COPIES_MS = 0.15
-"""Most time that the copies of a call may take on the device [ms]. A replay saves 0.4 ms of the host's forward pass and
-as much backward (benchmarks/notes/calls-from-python.md); a frame with more to copy is not limited by the host."""
+"""Most time that the copies of a call may take on the device [ms]. A replay saves 0.4 ms of the host's time or more
+(benchmarks/notes/calls-from-python.md); a frame with more to copy is not limited by the host."""
+
+COPIES_WITH_GRADIENTS_MS = 0.4
+"""The same for a call that is differentiated: its replay saves 0.9 ms or more, and has more to copy."""
 
 
 class Machine:
@@ -25,9 +28,9 @@ class Machine:
         """Records a call."""
         return CudaGraphs(device)
 
-    def copied_at_most(self, device: torch.device) -> float:
-        """Bytes that may be copied in a call, from measured speed."""
-        return 1e-3 * COPIES_MS * bytes_copied_per_s(device)
+    def copied_at_most(self, device: torch.device, differentiated: bool) -> float:
+        """Bytes that may be copied in a call, with its backward pass if there is one, from measured speed."""
+        return 1e-3 * (COPIES_WITH_GRADIENTS_MS if differentiated else COPIES_MS) * bytes_copied_per_s(device)
 
     def memory(self, device: torch.device) -> tuple[int, int]:
         """Bytes that are allocated and those that there are."""

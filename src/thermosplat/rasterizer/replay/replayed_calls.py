@@ -225,7 +225,8 @@ class ReplayedCalls:
         """Captures a call, if that pays and there is memory."""
         signature.seen = 0
         device, bound = signature.device, signature.bound(subject.call)
-        if _copied_bytes(subject.call, bound, result) > self._machine.copied_at_most(device):
+        differentiated = True in subject.call.needs
+        if _copied_bytes(subject.call, bound, result) > self._machine.copied_at_most(device, differentiated):
             signature.refused = True
             return
         self._weigh(signature)
