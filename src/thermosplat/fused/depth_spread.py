@@ -34,7 +34,7 @@ def with_depth_moments(features: Tensor, means: Tensor, viewmat: Tensor) -> Tens
     Returns:
         Shape [N, d + 2].
     """
-    return _Joined.apply(features.contiguous(), means.contiguous(), viewmat.contiguous())
+    return _AppendMoments.apply(features.contiguous(), means.contiguous(), viewmat.contiguous())
 
 
 def features_and_spread(image: Tensor, alpha: Tensor, limit: float) -> tuple[Tensor, Tensor]:
@@ -49,10 +49,10 @@ def features_and_spread(image: Tensor, alpha: Tensor, limit: float) -> tuple[Ten
         Blended features, shape [H, W, d]; mean over pixels of v / (1 + v / limit), v being (16), a scalar: zero where
         each pixel sees one depth.
     """
-    return _TakenApart.apply(image.contiguous(), alpha.contiguous(), limit)
+    return _SplitSpread.apply(image.contiguous(), alpha.contiguous(), limit)
 
 
-class _Joined(torch.autograd.Function):
+class _AppendMoments(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, features: Tensor, means: Tensor, viewmat: Tensor) -> Tensor:
         joined = features.new_empty(len(features), features.shape[1] + 2)
@@ -72,7 +72,7 @@ class _Joined(torch.autograd.Function):
         return v_features, v_means, None
 
 
-class _TakenApart(torch.autograd.Function):
+class _SplitSpread(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, image: Tensor, alpha: Tensor, limit: float) -> tuple[Tensor, Tensor]:
         features = image.new_empty(*image.shape[:2], image.shape[2] - 2)

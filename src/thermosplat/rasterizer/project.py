@@ -18,7 +18,7 @@ from thermosplat.rasterizer.cameras_of_ranks import CameraKind, check_cameras
 from thermosplat.rasterizer.checked_numbers import as_whole, checked_sizes
 from thermosplat.rasterizer.exchanged_scene import scene_among_ranks
 from thermosplat.rasterizer.lenses import PLAIN, LensArguments, Lenses, checked_lenses
-from thermosplat.rasterizer.projected_scene import Drawn, ProjectedScene
+from thermosplat.rasterizer.projected_scene import BlendedValues, ProjectedScene
 from thermosplat.rasterizer.signals import Signal
 from warp_kernels.projection.projection import ProjectionSettings
 
@@ -117,7 +117,7 @@ def project(
         for name, (of_all, degree, *clamped) in (drawn or {}).items():
             values = _of_cameras(of_all, degree, cameras) if distributed else of_all
             per_camera = check_colors(name, values, means, settings.num_cameras, degree)
-            checked.append(Drawn(values, degree, per_camera, *clamped))
+            checked.append(BlendedValues(values, degree, per_camera, *clamped))
         return ProjectedScene(
             means,
             quats,

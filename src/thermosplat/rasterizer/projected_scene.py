@@ -24,7 +24,7 @@ from warp_kernels.color.color_step import ColorSettings
 from warp_kernels.projection.projection import ProjectionSettings
 
 
-class Drawn(NamedTuple):
+class BlendedValues(NamedTuple):
     """Colours or features, which are blended."""
 
     values: Tensor | tuple[Tensor, Tensor]
@@ -85,7 +85,7 @@ class ProjectedScene:
         settings: ProjectionSettings,
         tile_size: int,
         *,
-        drawn: Sequence[Drawn] = (),
+        drawn: Sequence[BlendedValues] = (),
         deterministic: bool = False,
         global_z_order: bool = True,
         lenses: Lenses | None = None,
@@ -165,7 +165,7 @@ class ProjectedScene:
             per_image = per_image * self.projected.compensations
         return per_image.contiguous()
 
-    def _per_image(self, drawn: Drawn) -> Tensor:
+    def _per_image(self, drawn: BlendedValues) -> Tensor:
         """Final values repeated for each camera where they are shared."""
         values = cast("Tensor", drawn.values)  # only coefficients come in pairs
         self._inputs.append((values, values.shape[-1]))
@@ -296,7 +296,7 @@ class ProjectedScene:
 _color_settings = functools.lru_cache(maxsize=256)(ColorSettings)
 
 
-def _harmonics(drawn: Drawn, settings: ProjectionSettings) -> Harmonics | None:
+def _harmonics(drawn: BlendedValues, settings: ProjectionSettings) -> Harmonics | None:
     """Coefficients as ``Project`` takes them; None of final values."""
     if drawn.sh_degree is None:
         return None

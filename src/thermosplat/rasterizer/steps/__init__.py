@@ -12,14 +12,16 @@ from thermosplat.rasterizer.steps.contributors import (
 from thermosplat.rasterizer.steps.harmonics import spherical_harmonics
 from thermosplat.rasterizer.steps.pixels import rasterize_to_pixels
 from thermosplat.rasterizer.steps.projected import fully_fused_projection
+from thermosplat.rasterizer.steps.sparse_contributors import (
+    rasterize_contributing_gaussian_ids_sparse,
+    rasterize_num_contributing_gaussians_sparse,
+    rasterize_top_contributing_gaussian_ids_sparse,
+)
 from thermosplat.rasterizer.steps.sparse_pixels import (
     SparseTileLayout,
     build_sparse_tile_layout,
     isect_tiles_sparse,
-    rasterize_contributing_gaussian_ids_sparse,
-    rasterize_num_contributing_gaussians_sparse,
     rasterize_to_pixels_sparse,
-    rasterize_top_contributing_gaussian_ids_sparse,
 )
 from thermosplat.rasterizer.steps.tiles import isect_offset_encode, isect_tiles
 

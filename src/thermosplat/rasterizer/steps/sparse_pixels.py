@@ -1,5 +1,7 @@
 """gsplat's functions of chosen pixels: their tiles, what those list, and the pixels' colours.
 
+What Gaussians the pixels show is in ``sparse_contributors``.
+
 A layout describes pixels by their tiles: ``active_tiles``, flat indices of the tiles that hold a pixel; a mask of bits
 for each; how many pixels lie in the tiles up to each; and the order of pixels by tile. Tiles without a chosen pixel
 list nothing, so that only chosen tiles are blended.
@@ -11,7 +13,6 @@ import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.steps.contributors import contributors_of, room_for_all, room_for_top
 from thermosplat.rasterizer.steps.pixels import rasterize_to_pixels
 from thermosplat.rasterizer.steps.tiles import isect_offset_encode, isect_tiles
 
@@ -183,106 +184,13 @@ def rasterize_to_pixels_sparse(
     tiles = (images, tile_height, tile_width)
     if means2d.dim() not in (2, 3):
         raise UserError(f"means2d must have shape [I, N, 2] or [nnz, 2], got {list(means2d.shape)}.")
-    offsets = _dense_offsets(active_tiles, tile_offsets, tiles)
+    offsets = offsets_of_all_tiles(active_tiles, tile_offsets, tiles)
     image, alphas = rasterize_to_pixels(
         means2d, conics, colors, opacities, image_width, image_height, tile_size, offsets, flatten_ids,
         backgrounds, masks, packed or means2d.dim() == 2, absgrad,
     )  # fmt: skip
-    chosen = _pixels(active_tiles, tile_pixel_mask, pixel_map, tiles, tile_size, (image_width, image_height))
+    chosen = flat_pixels(active_tiles, tile_pixel_mask, pixel_map, tiles, tile_size, (image_width, image_height))
     return image.reshape(-1, image.shape[-1])[chosen], alphas.reshape(-1, 1)[chosen]
-
-
-def rasterize_num_contributing_gaussians_sparse(
-    means2d: Tensor,
-    conics: Tensor,
-    opacities: Tensor,
-    active_tiles: Tensor,
-    tile_offsets: Tensor,
-    flatten_ids: Tensor,
-    tile_pixel_mask: Tensor,
-    tile_pixel_cumsum: Tensor,
-    pixel_map: Tensor,
-    image_width: int,
-    image_height: int,
-    tile_size: int,
-    tile_width: int,
-    tile_height: int,
-) -> tuple[Tensor, Tensor]:
-    """``rasterize_num_contributing_gaussians`` of chosen pixels, [P] each; arguments as in the other functions here."""
-    lists = (active_tiles, tile_offsets, flatten_ids, tile_pixel_mask, pixel_map)
-    size = (image_width, image_height, tile_size, tile_width, tile_height)
-    return _contributors(means2d, conics, opacities, *lists, *size, 0)[:2]
-
-
-def rasterize_contributing_gaussian_ids_sparse(
-    means2d: Tensor,
-    conics: Tensor,
-    opacities: Tensor,
-    active_tiles: Tensor,
-    tile_offsets: Tensor,
-    flatten_ids: Tensor,
-    tile_pixel_mask: Tensor,
-    tile_pixel_cumsum: Tensor,
-    pixel_map: Tensor,
-    num_contributing_gaussians: Tensor,
-    image_width: int,
-    image_height: int,
-    tile_size: int,
-    tile_width: int,
-    tile_height: int,
-) -> tuple[Tensor, Tensor]:
-    """``rasterize_contributing_gaussian_ids`` of chosen pixels, [P, most] each; arguments as in the others here."""
-    most = room_for_all(num_contributing_gaussians)
-    lists = (active_tiles, tile_offsets, flatten_ids, tile_pixel_mask, pixel_map)
-    size = (image_width, image_height, tile_size, tile_width, tile_height)
-    return _contributors(means2d, conics, opacities, *lists, *size, most)[2:]
-
-
-def rasterize_top_contributing_gaussian_ids_sparse(
-    means2d: Tensor,
-    conics: Tensor,
-    opacities: Tensor,
-    active_tiles: Tensor,
-    tile_offsets: Tensor,
-    flatten_ids: Tensor,
-    tile_pixel_mask: Tensor,
-    tile_pixel_cumsum: Tensor,
-    pixel_map: Tensor,
-    image_width: int,
-    image_height: int,
-    tile_size: int,
-    tile_width: int,
-    tile_height: int,
-    num_depth_samples: int,
-) -> tuple[Tensor, Tensor]:
-    """``rasterize_top_contributing_gaussian_ids`` of chosen pixels, [P, K] each; arguments as in the others here."""
-    lists = (active_tiles, tile_offsets, flatten_ids, tile_pixel_mask, pixel_map)
-    size = (image_width, image_height, tile_size, tile_width, tile_height)
-    return _contributors(means2d, conics, opacities, *lists, *size, room_for_top(num_depth_samples))[2:]
-
-
-def _contributors(
-    means2d: Tensor,
-    conics: Tensor,
-    opacities: Tensor,
-    active_tiles: Tensor,
-    tile_offsets: Tensor,
-    flatten_ids: Tensor,
-    tile_pixel_mask: Tensor,
-    pixel_map: Tensor,
-    width: int,
-    height: int,
-    tile_size: int,
-    tile_width: int,
-    tile_height: int,
-    room: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    per_image = tile_width * tile_height
-    images = int(active_tiles.max()) // per_image + 1 if len(active_tiles) > 0 else 1
-    tiles = (images, tile_height, tile_width)
-    chosen = _pixels(active_tiles, tile_pixel_mask, pixel_map, tiles, tile_size, (width, height))
-    offsets = _dense_offsets(active_tiles, tile_offsets, tiles)
-    return contributors_of(chosen, means2d, conics, opacities, offsets, flatten_ids, (width, height, tile_size), room)
 
 
 def _images(means2d: Tensor, image_ids: Tensor, *per_image: Tensor | None) -> int:
@@ -295,14 +203,23 @@ def _images(means2d: Tensor, image_ids: Tensor, *per_image: Tensor | None) -> in
     return int(image_ids.max()) + 1 if len(image_ids) > 0 else 1
 
 
-def _dense_offsets(active_tiles: Tensor, tile_offsets: Tensor, tiles: tuple[int, int, int]) -> Tensor:
-    """First pair of all tiles, of which those that are not active list nothing, int32 [images, rows, columns]."""
+def offsets_of_all_tiles(active_tiles: Tensor, tile_offsets: Tensor, tiles: tuple[int, int, int]) -> Tensor:
+    """First pair of each tile, where tiles that are not active list nothing.
+
+    Args:
+        active_tiles: As of ``build_sparse_tile_layout``, [AT].
+        tile_offsets: As of ``isect_tiles_sparse``, [AT + 1].
+        tiles: Images, rows and columns of tiles.
+
+    Returns:
+        int32 [images, rows, columns].
+    """
     counts = torch.zeros(tiles[0] * tiles[1] * tiles[2], dtype=torch.int64, device=tile_offsets.device)
     counts[active_tiles.long()] = tile_offsets.long().diff()
     return (counts.cumsum(0) - counts).int().view(tiles)
 
 
-def _pixels(
+def flat_pixels(
     active_tiles: Tensor,
     tile_pixel_mask: Tensor,
     pixel_map: Tensor,
@@ -310,7 +227,19 @@ def _pixels(
     tile_size: int,
     size: tuple[int, int],
 ) -> Tensor:
-    """Flat indices image · H · W + y · W + x of the pixels, in the order that the caller gave them in, int64 [P]."""
+    """Flat indices of the pixels of a layout.
+
+    Args:
+        active_tiles: As of ``build_sparse_tile_layout``, and so are the next two, [AT].
+        tile_pixel_mask: [AT, words].
+        pixel_map: [P].
+        tiles: Images, rows and columns of tiles.
+        tile_size: Edge of a tile [px].
+        size: Width and height of an image [px].
+
+    Returns:
+        image · H · W + y · W + x of each pixel, in the order that the caller gave them in, int64 [P].
+    """
     words = tile_pixel_mask.view(torch.int64)
     bits = (words[..., None] >> torch.arange(WORD, device=words.device)) & 1
     number, within = bits.flatten(1).nonzero().unbind(-1)
