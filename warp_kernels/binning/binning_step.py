@@ -1,7 +1,6 @@
 """The step that lists the Gaussians of each tile in depth order: its launches, sorts and scan. No gradient."""
 
-import functools
-from collections.abc import Callable
+from typing import NamedTuple
 
 import warp as wp
 
@@ -72,43 +71,89 @@ def bin_tiles(
     Raises:
         TooManyPairsError: for more pairs, or room for more, than ``PAIRS_MAX``, or more tiles than ``TILES_MAX``.
     """
-    device, dtype = opacities.device, opacities.dtype
-    lanes = lanes_of(device)
-    count_kernel, compact_kernel, gather_kernel, emit_kernel = binning_kernels(dtype, lanes)
-    entries = projected.means2d.shape[0]
     tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)
-    num_tiles = settings.num_images * tiles_x * tiles_y
+    grid = _Grid(settings, tile_size, tiles_x, tiles_y, settings.num_images * tiles_x * tiles_y)
+    if grid.num_tiles > TILES_MAX:
+        raise TooManyPairsError(f"{grid.num_tiles:,} tiles of {tile_size} px exceed the {TILES_MAX:,} of one call.")
+    if room is not None:
+        grid.check(room.pairs)
+    nearest_first = _sort_gaussians(projected, opacities, thermal_opacities, (features, rest), grid, room)
+    return _list_pairs(projected, opacities, thermal_opacities, nearest_first, grid, by_slot, room)
 
+
+class _Grid(NamedTuple):
+    """The tiles of all images."""
+
+    settings: ProjectionSettings
+    tile_size: int
+    tiles_x: int
+    tiles_y: int
+    num_tiles: int
+
+    def overlaps(self, num_pairs: int) -> str:
+        """The pairs in words."""
+        tiles = f"{self.num_tiles:,} tiles of {self.tile_size} px"
+        return f"{num_pairs:,} overlaps of {self.settings.num_gaussians:,} Gaussians with {tiles}"
+
+    def check(self, num_pairs: int) -> None:
+        """Refuses more pairs, or room for more, than can be numbered."""
+        if num_pairs > PAIRS_MAX:
+            message = f"{self.overlaps(num_pairs)} exceed the {PAIRS_MAX:,} that one call can number."
+            raise TooManyPairsError(message)
+
+
+class _SortedGaussians(NamedTuple):
+    """The Gaussians of all images, nearest first: those that touch a tile, or all where there are few."""
+
+    order: wp.array
+    """Flat index of each, int32 [ranks]."""
+    pair_ends: wp.array
+    """Pairs of the Gaussians up to each, itself included, int64 [ranks]."""
+    ranks: int
+    num_pairs: int
+    """Pairs of all, or the room for them."""
+    tiles_per_gaussian: wp.array
+    """int32 [images · N]."""
+    totals: wp.array | None
+    """Where some Gaussians were left out: running sums of pairs and Gaussians, a warp of Gaussians an entry."""
+
+
+def _sort_gaussians(
+    projected: ProjectedArrays,
+    opacities: wp.array,
+    thermal_opacities: wp.array,
+    features: tuple[wp.array, wp.array | None],
+    grid: _Grid,
+    room: Room | None,
+) -> _SortedGaussians:
+    """Counts the tiles of each Gaussian, leaves out those without (if there are many), and sorts by depth."""
+    device, dtype = opacities.device, opacities.dtype
+    count_kernel, compact_kernel, gather_kernel, _ = binning_kernels(dtype, lanes_of(device))
+    entries = projected.means2d.shape[0]
     tiles_per_gaussian = empty(entries, wp.int32, device)
     counted = [
-        settings.width,
-        settings.height,
-        tile_size,
+        grid.settings.width,
+        grid.settings.height,
+        grid.tile_size,
         projected.means2d,
         projected.roots,
         projected.extents,
         projected.depths,
         opacities,
         thermal_opacities,
-        features,
-        rest,
+        *features,
         projected.radii,
         tiles_per_gaussian,
     ]
     compacted, ranks, totals = entries > COMPACTED, entries, None
     num_pairs = None if room is None else room.pairs
-    if num_tiles > TILES_MAX:
-        raise TooManyPairsError(f"{num_tiles:,} tiles of {tile_size} px exceed the {TILES_MAX:,} of one call.")
-    overlaps = functools.partial(_overlaps, settings, num_tiles, tile_size)
-    if num_pairs is not None:
-        _check_pairs(num_pairs, overlaps)
     if compacted:
-        totals = empty(-(-entries // lanes), Totals, device)
+        totals = empty(-(-entries // lanes_of(device)), Totals, device)
         launch(count_kernel, whole_warps(entries, device), [*counted, totals, None, None], device)
         wp.utils.array_scan(totals, totals, inclusive=True)
         if room is None:
             num_pairs, ranks = memory.source.last(totals)
-            _check_pairs(num_pairs, overlaps)  # before room for ranks, of which each has one at least
+            grid.check(num_pairs)  # before room for ranks, of which each has one at least
         else:
             ranks = min(entries, room.pairs, room.gaussians)
     # radix_sort_pairs sorts in place and needs room for a second copy
@@ -125,9 +170,22 @@ def bin_tiles(
         wp.utils.array_scan(pair_ends, pair_ends, inclusive=True)
     if num_pairs is None:
         num_pairs = memory.source.last(pair_ends) if ranks > 0 else 0
-        _check_pairs(num_pairs, overlaps)
-    del depth_keys, unsorted
+        grid.check(num_pairs)
+    return _SortedGaussians(order, pair_ends, ranks, num_pairs, tiles_per_gaussian, totals)
 
+
+def _list_pairs(
+    projected: ProjectedArrays,
+    opacities: wp.array,
+    thermal_opacities: wp.array,
+    nearest_first: _SortedGaussians,
+    grid: _Grid,
+    by_slot: bool,
+    room: Room | None,
+) -> TileBins:
+    """Emits the pairs in the order of the Gaussians, sorts them by tile, and finds where each tile begins."""
+    device, settings = opacities.device, grid.settings
+    num_pairs, num_tiles = nearest_first.num_pairs, grid.num_tiles
     try:
         keys = empty(2 * num_pairs, wp.int32, device)
         values = empty(2 * num_pairs, wp.int32, device)
@@ -138,7 +196,7 @@ def bin_tiles(
     except Exception as error:
         # Of what kind depends on the allocator; what was asked for is known here only.
         error.add_note(
-            f"While making room for {overlaps(num_pairs)}, about "
+            f"While making room for {grid.overlaps(num_pairs)}, about "
             f"{(6 if by_slot else 5) * 4 * num_pairs / 2**20:,.0f} MiB on {device}."
         )
         raise
@@ -147,16 +205,17 @@ def bin_tiles(
         if room is not None:
             # Places that stay empty carry a tile after the last and sort to the end.
             memory.source.fill(keys, num_pairs, num_tiles)
+        *_, emit_kernel = binning_kernels(opacities.dtype, lanes_of(device))
         launch(
             emit_kernel,
-            whole_warps(ranks, device),
+            whole_warps(nearest_first.ranks, device),
             [
                 settings.num_gaussians,
                 settings.width,
                 settings.height,
-                tile_size,
-                tiles_x,
-                tiles_y,
+                grid.tile_size,
+                grid.tiles_x,
+                grid.tiles_y,
                 by_slot,
                 masked,
                 num_pairs,
@@ -165,9 +224,9 @@ def bin_tiles(
                 projected.extents,
                 opacities,
                 thermal_opacities,
-                order,
-                tiles_per_gaussian,
-                pair_ends,
+                nearest_first.order,
+                nearest_first.tiles_per_gaussian,
+                nearest_first.pair_ends,
                 keys,
                 values,
                 owners,
@@ -175,26 +234,27 @@ def bin_tiles(
             device,
         )
         wp.utils.radix_sort_pairs(keys, values, num_pairs, 0, max(1, num_tiles.bit_length()))
+    ends = nearest_first.pair_ends
     launch_again(
         tile_ranges_kernel,
         num_pairs + 1,
-        [num_pairs, num_tiles, by_slot, masked, pair_ends, keys, values, owners, tile_offsets, gaussian_ids, masks],
+        [num_pairs, num_tiles, by_slot, masked, ends, keys, values, owners, tile_offsets, gaussian_ids, masks],
         device,
     )
     return TileBins(
         gaussian_ids=gaussian_ids,
         masks=masks,
         tile_offsets=tile_offsets,
-        order=order,
-        pair_ends=pair_ends,
-        totals=totals,
-        tiles_per_gaussian=tiles_per_gaussian,
+        order=nearest_first.order,
+        pair_ends=ends,
+        totals=nearest_first.totals,
+        tiles_per_gaussian=nearest_first.tiles_per_gaussian,
         slots=values if by_slot else None,
         num_pairs=num_pairs,
         expected_pairs=num_pairs if room is None else room.expected_pairs,
-        tile_size=tile_size,
-        tiles_x=tiles_x,
-        tiles_y=tiles_y,
+        tile_size=grid.tile_size,
+        tiles_x=grid.tiles_x,
+        tiles_y=grid.tiles_y,
     )
 
 
@@ -210,15 +270,3 @@ def sort_by_depth(keys: wp.array, values: wp.array, count: int) -> None:
     digit = DIGIT if count <= FEW_SORTED and keys.device.is_cpu else bits
     for first in range(0, bits, digit):
         wp.utils.radix_sort_pairs(keys, values, count, first, min(first + digit, bits))
-
-
-def _overlaps(settings: ProjectionSettings, num_tiles: int, tile_size: int, num_pairs: int) -> str:
-    """The pairs in words."""
-    tiles = f"{num_tiles:,} tiles of {tile_size} px"
-    return f"{num_pairs:,} overlaps of {settings.num_gaussians:,} Gaussians with {tiles}"
-
-
-def _check_pairs(num_pairs: int, overlaps: Callable[[int], str]) -> None:
-    """Refuses more pairs, or room for more, than can be numbered."""
-    if num_pairs > PAIRS_MAX:
-        raise TooManyPairsError(f"{overlaps(num_pairs)} exceed the {PAIRS_MAX:,} that one call can number.")
