@@ -13,7 +13,7 @@ need. A third opacity takes a traversal of its own; spectra that share α take n
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -23,6 +23,7 @@ from thermosplat.config.checks import check_config
 from thermosplat.fused.covered_images import warp_covered
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
+from thermosplat.scene.feature_passes import blend_features
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.gaussians_in_view import GaussiansInView, gaussians_in_view
 from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians, sets_of
@@ -36,11 +37,9 @@ from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.scene.view_directions import view_directions
 from thermosplat.scene.views import (
     Rendering,
-    blended_features,
     render_two_opacities,
     render_view,
     render_view_depth,
-    split_features,
 )
 from thermosplat.spectra import Spectrum, model_spectra
 
@@ -241,42 +240,7 @@ class SceneModel(nn.Module):
         rendered: RenderedFrame,
     ) -> None:
         """Spectra of one camera: features blended at each opacity, then decoded."""
-        gaussians = sets[SHARED]
-        blended = blended_features(gaussians, view, how)
-        waiting = dict.fromkeys(name for name in names if name in gaussians.second_opacities)
-        at_alpha = [name for name in names if name not in waiting]
-        colors: Tensor | None = None
-        features: dict[str, Tensor] = {}
-
-        def keep(called: Sequence[str], image: Tensor, alpha: Tensor) -> None:
-            split, spreads = split_features(gaussians, image, alpha, how)
-            for name in called:
-                features[name], rendered.alphas[name] = split, alpha
-            rendered.depth_spreads += spreads
-
-        if self.photograph in at_alpha:
-            second = next(iter(waiting), None)
-            output = render_two_opacities(gaussians, second, blended, view, how)
-            # squeeze, not [0], whose gradient would be copied into zeros
-            colors = output.render_colors.squeeze(0)
-            keep(at_alpha, output.render_features.squeeze(0), output.render_alphas.squeeze(0))
-            called = list(at_alpha)
-            if second is not None:
-                waiting.pop(second)
-                called.append(second)
-                keep([second], output.render_thermal_features.squeeze(0), output.render_thermal_alphas.squeeze(0))  # type: ignore[union-attr]
-            _note_call(rendered, SHARED, called, output.info)
-        elif at_alpha:
-            image, alpha, info = render_view(gaussians, blended, gaussians.logit_opacities, view, how)
-            keep(at_alpha, image, alpha)
-            if not how.geometry_held:
-                _note_call(rendered, SHARED, at_alpha, info)
-        for name in waiting:
-            image, alpha, info = render_view(gaussians, blended, gaussians.logits_in(name), view, how)
-            keep([name], image, alpha)
-            if not how.geometry_held:
-                _note_call(rendered, SHARED, [name], info)
-
+        features, colors = blend_features(sets[SHARED], names, self.photograph, view, how, rendered)
         decoded = decoders.decode({name: self.decoder_input(view, features[name]) for name in names})
         for name in sorted(names, key=lambda name: name == self.photograph):  # the photograph last
             base = None
@@ -324,7 +288,7 @@ class SceneModel(nn.Module):
             rendered.images[first] = self._sh_image(first, output.render_colors.squeeze(0))
             rendered.images[second] = self._sh_image(second, colors.squeeze(0))
             rendered.alphas[first], rendered.alphas[second] = output.render_alphas.squeeze(0), alphas.squeeze(0)
-            _note_call(rendered, SHARED, [first, second], output.info)
+            rendered.note_call(SHARED, [first, second], output.info)
         for name in rest:
             gaussians = sets[self.set_of(name)]
             backgrounds = how.backgrounds if self.spectra[name].is_photograph else None
@@ -338,7 +302,7 @@ class SceneModel(nn.Module):
             )
             rendered.images[name] = self._sh_image(name, image)
             if not how.geometry_held:
-                _note_call(rendered, self.set_of(name), [name], info)
+                rendered.note_call(self.set_of(name), [name], info)
 
     def _sh_image(self, name: str, colors: Tensor) -> Tensor:
         """A spectrum's image [H, W, channels] of its blended SH colours [H, W, 3].
@@ -414,9 +378,3 @@ def _check_decoders(saved: Mapping[str, Tensor] | None, config: TrainConfig, spe
     for name, value in asked.items():
         if shapes.get(name) != list(value.shape):
             raise ValueError(f"decoders.{name} has the shape {shapes.get(name)}, not {list(value.shape)}")
-
-
-def _note_call(rendered: RenderedFrame, name: str, spectra: Sequence[str], info: dict[str, Any]) -> None:
-    """Keep what the rasterization says about a call, under the name of the Gaussian set."""
-    info["spectra"] = tuple(spectra)
-    rendered.infos.setdefault(name, []).append(info)

@@ -1,5 +1,6 @@
 """What a model renders of one frame: the tensors that losses, metrics and densification read."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,6 +33,17 @@ class RenderedFrame:
     about these."""
     blank: list[Tensor] = field(default_factory=list)
     """Images of nothing, of calls that were made for the views of other ranks alone."""
+
+    def note_call(self, gaussian_set: str, spectra: Sequence[str], info: dict[str, Any]) -> None:
+        """Keep what the rasterization says about a call.
+
+        Args:
+            gaussian_set: Name of the set that it rendered.
+            spectra: The spectra that it was for.
+            info: As ``rasterization`` returns it.
+        """
+        info["spectra"] = tuple(spectra)
+        self.infos.setdefault(gaussian_set, []).append(info)
 
     def bend(self, spectrum: str, K: Tensor, coefficients: Tensor) -> None:
         """Resample all that was rendered of a spectrum as its lens shows it.

@@ -5,9 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from thermosplat.distributed.collectives import tensors_of_all
 from thermosplat.fused.activations import activated
-from thermosplat.fused.depth_spread import features_and_spread, with_depth_moments
 from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.scene.gaussians import Gaussians
 
@@ -180,45 +178,6 @@ def render_two_opacities(
         deterministic=rendering.deterministic,
         distributed=rendering.distributed,
     )
-
-
-def blended_features(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:
-    """What is blended: features [N, d] or their coordinates [N, r], and log-depth where its spread is asked for.
-
-    Where the set is divided over ranks, with log-depth in each rank's view, [W, N, ...].
-
-    Args:
-        gaussians: The set.
-        view: Camera and pose.
-        rendering: Whether the spread is asked for.
-    """
-    if rendering.depth_spread_limit is None:
-        return gaussians.features
-    means = gaussians.means.detach() if rendering.geometry_held else gaussians.means
-    if not rendering.distributed:
-        return with_depth_moments(gaussians.features, means, view.viewmat)
-    viewmats = tensors_of_all(view.viewmat.detach())
-    return torch.stack([with_depth_moments(gaussians.features, means, viewmat) for viewmat in viewmats])
-
-
-def split_features(
-    gaussians: Gaussians, image: Tensor, alpha: Tensor, rendering: Rendering
-) -> tuple[Tensor, list[Tensor]]:
-    """What was blended of ``blended_features``.
-
-    Args:
-        gaussians: The set.
-        image: The image.
-        alpha: Its accumulated opacity, [H, W, 1].
-        rendering: Whether the spread is asked for.
-
-    Returns:
-        Features [H, W, d], and the spread of depths, a scalar, where it was asked for.
-    """
-    if rendering.depth_spread_limit is None:
-        return gaussians.expanded(image), []
-    blended, spread = features_and_spread(image, alpha, rendering.depth_spread_limit)
-    return gaussians.expanded(blended), [spread]
 
 
 def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tuple[Tensor, Tensor]:
