@@ -13,6 +13,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from thermosplat.config import TrainConfig
 from thermosplat.scene.decoders import Decoders
 from thermosplat.scene.spectrum_decoders import SpectrumDecoders
 from thermosplat.training.fused_decoders import FusedDecoders, teams
@@ -58,6 +59,22 @@ class FastDecoders:
         finally:
             del self.decoders.decode
             torch.set_float32_matmul_precision(precision)
+
+
+def fast_decoders(
+    decoders: Decoders | SpectrumDecoders | None, config: TrainConfig, device: torch.device
+) -> FastDecoders | None:
+    """The decoders as a configuration wants them in steps; None where those are the plain ones, or there are none.
+
+    Args:
+        decoders: The model's.
+        config: The whole configuration.
+        device: Where they are.
+    """
+    on_cuda = device.type == "cuda"
+    if decoders is None or not (on_cuda or config.decoder_precision == "bfloat16"):
+        return None
+    return FastDecoders(decoders, compiled=on_cuda and config.compile, precision=config.decoder_precision)
 
 
 def _fused(decoders: Decoders | SpectrumDecoders) -> FusedDecoders | None:

@@ -36,7 +36,7 @@ from thermosplat.training.budget.noise_floor import noise_floors
 from thermosplat.training.camera_rounds import CameraRounds
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_ops import become_copy
-from thermosplat.training.fast_decoders import FastDecoders
+from thermosplat.training.fast_decoders import fast_decoders
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.resolution_schedule import most_gaussians, resolution_note
@@ -50,6 +50,7 @@ from thermosplat.training.session.checkpoint_writer import (
     going_on_without,
     naming_the_newest_checkpoint,
 )
+from thermosplat.training.session.fatal_errors import image_lost_error, not_finite_error
 from thermosplat.training.session.greeting import greeting
 from thermosplat.training.session.interruption import TrainingInterrupted, meanwhile
 from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
@@ -105,13 +106,10 @@ class Trainer:
         floors, floor_notes = noise_floors(config, noise_of)
         self.noise_notes = (*smoothness_notes, *floor_notes)
         self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device), floors=floors)
-        on_cuda = self.device.type == "cuda"
-        if on_cuda:
+        if self.device.type == "cuda":
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
-        if self.model.decoders is not None and (on_cuda or config.decoder_precision == "bfloat16"):
-            fast = FastDecoders(
-                self.model.decoders, compiled=on_cuda and config.compile, precision=config.decoder_precision
-            )
+        fast = fast_decoders(self.model.decoders, config, self.device)
+        if fast is not None:
             self.device_step.decoding = fast.active
         self.steps: PlainSteps | CapturedSteps | BatchSteps = self._make_steps()
         self.checkpoints = CheckpointWriter(self.logger.say)
@@ -207,13 +205,7 @@ class Trainer:
         config, state = self.config, self.state
         started = time.perf_counter() - state.seconds.wall
         try:
-            remark = self.results.find_lpips()
-            self.run.sweep()
-            self.run.write_config(self.asked)
-            self.run.write_environment(self.device)
-            evaluates = state.step == config.max_steps or self.results.lack_evaluation()
-            self.logger.start(state.step, evaluates=evaluates)
-            self._greet(remark)
+            self._begin()
             self._keep_images()
             if self.budget is not None:
                 self.budget.do_what_is_due(self.sh_degree)
@@ -259,6 +251,18 @@ class Trainer:
             self.frames.close()
             self.logger.close()
             self.checkpoints.wait()
+
+    def _begin(self, *first_words: str) -> None:
+        """Write what the run is asked for, and say what is trained on what."""
+        about_lpips = self.results.find_lpips()
+        self.run.sweep()
+        self.run.write_config(self.asked)
+        self.run.write_environment(self.device)
+        evaluates = self.state.step == self.config.max_steps or self.results.lack_evaluation()
+        self.logger.start(self.state.step, evaluates=evaluates)
+        for line in first_words:
+            self.logger.say(line)
+        self._greet(about_lpips)
 
     def _train_step(self) -> None:
         """One step: render a frame, compare it with its images, improve Gaussians and decoders."""
@@ -403,12 +407,8 @@ class Trainer:
         bad_step, name = found
         self.state.step = bad_step - 1  # the guard has kept every update since from being made
         frame = self.schedule.frame(self.state.step)
-        raise UserError(
-            f"The loss became NaN or infinite at step {bad_step:,} (term: {name}; frame: {frame.name}). "
-            f"Last finite state saved to {self._save()}.",
-            f"Check the images and the pose of that frame, then go on with: {self.run.resume_command()} "
-            "Or start again with smaller learning rates (--optimizer.means-lr and the others).",
-        )
+        where, suspects = f"frame: {frame.name}", "the pose of that frame"
+        raise not_finite_error(bad_step, name, where, suspects, self._save(), self.run.resume_command())
 
     def _stop_if_folder_gone(self) -> None:
         """Raise if the result folder was renamed or removed; what was trained is saved where it is now, or anew."""
@@ -423,8 +423,7 @@ class Trainer:
     def _image_lost(self, error: ImageLostError) -> UserError:
         """Save what there is; the error says which image is to be restored."""
         self._stop_if_not_finite()
-        message = f"{error.message} Checkpoint saved to {self._save()}."
-        return UserError(message, f"{error.hint} Then go on with: {self.run.resume_command()}".lstrip())
+        return image_lost_error(error, f"Checkpoint saved to {self._save()}.", self.run.resume_command())
 
     def _out_of_memory(self) -> UserError:
         """Save what there is; the error says what would need less memory."""

@@ -32,6 +32,7 @@ from thermosplat.training.camera_rounds import CameraRounds
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.offloading import refused
 from thermosplat.training.session.checkpoint_writer import going_on_without, naming_the_newest_checkpoint
+from thermosplat.training.session.fatal_errors import image_lost_error, not_finite_error
 from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
 from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
@@ -164,7 +165,8 @@ class DividedTrainer(Trainer):
         config, state, first = self.config, self.state, self.team.is_first
         started = time.perf_counter() - state.seconds.wall
         try:
-            self._alone(self._begin, to_its_end=True)
+            ranks = f"{self.team.size} devices, {config.batch_size} frames per step."
+            self._alone(lambda: self._begin(f"The Gaussians are divided over {ranks}"), to_its_end=True)
             self._keep_images()
             if self.budget is not None:
                 self.budget.do_what_is_due(self.sh_degree)
@@ -193,8 +195,7 @@ class DividedTrainer(Trainer):
             return metrics or {}
         except Exception as error:
             if isinstance(error, ImageLostError):
-                message, resume = f"{error.message} {self._what_is_saved()}", self.run.resume_command()
-                raise UserError(message, f"{error.hint} Then go on with: {resume}".lstrip()) from error
+                raise image_lost_error(error, self._what_is_saved(), self.run.resume_command()) from error
             if not is_out_of_memory(error):
                 raise
             raise self._out_of_memory() from error
@@ -202,18 +203,6 @@ class DividedTrainer(Trainer):
             self.frames.close()
             self.logger.close()
             self.checkpoints.wait()
-
-    def _begin(self) -> None:
-        config = self.config
-        remark = self.results.find_lpips()
-        self.run.sweep()
-        self.run.write_config(self.asked)
-        self.run.write_environment(self.device)
-        evaluates = self.state.step == config.max_steps or self.results.lack_evaluation()
-        self.logger.start(self.state.step, evaluates=evaluates)
-        ranks = f"{self.team.size} devices, {config.batch_size} frames per step."
-        self.logger.say(f"The Gaussians are divided over {ranks}")
-        self._greet(remark)
 
     def _leave_behind(self, whole: SceneModel, started: float) -> dict[str, Any]:
         """What a finished run leaves, from the whole model."""
@@ -330,12 +319,8 @@ class DividedTrainer(Trainer):
         saved = self._write()
         if not self.team.is_first:
             raise EndedElsewhere(2)
-        raise UserError(
-            f"The loss became NaN or infinite at step {bad_step:,} (term: {name}; on rank {rank}). Last finite state "
-            f"saved to {saved}.",
-            f"Check the images and the poses of the capture, then go on with: {self.run.resume_command()} "
-            "Or start again with smaller learning rates (--optimizer.means-lr and the others).",
-        )
+        suspects = "the poses of the capture"
+        raise not_finite_error(bad_step, name, f"on rank {rank}", suspects, saved, self.run.resume_command())
 
     def _what_is_saved(self) -> str:
         """Of a rank that failed within a step: the state is in the memories of all, which make no calls any more."""
