@@ -269,11 +269,11 @@ def test_render_layouts_and_bookmarks(run: Run, finished: Path, tmp_path: Path) 
 def test_render_says_what_browsers_play(run: Run, finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the extra one line says what to install; with it nothing is said."""
     words = ["--path", "ellipse", "--frames", 2]
-    assert "thermosplat[video]" not in run(render.main, finished, *words)[1]
+    assert ".[video]" not in run(render.main, finished, *words)[1]
     monkeypatch.setattr("thermosplat.pictures.video.browsers_play_videos", lambda: False)
     code, printed = run(render.main, finished, *words)
     assert code == 0
-    assert 'For H.264: pip install "thermosplat[video]"' in printed
+    assert 'For H.264: pip install ".[video]"' in printed
 
 
 def _before_desk(x: float) -> np.ndarray:

@@ -20,7 +20,7 @@ class RenderArguments(SpectraArguments, RunOnCaptureArguments):
     """interp: smoothly through the training views; ellipse: around the scene; spiral: in front of it; train, test: the
     views of that split themselves. Or a bookmarks file of thermosplat-view: smoothly through its bookmarks."""
     format: Literal["mp4", "png"] = "mp4"
-    """A video (H.264 with the extra "video" installed: pip install "thermosplat[video]"), or a folder of PNGs, named
+    """A video (H.264 after pip install ".[video]" in the repository), or a folder of PNGs, named
     by the frames on the train and test paths and numbered on the others."""
     layout: Literal["side-by-side", "wipe", "inset"] = "side-by-side"
     """Of several spectra: beside each other; a wipe whose edge wanders over the picture; or the others small inside
@@ -109,7 +109,9 @@ def _render(arguments: RenderArguments) -> int:
     if arguments.format == "mp4" and written.is_dir():
         print("No video encoder here, so PNGs were written.")
     elif arguments.format == "mp4" and not browsers_play_videos():
-        print('The video is MPEG-4, which some browsers do not play. For H.264: pip install "thermosplat[video]".')
+        print(
+            'The video is MPEG-4, which some browsers do not play. For H.264: pip install ".[video]" in the repository.'
+        )
     write_results_page(loaded.directory)
     print(f"{len(points)} images: {written}")
     return 0

@@ -22,7 +22,8 @@ def rasterio_module(name: str = "rasterio") -> ModuleType:
         return importlib.import_module(name)
     except ImportError as error:
         raise UserError(
-            "Maps are written by rasterio, which is not installed.", 'Install it: pip install "thermosplat[maps]".'
+            "Maps are written by rasterio, which is not installed.",
+            'Install it: pip install ".[maps]" in the repository.',
         ) from error
 
 

@@ -66,7 +66,8 @@ def tsdf_mesh(
         from skimage.measure import marching_cubes
     except ImportError as error:
         raise UserError(
-            "Meshes are made with scikit-image, which is not installed.", 'Install it: pip install "thermosplat[mesh]".'
+            "Meshes are made with scikit-image, which is not installed.",
+            'Install it: pip install ".[mesh]" in the repository.',
         ) from error
     low, high = bounds
     if not (np.isfinite(voxel) and voxel > 0):

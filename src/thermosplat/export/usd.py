@@ -31,7 +31,7 @@ def write_usd(path: Path, splats: Splats, *, name: str = "splats") -> WrittenSpl
     except (ImportError, AttributeError) as error:
         raise UserError(
             "USD files are written by usd-core 26.3 or later, which is not installed.",
-            'Install it: pip install "thermosplat[usd]". Or choose another --format.',
+            'Install it: pip install ".[usd]" in the repository. Or choose another --format.',
         ) from error
     shown = turned_y_up(drawable(splats))
     coefficients = np.concatenate([shown.sh0[:, None], shown.shN], axis=1).reshape(-1, 3)
