@@ -1,21 +1,23 @@
 """Adam of some rows: a float64 reference, row by row, and torch's Adam where all rows are used."""
 
 import math
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from thermosplat.fused.row_adam import RowAdam, Rows
+from thermosplat.torch_bridge.host_rows import in_host_rows
 from warp_kernels.training import row_adam
 
 RATE, EPS, BETAS = 0.1, 1e-15, (0.9, 0.999)
 COUNT, BASES = 23, 15
 
 
-def optimizer_of(values: Tensor, device: torch.device) -> tuple[torch.nn.Parameter, RowAdam]:
-    """A parameter of these values and its optimizer."""
-    parameter = torch.nn.Parameter(values.clone().to(device))
+def optimizer_of(values: Tensor, device: torch.device, on_host: bool = False) -> tuple[torch.nn.Parameter, RowAdam]:
+    """A parameter of these values, on the device or in the host's memory, and its optimizer."""
+    parameter = torch.nn.Parameter(in_host_rows(values, device) if on_host else values.clone().to(device))
     return parameter, RowAdam([parameter], lr=torch.full((), RATE, device=device), eps=EPS)
 
 
@@ -37,12 +39,15 @@ def draws(step: int, bases: int) -> tuple[Tensor, Tensor]:
     return indices, torch.randn(len(indices), bases, 3, generator=generator) * scale
 
 
-@pytest.mark.parametrize("at_once", [2**30, 50])
-def test_rows_follow_the_equations(device: torch.device, monkeypatch: pytest.MonkeyPatch, at_once: int) -> None:
+@pytest.mark.parametrize(("at_once", "on_host", "near"), [(2**30, False, 0), (50, True, 0), (2**30, True, 9)])
+def test_rows_follow_the_equations(
+    device: torch.device, monkeypatch: pytest.MonkeyPatch, at_once: int, on_host: bool, near: int
+) -> None:
     """Forty steps, coefficients of more degrees one after the other: used rows move, others and their moments wait."""
     monkeypatch.setattr(row_adam, "THREADS", at_once)
     start = torch.randn(COUNT, BASES, 3, generator=torch.Generator().manual_seed(0))
-    parameter, optimizer = optimizer_of(start, device)
+    parameter, optimizer = optimizer_of(start, device, on_host)
+    optimizer.rows_on_device = near
     p, m, v = start.double(), torch.zeros_like(start).double(), torch.zeros_like(start).double()
     beta1, beta2 = BETAS
     for step in range(1, 41):
@@ -113,3 +118,85 @@ def test_state_is_torchs(device: torch.device) -> None:
         assert torch.equal(back.state[again][key], value)
         assert torch.equal(reference.state[other][key].cpu(), value.cpu())
     assert back.param_groups[0]["lr"].item() == pytest.approx(RATE)
+
+
+@pytest.mark.parametrize("on_host", [True, False])
+def test_places_of_moments_do_not_matter(device: torch.device, on_host: bool) -> None:
+    """To the bit: none, some or all moments on the device, looked at after any step or never."""
+    start = torch.randn(COUNT, BASES, 3, generator=torch.Generator().manual_seed(0))
+    states = []
+    for near, looks in ((0, ()), (9, ()), (9, range(0, 20, 3)), (100, ())):
+        parameter, optimizer = optimizer_of(start, device, on_host)
+        optimizer.rows_on_device = near
+        for step in range(1, 21):
+            use_rows(optimizer, *draws(step, (8, 15)[step // 11]))
+            if step in looks:
+                assert optimizer.state[parameter]["exp_avg"].any()
+        found = optimizer.state[parameter]
+        states.append([parameter.detach(), found["exp_avg"], found["exp_avg_sq"], found["step"]])
+    for other in states[1:]:
+        assert all(map(torch.equal, other, states[0]))
+
+
+def test_what_is_written_to_the_state_counts(device: torch.device) -> None:
+    """Moments that somebody clears, or puts in the place of others, are those of the next step."""
+    parameter, optimizer = optimizer_of(torch.ones(COUNT, 8), device)
+    other, reference = optimizer_of(torch.ones(COUNT, 8), device)
+    optimizer.rows_on_device = 9
+    rows, gradient = torch.arange(COUNT), torch.ones(COUNT, 8)
+    for one in (optimizer, reference):
+        use_rows(one, rows, gradient)
+        one.state[one.parameter]["exp_avg"][torch.tensor([2, 20], device=device)] = 0.0
+        use_rows(one, rows, 2.0 * gradient)
+        one.state[one.parameter]["exp_avg_sq"] = torch.full((COUNT, 8), 0.5, device=device)
+        use_rows(one, rows, gradient)
+    assert torch.equal(parameter, other)
+    assert not torch.equal(parameter[2], parameter[3])
+    assert torch.equal(optimizer.state[parameter]["exp_avg_sq"], reference.state[other]["exp_avg_sq"])
+
+
+def test_moments_leave_the_device_by_halves(device: torch.device) -> None:
+    """Whoever needs the room asks until there are none; they are all there still."""
+    parameter, optimizer = optimizer_of(torch.ones(COUNT, 8), device)
+    optimizer.rows_on_device = 16
+    use_rows(optimizer, torch.arange(COUNT), torch.ones(COUNT, 8))
+    assert optimizer._near is not None
+    assert len(optimizer._near) == 16
+    left = []
+    while optimizer.leave_more_room():
+        left.append(optimizer.rows_on_device)
+        assert optimizer._near is None
+    assert left == [8, 4, 2, 0]
+    assert (optimizer.state[parameter]["exp_avg"] != 0).all()
+
+
+def test_a_full_device_keeps_fewer_moments(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is no room for as many rows as were asked for, the step takes as many as there is room for."""
+    parameter, optimizer = optimizer_of(torch.ones(COUNT, 8), device)
+    other, reference = optimizer_of(torch.ones(COUNT, 8), device)
+    optimizer.rows_on_device = 16
+    empty = torch.empty
+
+    def small(shape: tuple[int, int], **kwargs: Any) -> Tensor:
+        if shape[0] > 5:
+            raise torch.OutOfMemoryError
+        return empty(shape, **kwargs)
+
+    for one in (optimizer, reference):
+        use_rows(one, torch.tensor([1]), torch.ones(1, 8))
+        one.bring_home()
+    monkeypatch.setattr("thermosplat.fused.row_adam.torch.empty", small)
+    use_rows(optimizer, torch.arange(COUNT), torch.ones(COUNT, 8))
+    monkeypatch.undo()
+    use_rows(reference, torch.arange(COUNT), torch.ones(COUNT, 8))
+    assert optimizer.rows_on_device == 4
+    assert torch.equal(parameter, other)
+
+
+def test_other_states_are_left_to_be_refused(device: torch.device) -> None:
+    """Moments of another shape, or with one missing, are taken over as they are."""
+    for given in ({"exp_avg": torch.ones(3, 8), "exp_avg_sq": torch.ones(3, 8)}, {"exp_avg": torch.ones(COUNT, 8)}):
+        parameter, optimizer = optimizer_of(torch.ones(COUNT, 8), device)
+        optimizer.load_state_dict({"state": {0: {"step": torch.tensor(1.0), **given}}})
+        assert optimizer.state[parameter].keys() == {"step", *given}
+        assert optimizer.state[parameter]["exp_avg"] is given["exp_avg"]

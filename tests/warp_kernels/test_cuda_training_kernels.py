@@ -17,12 +17,13 @@ from warp_kernels.training.finite_check import note_bad_kernel
 from warp_kernels.training.gaussian_penalties import penalty_kernels
 from warp_kernels.training.position_noise import noise_kernel
 from warp_kernels.training.row_adam import row_adam_kernel
+from warp_kernels.training.row_fetch import row_fetch_kernel
 
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     """Adam and the finite check, with tables of addresses as arguments, and what is noted of pairs."""
-    adam = [adam_coefficients_kernel, adam_update_kernel, row_adam_kernel]
+    adam = [adam_coefficients_kernel, adam_update_kernel, row_adam_kernel, row_fetch_kernel]
     compile_all([*adam, note_bad_kernel, note_pairs_kernel], arch, tmp_path)
 
 

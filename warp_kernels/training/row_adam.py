@@ -1,7 +1,9 @@
 """Adam's update of some rows of a parameter; the others and their moments stay as they are.
 
 Parameter and moments may lie in the host's memory, pinned: the device then reads and writes these rows over the bus.
-The values of the rows come beside their gradient, since whoever had a gradient for them has fetched them already.
+The two moments of a number lie beside each other, and rows are padded, so that the threads of a warp read and write
+whole lines of 128 bytes. The values of the rows come beside their gradient, since whoever had a gradient for them has
+fetched them already.
 """
 
 from dataclasses import dataclass
@@ -14,13 +16,63 @@ from warp_kernels.machinery.tensor_tables import BLOCK, addresses
 from warp_kernels.training.adam import adam_coefficients_kernel
 
 THREADS = 2**30
-"""Numbers that one launch updates, at most: threads have numbers of 32 bits."""
+"""Threads of a launch, at most: they have numbers of 32 bits."""
+
+LINE = 4
+"""Pairs of numbers whose moments fill 64 bytes: rows are updated in multiples of these."""
+
+
+@wp.func_native("""
+    const wp::vec_t<4, float>* p = (const wp::vec_t<4, float>*)(rows.data + (size_t)row * rows.shape[1]) + place;
+#if defined(__CUDA_ARCH__)
+    if (((size_t)p & 15) == 0) {
+        const float4 all = *(const float4*)p;
+        return wp::vec_t<4, float>(all.x, all.y, all.z, all.w);
+    }
+#endif
+    return *p;
+""")
+def load_moments(rows: wp.array2d(dtype=wp.vec4), row: int, place: int) -> wp.vec4:
+    """Moments (m, v, m, v) of two numbers of a row, in one piece."""
+    ...
+
+
+@wp.func_native("""
+    wp::vec_t<4, float>* p = rows.data + (size_t)row * rows.shape[1] + place;
+#if defined(__CUDA_ARCH__)
+    if (((size_t)p & 15) == 0) {
+        *(float4*)p = make_float4(values[0], values[1], values[2], values[3]);
+        return;
+    }
+#endif
+    *p = values;
+""")
+def store_moments(rows: wp.array2d(dtype=wp.vec4), row: int, place: int, values: wp.vec4):
+    """Overwrites moments (m, v, m, v) of two numbers of a row, in one piece."""
+    ...
+
+
+@wp.func_native("""
+    float* p = rows.data + (size_t)row * rows.shape[1] + column;
+#if defined(__CUDA_ARCH__)
+    if (count == 2 && ((size_t)p & 7) == 0) {
+        *(float2*)p = make_float2(values[0], values[1]);
+        return;
+    }
+#endif
+    for (int k = 0; k < count; ++k) p[k] = values[k];
+""")
+def store_numbers(rows: wp.array2d(dtype=wp.float32), row: int, column: int, count: int, values: wp.vec2):
+    """Overwrites no, one or two numbers of a row, in one piece where they are aligned."""
+    ...
 
 
 @wp.kernel(name="row_adam_update", enable_backward=False, module="unique")
 def row_adam_kernel(
     first: wp.int64,
+    pairs: int,
     used: int,
+    length: int,
     share1: wp.float32,
     beta2: wp.float32,
     share2: wp.float32,
@@ -31,27 +83,46 @@ def row_adam_kernel(
     values: wp.array2d(dtype=wp.float32),  # [n, used]
     gradients: wp.array2d(dtype=wp.float32),  # [n, used]
     # inputs and outputs
-    exp_avg: wp.array2d(dtype=wp.float32),  # [N, K]
-    exp_avg_sq: wp.array2d(dtype=wp.float32),  # [N, K]
+    near: wp.array2d(dtype=wp.vec4),  # [R, L / 2]
+    far: wp.array2d(dtype=wp.vec4),  # [N, L / 2]
     # outputs
-    parameter: wp.array2d(dtype=wp.float32),  # [N, K]
+    parameter: wp.array2d(dtype=wp.float32),  # [N, K], or with padded rows [N, L]
 ):
-    """Moments and parameter of one number; threads that follow each other share a row, which is read in one piece."""
+    """Moments and parameter of two numbers; threads that follow each other share a row. Moments of the first R rows are
+    those in ``near``. Behind ``used`` moments stay as they are, and so does the parameter, but for the padding."""
     if blocked[0] != 0.0:
         return
     number = first + wp.int64(wp.tid())
-    place = int(number / wp.int64(used))
-    column = int(number - wp.int64(place) * wp.int64(used))
+    place = int(number / wp.int64(pairs))
+    pair = int(number - wp.int64(place) * wp.int64(pairs))
     row = int(indices[place])
-    g = gradients[place, column]
-    m = exp_avg[row, column]
-    v = exp_avg_sq[row, column]
-    m = m + share1 * (g - m)
-    v = beta2 * v + share2 * g * g
+    is_near = row < near.shape[0]
+    moments = wp.vec4()
+    if is_near:
+        moments = load_moments(near, row, pair)
+    else:
+        moments = load_moments(far, row, pair)
     c = coefficients[0]
-    exp_avg[row, column] = m
-    exp_avg_sq[row, column] = v
-    parameter[row, column] = values[place, column] - c[0] * m / (wp.sqrt(v) / c[1] + epsilon)
+    updated = wp.vec2()
+    count = int(0)
+    for k in range(2):
+        column = 2 * pair + k
+        if column < used:
+            g = gradients[place, column]
+            m = moments[2 * k]
+            v = moments[2 * k + 1]
+            m = m + share1 * (g - m)
+            v = beta2 * v + share2 * g * g
+            moments[2 * k] = m
+            moments[2 * k + 1] = v
+            updated[k] = values[place, column] - c[0] * m / (wp.sqrt(v) / c[1] + epsilon)
+        if count == k and (column < used or (column >= length and column < parameter.shape[1])):
+            count = k + 1
+    if is_near:
+        store_moments(near, row, pair, moments)
+    else:
+        store_moments(far, row, pair, moments)
+    store_numbers(parameter, row, 2 * pair, count, updated)
 
 
 @dataclass(frozen=True)
@@ -62,9 +133,10 @@ class RowAdamArrays:
         indices: int64 [n], the rows, each once.
         values: [n, used], the first numbers of these rows as they are. The others have no gradient and no moments.
         gradient: [n, used].
-        parameter: [N, K], K >= used.
-        exp_avg: [N, K], first moment.
-        exp_avg_sq: [N, K], second moment.
+        parameter: [N, K], K >= used; or with rows padded by numbers that mean nothing, [N, L].
+        near: vec4 [R, L / 2], both moments of two numbers (m, v, m, v) of the first R rows; L >= K is a multiple of 8.
+        far: vec4 [N, L / 2], the moments of the others; what it holds of the first R rows is not touched.
+        length: K.
         step: [1], updates done.
         rate: [1], learning rate.
     """
@@ -73,8 +145,9 @@ class RowAdamArrays:
     values: wp.array
     gradient: wp.array
     parameter: wp.array
-    exp_avg: wp.array
-    exp_avg_sq: wp.array
+    near: wp.array
+    far: wp.array
+    length: int
     step: wp.array
     rate: wp.array
 
@@ -93,8 +166,9 @@ def row_adam_update(rows: RowAdamArrays, blocked: wp.array, betas: tuple[float, 
     counted = [*betas, addresses([rows.rate]), blocked, addresses([rows.step]), coefficients]
     launch_again(adam_coefficients_kernel, 1, counted, device)
     number, used = rows.values.shape
-    scalars = [used, 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon]
-    arrays = [rows.indices, rows.values, rows.gradient, rows.exp_avg, rows.exp_avg_sq, rows.parameter]
-    for first in range(0, number * used, THREADS):
-        threads = min(THREADS, number * used - first)
+    pairs = -(-used // (2 * LINE)) * LINE
+    scalars = [pairs, used, rows.length, 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon]
+    arrays = [rows.indices, rows.values, rows.gradient, rows.near, rows.far, rows.parameter]
+    for first in range(0, number * pairs, THREADS):
+        threads = min(THREADS, number * pairs - first)
         launch_again(row_adam_kernel, threads, [first, *scalars, blocked, coefficients, *arrays], device, BLOCK)

@@ -1,6 +1,7 @@
 """Adam that updates some rows of a parameter by a Warp kernel; parameter and moments may lie in the host's memory."""
 
 import inspect
+from collections import defaultdict
 from typing import Any, NamedTuple
 
 import torch
@@ -8,7 +9,7 @@ import warp as wp
 from torch import Tensor
 
 from thermosplat.torch_bridge.arrays import view
-from thermosplat.torch_bridge.host_memory import host_empty, in_host_memory
+from thermosplat.torch_bridge.host_rows import on_cpu, paired, row_buffer, zero_pair
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.machinery.array_views import ArrayView
 from warp_kernels.training.row_adam import RowAdamArrays, row_adam_update
@@ -37,14 +38,30 @@ class RowAdam(torch.optim.Adam):
     Gaussian that was added late. Where every step uses all rows, the two are the same.
 
     The state and ``state_dict`` are ``torch.optim.Adam``'s. The rate ``lr`` must be a tensor on the parameter's device.
+
+    Moments of the first ``rows_on_device`` rows lie on the device between steps, so that less crosses the bus. Whoever
+    asks for ``state`` finds them in the host's memory: they are brought there, and fetched again by the next step.
     """
 
     # Torch's own, without what imports torch's compiler to hide them from it: a second of every start.
     add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
-    state_dict = inspect.unwrap(torch.optim.Adam.state_dict)
 
     rows: Rows | None = None
     """What the step under way has used; None: nothing, and there is no update."""
+    rows_on_device: int = 0
+    """Rows whose moments lie on the device, if there are as many and it has room for them."""
+    _near: Tensor | None = None
+    """Moments of the first rows, on the device, float32 [R, 2 L] as in ``host_rows.Pair.buffer``."""
+
+    @property
+    def state(self) -> defaultdict[Tensor, Any]:
+        """As every optimizer's."""
+        self.bring_home()
+        return self._state
+
+    @state.setter
+    def state(self, state: defaultdict[Tensor, Any]) -> None:
+        self._near, self._state = None, state
 
     @property
     def parameter(self) -> Tensor:
@@ -62,26 +79,71 @@ class RowAdam(torch.optim.Adam):
         if self.rows is None:
             return
         parameter, (indices, values) = self.parameter, self.rows
-        state, group = self.state[parameter], self.param_groups[0]
+        group, shape, length = self.param_groups[0], tuple(parameter.shape), parameter[0].numel()
+        state = self._state[parameter]
         if not state:
             state["step"] = torch.zeros((), device=parameter.device)
-            for key in ("exp_avg", "exp_avg_sq"):
-                state[key] = host_empty(tuple(parameter.shape), parameter.device).zero_()
+            state["exp_avg"], state["exp_avg_sq"] = zero_pair(shape, parameter.device)
+        moments = paired(state["exp_avg"], state["exp_avg_sq"], parameter.device)
+        state["exp_avg"], state["exp_avg_sq"] = moments
+        far, numbers = moments.buffer, row_buffer(parameter)
+        if self._near is None:
+            self._near = self._fetched(far)
         gradient = values if values.grad is None else values.grad.contiguous()  # None: there are no numbers
-        number, length = len(indices), parameter[0].numel()
+        number = len(indices)
         used = values.numel() // max(number, 1)
         with launches_on_torch_stream(blocked.device):
             arrays = RowAdamArrays(
                 indices=view(indices, wp.int64),
                 values=view(values, wp.float32, number, used),
                 gradient=view(gradient, wp.float32, number, used),
-                parameter=view(parameter, wp.float32, len(parameter), length),
-                exp_avg=view(state["exp_avg"], wp.float32, len(parameter), length),
-                exp_avg_sq=view(state["exp_avg_sq"], wp.float32, len(parameter), length),
+                parameter=view(numbers, wp.float32, *numbers.shape),
+                near=view(self._near, wp.vec4, len(self._near), far.shape[1] // 4),
+                far=view(far, wp.vec4, len(far), far.shape[1] // 4),
+                length=length,
                 step=_number(state["step"]),
                 rate=_number(group["lr"]),
             )
             row_adam_update(arrays, _number(blocked), tuple(group["betas"]), group["eps"])
+
+    def _fetched(self, far: Tensor) -> Tensor:
+        """The first rows of a buffer of moments on the device; fewer where it has no room for all of them."""
+        while True:
+            number = min(self.rows_on_device, len(far))
+            try:
+                return torch.empty((number, far.shape[1]), device=far.device).copy_(far[:number])
+            except torch.OutOfMemoryError:
+                self.leave_more_room()
+
+    @torch.no_grad()
+    def bring_home(self) -> None:
+        """Put all moments into the host's memory."""
+        if self._near is None:
+            return
+        for state in self._state.values():  # of the one parameter
+            moments = paired(state["exp_avg"], state["exp_avg_sq"], self._near.device)
+            moments.buffer[: len(self._near)].copy_(self._near)
+        self._near = None
+
+    def leave_more_room(self) -> bool:
+        """Have moments of half as many rows on the device from now on; of none where they are few.
+
+        Returns:
+            Whether there were any.
+        """
+        had, few = self.rows_on_device, len(self.parameter) // 16
+        self.bring_home()
+        self.rows_on_device = had // 2 if had // 2 > few else 0
+        return had > 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """As ``torch.optim.Adam``'s, with moments in ordinary tensors of the CPU: the device may have no room."""
+        packed: dict[str, Any] = inspect.unwrap(torch.optim.Adam.state_dict)(self)
+        states = {
+            place: {key: value if key == "step" else on_cpu(value) for key, value in state.items()}
+            for place, state in packed["state"].items()
+        }
+        return {**packed, "state": states}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over moments, into the host's memory; settings stay as they are.
@@ -89,13 +151,14 @@ class RowAdam(torch.optim.Adam):
         Args:
             state_dict: Of this class or of ``torch.optim.Adam``, of one parameter.
         """
-        device = self.parameter.device
+        parameter = self.parameter
         self.state.clear()
-        for moments in state_dict["state"].values():
-            self.state[self.parameter] = {
-                key: value.to(device) if value.dim() == 0 else in_host_memory(value, device)
-                for key, value in moments.items()
-            }
+        for given in state_dict["state"].values():
+            state = {key: value.to(parameter.device) if value.dim() == 0 else value for key, value in given.items()}
+            first, second = (state.get(key, parameter.new_empty(0)) for key in ("exp_avg", "exp_avg_sq"))
+            if first.shape == second.shape == parameter.shape:  # else who asked for it refuses it
+                state["exp_avg"], state["exp_avg_sq"] = paired(first, second, parameter.device)
+            self.state[parameter] = state
 
 
 def _number(tensor: Tensor) -> ArrayView:

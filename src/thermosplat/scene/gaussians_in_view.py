@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 import torch
 from torch import Tensor, nn
 
+from thermosplat.fused.row_fetch import fetched_rows
 from thermosplat.rasterizer import LensArguments, project
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.offloaded import OffloadedParameter, some_offloaded
@@ -43,8 +44,7 @@ class GaussiansInView(Gaussians):
         self.second_opacities = gaussians.second_opacities
         for name, parameter in gaussians.named_parameters():
             if isinstance(parameter, OffloadedParameter):
-                used = parameter.detach()[:, : (sh_degree + 1) ** 2 - 1] if is_band(name) else parameter.detach()
-                rows = torch.index_select(used, 0, indices)
+                rows = fetched_rows(parameter, indices, (sh_degree + 1) ** 2 - 1 if is_band(name) else None)
                 self.rows[name] = rows.requires_grad_(parameter.requires_grad and torch.is_grad_enabled())
                 value = rows
             else:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.packed_parameters import is_band
-from thermosplat.torch_bridge.host_memory import in_host_memory
+from thermosplat.torch_bridge.host_rows import in_host_rows, on_cpu
 
 
 class OffloadedParameter(nn.Parameter):
@@ -36,7 +36,7 @@ class OffloadedParameter(nn.Parameter):
             requires_grad: Whether it is trained.
         """
         values = values.detach()
-        made = cls(in_host_memory(values, device) if on_host else values.to(device), requires_grad)
+        made = cls(in_host_rows(values, device) if on_host else values.to(device), requires_grad)
         made.on_host = on_host
         return made
 
@@ -78,4 +78,4 @@ def stored_values(gaussians: nn.Module) -> dict[str, Tensor]:
         gaussians: A set of Gaussians.
     """
     on_host = {name for name, value in gaussians.named_parameters() if getattr(value, "on_host", False)}
-    return {name: value.cpu() if name in on_host else value for name, value in gaussians.state_dict().items()}
+    return {name: on_cpu(value) if name in on_host else value for name, value in gaussians.state_dict().items()}

@@ -9,7 +9,6 @@ are used by kernels alone, on the stream that used them before.
 """
 
 import math
-from typing import Any
 
 import torch
 import warp as wp
@@ -84,23 +83,5 @@ def host_empty(shape: tuple[int, ...], device: torch.device) -> Tensor:
 
 
 def is_in_host_memory(tensor: Tensor) -> bool:
-    """Whether a tensor's numbers lie in the host's memory, all of one that ``host_empty`` made."""
-    return not tensor.is_cuda or tensor.data_ptr() in _in_use
-
-
-def in_host_memory(values: Tensor, device: Any) -> Tensor:
-    """A tensor for a device's kernels whose numbers lie in the host's memory.
-
-    Args:
-        values: float32, anywhere.
-        device: As in ``host_empty``.
-
-    Returns:
-        The tensor itself where it is one; else a copy.
-    """
-    device = torch.device(device)
-    if device.type == "cuda" and device.index is None:
-        device = torch.device("cuda", torch.cuda.current_device())
-    if values.device == device and values.is_contiguous() and is_in_host_memory(values):
-        return values
-    return host_empty(tuple(values.shape), device).copy_(values)
+    """Whether a tensor's numbers lie in the host's memory, from the first on of one that ``host_empty`` made."""
+    return not tensor.is_cuda or tensor.numel() == 0 or tensor.data_ptr() in _in_use

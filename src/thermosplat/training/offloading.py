@@ -9,6 +9,7 @@ from thermosplat.datasets.host_memory import host_memory
 from thermosplat.errors import UserError
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import can_be_offloaded
+from thermosplat.torch_bridge.host_rows import row_length
 
 Offloaded = Literal["nothing", "moments", "all"]
 """What lies in the host's memory of the parameters that can: nothing, their moments, or they and their moments."""
@@ -19,6 +20,9 @@ OBSERVED_BYTES = 8
 """What density control keeps of a Gaussian."""
 SHARE_OF_DEVICE = 0.8
 """Of the device's memory that Gaussians may take: images, decoders and lists of pairs need the rest. Open choice."""
+SHARE_WITH_MOMENTS = 0.85
+"""Of the device's memory that Gaussians may take with moments that can go to the host's memory when a step needs more.
+2 million Gaussians in view at 1280x1024 take 1.4 GB, which is 0.09 of 15 GB. Open choice."""
 SHARE_OF_HOST = 0.5
 """Of the host's memory that offloaded parameters may take: images and checkpoints need it too. Open choice."""
 _GB = 1e9
@@ -40,8 +44,18 @@ def refused(config: TrainConfig, *, divided: bool = False) -> str | None:
     return None
 
 
-def decided(config: TrainConfig, model: SceneModel, device: torch.device) -> tuple[Offloaded, str | None]:
-    """What to offload, and a line that says so where there is something to say.
+class Decision(NamedTuple):
+    """What to offload."""
+
+    kind: Offloaded
+    note: str | None = None
+    """A line that says so, where there is something to say."""
+    rows_on_device: dict[str, int] | None = None
+    """By set, the first Gaussians whose moments are on the device nevertheless; None: of no Gaussian."""
+
+
+def decided(config: TrainConfig, model: SceneModel, device: torch.device) -> Decision:
+    """What to offload.
 
     Args:
         config: The whole configuration.
@@ -52,41 +66,52 @@ def decided(config: TrainConfig, model: SceneModel, device: torch.device) -> tup
         UserError: It is asked for where it does not work.
     """
     if config.offload == "off":
-        return "nothing", None
+        return Decision("nothing")
     why, most = refused(config), config.densification.max_gaussians or 0
-    sizes = [SetSize.of(model, name, most) for name in model.gaussian_sets]
-    if why is None and not any(size.movable for size in sizes):
+    sizes = {name: SetSize.of(model, name, most) for name in model.gaussian_sets}
+    if why is None and not any(size.movable for size in sizes.values()):
         why = "--offload found nothing to offload: there are no features and no spherical harmonics above degree 0."
+    growing = config.densification.enabled
     if config.offload != "auto":
         if why is not None:
             raise UserError(why, "Leave --offload out.")
-        return _said(f"--offload {config.offload}", "all" if config.offload == "on" else "moments", sizes, config)
+        return _said(f"--offload {config.offload}", "all" if config.offload == "on" else "moments", sizes, growing)
     if why is not None or device.type != "cuda":
-        return "nothing", None
-    free, growing = free_device_memory(device, config.gpu_memory), config.densification.enabled
-    whole = sum(size.on_device("nothing", growing) for size in sizes)
+        return Decision("nothing")
+    free = free_device_memory(device, config.gpu_memory)
+    whole = _on_device("nothing", sizes, growing)
     if whole <= SHARE_OF_DEVICE * free:
-        return "nothing", None
-    number = sum(size.number for size in sizes)
+        return Decision("nothing")
+    number = sum(size.number for size in sizes.values())
     needs = f"{number:,} Gaussians need {whole / _GB:.1f} GB, and {free / _GB:.1f} GB of the GPU are free"
-    steps: tuple[Offloaded, Offloaded] = ("moments", "all")
-    fitting = [kind for kind in steps if sum(size.on_device(kind, growing) for size in sizes) <= SHARE_OF_DEVICE * free]
-    kind = fitting[0] if fitting else "all"
-    on_host = sum(size.on_host(kind, growing) for size in sizes)
+    kind: Offloaded = "moments" if _on_device("moments", sizes, growing) <= SHARE_OF_DEVICE * free else "all"
+    on_host = sum(size.on_host(kind, growing) for size in sizes.values())
     if on_host > SHARE_OF_HOST * host_memory():
-        return "nothing", f"{needs}. The host has not the {on_host / _GB:.1f} GB that --offload would put there."
-    return _said(needs, kind, sizes, config)
+        line = f"{needs}. The host has not the {on_host / _GB:.1f} GB that --offload would put there."
+        return Decision("nothing", line)
+    # A refinement brings moments to the host's memory before it copies anything: steps alone count
+    left = SHARE_WITH_MOMENTS * free - _on_device(kind, sizes, False)
+    moments = sum(size.number * size.moment_bytes for size in sizes.values())
+    return _said(needs, kind, sizes, growing, min(max(left / moments, 0.0), 1.0))
 
 
-def _said(why: str, kind: Offloaded, sizes: "list[SetSize]", config: TrainConfig) -> tuple[Offloaded, str]:
-    growing = config.densification.enabled
-    on_host = sum(size.on_host(kind, growing) for size in sizes) / _GB
-    on_device = sum(size.on_device(kind, growing) for size in sizes) / _GB
+def _on_device(kind: Offloaded, sizes: "dict[str, SetSize]", growing: bool) -> float:
+    return sum(size.on_device(kind, growing) for size in sizes.values())
+
+
+def _said(why: str, kind: Offloaded, sizes: "dict[str, SetSize]", growing: bool, near: float = 0.0) -> Decision:
+    """A decision in a sentence; moments of a share ``near`` of the Gaussians are on the device."""
+    on_host = sum(size.on_host(kind, growing) for size in sizes.values()) / _GB
+    rows = {name: int(near * size.number) for name, size in sizes.items()}
+    moments = sum(count * sizes[name].moment_bytes for name, count in rows.items())
+    on_device = max(_on_device(kind, sizes, growing), _on_device(kind, sizes, False) + moments) / _GB
     what = "Spherical harmonics, features and their moments" if kind == "all" else "Moments of harmonics and features"
-    return kind, (
-        f"{why}. {what} lie in the host's memory: up to {on_host:.1f} GB there, {on_device:.1f} GB on the device. "
+    but = f" Moments of {near:.0%} of the Gaussians stay on the device." if any(rows.values()) else ""
+    line = (
+        f"{why}. {what} lie in the host's memory: up to {on_host:.1f} GB there, {on_device:.1f} GB on the device.{but} "
         "Adam updates them where Gaussians are in view."
     )
+    return Decision(kind, line, rows if any(rows.values()) else None)
 
 
 class SetSize(NamedTuple):
@@ -98,6 +123,8 @@ class SetSize(NamedTuple):
     """Numbers of each."""
     movable: int
     """Those of them that can be offloaded."""
+    padded: int
+    """As many as these take in the host's memory, where rows are padded."""
 
     @classmethod
     def of(cls, model: SceneModel, name: str, most: int = 0) -> "SetSize":
@@ -111,8 +138,14 @@ class SetSize(NamedTuple):
         gaussians = model.gaussians(name)
         parameters = dict(gaussians.named_parameters())
         each = {key: value[0].numel() if len(value) else 0 for key, value in parameters.items()}
-        movable = sum(size for key, size in each.items() if can_be_offloaded(key, parameters[key]))
-        return cls(max(len(gaussians), most), sum(each.values()), movable)
+        movable = [key for key in parameters if can_be_offloaded(key, parameters[key])]
+        padded = sum(row_length(parameters[key]) for key in movable)
+        return cls(max(len(gaussians), most), sum(each.values()), sum(each[key] for key in movable), padded)
+
+    @property
+    def moment_bytes(self) -> int:
+        """Bytes of a Gaussian's moments that can be offloaded, wherever they lie."""
+        return 8 * self.padded
 
     def on_device(self, kind: Offloaded, growing: bool) -> float:
         """Bytes on the device.
@@ -133,7 +166,7 @@ class SetSize(NamedTuple):
             kind: What is offloaded.
             growing: As in ``on_device``.
         """
-        each = {"nothing": 0, "moments": 8, "all": 12}[kind] * self.movable
+        each = {"nothing": 0, "moments": 8, "all": 12}[kind] * self.padded
         return self.number * each * (2 if growing else 1)
 
 

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.stop_signals import deferred_interrupts
-from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
+from thermosplat.training.training_step import Differentiated, StepKind, StepValues, TrainingStep
 
 
 class PlainSteps:
@@ -28,9 +28,12 @@ class PlainSteps:
             frame: The frame.
             kind: What is done with it.
         """
-        differentiated = self.step.gradients(frame, kind, fixed_capacity=False)
+        differentiated = self._differentiated(frame, kind)
         with deferred_interrupts():  # from here on the step is done as a whole
             yield self.step.update(kind, differentiated)
+
+    def _differentiated(self, frame: FrameTensors, kind: StepKind) -> Differentiated:
+        return self.step.gradients(frame, kind, fixed_capacity=False)
 
     def forget(self, *, kernels: bool = False) -> None:
         """Nothing was recorded that could be forgotten."""

@@ -43,6 +43,7 @@ from thermosplat.training.frames.resolution_schedule import most_gaussians, reso
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
 from thermosplat.training.image_noise import training_noise, with_measured_smoothness
+from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
 from thermosplat.training.plain_steps import PlainSteps
 from thermosplat.training.session.checkpoint_writer import (
@@ -93,9 +94,12 @@ class Trainer:
         self.schedule = SpectrumSchedule(config, self.frames)
         self.offloaded: Offloaded | None = None
         """What lies in the host's memory; None: nothing was decided yet."""
+        self.rows_on_device: dict[str, int] = {}
+        """By set, Gaussians whose offloaded moments are on the device as long as it has room for them."""
         self.offload_notes: tuple[str, ...] = ()
         self.model = self._make_model(checkpoint)
         self.state = TrainingState(self.model, config, capture, self.device)
+        self.state.keep_moments_on_device(self.rows_on_device)
         if checkpoint is not None:
             self.state.load(checkpoint)
         self.budget: Budget | None = self._make_budget() if config.budget == "auto" else None
@@ -137,8 +141,8 @@ class Trainer:
         else:
             model = SceneModel.from_checkpoint(checkpoint, "cpu")
         if self.offloaded is None:
-            self.offloaded, note = decided(self.config, model, self.device)
-            self.offload_notes = () if note is None else (note,)
+            self.offloaded, note, rows = decided(self.config, model, self.device)
+            self.offload_notes, self.rows_on_device = () if note is None else (note,), rows or {}
         for name in model.gaussian_sets if self.offloaded != "nothing" else ():
             offload(model.gaussians(name), self.device, parameters=self.offloaded == "all")
         return model.to(self.device)
@@ -154,6 +158,8 @@ class Trainer:
             return BatchSteps(self.device_step, self.frames, self.schedule)
         if self.device.type == "cuda" and self.config.graph and self.offloaded == "nothing":
             return CapturedSteps(self.device_step, len(self.frames))
+        if self.rows_on_device:
+            return OffloadedSteps(self.device_step, lambda line: self.logger.say(line))
         return PlainSteps(self.device_step)
 
     @classmethod

@@ -188,6 +188,20 @@ class TrainingState:
                 for parameter in optimizer.param_groups[0]["params"]:
                     parameter.grad = None  # Optimizer.zero_grad takes ten times as long
 
+    def keep_moments_on_device(self, rows: Mapping[str, int]) -> None:
+        """Keep moments of the first Gaussians of sets on the device, where sets are offloaded.
+
+        Args:
+            rows: How many, by name of the set.
+        """
+        for name, number in rows.items():
+            for optimizer in self.row_optimizers(name):
+                optimizer.rows_on_device = number
+
+    def row_optimizers(self, name: str) -> list[RowAdam]:
+        """Optimizers of what is offloaded of a set."""
+        return [optimizer for optimizer in self.optimizers[name].values() if isinstance(optimizer, RowAdam)]
+
     def gradients_to_watch(self) -> dict[str, list[Tensor]]:
         """The gradients there are, by set and parameter name; the decoders' all under one name.
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from thermosplat.scene.gaussians import OFFSETS
 from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.scene.rotation import rotate
-from thermosplat.torch_bridge.host_memory import host_empty, in_host_memory
+from thermosplat.torch_bridge.host_rows import paired, selected_pair, selected_rows
 
 Optimizers = dict[str, torch.optim.Adam]
 """One optimizer for each parameter name of a set of Gaussians."""
@@ -228,25 +228,27 @@ def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: f
 
 def _rebuild(gaussians: nn.Module, optimizers: Optimizers, rows: Tensor, num_kept: int) -> None:
     """Make Gaussian k a copy of the present one ``rows[k]``; the first ``num_kept`` keep their moments."""
+    states = {name: dict(optimizers[name].state.get(value, {})) for name, value in gaussians.named_parameters()}
     replacements = {}
     for name, parameter in gaussians.named_parameters():
-        offloaded = isinstance(parameter, OffloadedParameter)
-        new = parameter_like(parameter, _selected(parameter.detach(), rows, getattr(parameter, "on_host", False)))
-        state = dict(optimizers[name].state.get(parameter, {}))
-        for key, moment in state.items():
-            if key != "step":
-                state[key] = _selected(moment, rows, offloaded)
+        on_host = getattr(parameter, "on_host", False)
+        select = selected_rows if on_host else _selected
+        new, state = parameter_like(parameter, select(parameter.detach(), rows)), states[name]
+        if state and isinstance(parameter, OffloadedParameter):
+            moments = selected_pair(paired(state["exp_avg"], state["exp_avg_sq"], parameter.device), rows)
+            moments.buffer[num_kept:].zero_()
+            state["exp_avg"], state["exp_avg_sq"] = moments
+        else:
+            for key in state.keys() - {"step"}:
+                state[key] = _selected(state[key], rows)
                 state[key][num_kept:].zero_()
         replacements[name] = new, state
     replace_parameters(gaussians, optimizers, replacements)
 
 
-def _selected(values: Tensor, rows: Tensor, on_host: bool) -> Tensor:
-    """Rows of a parameter or of a moment [N, ...], in the host's memory where that is."""
-    if not on_host:
-        return torch.index_select(values, 0, rows)
-    selected = host_empty((len(rows), *values.shape[1:]), values.device)
-    return torch.index_select(values, 0, rows, out=selected)
+def _selected(values: Tensor, rows: Tensor) -> Tensor:
+    """Rows of a parameter or of a moment [N, ...]."""
+    return torch.index_select(values, 0, rows)
 
 
 def parameter_like(parameter: nn.Parameter, values: Tensor) -> nn.Parameter:
@@ -279,6 +281,7 @@ def replace_parameters(
         optimizers[name].param_groups[0]["params"] = [new]
         optimizers[name].state.pop(parameter, None)
         if state and isinstance(new, OffloadedParameter):
-            state = {key: v if key == "step" else in_host_memory(v, new.device) for key, v in state.items()}
+            moments = paired(state["exp_avg"], state["exp_avg_sq"], new.device)
+            state = {**state, "exp_avg": moments.first, "exp_avg_sq": moments.second}
         if state:
             optimizers[name].state[new] = state
