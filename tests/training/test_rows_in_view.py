@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat.config import DensificationConfig, TrainConfig
+from thermosplat.config import DensificationConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.fused.row_adam import RowAdam
 from thermosplat.runs.run_directory import RunDirectory
@@ -17,7 +17,7 @@ from thermosplat.training.training_step import StepKind
 from toy_run import many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
-KINDS = ["moments", "on"]
+KINDS = ["moments", "on", "on, some moments on the device"]
 MCMC = DensificationConfig(strategy="mcmc", start_step=2, stop_step=50, every=3, max_gaussians=90, growth=0.1)
 SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -41,7 +41,10 @@ def capture_of(aligned: bool = True) -> Capture:
 
 def trained(path: Path, steps: int, *, aligned: bool = True, **settings: Any) -> Trainer:
     """A trainer after some steps."""
-    trainer = toy_trainer(path, toy_run_config(**settings), capture_of(aligned))
+    kind, _, some = settings.pop("offload", "off").partition(", ")
+    trainer = toy_trainer(path, toy_run_config(**settings, offload=kind), capture_of(aligned))
+    if some:
+        trainer.state.keep_moments_on_device(dict.fromkeys(trainer.state.gaussian_sets, 25))
     while trainer.step < steps:
         trainer._train_step()
     return trainer
@@ -89,7 +92,7 @@ def test_what_is_out_of_view_stays(tmp_path: Path) -> None:
     assert optimizers["features"].state[held[1]]["step"] == 5
 
 
-@pytest.mark.parametrize(("first", "then"), [("on", "off"), ("off", "on"), ("moments", "on"), ("on", "on")])
+@pytest.mark.parametrize(("first", "then"), [("on", "off"), ("off", "on"), ("moments", "on"), (KINDS[2], "on")])
 def test_resumes_with_and_without(tmp_path: Path, first: str, then: str) -> None:
     """A checkpoint is the same file: what goes on from it ends where it would have ended otherwise."""
     config = toy_run_config(max_steps=6)
@@ -109,8 +112,7 @@ def test_a_whole_run(tmp_path: Path, kind: str) -> None:
     """Training, evaluation, a budget's removals and export: the same counts and nearly the same metrics."""
     found = {}
     for offload in ("off", kind):
-        config: TrainConfig = toy_run_config(max_steps=12, offload=offload, budget="auto", eval_steps=(5,))
-        trainer = toy_trainer(tmp_path / offload, config, capture_of())
+        trainer = trained(tmp_path / offload, 0, max_steps=12, offload=offload, budget="auto", eval_steps=(5,))
         found[offload] = trainer.train()
         assert (tmp_path / offload / "ply" / "splat_rgb.ply").is_file()
     for name in ("rgb", "thermal"):
@@ -128,7 +130,7 @@ def test_refinements_keep_rows_where_they_lie(tmp_path: Path, kind: str) -> None
             offloaded = isinstance(parameter, OffloadedParameter)
             assert offloaded == (name in ("shN", "features"))
             assert offloaded == isinstance(optimizers[name], RowAdam)
-            assert not offloaded or parameter.on_host == (kind == "on")
+            assert not offloaded or parameter.on_host == (kind != "moments")
             assert optimizers[name].param_groups[0]["params"][0] is parameter
 
     assert len(trainer.state.gaussian_sets["shared"]) > 60

@@ -106,9 +106,9 @@ def _said(why: str, kind: Offloaded, sizes: "dict[str, SetSize]", growing: bool,
     moments = sum(count * sizes[name].moment_bytes for name, count in rows.items())
     on_device = max(_on_device(kind, sizes, growing), _on_device(kind, sizes, False) + moments) / _GB
     what = "Spherical harmonics, features and their moments" if kind == "all" else "Moments of harmonics and features"
-    but = f" Moments of {near:.0%} of the Gaussians stay on the device." if any(rows.values()) else ""
+    but = f", between refinements those of {near:.0%} of the Gaussians on the device" if any(rows.values()) else ""
     line = (
-        f"{why}. {what} lie in the host's memory: up to {on_host:.1f} GB there, {on_device:.1f} GB on the device.{but} "
+        f"{why}. {what} lie in the host's memory{but}: up to {on_host:.1f} GB there, {on_device:.1f} GB on the device. "
         "Adam updates them where Gaussians are in view."
     )
     return Decision(kind, line, rows if any(rows.values()) else None)
