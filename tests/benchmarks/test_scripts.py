@@ -145,7 +145,7 @@ def test_memory_estimate_counts_the_tensors_of_a_training() -> None:
     # rows in the host's memory are padded to 48 + 8 numbers
     off, moments, on = ([float(cell.replace(",", "")) for cell in row[2:]] for row in offloaded)
     assert off == [68 * 16 + 44, 68 * 24, 0, 0]
-    assert moments == [15 * 16 + 53 * 4 + 44, 15 * 24 + 53 * 8, 56 * 8, 56 * 16]
+    assert moments == [15 * 16 + 53 * 4 + 44, 15 * 16 + 53 * 4 + 44, 56 * 8, 56 * 24]
     assert on == [15 * 16 + 44, 15 * 24, 56 * 12, 56 * 24]
 
 

@@ -6,12 +6,14 @@ fetches the rows of the Gaussians in view (``gaussians_in_view``) and where it u
 idea is CLM's (Zhao et al. 2025, arXiv 2511.04951).
 """
 
+from contextlib import suppress
+
 import torch
 from torch import Tensor, nn
 
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.packed_parameters import is_band
-from thermosplat.torch_bridge.host_rows import in_host_rows, on_cpu
+from thermosplat.torch_bridge.host_rows import has_padded_rows, in_host_rows, on_cpu
 
 
 class OffloadedParameter(nn.Parameter):
@@ -39,6 +41,18 @@ class OffloadedParameter(nn.Parameter):
         made = cls(in_host_rows(values, device) if on_host else values.to(device), requires_grad)
         made.on_host = on_host
         return made
+
+    @torch.no_grad()
+    def go_to_host(self) -> None:
+        """Have the numbers in the host's memory for a while, wherever they belong."""
+        self.data = in_host_rows(self.data, self.device)
+
+    @torch.no_grad()
+    def come_back(self) -> None:
+        """Have them on the device again where they belong there; where it has no room they stay, and all works on."""
+        if not self.on_host and has_padded_rows(self.data):
+            with suppress(torch.OutOfMemoryError):
+                self.data = self.data.clone(memory_format=torch.contiguous_format)
 
 
 def can_be_offloaded(name: str, parameter: Tensor) -> bool:
@@ -71,11 +85,11 @@ def some_offloaded(gaussians: nn.Module) -> bool:
 
 
 def stored_values(gaussians: nn.Module) -> dict[str, Tensor]:
-    """A set's state as checkpoints take it. What lies in the host's memory is copied to tensors of the CPU, so that
-    packing it takes none of the device's memory.
+    """A set's state as checkpoints take it. What is offloaded is copied to tensors of the CPU, so that packing it takes
+    none of the device's memory.
 
     Args:
         gaussians: A set of Gaussians.
     """
-    on_host = {name for name, value in gaussians.named_parameters() if getattr(value, "on_host", False)}
+    on_host = {name for name, value in gaussians.named_parameters() if isinstance(value, OffloadedParameter)}
     return {name: on_cpu(value) if name in on_host else value for name, value in gaussians.state_dict().items()}

@@ -157,17 +157,19 @@ class SetSize(NamedTuple):
         here = self.floats if kind == "nothing" else self.floats - self.movable
         alone = self.movable if kind == "moments" else 0  # parameters whose moments are elsewhere
         in_step = 16 * here + 4 * alone + STEP_BYTES + OBSERVED_BYTES
-        return self.number * (max(in_step, 24 * here + 8 * alone) if growing else in_step)
+        return self.number * (max(in_step, 24 * here) if growing else in_step)
 
     def on_host(self, kind: Offloaded, growing: bool) -> float:
         """Bytes in the host's memory.
 
         Args:
             kind: What is offloaded.
-            growing: As in ``on_device``.
+            growing: As in ``on_device``; of a refinement, which has parameters there, too.
         """
-        each = {"nothing": 0, "moments": 8, "all": 12}[kind] * self.padded
-        return self.number * each * (2 if growing else 1)
+        if kind == "nothing":
+            return 0.0
+        in_step = (8 if kind == "moments" else 12) * self.padded
+        return self.number * (24 * self.padded if growing else in_step)
 
 
 def limit_device_memory(device: torch.device, gigabytes: float) -> None:

@@ -228,22 +228,38 @@ def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: f
 
 def _rebuild(gaussians: nn.Module, optimizers: Optimizers, rows: Tensor, num_kept: int) -> None:
     """Make Gaussian k a copy of the present one ``rows[k]``; the first ``num_kept`` keep their moments."""
+    # To look at the state of what is offloaded brings all of it to the host's memory
     states = {name: dict(optimizers[name].state.get(value, {})) for name, value in gaussians.named_parameters()}
-    replacements = {}
-    for name, parameter in gaussians.named_parameters():
-        on_host = getattr(parameter, "on_host", False)
-        select = selected_rows if on_host else _selected
-        new, state = parameter_like(parameter, select(parameter.detach(), rows)), states[name]
-        if state and isinstance(parameter, OffloadedParameter):
-            moments = selected_pair(paired(state["exp_avg"], state["exp_avg_sq"], parameter.device), rows)
-            moments.buffer[num_kept:].zero_()
-            state["exp_avg"], state["exp_avg_sq"] = moments
-        else:
-            for key in state.keys() - {"step"}:
-                state[key] = _selected(state[key], rows)
-                state[key][num_kept:].zero_()
-        replacements[name] = new, state
-    replace_parameters(gaussians, optimizers, replacements)
+    with _offloaded_on_host(gaussians):
+        replacements = {}
+        for name, parameter in gaussians.named_parameters():
+            offloaded, state = isinstance(parameter, OffloadedParameter), states[name]
+            select = selected_rows if offloaded else _selected
+            new = parameter_like(parameter, select(parameter.detach(), rows))
+            if state and offloaded:
+                moments = selected_pair(paired(state["exp_avg"], state["exp_avg_sq"], parameter.device), rows)
+                moments.buffer[num_kept:].zero_()
+                state["exp_avg"], state["exp_avg_sq"] = moments
+            else:
+                for key in state.keys() - {"step"}:
+                    state[key] = _selected(state[key], rows)
+                    state[key][num_kept:].zero_()
+            replacements[name] = new, state
+        replace_parameters(gaussians, optimizers, replacements)
+
+
+@contextmanager
+def _offloaded_on_host(gaussians: nn.Module) -> Iterator[None]:
+    """A block that has everything offloaded in the host's memory, so that two of each take none of the device's."""
+    try:
+        for parameter in gaussians.parameters():
+            if isinstance(parameter, OffloadedParameter):
+                parameter.go_to_host()
+        yield
+    finally:
+        for parameter in gaussians.parameters():
+            if isinstance(parameter, OffloadedParameter):
+                parameter.come_back()
 
 
 def _selected(values: Tensor, rows: Tensor) -> Tensor:
