@@ -1,16 +1,18 @@
 """What does training cost when spherical harmonics, features and Adam's moments of them lie in the host's memory?
 
-    python benchmarks/bench_offload.py --gaussians 20000000 --size 1280x1024 --share 0.1 --limit 16
+    python benchmarks/bench_offload.py --gaussians 20000000 --size 1280x1024 --share 0.1 --limit 15 --offload off auto
     python benchmarks/bench_offload.py --device cpu --gaussians 2000 --size 64x48 --steps 2
 
 Random Gaussians lie all around cameras that look in different directions, each at a share of them. Their order is
 random, so that every row is fetched by itself. Steps are those of thermosplat-train while density control takes notes;
 without offloading they are recorded as CUDA graphs. With ``--limit`` torch gets so much of the GPU's memory and no more
-when something is offloaded.
+when something is offloaded. ``auto`` decides as thermosplat-train does for a training that may still refine.
 
 A row says how long a step takes, how much memory torch has reserved on the GPU, how much is in use on it (with CUDA's
 own), and how many Gaussians are in view. Of steps that offload, further steps in which the device is waited for say how
-long it takes to find out what is in view and to fetch it, and to update it.
+long it takes to find out what is in view and to fetch it, and to update it; and a row says for which share of the
+Gaussians moments are on the device, and how many bytes the update reads over the bus. With ``--refine`` a hundredth of
+the Gaussians is copied at the end, which takes three times a step's part of the host's memory.
 """
 
 import argparse
@@ -34,7 +36,9 @@ from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import environment, finite_or_null
 from thermosplat.scene import model as scene_model
-from thermosplat.training.density.gaussian_ops import parameter_like, replace_parameters
+from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.torch_bridge.host_rows import row_length
+from thermosplat.training.density.gaussian_ops import append_copies, parameter_like, replace_parameters
 from thermosplat.training.offloading import limit_device_memory
 from thermosplat.training.trainer import Trainer
 from training.frozen_training import frozen, quiet_trainer, run_steps, wait, warm_up
@@ -54,7 +58,10 @@ def filled_trainer(options: argparse.Namespace, kind: str, folder: Path, size: t
         size: Of the images [px].
     """
     words = ["sample", "--config", options.config, "--device", options.device, "--offload", kind]
-    config = replace(frozen(parse_train_arguments(words)), densification=NOTING)
+    densification = replace(NOTING, max_gaussians=options.gaussians)
+    config = replace(frozen(parse_train_arguments(words)), densification=densification)
+    if kind == "auto":
+        config = replace(config, gpu_memory=options.limit)
     trainer = quiet_trainer(config, panorama_capture(options.share, *size), folder)
     state = trainer.state
     for owner, gaussians in state.gaussian_sets.items():
@@ -94,6 +101,36 @@ def parts_timed(device: torch.device) -> Iterator[dict[str, list[float]]]:
         RowAdam.step_rows = update  # type: ignore[method-assign]
 
 
+def moments_of(trainer: Trainer, rendered: RenderedFrame) -> tuple[float, float]:
+    """For which share of the Gaussians moments are on the device, and what an update of a frame reads of the others'
+    over the bus [GB]; it writes as much, and parameters that are in the host's memory."""
+    near, read, state = 0, 0, trainer.state
+    for name, gaussians in rendered.in_view.items():
+        for optimizer in state.row_optimizers(name):
+            here = min(optimizer.rows_on_device, len(optimizer.parameter))
+            near = max(near, here)
+            read += 8 * row_length(optimizer.parameter) * int((gaussians.indices >= here).sum())
+    return near / trainer.model.num_gaussians, read / 1e9
+
+
+def refined(trainer: Trainer) -> dict[str, float]:
+    """Copy a hundredth of the Gaussians, twice: the second time memory of the host is pinned already."""
+    found = {}
+    for name in ("first", "next"):
+        if trainer.device.type == "cuda":
+            torch.cuda.reset_peak_memory_stats(trainer.device)
+        wait(trainer.device)
+        started = time.perf_counter()
+        for owner, gaussians in trainer.state.gaussian_sets.items():
+            indices = torch.arange(0, len(gaussians), 100, device=trainer.device)
+            append_copies(gaussians, trainer.state.optimizers[owner], indices)
+        wait(trainer.device)
+        found[f"{name}_refinement_seconds"] = time.perf_counter() - started
+        if trainer.device.type == "cuda":
+            found[f"{name}_refinement_gb"] = torch.cuda.max_memory_allocated(trainer.device) / 1e9
+    return found
+
+
 def measured(options: argparse.Namespace, kind: str, size: tuple[int, int], device: torch.device) -> dict[str, Any]:
     """The row of one kind of offloading."""
     on_cuda = device.type == "cuda"
@@ -122,7 +159,8 @@ def measured(options: argparse.Namespace, kind: str, size: tuple[int, int], devi
             free, total = torch.cuda.mem_get_info(device)
             row["reserved_gb"] = torch.cuda.max_memory_reserved(device) / 1e9
             row["in_use_gb"] = (total - free) / 1e9
-        if kind != "off":
+        row["offloaded"] = trainer.offloaded
+        if trainer.offloaded != "nothing":
             with parts_timed(device) as parts:
                 run_steps(trainer, options.steps)
             row |= {f"{name}_ms": sum(found) / options.steps for name, found in parts.items()}
@@ -131,7 +169,12 @@ def measured(options: argparse.Namespace, kind: str, size: tuple[int, int], devi
             rendered = trainer.model.render(frame.views, sh_degree=trainer.config.sh_degree)
         in_view = [len(some.indices) for some in rendered.in_view.values()]
         row["in_view"] = sum(in_view) if in_view else None
-        del rendered, frame, trainer
+        if in_view:
+            row["moments_on_device"], row["update_reads_gb"] = moments_of(trainer, rendered)
+        del rendered, frame
+        if options.refine:
+            row |= refined(trainer)
+        del trainer
     gc.collect()
     if on_cuda:
         torch.cuda.empty_cache()
@@ -152,6 +195,7 @@ def main() -> None:
         "--limit", type=float, default=None, help="of the GPU's memory where something is offloaded [GB]"
     )
     parser.add_argument("--steps", type=int, default=20)
+    parser.add_argument("--refine", action="store_true", help="also copy a hundredth of the Gaussians, twice")
     parser.add_argument("--json", type=Path, default=None, help="file to write")
     options = parser.parse_args()
     device = choose_device(options.device)

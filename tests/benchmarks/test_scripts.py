@@ -152,8 +152,8 @@ def test_memory_estimate_counts_the_tensors_of_a_training() -> None:
 def test_offload_benchmark_runs(tmp_path: Path) -> None:
     """Each kind of offloading is timed, and those that fetch Gaussians in view say how many and how long."""
     report = tmp_path / "report.json"
-    options = ["--device", "cpu", "--gaussians", "1000", "--size", "32x24", "--steps", "1", "--json", str(report)]
-    done = run_script("bench_offload.py", *options)
+    options = ["--device", "cpu", "--gaussians", "1000", "--size", "32x24", "--steps", "1", "--refine", "--json"]
+    done = run_script("bench_offload.py", *options, str(report))
     assert done.returncode == 0, done.stdout + done.stderr
     rows = {row["offload"]: row for row in json.loads(report.read_text())["rows"]}
     assert list(rows) == ["off", "moments", "on"]
@@ -161,3 +161,6 @@ def test_offload_benchmark_runs(tmp_path: Path) -> None:
     assert rows["off"]["in_view"] is None
     assert 0 < rows["on"]["in_view"] == rows["moments"]["in_view"] < 1000
     assert rows["on"]["updated_ms"] > 0
+    # rows of 48 and 8 numbers, two moments
+    assert rows["on"]["update_reads_gb"] == pytest.approx(rows["on"]["in_view"] * 448e-9)
+    assert rows["on"]["next_refinement_seconds"] > 0

@@ -12,6 +12,7 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.fused.row_adam import RowAdam
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.offloaded import OffloadedParameter, some_offloaded
+from thermosplat.torch_bridge.host_rows import has_padded_rows
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
 from toy_run import many_frames, state_tensors, toy_run_config, toy_trainer
@@ -131,6 +132,7 @@ def test_refinements_keep_rows_where_they_lie(tmp_path: Path, kind: str) -> None
             assert offloaded == (name in ("shN", "features"))
             assert offloaded == isinstance(optimizers[name], RowAdam)
             assert not offloaded or parameter.on_host == (kind != "moments")
+            assert name != "shN" or has_padded_rows(parameter) == (kind != "moments")
             assert optimizers[name].param_groups[0]["params"][0] is parameter
 
     assert len(trainer.state.gaussian_sets["shared"]) > 60

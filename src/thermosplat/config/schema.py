@@ -289,8 +289,8 @@ class TrainConfig:
     offload: Literal["auto", "on", "moments", "off"] = "auto"
     """Keep spherical harmonics above degree 0, latent features and what Adam knows of them ("on"), or the latter alone
     ("moments"), in the host's memory. A step fetches and updates those of the Gaussians in view; Adam leaves those of
-    others as they are (docs/scaling.md). "auto": on CUDA, as much as is needed for the Gaussians to fit on the device.
-    """
+    others as they are (docs/scaling.md). "auto": on CUDA, no more than is needed for the Gaussians to fit on the
+    device."""
     gpu_memory: float | None = None
     """Most of the GPU's memory that the training takes [GB]. None: all that is free."""
     graph: bool = True

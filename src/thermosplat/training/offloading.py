@@ -20,9 +20,10 @@ OBSERVED_BYTES = 8
 """What density control keeps of a Gaussian."""
 SHARE_OF_DEVICE = 0.8
 """Of the device's memory that Gaussians may take: images, decoders and lists of pairs need the rest. Open choice."""
-SHARE_WITH_MOMENTS = 0.85
+SHARE_WITH_MOMENTS = 0.88
 """Of the device's memory that Gaussians may take with moments that can go to the host's memory when a step needs more.
-2 million Gaussians in view at 1280x1024 take 1.4 GB, which is 0.09 of 15 GB. Open choice."""
+2 million Gaussians in view at 1280x1024 take 1.4 GB, which is 0.09 of 15 GB (benchmarks/notes/offload.md). Open
+choice."""
 SHARE_OF_HOST = 0.5
 """Of the host's memory that offloaded parameters may take: images and checkpoints need it too. Open choice."""
 _GB = 1e9
