@@ -268,7 +268,7 @@ class TrainConfig:
     batch_size: int | None = None
     """Frames of a step, whatever the number of devices. None: one for each device. All numbers of steps here are for
     steps of one frame and are divided by it, so that as many images are seen; learning rates are multiplied by its
-    square root (docs/scaling.md). Grendel (Zhao et al. 2024)."""
+    square root (docs/several-devices.md). Grendel (Zhao et al. 2024)."""
     data_factor: int = 1
     """Divide the images' width and height by this."""
     lens: LensUse = "undistort"

@@ -119,10 +119,10 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
             (Mip-Splatting).
         channel_chunk: At most so many channels are blended in one traversal (never more than 32).
         distributed: Each rank of ``torch.distributed`` gives its share of the Gaussians and its own cameras, and gets
-            its own images of all Gaussians (docs/scaling.md). Gradients reach the Gaussians and cameras of the other
-            ranks. Every rank makes the same calls, backward too, with the same options; the number of cameras (none
-            is a number too), their models and lenses, and the images' size may differ. ``colors`` for each camera are
-            for those of all ranks.
+            its own images of all Gaussians (docs/several-devices.md). Gradients reach the Gaussians and cameras of the
+            other ranks. Every rank makes the same calls, backward too, with the same options; the number of cameras
+            (none is a number too), their models and lenses, and the images' size may differ. ``colors`` for each
+            camera are for those of all ranks.
         camera_model: "pinhole", "ortho", "fisheye" or "ftheta". Formulas and what is not drawn: docs/conventions.md.
         with_ut: Projects pinhole and orthographic cameras by the unscented transform too, as all lenses are.
         radial_coeffs: k1 to k6 of OpenCV's rational model, [..., C, 6], or k1 to k4, [..., C, 4]; of a fisheye camera
