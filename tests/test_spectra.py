@@ -90,7 +90,7 @@ def test_modulation_without_that_spectrum() -> None:
     assert modelled(rgb=RGB)["rgb"].modulated_by == "thermal"
 
 
-def test_folders() -> None:
+def test_folders_of_a_spectrum() -> None:
     """The stated names in lower case, else the spectrum's own."""
     assert folder_names("thermal", THERMAL)[0] == "thermal"
     assert folder_names("rgb", RGB)[0] == "rgb"
@@ -102,7 +102,7 @@ def test_folders() -> None:
     ("name", "expected"),
     [("rgb", "RGB"), ("nir", "NIR"), ("uv", "UV"), ("thermal", "thermal"), ("red_edge", "red edge"), ("swir", "swir")],
 )
-def test_labels(name: str, expected: str) -> None:
+def test_labels_of_spectra(name: str, expected: str) -> None:
     """Abbreviations of up to three letters are written in capitals, other names as words."""
     assert label(name) == expected
 

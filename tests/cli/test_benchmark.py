@@ -128,7 +128,9 @@ def test_failed_cell_is_named(run: Run, tmp_path: Path) -> None:
         (["sample", "--out", __file__], "test_benchmark.py is a file; a matrix needs a folder"),
     ],
 )
-def test_mistakes(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], expected: str) -> None:
+def test_mistakes_end_before_anything_is_trained(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], expected: str
+) -> None:
     """Every mistake ends with code 2 and says what to do, before anything is trained."""
     monkeypatch.chdir(tmp_path)
     code, printed = run(*words)

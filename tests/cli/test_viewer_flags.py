@@ -18,7 +18,7 @@ from thermosplat.cli.viewer_flags import ViewerFlags, viewer_flags, with_viewer_
         (["--viewer_host", "::1", "--viewer", "None"], None, "::1"),
     ],
 )
-def test_flags(words: list[str], port: int | None, host: str) -> None:
+def test_a_port_may_follow_the_viewer_flag(words: list[str], port: int | None, host: str) -> None:
     """Without a number the port is 8080; the last flag counts; the parser understands each of these."""
     assert viewer_flags(["sample", *words]) == ViewerFlags(port, host)
     assert parse_train_arguments(["sample", *words]) == parse_train_arguments(["sample"])

@@ -188,7 +188,7 @@ def test_one_image_of_values_among_pseudo_colours(tmp_path: Path, monkeypatch: p
     assert sum("thermal" not in frame.views for frame in (*on_disk.train, *on_disk.test)) == 1
 
 
-def test_grey_images(tmp_path: Path) -> None:
+def test_grey_images_on_the_disk(tmp_path: Path) -> None:
     """8-bit values of a further spectrum."""
     write_rgbt_scenes(tmp_path, folders=False)
     for number in range(8):

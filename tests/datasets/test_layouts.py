@@ -30,7 +30,7 @@ def test_file_instead_of_a_folder(tmp_path):
         load_capture(tmp_path / "a.zip")
 
 
-def test_no_name():
+def test_no_capture_is_named():
     """No capture named at all."""
     with pytest.raises(UserError, match="No capture given"):
         load_capture("")

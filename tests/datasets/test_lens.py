@@ -41,7 +41,7 @@ def test_scaled_file_scales_the_intrinsics():
     ("width", "height", "fits"),
     [(640, 480, True), (320, 240, True), (633, 476, True), (954, 718, True), (480, 640, False), (640, 512, False)],
 )
-def test_fits(width: int, height: int, fits: bool):
+def test_images_of_nearly_the_same_aspect_fit_a_camera(width: int, height: int, fits: bool):
     """The sizes that occur in RGBT-Scenes fit a 640x480 camera; a turned or cropped image does not."""
     assert Lens("PINHOLE", (500.0, 500.0, 320.0, 240.0), 640, 480).fits(width, height) is fits
 

@@ -41,6 +41,6 @@ def test_two_frames_and_every_second_are_the_least():
     assert hold_out_mask(frames(None, None), 2) == hold_out_mask(frames(None, None), 8) == [True, False]
 
 
-def test_divide():
+def test_dividing_keeps_the_order():
     """Order is kept on both sides."""
     assert divide("abcd", [True, False, True, False]) == (("b", "d"), ("a", "c"))

@@ -81,7 +81,7 @@ def all_finite(team: int, device: torch.device) -> bool:
 @pytest.mark.cuda
 @pytest.mark.parametrize("team", TEAMS)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_on_cuda(shape: tuple[int, int, int], team: int) -> None:
+def test_images_and_gradients_on_cuda(shape: tuple[int, int, int], team: int) -> None:
     """Images and gradients are right with a warp or two for 16 pixels, on a device that has room for both."""
     if team not in teams_within(shape[0], wp.get_device("cuda").max_shared_memory_per_block):
         pytest.skip("the device allows a block too little shared memory")

@@ -44,7 +44,7 @@ def test_strides_do_not_matter() -> None:
         assert torch.equal(given, before)
 
 
-def test_precisions() -> None:
+def test_float32_rounds_and_other_types_go_through_kornia() -> None:
     """float32 to its rounding; what OpenCV has no numbers for goes through kornia."""
     given = images(2, 12, 14)
     for dtype, tolerance in ((torch.float32, 1e-6), (torch.bfloat16, 3e-2)):

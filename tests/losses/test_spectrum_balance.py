@@ -18,7 +18,7 @@ def test_the_larger_set_weighs_less() -> None:
     assert equal["rgb"].item() == pytest.approx(1.0)
 
 
-def test_three_sets() -> None:
+def test_factors_of_three_sets_add_up_to_one() -> None:
     """Factors add up to 1; a term of no spectrum stays as it is."""
     losses = {
         "rgb": torch.tensor(1.0),

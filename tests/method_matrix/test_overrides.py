@@ -71,7 +71,7 @@ def test_value_of_another_type_is_a_users_error() -> None:
         ("spectra.rgb={", "cannot be read"),
     ],
 )
-def test_mistakes(word: str, expected: str) -> None:
+def test_mistakes_name_the_word_that_is_wrong(word: str, expected: str) -> None:
     """Every one says what is wrong with which word, and what to do."""
     with pytest.raises(UserError, match=expected) as caught:
         parse_overrides([word], SCENES, METHODS)

@@ -67,7 +67,7 @@ def test_order_of_the_paper(tmp_path: Path) -> None:
     assert results.methods() == ["3dgs", "mmone", "thermosplat", "mine"]
 
 
-def test_files(tmp_path: Path) -> None:
+def test_results_are_written_by_cell_and_by_view(tmp_path: Path) -> None:
     """results.json has every cell, per_view.csv a row for every held-out view."""
     put(tmp_path, made_cell(seed=1), made_cell(seed=2))
     Results.collect(tmp_path).write(tmp_path)

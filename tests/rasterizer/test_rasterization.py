@@ -113,7 +113,9 @@ def test_batches_and_colors_of_each_camera(device: torch.device, batch: tuple[in
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("rasterize_mode", RASTERIZE_MODES)
-def test_covariances(device: torch.device, rasterize_mode: str, dtype: torch.dtype) -> None:
+def test_covariances_in_place_of_quats_and_scales(
+    device: torch.device, rasterize_mode: str, dtype: torch.dtype
+) -> None:
     """covars in place of quats and scales; as in gsplat only the upper triangle is read."""
     scene = random_scene(cameras=2, with_covars=True, rasterize_mode=rasterize_mode)
     assert_matches_reference(rasterization, scene, device, dtype)
@@ -177,7 +179,7 @@ def test_field_of_view_clamp(device: torch.device) -> None:
     assert (outside & visible).sum() >= 3
 
 
-def test_absgrad(device: torch.device) -> None:
+def test_absolute_gradients_of_means2d(device: torch.device) -> None:
     """means2d.absgrad is the sum over pixels of the absolute gradients, and .grad their plain sum."""
     scene = random_scene(cameras=2, absgrad=True)
     results = []

@@ -45,7 +45,7 @@ def test_zero_quaternion_is_the_identity(device: torch.device, rasterize_mode: s
 
 @pytest.mark.parametrize("axes", [[0], [0, 1], [0, 1, 2]], ids=["pancake", "line", "point"])
 @pytest.mark.parametrize("rasterize_mode", RASTERIZE_MODES)
-def test_zero_scales(device: torch.device, rasterize_mode: str, axes: list[int]) -> None:
+def test_flat_and_point_gaussians(device: torch.device, rasterize_mode: str, axes: list[int]) -> None:
     """Flat and point Gaussians: the filter gives them a footprint, antialiasing makes lines and points vanish."""
     scene = random_scene(n=20, rasterize_mode=rasterize_mode)
     for axis in axes:

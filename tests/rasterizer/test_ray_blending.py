@@ -54,7 +54,7 @@ def assert_matches(scene: dict[str, Any], device: torch.device, dtype: torch.dty
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("mode", ["RGB", "d", "Ed", "RGB-d", "RGB-Ed", "RGB+D"])
-def test_modes(device: torch.device, mode: str, dtype: torch.dtype) -> None:
+def test_render_modes_along_rays(device: torch.device, mode: str, dtype: torch.dtype) -> None:
     """Colours, distances along rays and depths, two cameras, with normals where there are distances."""
     scene = random_scene(n=12, cameras=2, width=9, height=7, tile_size=8, seed=2, backgrounds="RGB" in mode)
     assert_matches(scene, device, dtype, mode, normals=mode.endswith("d"))
@@ -93,7 +93,7 @@ def test_more_channels_than_one_traversal_blends(device: torch.device) -> None:
     assert_matches(scene, device, torch.float64, "RGB-Ed", normals=False)
 
 
-def test_batches(device: torch.device) -> None:
+def test_leading_dimensions_are_calls_side_by_side(device: torch.device) -> None:
     """Leading dimensions are calls side by side."""
     scene = leaves(random_scene(n=10, batch=(2,), cameras=2, width=9, height=7), device, torch.float64)
     whole = rasterization(**scene, with_eval3d=True, return_normals=True, render_mode="RGB-d")

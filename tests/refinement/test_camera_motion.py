@@ -32,7 +32,7 @@ def view() -> ViewTensors:
     return ViewTensors(viewmat, K, 40, 31)
 
 
-def test_rotations() -> None:
+def test_rotation_of_a_rotation_vector() -> None:
     """A proper rotation, about r, by |r| to first order; zero gives the identity exactly."""
     r = torch.tensor([0.02, -0.01, 0.03], dtype=torch.float64)
     matrix = rotation_matrix(r)

@@ -38,7 +38,7 @@ def linear(layer: torch.nn.Module, x: np.ndarray) -> np.ndarray:
     return x @ weight.T + bias
 
 
-def test_formulas() -> None:
+def test_images_are_those_of_the_equations() -> None:
     """Both images equal equations 3 to 8 written out in numpy, with a modulation that is not the identity."""
     model = decoders()
     torch.nn.init.normal_(model.modulations["rgb"].weight, std=0.2)

@@ -16,7 +16,7 @@ def parameters() -> dict[str, torch.Tensor]:
     return {"means": torch.randn(5, 3), "shN": shN, "thermal_opacity_offsets": offsets}
 
 
-def test_degrees() -> None:
+def test_the_degree_in_use() -> None:
     """The degree of the highest coefficient that is not zero."""
     assert sh_degrees(parameters()["shN"]).tolist() == [0, 1, 2, 0, 3]
 

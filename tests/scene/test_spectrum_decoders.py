@@ -35,7 +35,7 @@ def test_spectra_share_no_parameter() -> None:
     assert trained == {"thermal"}
 
 
-def test_widths() -> None:
+def test_widths_of_the_layers() -> None:
     """Hidden layers as configured: input, one hidden layer, output."""
     shapes = [tuple(p.shape) for p in SpectrumDecoders(CONFIG, 6, [RGB]).networks["rgb"].parameters() if p.dim() == 2]
     assert shapes == [(8, 6), (8, 8), (3, 8)]

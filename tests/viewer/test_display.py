@@ -37,7 +37,7 @@ def test_a_value_has_its_palettes_color() -> None:
         assert np.abs(picture[0] - expected).max() <= 1.5
 
 
-def test_ranges() -> None:
+def test_ranges_of_the_palette() -> None:
     """The capture's, the picture's percentiles, and locked ones; missing values have no colour of the palette."""
     assert Display().range_of(layer()) == (10.0, 30.0)
     low, high = Display(range_mode="automatic").range_of(layer())

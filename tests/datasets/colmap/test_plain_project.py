@@ -42,7 +42,7 @@ def test_pseudo_color(tmp_path):
         ("tif", lambda number: temperatures(number).astype(np.float32), "celsius"),
     ],
 )
-def test_radiometric(tmp_path, ending, make, unit):
+def test_radiometric_files_give_the_same_degrees(tmp_path, ending, make, unit):
     """16-bit PNG and float TIFF are judged by their values, or read as the flag says; both give the same °C."""
     root = write_colmap_folder(tmp_path)
     add_thermal(root, make, ending)

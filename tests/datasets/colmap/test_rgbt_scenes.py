@@ -147,7 +147,7 @@ def test_flat_radiometric_files_of_splits_that_are_numbered_apart(tmp_path):
         load_capture(root)
 
 
-def test_data_factor(tmp_path):
+def test_data_factor_shrinks_images_degrees_and_intrinsics(tmp_path):
     """Images, degrees and intrinsics shrink together; one pixel is the mean of its block."""
     capture = load_capture(write_rgbt_scenes(tmp_path, raw=True), data_factor=4)
     frame = capture.train[0]

@@ -113,7 +113,7 @@ def test_incomplete_ablation_has_no_mean() -> None:
     assert set(row(ablation_table(results, ["mlp_based"]), "mlp_based")) == {"-"}
 
 
-def test_cost() -> None:
+def test_cost_table() -> None:
     """Gaussians, megabytes, minutes, memory and frames a second; a dash for what was not measured."""
     table = cost_table(results_of(made_cell(peak_memory_bytes=None)))
     assert row(table, "lab", "3dgs") == ("30", "1,234", "2.5", "1.5", "-", "100.0", "a device")

@@ -95,7 +95,7 @@ def test_a_folder_full_of_trouble(tmp_path: Path) -> None:
     assert "things will probably go wrong" in said
 
 
-def test_estimate() -> None:
+def test_the_estimate_counts_the_warnings() -> None:
     """It counts the warnings."""
     fact, warning = Finding("fact", ""), Finding("warning", "")
     assert "speaks against" in estimate_of([fact])
@@ -103,7 +103,7 @@ def test_estimate() -> None:
     assert estimate_of([warning, warning]).startswith("2 things")
 
 
-def test_dead_pixels() -> None:
+def test_dead_pixels_stick_out_in_nearly_all_images() -> None:
     """Only pixels that stick out in nearly all images."""
     images = [scene(number, 48, 36)[..., 1].astype(np.uint16) * 10 + 30_000 for number in range(10)]
     assert count_dead_pixels(images) == 0
@@ -115,7 +115,7 @@ def test_dead_pixels() -> None:
     assert "1 thermal pixel differs" in warnings(findings)
 
 
-def test_drift() -> None:
+def test_drift_of_the_level_is_told() -> None:
     """Levels that vary more than the scene are said, with the flag that helps; a steady sensor is not."""
     base = 20 + 3 * scene(1, 48, 36)[..., 0].astype(np.float32) / 255
     steady = {str(number): base + 0.01 * number for number in range(8)}
@@ -131,7 +131,7 @@ def test_unusual_temperatures() -> None:
     assert "Is the unit right?" in warnings(thermal_findings({"a": image}, "°C"))
 
 
-def test_overlap() -> None:
+def test_photographs_that_overlap_with_none_are_told() -> None:
     """Neighbours that share most of their view overlap; a photograph of another place does not."""
     walk = {f"{x}": WORLD[:, x : x + 640] for x in range(0, 1000, 120)}
     assert warnings(texture_findings(walk)) == ""
@@ -141,14 +141,14 @@ def test_overlap() -> None:
     )
 
 
-def test_texture() -> None:
+def test_photographs_without_texture_are_told() -> None:
     """A plain photograph is named."""
     walk = {f"{x}": WORLD[:, x : x + 640] for x in range(0, 600, 120)}
     findings = texture_findings({**walk, "wall": np.full((640, 640, 3), 180, np.uint8)})
     assert "1 of 6 photographs has hardly any texture (first: wall)" in warnings(findings)
 
 
-def test_msx() -> None:
+def test_edges_of_the_photographs_in_thermal_pictures_are_told() -> None:
     """Thermal pictures with the photographs' edges, at another size."""
     photographs = [WORLD[:, x : x + 640] for x in range(0, 400, 100)]
     flat = np.full((320, 320, 3), 90, np.uint8)

@@ -47,7 +47,7 @@ def test_nothing_stands_out() -> None:
     assert find_orientation(PAIRS[:4]) is None
 
 
-def test_flags() -> None:
+def test_orientations_are_named_by_flags_of_the_import() -> None:
     """As the import takes them."""
     assert Orientation(90, True).flags == "--turn 90 --mirror"
     assert Orientation(180, False).flags == "--turn 180"

@@ -49,7 +49,7 @@ def write_dji(path: Path, number: int) -> Path:
     return path
 
 
-def test_what_is_dji(tmp_path: Path) -> None:
+def test_dji_files_are_told_by_maker_and_segment(tmp_path: Path) -> None:
     """The maker and the segment together."""
     content = write_dji(tmp_path / "a.jpg", 1).read_bytes()
     assert is_dji_thermal(content, "DJI")
@@ -58,7 +58,9 @@ def test_what_is_dji(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "body"), [("dji_irp", IRP), ("dji-thermal-cli", CLI)])
-def test_programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, body: str) -> None:
+def test_both_programs_are_called_and_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, body: str
+) -> None:
     """Both are called as their documents say, and what they write is read."""
     install(tmp_path / "bin", monkeypatch, name, body)
     expected = np.linspace(10, 40, 36 * 48).reshape(36, 48)
@@ -90,7 +92,7 @@ def test_pixels_without_a_temperature(tmp_path: Path, monkeypatch: pytest.Monkey
     assert np.nanmin(celsius) == 10
 
 
-def test_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_program_both_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A sentence that names both."""
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(UserError, match=r"neither dji_irp nor dji-thermal-cli is on the PATH"):

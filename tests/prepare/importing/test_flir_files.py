@@ -57,7 +57,7 @@ def test_real_files_agree_with_flyr() -> None:
     assert compared >= 10
 
 
-def test_photograph(tmp_path: Path) -> None:
+def test_the_photograph_inside_a_flir_file(tmp_path: Path) -> None:
     """The embedded photograph comes out as the camera compressed it."""
     photograph = np.full((60, 80, 3), (200, 100, 50), np.uint8)
     content = read_flir(write_flir_jpeg(tmp_path / "a.jpg", COUNTS, photograph=photograph)).photograph

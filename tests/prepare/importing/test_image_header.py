@@ -23,7 +23,7 @@ from thermosplat.prepare.importing.image_header import ImageHeader, read_header
         ("bmp", np.uint8, 3),
     ],
 )
-def test_formats(tmp_path: Path, ending: str, dtype: type, channels: int) -> None:
+def test_headers_of_all_formats(tmp_path: Path, ending: str, dtype: type, channels: int) -> None:
     """Width, height, channels and bits of what OpenCV writes; alpha counts in a header alone."""
     path = tmp_path / f"a.{ending}"
     assert cv2.imwrite(str(path), np.zeros((6, 8) if channels == 1 else (6, 8, channels), dtype))
@@ -31,7 +31,7 @@ def test_formats(tmp_path: Path, ending: str, dtype: type, channels: int) -> Non
     assert read_header(path).is_radiometric == (dtype != np.uint8)
 
 
-def test_no_images(tmp_path: Path) -> None:
+def test_damaged_and_missing_files_are_named(tmp_path: Path) -> None:
     """A damaged file and a missing one are errors that name the file."""
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff\xe0\x00\x04ab")
     with pytest.raises(UserError, match=r"a.jpg is damaged"):

@@ -29,7 +29,7 @@ def names(capture: CaptureFolder, spectrum: str) -> list[str]:
     return [row.file for row in capture.read_frames(spectrum)]
 
 
-def test_two_folders(tmp_path: Path, capture: CaptureFolder) -> None:
+def test_photographs_and_thermal_files_from_two_folders(tmp_path: Path, capture: CaptureFolder) -> None:
     """Photographs are the very files, thermal values keep their temperatures, and the table says where from."""
     report = import_files(write_two_cameras(tmp_path / "in"), capture)
     assert "6 RGB images of 96x72 px and 6 thermal images of 48x36 px." in report.sentences
@@ -109,7 +109,7 @@ def test_pseudo_colour_is_inverted(tmp_path: Path, capture: CaptureFolder) -> No
     assert not capture.units_json.exists()
 
 
-def test_video(tmp_path: Path, capture: CaptureFolder) -> None:
+def test_frames_of_a_video(tmp_path: Path, capture: CaptureFolder) -> None:
     """Every so many frames, with the time since the beginning."""
     for name, size in (("rgb.avi", (96, 72)), ("thermal.avi", (48, 36))):
         (tmp_path / "in").mkdir(exist_ok=True)

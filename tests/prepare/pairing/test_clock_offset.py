@@ -50,6 +50,6 @@ def test_scattered_images_are_no_part_beyond_a_jump() -> None:
     assert (found.partners >= 0).sum() == len(np.intersect1d(first, second))
 
 
-def test_few_images() -> None:
+def test_one_image_each_is_a_pair() -> None:
     """One image each is a pair."""
     assert find_clock_offset([5.0], [9.0]).partners.tolist() == [0]

@@ -48,7 +48,7 @@ def places(capture: CaptureFolder) -> list[tuple[int, int]]:
         ("FLIR{}.jpg", "FLIR{}.jpg", "same files"),
     ],
 )
-def test_names(tmp_path: Path, photograph: str, thermal: str, why: str) -> None:
+def test_pairs_by_name(tmp_path: Path, photograph: str, thermal: str, why: str) -> None:
     """Names that agree but for the camera, numbers, and photographs out of the thermal files themselves."""
     wanted = [(place, 5 - place) for place in range(6)]
     capture = capture_of(
@@ -62,7 +62,7 @@ def test_names(tmp_path: Path, photograph: str, thermal: str, why: str) -> None:
     assert "no partner" not in said
 
 
-def test_times(tmp_path: Path) -> None:
+def test_pairs_by_time(tmp_path: Path) -> None:
     """Names that say nothing: the clocks' difference is found and said, what is left over is listed."""
     capture = capture_of(
         tmp_path,
@@ -89,7 +89,7 @@ def test_clock_that_jumps_is_said(tmp_path: Path) -> None:
     assert places(capture) == [(place, place) for place in range(12)]
 
 
-def test_order(tmp_path: Path) -> None:
+def test_pairs_by_order(tmp_path: Path) -> None:
     """The last resort for equally many images, in the order of their numbers; otherwise only if it is asked for."""
     capture = capture_of(tmp_path, ["x/a9.jpg", "x/a10.jpg"], ["one.png", "two.png"])
     assert "order alone" in " ".join(pair_frames(capture).sentences)
@@ -102,7 +102,7 @@ def test_order(tmp_path: Path) -> None:
     assert places(other) == [(0, 0), (1, 1)]
 
 
-def test_keys() -> None:
+def test_what_is_compared_of_names() -> None:
     """What is compared of names."""
     row = FrameRow("thermal", "", "F/DJI_2024_0007_T.JPG", 1, 1)
     assert (name_key(row), number_key(row)) == ("dji 2024 0007", "7")

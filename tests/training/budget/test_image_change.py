@@ -86,7 +86,7 @@ def test_the_spectrum_that_changed_most_counts() -> None:
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.4, 1.0, 7.0])
-def test_most_within(tolerance: float) -> None:
+def test_the_largest_number_within_a_tolerance(tolerance: float) -> None:
     """The largest number whose change is within; the model is left with it."""
 
     class Linear:

@@ -86,7 +86,7 @@ def test_same_gaussians_as_gsplat(step: int) -> None:
     ("step", "refines"),
     [(501, False), (551, False), (600, False), (601, True), (14_901, True), (15_001, False), (20_001, False)],
 )
-def test_schedule(step: int, refines: bool) -> None:
+def test_refinements_follow_the_schedule_of_3dgs(step: int, refines: bool) -> None:
     """Refinements follow every 100 steps between 500 and 15,000, both excluded, one step later. 3DGS."""
     gaussians = random_gaussians(50)
     result = _run(_strategy(gaussians), gaussians, stepped_optimizers(gaussians), [_info(*_gradients(50, 0))], step)

@@ -290,6 +290,6 @@ def test_output_that_nobody_reads_is_raised_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.4, "0:00"), (59.6, "1:00"), (754, "12:34"), (4354, "1:12:34")])
-def test_clock(seconds: float, text: str) -> None:
+def test_durations_read_as_on_a_clock(seconds: float, text: str) -> None:
     """Durations read as on a clock, with hours where there are some."""
     assert run_logger._clock(seconds) == text

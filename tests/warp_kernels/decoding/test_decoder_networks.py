@@ -75,7 +75,7 @@ def apart(found: Array, wanted: Array) -> float:
 
 @pytest.mark.parametrize("hidden", HIDDEN)
 @pytest.mark.parametrize("modulated", [False, True])
-def test_images(hidden: int, modulated: bool) -> None:
+def test_every_pixel_is_decoded(hidden: int, modulated: bool) -> None:
     """Every pixel is decoded."""
     given, image = case(hidden, modulated, 8, 3), np.full((PIXELS, 3), np.nan, np.float32)
     layout = layout_of(hidden, modulated)
@@ -89,7 +89,7 @@ def test_images(hidden: int, modulated: bool) -> None:
 @pytest.mark.parametrize("team", TEAMS)
 @pytest.mark.parametrize("hidden", HIDDEN)
 @pytest.mark.parametrize(("modulated", "dim", "channels"), [(False, 5, 1), (True, 15, 8)])
-def test_gradients(hidden: int, modulated: bool, dim: int, channels: int, team: int) -> None:
+def test_gradients_of_features_and_parameters(hidden: int, modulated: bool, dim: int, channels: int, team: int) -> None:
     """Gradients of features and of every weight and bias, with one warp or two for 16 pixels."""
     given = case(hidden, modulated, dim, channels)
     layout = layout_of(hidden, modulated, team)

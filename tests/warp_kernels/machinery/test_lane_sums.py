@@ -10,7 +10,7 @@ from warp_kernels.machinery.lanes import lanes_of
 
 
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
-def test_totals(device: torch.device, dtype: type) -> None:
+def test_every_lane_has_the_sum_of_its_warp(device: torch.device, dtype: type) -> None:
     """Every lane has the sum of its warp: on the CPU its own number."""
     warp_total = total_function(dtype)
 
@@ -93,7 +93,7 @@ def test_butterflies_cover_every_count() -> None:
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 @pytest.mark.parametrize("columns", [8, 16, 32])
 @pytest.mark.parametrize("length", [1, 7, 16, 19])
-def test_column_sums(length: int, columns: int, dtype: type) -> None:
+def test_the_sum_of_each_row_is_in_its_place(length: int, columns: int, dtype: type) -> None:
     """Each row's sum in its place, for more and fewer rows than a vector has numbers."""
     record, matrix = wp.types.vector(length, dtype), wp.types.matrix((length, columns), dtype)
 
