@@ -80,9 +80,9 @@ def arguments() -> argparse.Namespace:
         choices=sorted({*PEERS, *MAKERS, "deterministic"}),
         default=list(PEERS),
         help="beside whom; on CUDA 'callable' is thermosplat under torch.cuda.make_graphed_callables, 'graph' in a "
-        "CUDA graph, 'replayed' with graphs that its plain calls make themselves (those of 'thermosplat' are then "
-        "without), and 'deterministic' with deterministic=True; none: thermosplat alone. peers/README.md says how the "
-        "others are installed. Beside gsplat, gsplat-main is measured in a process of its own, after the rest",
+        "CUDA graph, 'eager' without the graphs that its calls make themselves where they come again, and "
+        "'deterministic' with deterministic=True; none: thermosplat alone. peers/README.md says how the others are "
+        "installed. Beside gsplat, gsplat-main is measured in a process of its own, after the rest",
     )
     options = parser.parse_args()
     if options.resume and options.json is None:

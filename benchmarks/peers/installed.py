@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection
 from importlib.metadata import version
 
 from peers.peer import Peer
-from peers.renderers import callable_peer, graph_peer, gsplat_renderer, replayed_peer, thermosplat_peer
+from peers.renderers import callable_peer, eager_peer, graph_peer, gsplat_renderer, thermosplat_peer
 
 INSTALL = {
     "gsplat": "pip install --no-deps gsplat==1.5.3",
@@ -82,8 +82,8 @@ def cuda_peers(names: Collection[str]) -> list[Peer]:
         peers.append(callable_peer())
     if "graph" in names:
         peers.append(graph_peer())
-    if "replayed" in names:
-        peers.append(replayed_peer())
+    if "eager" in names:
+        peers.append(eager_peer())
     peers += others(names)
     if "deterministic" in names:
         peers.append(thermosplat_peer(deterministic=True))

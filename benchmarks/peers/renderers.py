@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable, Collection
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,16 +15,16 @@ from peers.torch_renderer import torch_peer
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "fixtures"))
 import gsplat_reference
 
-PEERS = ("gsplat", "gswarp", "torch", "callable", "graph", "replayed")
+PEERS = ("gsplat", "gswarp", "torch", "callable", "graph", "eager")
 """Whom thermosplat is compared with unless others are asked for; "callable" is itself made a function by
-``torch.cuda.make_graphed_callables``, "graph" itself in one CUDA graph, "replayed" plain calls that it replays itself,
-"deterministic" itself with that option."""
+``torch.cuda.make_graphed_callables``, "graph" itself in one CUDA graph, "eager" itself with
+``thermosplat.rasterizer.replay`` switched off, "deterministic" itself with that option."""
 
 OURS = "thermosplat"
 CALLABLE = "thermosplat, graphed callable"
 GRAPH = "thermosplat in a graph"
-REPLAYED = "thermosplat, replayed"
-ALL_OURS = (OURS, CALLABLE, GRAPH, REPLAYED)
+EAGER = "thermosplat, eager"
+ALL_OURS = (OURS, CALLABLE, GRAPH, EAGER)
 """Ways to call thermosplat that give the same and are each compared with the peers."""
 
 WARM_UP_OF_REPLAYS = 10
@@ -38,9 +37,9 @@ def _camera(t: Tensors, width: int, height: int) -> dict[str, Any]:
     return {"viewmats": t["viewmats"], "Ks": t["Ks"], "width": width, "height": height}
 
 
-def thermosplat_peer(near_plane: float = NEAR_PLANE, deterministic: bool = False) -> Peer:
-    """This project, through its public functions."""
-    from thermosplat import __version__, rasterization, rasterization_rgbt
+def thermosplat_renderer(near_plane: float = NEAR_PLANE, deterministic: bool = False) -> Renderer:
+    """This project's public functions."""
+    from thermosplat import rasterization, rasterization_rgbt
 
     def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:
         geometry = (t["means"], t["quats"], t["scales"], t["opacities"])
@@ -60,50 +59,64 @@ def thermosplat_peer(near_plane: float = NEAR_PLANE, deterministic: bool = False
 
         return both if case == "rgbt" else single
 
+    return renderer
+
+
+def thermosplat_peer(near_plane: float = NEAR_PLANE, deterministic: bool = False) -> Peer:
+    """This project as its users call it: on CUDA calls that come again are replayed."""
+    from thermosplat import __version__
+    from thermosplat.rasterizer import replay
+
+    of_case = thermosplat_renderer(near_plane, deterministic)
+
+    def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:
+        render = of_case(case, t, width, height)
+        for _ in range(WARM_UP_OF_REPLAYS if t["means"].is_cuda else 0):
+            images = render().images
+            if t["means"].requires_grad:
+                torch.autograd.grad([image.sum() for image in images], t["means"])
+            with torch.no_grad():
+                render()
+        return render
+
     name, suffix = ("deterministic", ", deterministic=True") if deterministic else (OURS, "")
-    return Peer(name, f"thermosplat {__version__}, Warp kernels{suffix}", renderer)
+    description = f"thermosplat {__version__}, Warp kernels{suffix}"
+    return Peer(name, description, renderer, release=replay.clear)
 
 
 def graph_peer() -> Peer:
     """thermosplat again, captured in a CUDA graph."""
-    eager = thermosplat_peer()
-    return replace(eager, name=GRAPH, description=f"{eager.description} replayed from a CUDA graph", captured="call")
+    ours = thermosplat_peer()
+    description = f"{ours.description} replayed from a CUDA graph"
+    return Peer(GRAPH, description, thermosplat_renderer(), captured="call")
 
 
 def callable_peer() -> Peer:
     """thermosplat again, called as any function of torch's, whose two passes are CUDA graphs."""
-    eager = thermosplat_peer()
-    description = f"{eager.description} under torch.cuda.make_graphed_callables"
-    return replace(eager, name=CALLABLE, description=description, captured="function")
+    ours = thermosplat_peer()
+    description = f"{ours.description} under torch.cuda.make_graphed_callables"
+    return Peer(CALLABLE, description, thermosplat_renderer(), captured="function")
 
 
-def replayed_peer() -> Peer:
-    """thermosplat again, whose plain calls replay graphs of its own where they come again."""
+def eager_peer() -> Peer:
+    """thermosplat again, every call launched kernel by kernel."""
     from thermosplat.rasterizer import replay
 
-    replay.enable(False)
-    eager = thermosplat_peer()
+    of_case = thermosplat_renderer()
 
     def renderer(case: str, t: Tensors, width: int, height: int) -> Callable[[], Rendered]:
-        plain = eager.renderer(case, t, width, height)
+        plain = of_case(case, t, width, height)
 
         def render() -> Rendered:
-            replay.enable()
+            replay.enable(False)
             try:
                 return plain()
             finally:
-                replay.enable(False)
+                replay.enable()
 
-        for _ in range(WARM_UP_OF_REPLAYS):
-            images = render().images
-            torch.autograd.grad([image.sum() for image in images], t["means"])
-            with torch.no_grad():
-                render()
-        print(f"{case} {width}x{height}: {replay.counts()}", flush=True)
         return render
 
-    description = f"{eager.description}, replayed"
-    return replace(eager, name=REPLAYED, description=description, renderer=renderer, release=replay.clear)
+    return Peer(EAGER, f"{thermosplat_peer().description}, without replays", renderer)
 
 
 def float64_renderer(near_plane: float = NEAR_PLANE) -> Renderer:

@@ -232,9 +232,11 @@ def test_the_switch() -> None:
     finally:
         replay.enable(was)
     code = "from thermosplat.rasterizer import replay; print(replay.is_enabled())"
-    for value in ("0", "1"):
-        environment = os.environ | {"THERMOSPLAT_REPLAY": value}
+    for value, on in (("0", False), ("1", True), (None, True)):
+        environment = {name: set_to for name, set_to in os.environ.items() if name != "THERMOSPLAT_REPLAY"}
+        if value is not None:
+            environment["THERMOSPLAT_REPLAY"] = value
         found = subprocess.run(
             [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
         )
-        assert found.stdout.strip() == str(value == "1")
+        assert found.stdout.strip() == str(on)

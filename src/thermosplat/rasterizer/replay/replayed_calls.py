@@ -297,10 +297,7 @@ def _after_fork() -> None:
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
-ON_BY_DEFAULT = False
-"""Unless the environment variable says otherwise."""
-
-_on = os.environ.get("THERMOSPLAT_REPLAY", str(int(ON_BY_DEFAULT))) not in ("0", "")
+_on = os.environ.get("THERMOSPLAT_REPLAY", "1") not in ("0", "")
 
 
 def enable(on: bool = True) -> None:
