@@ -4,12 +4,16 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
 from thermosplat.errors import UserError
+
+if TYPE_CHECKING:
+    from thermosplat.novel_views.bookmarks import Bookmark
+    from thermosplat.novel_views.viewpoints import PathName
 
 
 @dataclass(frozen=True)
@@ -58,22 +62,12 @@ def _render(arguments: RenderArguments) -> int:
         from thermosplat.evaluation.held_out import file_stem
         from thermosplat.evaluation.loaded_run import load_run
         from thermosplat.evaluation.results_page import write_results_page
-        from thermosplat.novel_views.bookmarks import read_bookmarks
-        from thermosplat.novel_views.viewpoints import PATHS, bookmarked_viewpoints, rendered_images, viewpoints
+        from thermosplat.novel_views.viewpoints import bookmarked_viewpoints, rendered_images, viewpoints
         from thermosplat.pictures.layouts import check_title
         from thermosplat.pictures.video import browsers_play_videos, write_images
         from thermosplat.runs.atomic_writes import check_is_no_link
 
-    path = next((name for name in PATHS if name == arguments.path), None)
-    bookmarks = []
-    if path is None:
-        file = Path(os.path.expanduser(arguments.path))
-        if not file.is_file():
-            raise UserError(
-                f"--path {arguments.path} is neither a path nor a file.",
-                f"Give one of {', '.join(PATHS)}, or a bookmarks file of thermosplat-view.",
-            )
-        bookmarks = read_bookmarks(file)
+    path, bookmarks = _named_path(arguments.path)
     check_title(arguments.title)
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
     shown = arguments.chosen(list(loaded.model.spectra))
@@ -115,6 +109,23 @@ def _render(arguments: RenderArguments) -> int:
     write_results_page(loaded.directory)
     print(f"{len(points)} images: {written}")
     return 0
+
+
+def _named_path(asked: str) -> "tuple[PathName | None, list[Bookmark]]":
+    """The path of that name, or the bookmarks in the file of that name."""
+    from thermosplat.novel_views.bookmarks import read_bookmarks
+    from thermosplat.novel_views.viewpoints import PATHS
+
+    path = next((name for name in PATHS if name == asked), None)
+    if path is not None:
+        return path, []
+    file = Path(os.path.expanduser(asked))
+    if not file.is_file():
+        raise UserError(
+            f"--path {asked} is neither a path nor a file.",
+            f"Give one of {', '.join(PATHS)}, or a bookmarks file of thermosplat-view.",
+        )
+    return None, read_bookmarks(file)
 
 
 if __name__ == "__main__":
