@@ -27,7 +27,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
         "binning",
         ("count_tiles", "compact_gaussians", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan"),
     ),
-    ("optimizer", ("adam", "Adam")),
+    ("optimizer", ("adam", "Adam", "row_fetch")),
     ("bookkeeping", ("note_bad", "note_density", "note_pairs")),
     ("penalties, noise", ("gaussian_means", "join_moments", "take_spreads", "add_position_noise")),
     (
