@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 import torch
 
+from thermosplat.training import trainer as trainer_module
 from thermosplat.training.offloaded_steps import OffloadedSteps
+from thermosplat.training.offloading import Decision
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import Differentiated
 from toy_run import many_frames, state_tensors, toy_run_config, toy_trainer
@@ -19,6 +21,20 @@ def trainer_of(path: Path, said: list[str]) -> Trainer:
     trainer.state.keep_moments_on_device({"shared": 40})
     trainer.steps = OffloadedSteps(trainer.device_step, said.append)
     return trainer
+
+
+def test_a_decision_is_carried_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The trainer keeps moments of as many rows on the device as was decided, also after a refinement, and says so."""
+    decision = Decision("moments", "Moments lie here and there.", {"shared": 40})
+    monkeypatch.setattr(trainer_module, "decided", lambda *_: decision)
+    trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
+    assert isinstance(trainer.steps, OffloadedSteps)
+    assert trainer.offload_notes == ("Moments lie here and there.",)
+    while trainer.step < 4:
+        trainer._train_step()
+    assert len(trainer.state.gaussian_sets["shared"]) > 60
+    optimizers = trainer.state.row_optimizers("shared")
+    assert [len(optimizer._near) for optimizer in optimizers if optimizer._near is not None] == [40, 40]
 
 
 def fail(trainer: Trainer, times: int, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
