@@ -30,7 +30,7 @@ def test_a_decision_is_carried_out(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
     assert isinstance(trainer.steps, OffloadedSteps)
     assert trainer.offload_notes == ("Moments lie here and there.",)
-    while trainer.step < 4:
+    while trainer.step < 5:
         trainer._train_step()
     assert len(trainer.state.gaussian_sets["shared"]) > 60
     optimizers = trainer.state.row_optimizers("shared")
