@@ -8,11 +8,12 @@ random, so that every row is fetched by itself. Steps are those of thermosplat-t
 without offloading they are recorded as CUDA graphs. With ``--limit`` torch gets so much of the GPU's memory and no more
 when something is offloaded. ``auto`` decides as thermosplat-train does for a training that may still refine.
 
-A row says how long a step takes, how much memory torch has reserved on the GPU, how much is in use on it (with CUDA's
-own), and how many Gaussians are in view. Of steps that offload, further steps in which the device is waited for say how
-long it takes to find out what is in view and to fetch it, and to update it; and a row says for which share of the
-Gaussians moments are on the device, and how many bytes the update reads over the bus. With ``--refine`` a hundredth of
-the Gaussians is copied at the end, which takes three times a step's part of the host's memory.
+A row says how long a step takes, each waited for and in a row, how much memory torch has reserved on the GPU, how much
+is in use on it (with CUDA's own), and how many Gaussians are in view. Of steps that offload, further steps in which the
+device is waited for say how long it takes to find out what is in view and to fetch it, and to update it. A row also
+says for which share of the Gaussians moments are on the device, and how many bytes the update reads over the bus. With
+``--refine`` a hundredth of the Gaussians is copied at the end, which takes three times a step's part of the host's
+memory.
 """
 
 import argparse
@@ -155,6 +156,7 @@ def measured(options: argparse.Namespace, kind: str, size: tuple[int, int], devi
         times = [1e3 * run_steps(trainer, 1) for _ in range(options.steps)]
         row["ms_per_step"] = sum(times) / len(times)
         row["fastest_ms"] = min(times)
+        row["ms_in_a_row"] = 1e3 * run_steps(trainer, options.steps) / options.steps
         if on_cuda:
             free, total = torch.cuda.mem_get_info(device)
             row["reserved_gb"] = torch.cuda.max_memory_reserved(device) / 1e9
