@@ -9,6 +9,7 @@ from numbers import Integral
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermosplat.config import LensUse
 from thermosplat.datasets.cameras import Camera
@@ -76,14 +77,7 @@ def assemble(
             f"--data-factor (data_factor) must be a whole number of at least 1, got {data_factor!r}.",
             "1 keeps the images' size, 2 halves width and height.",
         )
-    frames = sorted(listing.frames, key=lambda frame: frame.name)
-    if not frames:
-        message = " ".join([f"No image of {root} has a camera in its model.", *listing.notes])
-        raise UserError(message, "Are images and model of the same capture, under the same names?")
-    for frame in frames:
-        for shot in frame.shots.values():
-            check_camera(shot, root)
-    _check_files_once(frames, root)
+    frames = _checked_frames(listing, root)
     mask = hold_out_mask(frames, test_every)
     headers, memory = Headers(frames), allowed_memory(image_memory)
     taken = headers.taken_at_once(frames, data_factor)
@@ -94,43 +88,50 @@ def assemble(
         read = _read_some(root, frames, listing, spectra, headers, on_disk.cache)
     views = []
     for index, frame in enumerate(frames):
-        exposures = {name: pixels[index] for name, pixels in read.pixels.items()}
+        exposures = {spectrum: pixels[index] for spectrum, pixels in read.pixels.items()}
         views.append(_frame(frame, exposures, listing, root, data_factor, spectra, lens))
     shown = [bool(frame.views) for frame in views]  # a lone file may be of no use
     views, mask = list(compress(views, shown)), list(compress(mask, shown))
     train, test = divide(views, mask)
+    usable = np.isfinite(listing.points).all(axis=-1)
     notes = [
         *listing.notes,
         *pairing_notes(views, spectra),
         *distortion_notes(frames, lens),
         *outlying_notes(frames, root),
+        *(note for reading in read.readings.values() for note in reading.notes),
+        *read.notes,
+        *_edge_notes(read.readings),
+        *([] if on_disk is None else [_on_disk_note(frames, taken, memory)]),
+        *_point_notes(usable),
     ]
-    for reading in read.readings.values():
-        notes += reading.notes
-    notes += [*read.notes, *_edge_notes(read.readings)]
-    if on_disk is not None:
-        notes.append(_on_disk_note(frames, taken, memory))
-    usable = np.isfinite(listing.points).all(axis=-1)
-    if not usable.all():
-        notes.append(
-            f"{np.sum(~usable):,} of {len(listing.points):,} starting points are not finite and were left out."
-        )
-    points, colors = listing.points[usable], listing.point_colors[usable]
-    scales = {spectrum: reading.scale for spectrum, reading in read.readings.items()}
     return Capture(
         name,
         root,
         listing.layout,
         train,
         test,
-        points,
-        colors,
-        scales,
+        listing.points[usable],
+        listing.point_colors[usable],
+        {spectrum: reading.scale for spectrum, reading in read.readings.items()},
         tuple(notes),
         listing.not_found,
         dict(spectra),
         on_disk,
     )
+
+
+def _checked_frames(listing: Listing, root: Path) -> list[FrameFiles]:
+    """The frames of a listing by name, with cameras that can be; no file is in two of them."""
+    frames = sorted(listing.frames, key=lambda frame: frame.name)
+    if not frames:
+        message = " ".join([f"No image of {root} has a camera in its model.", *listing.notes])
+        raise UserError(message, "Are images and model of the same capture, under the same names?")
+    for frame in frames:
+        for shot in frame.shots.values():
+            check_camera(shot, root)
+    _check_files_once(frames, root)
+    return frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +193,12 @@ def _on_disk_note(frames: Sequence[FrameFiles], taken: int, memory: float) -> st
         f"The {count:,} images take {taken / GIGABYTE:,.3g} GB of memory, more than --image-memory allows "
         f"({memory / GIGABYTE:.3g} GB): they stay on the disk and are read when they are needed."
     )
+
+
+def _point_notes(usable: NDArray[np.bool_]) -> list[str]:
+    if usable.all():
+        return []
+    return [f"{np.sum(~usable):,} of {len(usable):,} starting points are not finite and were left out."]
 
 
 def _files(frames: Sequence[FrameFiles], spectrum: str) -> list[Path]:
