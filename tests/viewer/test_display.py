@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from thermosplat.errors import UserError
-from thermosplat.pictures.color_bar import color_bar, tick_labels, tick_values
-from thermosplat.pictures.display_palettes import DISPLAY_PALETTES, display_palette
 from thermosplat.thermal.radiometry import FLIR_IRON, GREY
 from thermosplat.viewer.display import Display, compared, isotherms, picture_range
 from thermosplat.viewer.layers import Layer, LayerImage
@@ -15,17 +12,6 @@ RAMP = np.linspace(10, 30, 201, dtype=np.float32)[None].repeat(40, axis=0)
 
 def layer(field: np.ndarray = RAMP, span: tuple[float, float] | None = (10.0, 30.0)) -> LayerImage:
     return LayerImage(Layer("image", "thermal"), field, None, FLIR_IRON, span, "°C", "temperature")
-
-
-def test_palettes_have_their_ends() -> None:
-    """White hot is black where it is cold; black hot the other way; FLIR Iron goes through its nine stops."""
-    ends = {name: np.rint(255 * display_palette(name).to_color(np.array([0.0, 1.0]))) for name in DISPLAY_PALETTES}
-    assert ends["white hot"].tolist() == [[0, 0, 0], [255, 255, 255]]
-    assert ends["black hot"].tolist() == [[255, 255, 255], [0, 0, 0]]
-    assert ends["viridis"].tolist() == [[68, 1, 84], [253, 231, 37]]
-    np.testing.assert_allclose(255 * display_palette("iron").to_color(64 / 255), (144, 2, 164), atol=0.5)
-    with pytest.raises(UserError, match="no palette"):
-        display_palette("pink")
 
 
 def test_a_value_has_its_palettes_color() -> None:
@@ -84,30 +70,3 @@ def test_wipe_and_blend() -> None:
     assert (wiped[:, 3:] == 100).all()
     assert (compared(first, second, "blend", 0.25) == 175).all()
     assert compared(first, second, "off", 0.5) is first
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "ticks"),
-    [(20.0, 41.5, ["20", "25", "30", "35", "40"]), (0.0, 1.0, ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"])],
-)
-def test_ticks_are_round_numbers(low: float, high: float, ticks: list[str]) -> None:
-    """Multiples of 1, 2, 2.5 or 5 times a power of ten, inside the range."""
-    assert tick_labels(tick_values(low, high)) == ticks
-
-
-def test_ticks_of_odd_ranges() -> None:
-    """Quarters have their digits; an empty range has one tick; a falling one is ticked as well."""
-    assert tick_labels(tick_values(0.0, 1.0, 5)) == ["0.00", "0.25", "0.50", "0.75", "1.00"]
-    assert tick_values(3.0, 3.0) == [3.0]
-    assert tick_values(4.0, 0.0) == tick_values(0.0, 4.0)
-
-
-def test_a_color_bar_shows_its_palette() -> None:
-    """Hot on top, cold below, of the height that was asked for."""
-    bar = color_bar(FLIR_IRON, 20.0, 41.5, "°C", 300)
-    assert bar.shape[0] == 300
-    column = bar[:, bar.shape[1] // 4].astype(int).sum(axis=-1)
-    inside = column[27:284]
-    assert inside[0] > 600
-    assert inside[-1] < 20
-    assert (np.diff(inside) <= 2).all()  # levels are rounded, channel by channel

@@ -1,16 +1,12 @@
-"""Sessions render what is missing and no more; turns and pace keep to their shares."""
+"""Sessions render what is missing and no more."""
 
 import dataclasses
-import threading
-import time
 
 import numpy as np
 import pytest
 
 from thermosplat.viewer.layers import Layer
-from thermosplat.viewer.pace import LEAST_PIXELS, Pace
 from thermosplat.viewer.session import Wish
-from thermosplat.viewer.turns import BetweenSteps, ViewingEnded
 from viewed_toy import moved, toy_session, viewed_toy
 
 
@@ -53,80 +49,3 @@ def test_the_photograph_lies_over_the_render() -> None:
     assert there.mean() > 0.5
     np.testing.assert_array_equal(over[there], photograph[there])
     assert (over != plain).any()
-
-
-def test_a_moving_picture_gets_the_size_that_its_machine_can() -> None:
-    """The number of pixels approaches what takes the target's time, whether that is more or fewer."""
-    for seconds_per_pixel in (5e-8, 5e-6):
-        pace = Pace(target=0.1)
-        for _ in range(20):
-            width, height = pace.size(1280, 720)
-            pace.took(width, height, 0.01 + seconds_per_pixel * width * height)
-        width, height = pace.size(1280, 720)
-        if seconds_per_pixel == 5e-8:
-            assert (width, height) == (1280, 720)
-        else:
-            assert 0.07 < 0.01 + seconds_per_pixel * width * height < 0.13
-        assert width / height == pytest.approx(16 / 9, rel=0.05)
-    assert pace.seconds(*pace.size(1280, 720)) == pytest.approx(0.1, rel=0.4)
-    assert pace.seconds(1280, 720) > 1.0
-    slow = Pace()
-    assert slow.seconds(1280, 720) == 0
-    for _ in range(20):
-        slow.took(*slow.size(1280, 720), 10.0)
-    assert slow.pixels == pytest.approx(LEAST_PIXELS, rel=0.01)
-
-
-def test_renders_take_their_share_of_training() -> None:
-    """However much is asked for, turns between steps take 5% of the time, give or take one turn."""
-    turns = BetweenSteps(share=0.05)
-    stop = threading.Event()
-    spent: list[float] = []
-
-    def work() -> None:
-        started = time.perf_counter()
-        time.sleep(0.004)
-        spent.append(time.perf_counter() - started)
-
-    def viewer() -> None:
-        while not stop.is_set():
-            try:
-                turns.run(work)
-            except ViewingEnded:
-                return
-
-    thread = threading.Thread(target=viewer)
-    thread.start()
-    started = time.perf_counter()
-    while time.perf_counter() - started < 0.8:
-        time.sleep(0.001)  # a step
-        turns.take()
-    stop.set()
-    turns.end()
-    thread.join(5)
-    assert not thread.is_alive()
-    assert len(spent) >= 3
-    assert sum(spent[:-1]) <= 0.05 * 0.8 + 0.002
-
-
-def test_work_runs_between_steps_in_the_thread_that_trains() -> None:
-    """The work's thread, its result and its error are right; after the end there are no turns."""
-    turns = BetweenSteps()
-    results: list[object] = []
-
-    def ask() -> None:
-        results.append(turns.run(threading.get_ident))
-        try:
-            turns.run(lambda: 1 / 0)
-        except ZeroDivisionError as error:
-            results.append(error)
-
-    thread = threading.Thread(target=ask)
-    thread.start()
-    turns.take_until(lambda: len(results) == 2)
-    thread.join(5)
-    assert results[0] == threading.get_ident()
-    assert isinstance(results[1], ZeroDivisionError)
-    turns.end()
-    with pytest.raises(ViewingEnded):
-        turns.run(lambda: None)
