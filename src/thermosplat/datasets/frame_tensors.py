@@ -211,5 +211,5 @@ def has_fisheye(camera: Camera) -> bool:
 def _intensity(image: NDArray[Any], pixels: Tensor, scale: PixelScale) -> Tensor:
     """Scalar intensity [H, W] of an image as it is stored and as the tensor made of it, on the tensor's device."""
     if scale.kind == "color" and pixels.device.type == "cpu":
-        return torch.from_numpy(scale.palette.to_intensity(image))  # each 8-bit colour that occurs is looked up once
+        return torch.from_numpy(scale.palette.to_intensity(image))  # of levels it is quicker
     return pixel_intensity(pixels, scale)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS, ColorSpace
+from thermosplat.thermal.level_table import LevelTable
 from thermosplat.thermal.palette_inverse import TABLE_SIZE, Curve, nearest_points
 
 _TABLE_SAMPLES = 512
@@ -70,7 +71,7 @@ class Palette:
         """Intensity of the curve's point nearest to a colour.
 
         Args:
-            color: [..., 3] in [0, 1], or uint8 levels (faster: each colour that occurs is looked up once).
+            color: [..., 3] in [0, 1], or uint8 levels (faster: of many of them each is computed once).
 
         Returns:
             [...] float32 in [0, 1].
@@ -78,10 +79,7 @@ class Palette:
         color = np.asarray(color)
         if color.dtype != np.uint8:
             return self._project(color)[0]
-        code = color.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
-        codes, where = np.unique(code.ravel(), return_inverse=True)
-        levels = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], -1)
-        return self._project(levels / np.float32(255))[0][where].reshape(code.shape)
+        return self._of_levels(color) if color.size < 3 * _CHUNK else self._table_of_levels(color)
 
     def residual(self, color: ArrayLike) -> float:
         """Mean distance of colours to the curve [8-bit levels]: about 2 for JPEGs of the right palette.
@@ -102,6 +100,13 @@ class Palette:
             channels = np.ascontiguousarray(flat[part].T)
             intensity[part], distance[part] = nearest_points(channels, self.curve, np)
         return intensity.reshape(color.shape[:-1]), distance.reshape(color.shape[:-1])
+
+    def _of_levels(self, levels: NDArray[np.uint8]) -> NDArray[np.float32]:
+        return self._project(levels / np.float32(255))[0]
+
+    @cached_property
+    def _table_of_levels(self) -> LevelTable:
+        return LevelTable(self._of_levels)
 
     @cached_property
     def curve(self) -> Curve:
