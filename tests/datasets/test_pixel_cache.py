@@ -1,10 +1,12 @@
 """Arrays of undistorted images on the disk."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from thermosplat.datasets import pixel_cache
 from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.runs import atomic_writes
 
@@ -40,14 +42,64 @@ def test_nothing_is_kept_without_a_folder() -> None:
     assert cache.load(KEY, "image") is None
 
 
-@pytest.mark.parametrize("left", [0, 50, 150])
-def test_what_is_left_of_an_array_is_none(cache: PixelCache, tmp_path: Path, left: int) -> None:
-    """A cut file, and one that holds Python objects, are made anew."""
+@pytest.mark.parametrize("kind", [np.uint8, np.float32])
+@pytest.mark.parametrize("shape", [(4, 6), (5, 7, 3), (1, 1, 1)])
+def test_arrays_are_read_into_memory_that_is_there(cache: PixelCache, shape: tuple[int, ...], kind: type) -> None:
+    """Of the same shape and type; others are left to be made."""
+    array = np.random.default_rng(0).integers(0, 256, shape).astype(kind)
+    cache.keep(KEY, "image", array[:, ::-1][:, ::-1])
+    into = np.zeros((3, *shape), kind)[1]
+    assert cache.load_into(KEY, "image", into)
+    np.testing.assert_array_equal(into, array)
+    np.testing.assert_array_equal(cache.load(KEY, "image"), array, strict=True)
+    assert not cache.load_into(KEY, "image", np.zeros((*shape, 2), kind))
+    assert not cache.load_into(KEY, "image", np.zeros(shape, np.int8))
+    assert not cache.load_into(KEY, "values", into)
+    assert not PixelCache().load_into(KEY, "image", into)
+
+
+def _cut_to(left: int) -> Callable[[bytes], bytes]:
+    return lambda content: content[:left]
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        *map(_cut_to, (0, 50, 150, 128 + 96 + 7)),
+        lambda content: content + b"0",
+        lambda content: bytes(len(content)),
+        lambda content: content[:160] + bytes(64) + content[224:],
+        lambda content: content[:200] + b"?" + content[201:],
+        lambda content: content.replace(b"(4, 6)", b"(6, 4)"),
+        lambda content: content.replace(b"(4, 6)", b"(9, 9)"),
+    ],
+    ids=["empty", "header", "numbers", "sum", "longer", "zeros", "a lost block", "a byte", "turned", "another size"],
+)
+def test_what_is_left_of_an_array_is_none(
+    cache: PixelCache, tmp_path: Path, damaged: Callable[[bytes], bytes], request: pytest.FixtureRequest
+) -> None:
+    """A cut file, and one of which a part never reached the disk, are made anew."""
     cache.keep(KEY, "image", ARRAY)
     file = tmp_path / "pixels" / f"{KEY}.image.npy"
-    file.write_bytes(file.read_bytes()[:left])
-    assert cache.load(KEY, "image") is None
-    np.save(file, np.array([{}], dtype=object), allow_pickle=True)
+    whole = file.read_bytes()
+    assert len(whole) == 128 + ARRAY.nbytes + 8
+    file.write_bytes(damaged(whole))
+    assert not cache.load_into(KEY, "image", np.empty_like(ARRAY))
+    if request.node.callspec.id != "turned":  # who does not know the shape takes the one that is written
+        assert cache.load(KEY, "image") is None
+    cache.keep(KEY, "image", ARRAY)
+    np.testing.assert_array_equal(cache.load(KEY, "image"), ARRAY)
+
+
+def test_files_of_others_are_none(cache: PixelCache, tmp_path: Path) -> None:
+    """One without a sum, one in Fortran's order, one that holds Python objects, one that claims terabytes."""
+    file = tmp_path / "pixels" / f"{KEY}.image.npy"
+    for array in (ARRAY, np.asfortranarray(ARRAY), np.array([{}], dtype=object)):
+        np.save(file, array, allow_pickle=True)
+        assert cache.load(KEY, "image") is None
+        assert not cache.load_into(KEY, "image", np.empty_like(ARRAY))
+    header = pixel_cache._header("<f4", (1 << 20, 1 << 20))
+    file.write_bytes(header + bytes(100))
     assert cache.load(KEY, "image") is None
 
 

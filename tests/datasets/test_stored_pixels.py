@@ -56,6 +56,25 @@ def test_a_kept_image_outlives_its_file(capture: Capture, tmp_path: Path) -> Non
         stored.read()
 
 
+def test_what_is_damaged_on_the_disk_is_made_again(capture: Capture, tmp_path: Path) -> None:
+    """After a power cut a kept file may hold zeros, of any part."""
+    (tmp_path / "run").mkdir()
+    keep_images(capture, tmp_path / "run")
+    stored = capture.train[0].views["thermal"].stored
+    expected, values = stored.read_to_train(), stored.read().values
+    files = sorted((tmp_path / "run" / "pixels").iterdir())
+    assert len(files) == 3
+    for file in files:
+        whole = file.read_bytes()
+        file.write_bytes(whole[:200] + bytes(len(whole) - 200))
+        image, intensity = np.zeros_like(expected.image), np.zeros_like(expected.intensity)
+        stored.read_into(image, intensity)
+        np.testing.assert_array_equal(image, expected.image)
+        np.testing.assert_array_equal(intensity, expected.intensity)
+        np.testing.assert_array_equal(stored.read().values, values, strict=True)
+        assert file.read_bytes() == whole
+
+
 def test_an_image_of_another_size(capture: Capture) -> None:
     """It would no longer be its camera's."""
     write_image(capture.root / "rgb" / "0001.png", rgb_image(1, 64, 48))

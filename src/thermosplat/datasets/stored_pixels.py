@@ -3,7 +3,7 @@
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,9 @@ from thermosplat.datasets.lens import Lens, rectification
 from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.errors import UserError
 from thermosplat.spectra import Source
-from thermosplat.thermal.radiometry import Palette
 
-_COLORS_AT_ONCE = 1 << 18
-"""Pixels whose palette is inverted at once: it takes some 40 bytes for each."""
+_INVERTING_PIXELS = 1 << 18
+"""The inverse of a palette takes 40 bytes for each of so many pixels at most: a table, and some pixels at a time."""
 
 
 class ImageLostError(UserError):
@@ -114,11 +113,15 @@ class StoredPixels:
     @property
     def reading_bytes(self) -> int:
         """Memory that reading takes, about [bytes]: the file, the image in both orders of its colours, the resampled
-        one; the maps of a lens; and what the inverse of a palette computes."""
-        pixels = self.camera.width * self.camera.height
-        maps = 8 * pixels if self.lens is not None and self.lens.distorted else 0
-        colors = 40 * min(pixels, _COLORS_AT_ONCE) if self.meaning.kind == "color" else 0
-        return 4 * self.header.decoded_bytes + maps + colors
+        one; or what the inverse of a palette computes. The maps of a lens are not in it."""
+        inverting = 40 * min(self.camera.width * self.camera.height, _INVERTING_PIXELS)
+        in_color = self.trained_bytes + inverting if self.meaning.kind == "color" else 0
+        return max(4 * self.header.decoded_bytes, in_color)
+
+    @property
+    def map_bytes(self) -> int:
+        """Memory of the maps that undistort it [bytes]; images of one lens share them."""
+        return 8 * self.camera.width * self.camera.height if self.lens is not None and self.lens.distorted else 0
 
     @cached_property
     def key(self) -> str:
@@ -132,9 +135,9 @@ class StoredPixels:
         Raises:
             ImageLostError: A file cannot be read, or its image is not what it was.
         """
-        kept = self.cache.load(self.key, "image")
-        if kept is not None:
-            return SpectrumPixels(kept, self.cache.load(self.key, "values"))
+        kept, values = (self.cache.load(self.key, part) for part in ("image", "values"))
+        if kept is not None and (values is not None or not self.cache.has(self.key, "values")):
+            return SpectrumPixels(kept, values)
         try:
             with refusing_damage(self.shot.path):
                 pixels = self._pixels_of_files()
@@ -157,9 +160,27 @@ class StoredPixels:
             return TrainedPixels(image, None)
         intensity = self.cache.load(self.key, "intensity")
         if intensity is None:
-            intensity = _intensity(self.meaning.scale.palette, np.asarray(image, np.uint8))
+            intensity = self.meaning.scale.palette.to_intensity(np.asarray(image, np.uint8))
             self.cache.keep(self.key, "intensity", intensity)
         return TrainedPixels(image, intensity)
+
+    def read_into(self, image: NDArray[Any], intensity: NDArray[np.float32] | None) -> None:
+        """Write what a training step compares with to memory that is there.
+
+        Args:
+            image: Of the shape and type of ``TrainedPixels.image``, in one piece.
+            intensity: float32 [H, W] in one piece for pseudo-colours; None for others.
+
+        Raises:
+            ImageLostError: As ``read``.
+        """
+        if self.cache.load_into(self.key, "image", image):
+            if intensity is None or self.cache.load_into(self.key, "intensity", intensity):
+                return
+        found = self.read_to_train()
+        image[...] = found.image
+        if intensity is not None:
+            intensity[...] = found.intensity
 
     def prepare(self) -> None:
         """Compute what reading needs of the lens, unless the pixels are kept; images of one camera share it."""
@@ -189,10 +210,3 @@ class StoredPixels:
         if (width, height) != (self.header.width, self.header.height):
             raise UserError(f"{self.shot.path} is {width}x{height}, and it was {expected} when the training began.")
         return seen_by(self.camera, self.lens, pixels)
-
-
-def _intensity(palette: Palette, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Intensity of an image [H, W, 3], some rows at a time."""
-    rows = max(1, _COLORS_AT_ONCE // image.shape[1])
-    parts = [palette.to_intensity(image[start : start + rows]) for start in range(0, len(image), rows)]
-    return np.concatenate(parts)

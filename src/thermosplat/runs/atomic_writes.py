@@ -34,12 +34,13 @@ class NotWrittenError(UserError):
         return isinstance(self.__cause__, OSError) and self.__cause__.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], None], *, durable: bool = True) -> None:
     """Write a file so that its name only ever holds a complete one.
 
     Args:
         path: Where the file goes. Its folder is created.
         write: Writes the file to the temporary path it is given, which lies in the same folder and has the same suffix.
+        durable: It is complete after a power cut, too. That waits for the disk.
 
     Raises:
         NotWrittenError: If the folder or the file cannot be written.
@@ -48,8 +49,9 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with _temporary_beside(path) as temporary:
             write(temporary)
-            with temporary.open("rb+") as file:
-                os.fsync(file.fileno())  # the data before the name, or a power cut leaves an empty file under it
+            if durable:
+                with temporary.open("rb+") as file:
+                    os.fsync(file.fileno())  # the data before the name, or a power cut leaves an empty file under it
             os.replace(temporary, path)
     except OSError as error:
         raise _not_written(path, error) from error
