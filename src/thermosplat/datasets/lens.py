@@ -28,6 +28,8 @@ COEFFICIENTS: dict[str, tuple[str, ...]] = {
 }
 """Parameters behind the intrinsics of the COLMAP models that the renderer projects through (COLMAP's
 sensor/models.h)."""
+KEPT_MAPS = 8
+"""Lenses whose maps are kept, for the next images."""
 _ROWS = 256
 """Rows of an image that are undistorted at once."""
 _ASPECT_TOLERANCE = 0.01
@@ -112,7 +114,7 @@ def rectified_camera(lens: Lens, width: int, height: int) -> Camera:
     return _pinhole(ideal).resized(*size)
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=KEPT_MAPS)
 def rectification(lens: Lens, width: int, height: int) -> Rectification:
     """How an image file of a given size becomes a pinhole image.
 

@@ -97,11 +97,16 @@ class StoredPixels:
         return 3 if self.meaning.has_colors else 1
 
     @property
+    def has_intensity(self) -> bool:
+        """Training needs a scalar intensity beside the image: of pseudo-colours."""
+        return self.meaning.kind == "color"
+
+    @property
     def trained_bytes(self) -> int:
         """Memory that ``read_to_train`` returns [bytes]."""
         per_pixel = 4
         if self.meaning.has_colors:
-            per_pixel = 7 if self.meaning.kind == "color" else 3
+            per_pixel = 7 if self.has_intensity else 3
         return per_pixel * self.camera.width * self.camera.height
 
     @property
@@ -115,7 +120,7 @@ class StoredPixels:
         """Memory that reading takes, about [bytes]: the file, the image in both orders of its colours, the resampled
         one; or what the inverse of a palette computes. The maps of a lens are not in it."""
         inverting = 40 * min(self.camera.width * self.camera.height, _INVERTING_PIXELS)
-        in_color = self.trained_bytes + inverting if self.meaning.kind == "color" else 0
+        in_color = self.trained_bytes + inverting if self.has_intensity else 0
         return max(4 * self.header.decoded_bytes, in_color)
 
     @property
@@ -156,7 +161,7 @@ class StoredPixels:
         """
         kept = self.cache.load(self.key, "image")
         image = self.read().image if kept is None else kept
-        if self.meaning.kind != "color":
+        if not self.has_intensity:
             return TrainedPixels(image, None)
         intensity = self.cache.load(self.key, "intensity")
         if intensity is None:
@@ -182,9 +187,14 @@ class StoredPixels:
         if intensity is not None:
             intensity[...] = found.intensity
 
+    @property
+    def is_kept(self) -> bool:
+        """The disk cache has the image."""
+        return self.cache.has(self.key, "image")
+
     def prepare(self) -> None:
-        """Compute what reading needs of the lens, unless the pixels are kept; images of one camera share it."""
-        if self.lens is not None and not self.cache.has(self.key, "image"):
+        """Compute what reading needs of the lens; images of one camera share it."""
+        if self.lens is not None:
             rectification(self.lens, self.header.width, self.header.height)
 
     def check(self) -> None:
@@ -193,7 +203,7 @@ class StoredPixels:
         Raises:
             ImageLostError: It is damaged.
         """
-        if not self.cache.has(self.key, "image"):
+        if not self.is_kept:
             try:
                 check_jpegs([path for path in (self.shot.path, self.shot.raw) if path is not None])
             except (UserError, OSError) as error:

@@ -241,6 +241,7 @@ class Trainer:
                 metrics = self.results.write(judged)
             self.run.sweep()
             self._stop_if_folder_gone()
+            self.frames.close()
             forget_images(self.capture)
             return metrics
         except (KeyboardInterrupt, Exception) as error:

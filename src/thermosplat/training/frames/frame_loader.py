@@ -1,61 +1,34 @@
-"""Frames whose pixels are on the disk, read by other processes while steps run: torch's DataLoader.
+"""Frames whose pixels are on the disk, read ahead by other processes while steps run.
 
-The order of the frames is known ahead, so that a frame lies in memory when its step begins; on CUDA in pinned memory,
-from where it is copied to the device during the step before. What is read ahead stays within the bound.
+The order of the frames is known ahead, so that a frame lies in memory when its step begins; on CUDA in pinned memory.
+What is read ahead stays within the bound.
 """
 
-import gc
 import os
-import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from itertools import chain
-from typing import Any, NamedTuple
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
-import cv2
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
 
 from thermosplat.datasets.capture import Frame
-from thermosplat.datasets.images.jpeg_warnings import decode_alone
 from thermosplat.datasets.large_captures import processes_here
+from thermosplat.datasets.lens import KEPT_MAPS
 from thermosplat.datasets.stored_pixels import ImageLostError, StoredPixels
 from thermosplat.errors import UserError
+from thermosplat.training.frames.frame_slots import FrameSlots, slot_bytes
+from thermosplat.training.frames.reading_processes import ReadingProcesses
 
-MOST_WORKERS = 16
-"""More processes wait for the disk, or for each other's memory."""
-_AHEAD = 2
-"""Frames that each process has in hand, or ready."""
-_IN_USE = 3
-"""Frames in memory beside those: of the step, of the next one, and one in between."""
+MOST_PROCESSES = 16
+"""More wait for the disk, or for each other's memory."""
+SPARE_SLOTS = 5
+"""Slots beside one for each process: frames that are ready, and those that are being copied to a device."""
 
-
-class ReadFrame(NamedTuple):
-    """Pixels of a frame in the host's memory."""
-
-    place: int
-    """The frame's place among all."""
-    views: dict[str, tuple[Tensor, Tensor | None]]
-    """Image (uint8 or float32 [H, W, C]) and intensity (float32 [H, W], of pseudo-colours) by spectrum."""
-
-
-def read_frame(frame: Frame, index: int) -> ReadFrame:
-    """Pixels of a frame, in this process.
-
-    Args:
-        frame: A frame whose views are on the disk.
-        index: Its place among all.
-
-    Raises:
-        ImageLostError: A file cannot be read, or is another one than it was.
-    """
-    views: dict[str, tuple[Tensor, Tensor | None]] = {}
-    for name, stored in stored_views(frame).items():
-        image, intensity = stored.read_to_train()
-        views[name] = torch.from_numpy(image), None if intensity is None else torch.from_numpy(intensity)
-    return ReadFrame(index, views)
+Stored = Mapping[str, StoredPixels]
+"""Where the pixels of a frame are, by spectrum."""
 
 
 def stored_views(frame: Frame) -> dict[str, StoredPixels]:
@@ -63,20 +36,44 @@ def stored_views(frame: Frame) -> dict[str, StoredPixels]:
     return {name: view.stored for name, view in frame.views.items() if view.stored is not None}
 
 
-def num_workers(frames: Sequence[Frame], memory: float) -> int:
+class SharedMaps(NamedTuple):
+    """What the lenses of all frames need to undistort images."""
+
+    stored: list[StoredPixels]
+    """An image of each lens."""
+    kept: bool
+    """They are few: made once, for all processes. Else each process makes those of a frame for that frame."""
+
+    @classmethod
+    def of(cls, frames: Sequence[Stored]) -> "SharedMaps":
+        """Those of frames; of a lens whose images were all undistorted before nothing is needed."""
+        found: dict[object, StoredPixels] = {}
+        for pixels in (pixels for frame in frames for pixels in frame.values()):
+            if pixels.map_bytes:
+                found.setdefault((pixels.lens, pixels.header.width, pixels.header.height), pixels)
+        return cls(list(found.values()), len(found) <= KEPT_MAPS)
+
+
+def num_processes(frames: Sequence[Stored], memory: float) -> int:
     """How many processes may read frames ahead.
 
     Args:
-        frames: The frames.
+        frames: Where the pixels of each frame are.
         memory: What images may take [bytes].
 
     Raises:
         UserError: It is too little for one.
     """
-    stored = [stored_views(frame).values() for frame in frames]
-    frame_bytes = max(sum(pixels.trained_bytes for pixels in views) for views in stored)
-    reading = max(pixels.reading_bytes for pixels in chain.from_iterable(stored))
-    kept, each = _IN_USE * frame_bytes + reading, reading + _AHEAD * frame_bytes
+    maps = SharedMaps.of(frames)
+    frame_bytes = max(map(slot_bytes, frames))
+    reading = max(pixels.reading_bytes for frame in frames for pixels in frame.values())
+    # this process may read a frame itself, too
+    kept, each = (SPARE_SLOTS + 1) * frame_bytes + reading, reading + frame_bytes
+    if maps.kept:
+        kept += sum(pixels.map_bytes for pixels in maps.stored)
+    else:
+        of_frame = max(sum(pixels.map_bytes for pixels in frame.values()) for frame in frames)
+        kept, each = kept + KEPT_MAPS * max(p.map_bytes for p in maps.stored), each + of_frame
     if memory < kept + each:
         least = 0.001 * -(-(kept + each) // 10**6)
         raise UserError(
@@ -85,28 +82,55 @@ def num_workers(frames: Sequence[Frame], memory: float) -> int:
             f"Give --image-memory {least:.3f} or more, or train on smaller images: --data-factor 2.",
         )
     cores = len(os.sched_getaffinity(0)) // processes_here()
-    return int(max(1, min((memory - kept) // each, MOST_WORKERS, cores)))
+    return int(max(1, min((memory - kept) // each, MOST_PROCESSES, cores)))
+
+
+@dataclass(eq=False)
+class ReadFrame:
+    """A frame in a slot, until it is released.
+
+    Args:
+        place: Its place in the order.
+        index: Which frame it is.
+        slot: Where its pixels are.
+        pixels: The slot's bytes, uint8 [n]; pinned on CUDA.
+    """
+
+    place: int
+    index: int
+    slot: int
+    pixels: Tensor
+    done: bool = False
+    lost: ImageLostError | None = None
 
 
 class FrameLoader:
     """Reads frames ahead, in one order at a time.
 
+    Processes begin to read when a frame is asked for, and end with ``close``.
+
     Args:
-        frames: The frames, by index.
-        workers: Processes that read.
-        pinned: Put them into pinned memory.
+        frames: Where the pixels of each frame are.
+        processes: How many read.
+        pinned_for: The CUDA device that frames are copied to while the host does something else; None: there is none.
 
     Attributes:
-        waited: Time that was spent waiting for frames [s].
+        processes: As given.
+        waited: Time that was spent waiting for frames to be read [s].
     """
 
-    def __init__(self, frames: Sequence[Frame], workers: int, *, pinned: bool) -> None:
-        self.workers = workers
+    def __init__(self, frames: Sequence[Stored], processes: int, pinned_for: torch.device | None = None) -> None:
+        self.processes = processes
         self.waited = 0.0
-        self._frames = _Frames(frames)
-        self._pinned = pinned
-        self._steps: Iterator[Any] | None = None
-        self._last: tuple[int, ReadFrame] | None = None
+        self.slot_bytes = max(map(slot_bytes, frames))
+        self._frames, self._pinned_for = frames, pinned_for
+        self._slots: FrameSlots | None = None
+        self._pixels: list[Tensor] = []
+        self._reading: ReadingProcesses | None = None
+        self._asked: deque[ReadFrame] = deque()
+        self._in_work: dict[int, ReadFrame] = {}
+        self._free: list[int] = []
+        self._upcoming: Iterator[tuple[int, int]] = iter(())
 
     def at(self, place: int, order: Callable[[int], int], end: int) -> ReadFrame:
         """The frame at a place of an order; those of the next places are read meanwhile.
@@ -116,24 +140,44 @@ class FrameLoader:
             order: Index of the frame at each place. It may change: then what was read ahead is read anew.
             end: One beyond the last place.
 
+        Returns:
+            The frame, which keeps its slot until it is given to ``release``.
+
         Raises:
             ImageLostError: An image of the frame cannot be read.
             UserError: A process that reads was ended by the system.
+            ValueError: All slots hold frames that were not released.
         """
-        if self._last is not None and (self._last[0], self._last[1].place) == (place, order(place)):
-            return self._last[1]
-        found = None if self._steps is None else self._next(self._steps)
-        if found is None or found.place != order(place):
+        try:
+            if not self._is_next(place, order):
+                self._begin(place, order, end)
+            self._hear(wait=False)
+            found = self._asked[0]
+            started = time.perf_counter()
+            while not found.done:
+                self._hear(wait=True)
+            self.waited += time.perf_counter() - started
+            if found.lost is not None:
+                raise found.lost
+            return self._asked.popleft()
+        except BaseException:  # an interrupt may have come between two lines
             self.close()
-            self._steps = self._started(order(later) for later in range(place, end))
-            found = self._next(self._steps)
-        if found is None:
-            raise ValueError(f"The order ends before place {place}.")
-        self._last = place, found
-        return found
+            raise
 
-    def each(self, indices: Iterable[int]) -> Iterator[ReadFrame]:
-        """Frames one after the other.
+    def is_ready(self, place: int, order: Callable[[int], int]) -> bool:
+        """Whether ``at`` would return at once.
+
+        Args:
+            place: As of ``at``.
+            order: As of ``at``.
+        """
+        if self._reading is None:
+            return False
+        self._hear(wait=False)
+        return self._is_next(place, order) and self._asked[0].done
+
+    def each(self, indices: Sequence[int]) -> Iterator[ReadFrame]:
+        """Frames one after the other; each is to be released before the next ones.
 
         Args:
             indices: Their order.
@@ -142,97 +186,96 @@ class FrameLoader:
             ImageLostError: As ``at``.
             UserError: As ``at``.
         """
-        self.close()  # two orders at a time would take twice the memory
-        reading = self._started(indices)
-        while (found := self._next(reading)) is not None:
-            yield found
+        return (self.at(place, indices.__getitem__, len(indices)) for place in range(len(indices)))
+
+    def release(self, frame: ReadFrame) -> None:
+        """Let another frame be read into the slot of one; nothing is done for a frame from before ``close``.
+
+        Args:
+            frame: A frame that ``at`` returned.
+        """
+        if self._pixels and frame.pixels is self._pixels[frame.slot]:
+            self._free.append(frame.slot)
+            self._ask()
 
     def close(self) -> None:
-        """End the processes that read for ``at``; the next call starts others."""
-        self._steps = self._last = None
+        """End the processes that read; the next call starts others. No frame is used any more."""
+        reading, self._reading = self._reading, None
+        slots, self._slots = self._slots, None
+        for held in (self._asked, self._in_work, self._free, self._pixels):
+            held.clear()
+        if reading is not None:
+            reading.close()
+        if slots is not None:
+            slots.unpin()
 
-    def _started(self, indices: Iterable[int]) -> Iterator[Any]:
-        for pixels in stored_views(self._frames.frames[0]).values():
+    def _is_next(self, place: int, order: Callable[[int], int]) -> bool:
+        if not self._asked:
+            return False
+        first = self._asked[0]
+        return (first.place, first.index) == (place, order(place))
+
+    def _begin(self, place: int, order: Callable[[int], int], end: int) -> None:
+        """Read in an order from now on."""
+        if self._reading is None:
+            self._start()
+        else:
+            self._forget_order()
+        self._upcoming = ((later, order(later)) for later in range(place, end))
+        self._ask()
+        while not self._asked and self._in_work and place < end:
+            self._hear(wait=True)  # of an order that was forgotten, in the last slots
+        if not self._asked:
+            wrong = "All slots are held." if place < end else f"The order ends before place {place}."
+            raise ValueError(wrong)
+
+    def _start(self) -> None:
+        count = self.processes + SPARE_SLOTS
+        try:
+            slots = self._slots = FrameSlots(count, self.slot_bytes)
+        except OSError as error:
+            raise ImageLostError(
+                f"The host has no memory for the {count} frames that are read ahead ({error.strerror}).",
+                "Let images take less memory with a smaller --image-memory, or train on smaller ones: --data-factor 2.",
+            ) from error
+        maps = SharedMaps.of([frame for frame in self._frames if not all(p.is_kept for p in frame.values())])
+        for pixels in maps.stored if maps.kept else ():
             pixels.prepare()  # once, for all processes that are forked now
-        loader = DataLoader(
-            self._frames,
-            batch_size=None,
-            sampler=indices,
-            num_workers=self.workers,
-            prefetch_factor=_AHEAD,
-            pin_memory=self._pinned,
-            collate_fn=_as_it_is,
-            worker_init_fn=_start_worker,
-            multiprocessing_context="fork",
-        )
-        with _signals_of_children_kept():
-            return iter(loader)
+        self._reading = ReadingProcesses(self._frames, slots, self.processes, keep_maps=maps.kept)
+        if self._pinned_for is not None:
+            slots.pin(self._pinned_for)  # after the fork, which leaves pinned memory out
+        self._pixels = [torch.from_numpy(slots[slot]) for slot in range(count)]
+        self._free = list(range(count))
 
-    def _next(self, reading: Iterator[Any]) -> ReadFrame | None:
-        started = time.perf_counter()
-        try:
-            found = next(reading, None)
-        except RuntimeError as error:
-            if "DataLoader worker" not in str(error):
-                raise
-            raise _ended(reading) from error
-        self.waited += time.perf_counter() - started
-        if isinstance(found, ImageLostError):
-            raise found
-        return None if found is None else ReadFrame(*found)
+    def _forget_order(self) -> None:
+        """Nobody wants what was asked for. What is being read is waited for before its slot serves again."""
+        taken_back = set(self._of_reading.take_back())
+        for frame in self._asked:
+            if frame.done or frame.slot in taken_back:
+                self._in_work.pop(frame.slot, None)
+                self._free.append(frame.slot)
+        self._asked.clear()
 
+    def _ask(self) -> None:
+        """Have the next frames read into the slots that are free."""
+        while self._free and (upcoming := next(self._upcoming, None)) is not None:
+            slot = self._free.pop()
+            frame = ReadFrame(*upcoming, slot, self._pixels[slot])
+            self._asked.append(frame)
+            self._in_work[slot] = frame
+            self._of_reading.ask(slot, frame.index)
 
-class _Frames(Dataset[Any]):
-    """Frames as the processes read them."""
+    def _hear(self, *, wait: bool) -> None:
+        """Note which frames were read."""
+        for slot, lost in self._of_reading.answered(wait=wait):
+            frame = self._in_work.pop(slot)
+            frame.done, frame.lost = True, lost
+            if frame not in self._asked:  # of an order that was forgotten
+                self._free.append(slot)
+                self._ask()
 
-    def __init__(self, frames: Sequence[Frame]) -> None:
-        self.frames = frames
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> tuple[int, dict[str, Any]] | ImageLostError:
-        """An error is handed over: raised here it would come out with the traceback for a message."""
-        try:
-            return index, read_frame(self.frames[index], index).views
-        except ImageLostError as error:
-            return error
-
-
-def _as_it_is(item: Any) -> Any:
-    return item
-
-
-def _start_worker(number: int) -> None:
-    """Leave signals to the process that trains, and threads out: those of its OpenCV are not here."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    cv2.setNumThreads(0)
-    gc.freeze()  # what the other process has made, some of it on a GPU, is not to be collected here
-    decode_alone()
-
-
-@contextmanager
-def _signals_of_children_kept() -> Iterator[None]:
-    """DataLoader would raise an error for a process that ended in the middle of whatever is done: the state might be
-    that of half a step. Without its handler the next frame that is asked for tells."""
-    try:
-        before = signal.getsignal(signal.SIGCHLD)
-        yield
-    finally:
-        if signal.getsignal(signal.SIGCHLD) is not before:
-            signal.signal(signal.SIGCHLD, before if before is not None else signal.SIG_DFL)
-
-
-def _ended(reading: Any) -> ImageLostError:
-    """What to say of a process that is gone."""
-    codes = [process.exitcode for process in getattr(reading, "_workers", [])]
-    if -signal.SIGBUS in codes:
-        return ImageLostError(
-            "A process that reads images found no room in the shared memory (/dev/shm).",
-            "Give it more room (docker run --shm-size 8g), or read less ahead with a smaller --image-memory.",
-        )
-    return ImageLostError(
-        "A process that reads images was ended by the system, as it does where memory is short.",
-        "Let images take less memory with a smaller --image-memory, or train on smaller ones: --data-factor 2.",
-    )
+    @property
+    def _of_reading(self) -> ReadingProcesses:
+        if self._reading is None:
+            raise ValueError("No process reads.")
+        return self._reading

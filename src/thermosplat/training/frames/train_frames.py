@@ -3,10 +3,10 @@
 What a frame holds is the same either way, to the bit on the CPU.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import overload
 
 import torch
 from torch import Tensor
@@ -17,14 +17,10 @@ from thermosplat.datasets.frame_tensors import (
     ViewTensors,
     frame_tensors,
     packed,
-    packed_memory,
-    with_pixels,
-    without_pixels,
 )
 from thermosplat.errors import UserError
 from thermosplat.refinement.camera_corrections import CameraCorrections
-from thermosplat.thermal.radiometry import PixelScale
-from thermosplat.training.frames.frame_loader import FrameLoader, ReadFrame, num_workers, read_frame, stored_views
+from thermosplat.training.frames.frames_from_disk import FramesFromDisk
 
 _CACHED_SHARE = 0.25
 """Share of the free memory that frames may fill; Gaussians and the renderer need the rest."""
@@ -95,88 +91,6 @@ class TrainFrames:
         """End what reads ahead; a later call of ``at`` begins again."""
         if self.from_disk is not None:
             self.from_disk.close()
-
-
-class _Copied(NamedTuple):
-    """A frame that was copied to the device before its step."""
-
-    place: int
-    number: int
-    frame: FrameTensors
-
-
-class FramesFromDisk:
-    """Training frames whose pixels stay on the disk.
-
-    Args:
-        frames: The frames.
-        scales: The capture's, by spectrum.
-        device: Where the tensors go.
-        memory: What images may take in the host's memory [bytes].
-
-    Attributes:
-        loader: What reads them.
-
-    Raises:
-        UserError: The memory is too little for one frame.
-    """
-
-    def __init__(
-        self, frames: Sequence[Frame], scales: Mapping[str, PixelScale], device: torch.device, memory: float
-    ) -> None:
-        self.loader = FrameLoader(frames, num_workers(frames, memory), pinned=device.type == "cuda")
-        self._frames, self._scales, self._device = frames, scales, device
-        self._cameras = [{name: without_pixels(view, device) for name, view in f.views.items()} for f in frames]
-        self._indices = torch.arange(len(frames), device=device)
-        self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None
-        if self._stream is not None:
-            self._stream.wait_stream(torch.cuda.current_stream(device))  # the cameras are there
-        self._now: _Copied | None = None
-        self._next: _Copied | None = None
-
-    def __getitem__(self, index: int) -> FrameTensors:
-        for stored in stored_views(self._frames[index]).values():
-            stored.check()
-        return self._on_device(read_frame(self._frames[index], index))
-
-    def each(self) -> Iterator[FrameTensors]:
-        """All frames in their order, read ahead."""
-        return map(self._on_device, self.loader.each(range(len(self._frames))))
-
-    def at(self, place: int, order: Callable[[int], int], end: int) -> FrameTensors:
-        """As ``TrainFrames.at``; on CUDA the frame of the next place is copied while that of this one is used."""
-        if self._stream is None:
-            return self._on_device(self.loader.at(place, order, end))
-        wanted = (place, order(place))
-        if self._now is not None and (self._now.place, self._now.number) == wanted:
-            return self._now.frame
-        copied = self._next
-        if copied is None or (copied.place, copied.number) != wanted:
-            copied = self._copied(place, order, end, self._stream)
-        using = torch.cuda.current_stream(self._device)
-        using.wait_stream(self._stream)
-        packed_memory(copied.frame).record_stream(using)
-        self._now = copied
-        self._next = self._copied(place + 1, order, end, self._stream) if place + 1 < end else None
-        return copied.frame
-
-    def _copied(self, place: int, order: Callable[[int], int], end: int, stream: torch.cuda.Stream) -> _Copied:
-        read = self.loader.at(place, order, end)
-        with torch.cuda.stream(stream):
-            return _Copied(place, read.place, self._on_device(read))
-
-    def close(self) -> None:
-        """End what reads ahead."""
-        self._now = self._next = None
-        self.loader.close()
-
-    def _on_device(self, read: ReadFrame) -> FrameTensors:
-        frame, views = self._frames[read.place], {}
-        for name, (image, intensity) in read.views.items():
-            image = image.to(self._device, non_blocking=True)
-            intensity = None if intensity is None else intensity.to(self._device, non_blocking=True)
-            views[name] = with_pixels(self._cameras[read.place][name], image, intensity, self._scales[name])
-        return packed(FrameTensors(frame.name, views, frame.shared_cameras, self._indices[read.place]))
 
 
 class CorrectedFrames:

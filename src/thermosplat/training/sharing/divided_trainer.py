@@ -190,6 +190,7 @@ class DividedTrainer(Trainer):
             self._save()
             metrics = self._alone_with_whole(lambda whole: self._leave_behind(whole, started))
             self._stop_if_wished()
+            self.frames.close()
             if first:
                 forget_images(self.capture)
             return metrics or {}
