@@ -185,7 +185,7 @@ def with_pixels(camera: ViewTensors, image: Tensor, intensity: Tensor | None, sc
         scale: What the pixels mean.
     """
     if image.dtype == torch.uint8:  # by a tensor: CUDA multiplies by the inverse of a number
-        image = image.to(torch.float32) / torch.full((), 255.0, device=image.device)
+        image = image / torch.full((), 255.0, dtype=torch.float32, device=image.device)
     if intensity is None and scale.kind != "photograph":
         intensity = pixel_intensity(image, scale)
     return replace(camera, image=image, intensity=intensity)

@@ -141,7 +141,7 @@ def _read(file: BinaryIO, array: NDArray[Any]) -> bool:
 
 
 def _bytes(array: NDArray[Any]) -> memoryview:
-    return memoryview(array.reshape(-1).view(np.uint8))
+    return array.reshape(-1).view(np.uint8).data
 
 
 def _sum(array: NDArray[Any]) -> bytes:

@@ -179,9 +179,9 @@ class StoredPixels:
         Raises:
             ImageLostError: As ``read``.
         """
-        if self.cache.load_into(self.key, "image", image):
-            if intensity is None or self.cache.load_into(self.key, "intensity", intensity):
-                return
+        parts = {"image": image} if intensity is None else {"image": image, "intensity": intensity}
+        if all(self.cache.load_into(self.key, part, array) for part, array in parts.items()):
+            return
         found = self.read_to_train()
         image[...] = found.image
         if intensity is not None:

@@ -3,7 +3,7 @@
 import contextlib
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -103,7 +103,8 @@ class FramesFromDisk:
         return packed(FrameTensors(frame.name, tensors, frame.shared_cameras, self._indices[index]))
 
 
-class _Copy(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Copy:
     """A frame whose bytes are on the device, or on their way to it."""
 
     place: int

@@ -13,9 +13,9 @@ import socket
 import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from multiprocessing import connection, get_context
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 
@@ -38,7 +38,8 @@ _ENDED = ImageLostError(
 )
 
 
-class _Asked(NamedTuple):
+@dataclass(frozen=True)
+class _Asked:
     """A message to those that read."""
 
     slot: int
@@ -47,7 +48,8 @@ class _Asked(NamedTuple):
     """Of the disk cache."""
 
 
-class _Answer(NamedTuple):
+@dataclass(frozen=True)
+class _Answer:
     """A message from them."""
 
     slot: int

@@ -11,7 +11,7 @@ from typing import overload
 import torch
 from torch import Tensor
 
-from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import (
     FrameTensors,
     ViewTensors,
