@@ -28,6 +28,8 @@ from training.command import apart
 LOOK_EVERY_S = 0.5
 """Between looks at the memory."""
 GIGABYTE = 1e9
+NO_BOUND = 1e6
+"""As --image-memory: every capture fits [GB]."""
 
 
 def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -40,7 +42,8 @@ def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     parser.add_argument("--distinct", type=int, default=8, help="pairs that are encoded; the others are links to them")
     parser.add_argument("--image-memory", type=float, default=1.0, help="as of thermosplat-train [GB]")
     parser.add_argument("--steps", type=int, default=None, help="training steps; default twice the training frames")
-    parser.add_argument("--profiled", type=int, default=50, help="of the last steps, on CUDA: is the GPU idle?")
+    parser.add_argument("--profiled", type=int, default=50, help="last steps of each epoch, on CUDA: is the GPU idle?")
+    parser.add_argument("--in-memory", action="store_true", help="train once more, with all images in memory")
     parser.add_argument("--folder", type=Path, default=None, help="where the capture and the run go; default removed")
     parser.add_argument("--json", type=Path, default=None, help="file to write")
     return parser.parse_args(words), flags
@@ -55,22 +58,35 @@ def main() -> int:
         data = capture_of_copies(
             folder / "capture", load_capture(options.data), options.pairs, (width, height), options.distinct
         )
-        told = folder / "measured.json"
-        words = [str(data), "--image-memory", str(options.image_memory), "--result-dir", str(folder / "run")]
-        own = [str(told), str(options.steps), str(options.profiled)]
-        started = time.time()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "training.timed_training", *own, *words, *flags], env=os.environ | _python_path()
-        )
-        most = watched(process)
-        if process.returncode != 0:
-            return process.returncode
-        report = measured(json.loads(told.read_text(encoding="utf-8")), started)
-    report |= {"pairs": options.pairs, "size": options.size, "image_memory_gb": options.image_memory, **most}
+        report = trained(options, data, folder, options.image_memory, flags)
+        report |= {"pairs": options.pairs, "size": options.size, "image_memory_gb": options.image_memory}
+        if options.in_memory:
+            report["in_memory"] = trained(options, data, folder, NO_BOUND, flags)
     print_report(report)
     if options.json is not None:
         write_text(options.json, json.dumps(report, indent=2) + "\n")
     return 0
+
+
+def trained(
+    options: argparse.Namespace, data: Path, folder: Path, image_memory: float, flags: list[str]
+) -> dict[str, Any]:
+    """What a training in a process of its own told, and the most memory that it took.
+
+    Raises:
+        SystemExit: It failed.
+    """
+    told = folder / "measured.json"
+    words = [str(data), "--image-memory", str(image_memory), "--result-dir", str(folder / "run")]
+    own = [str(told), str(options.steps), str(options.profiled)]
+    started = time.time()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "training.timed_training", *own, *words, *flags], env=os.environ | _python_path()
+    )
+    most = watched(process)
+    if process.returncode != 0:
+        raise SystemExit(process.returncode)
+    return measured(json.loads(told.read_text(encoding="utf-8")), started) | most
 
 
 def _python_path() -> dict[str, str]:
@@ -88,14 +104,19 @@ def watched(process: "subprocess.Popen[bytes]") -> dict[str, float]:
 
 
 def measured(told: dict[str, Any], started: float) -> dict[str, Any]:
-    """What the training told, with times from the start of its process on."""
+    """What the training told, with times from the start of its process on, and by epoch."""
     at = {name: moment - started for name, moment in told.pop("moments").items()}
-    epoch, steps = told["frames"], told.pop("steps")  # of each step: when it ended, and the time waited until then
-    report = {**told, "start_s": at, "first_step_s": steps[0][0] - started}
-    for name, part in (("first_epoch", steps[:epoch]), ("later", steps[epoch:])):
+    # of each step: when it ended, and the time waited until then, for frames to be read and for the device
+    size, steps, windows = told["frames"], told.pop("steps"), told.pop("windows")
+    report = {**told, "start_s": at, "first_step_s": steps[0][0] - started, "epochs": []}
+    for start in range(0, len(steps), size):
+        part = steps[start : start + size]
         if len(part) > 1:
-            seconds, waited = part[-1][0] - part[0][0], part[-1][1] - part[0][1]
-            report[name] = {"step_ms": 1e3 * seconds / (len(part) - 1), "waited": waited / seconds}
+            seconds, waited, ahead = (last - first for first, last in zip(part[0], part[-1], strict=True))
+            epoch = {"steps": len(part), "step_ms": 1e3 * seconds / (len(part) - 1)}
+            epoch |= {"waited": waited / seconds, "ahead": ahead / seconds}
+            profiled = [window for window in windows if start < window["first_step"] <= start + size]
+            report["epochs"].append(epoch | {"profiled": profiled[0] if profiled else None})
     return report
 
 
@@ -107,15 +128,27 @@ def print_report(report: dict[str, Any]) -> None:
         print(f"{name} after {seconds:.1f} s")
     print(f"first step done after {report['first_step_s']:.1f} s")
     print(f"memory before the first step: {report['before_gb']:.2f} GB, the most of all: {report['most_gb']:.2f} GB")
-    if report["reading_gb"] is not None:
+    if "reading_gb" in report:
         print(f"memory that reading took without training: {report['reading_gb']:.2f} GB")
-    for name, called in (("first_epoch", "first epoch"), ("later", "later epochs")):
-        if name in report:
-            print(f"{called}: {report[name]['step_ms']:.1f} ms per step, {report[name]['waited']:.1%} of it waiting")
-    for name, called in (("decoded_per_s", "decoded and undistorted"), ("kept_per_s", "from the disk cache")):
-        print(f"the readers alone, {called}: {report[name]:.1f} frames per second")
-    if report["gpu_idle"] is not None:
-        print(f"GPU idle: {report['gpu_idle']:.1%}")
+        for name, called in (("decoded_per_s", "decoded and undistorted"), ("kept_per_s", "from the disk cache")):
+            print(f"the readers alone, {called}: {report[name]:.1f} frames per second")
+        parts = f"{report['copy_ms']:.2f} ms to the device, {report['convert_ms']:.2f} ms to make tensors of them"
+        print(f"the {report['frame_mb']:.1f} MB of a frame, once they were read: {parts}")
+    print_epochs(report["epochs"])
+    if "in_memory" in report:
+        print("with all images in memory:")
+        print_epochs(report["in_memory"]["epochs"])
+
+
+def print_epochs(epochs: list[dict[str, Any]]) -> None:
+    """A line for each epoch."""
+    for number, epoch in enumerate(epochs, start=1):
+        waits = f"waiting for images {epoch['waited']:.1%}, for the device {epoch['ahead']:.1%}"
+        print(f"epoch {number}, {epoch['steps']} steps: {epoch['step_ms']:.2f} ms per step, {waits}")
+        if epoch["profiled"] is not None:
+            found = epoch["profiled"]
+            idle = f"GPU idle {found['idle']:.1%}, copies to it {found['to_device_ms']:.2f} ms per step"
+            print(f"    profiled from step {found['first_step']} on: {found['step_ms']:.2f} ms per step, {idle}")
 
 
 if __name__ == "__main__":

@@ -10,9 +10,11 @@ import pytest
 
 from bench_many_images import measured
 from benchmark_scripts import run_script
+from measuring.device_time import covered
 from measuring.process_memory import memory_of
 from scenes.capture_of_copies import capture_of_copies
 from thermosplat.datasets import load_capture
+from training.timed_training import Notes
 
 
 def test_a_capture_of_copies(tmp_path: Path) -> None:
@@ -32,14 +34,31 @@ def test_a_capture_of_copies(tmp_path: Path) -> None:
 
 
 def test_times_are_from_the_start_on() -> None:
-    """Steps of the first epoch and later ones; the first step of each window is where it begins."""
-    steps = [(100.0 + number, 0.25 * number) for number in range(6)]
-    told = {"moments": {"capture known": 97.0}, "steps": steps, "frames": 3}
+    """Steps of each epoch; the first step of each is where it begins. A profile belongs to its epoch."""
+    steps = [(100.0 + number, 0.25 * number, 0.5 * number) for number in range(8)]
+    windows = [{"first_step": 3, "idle": 0.1}, {"first_step": 5, "idle": 0.2}]
+    told = {"moments": {"capture known": 97.0}, "steps": steps, "frames": 3, "windows": windows}
     report = measured(told, 90.0)
     assert report["start_s"] == {"capture known": 7.0}
     assert report["first_step_s"] == 10.0
-    for name in ("first_epoch", "later"):
-        assert report[name] == {"step_ms": 1000.0, "waited": 0.25}
+    assert [epoch["steps"] for epoch in report["epochs"]] == [3, 3, 2]
+    assert [epoch["profiled"] for epoch in report["epochs"]] == [*windows, None]
+    for epoch in report["epochs"]:
+        assert (epoch["step_ms"], epoch["waited"], epoch["ahead"]) == (1000.0, 0.25, 0.5)
+
+
+def test_time_in_which_a_device_is_busy() -> None:
+    """Kernels on several streams count once; gaps do not."""
+    assert covered([]) == 0
+    assert covered([(5.0, 6.0), (0.0, 2.0), (1.0, 3.0), (1.5, 2.0)]) == 4.0
+
+
+def test_profiled_steps() -> None:
+    """The last ones of each epoch that has more; none after the last step but one, after which nothing is noted."""
+    assert Notes(10, 25, 4)._last == {10: 6, 20: 16}  # the last epoch has no more than four steps
+    assert Notes(10, 25, 3)._last == {10: 7, 20: 17, 24: 21}
+    assert Notes(10, 25, 0)._last == {}
+    assert Notes(10, 10, 3)._last == {9: 6}
 
 
 def test_memory_is_that_of_children_too() -> None:
@@ -61,14 +80,15 @@ def test_memory_is_that_of_children_too() -> None:
 def test_the_benchmark_runs(tmp_path: Path) -> None:
     """It trains on the disk's images, and says how long that waits and what it takes."""
     report = tmp_path / "report.json"
-    options = ["sample", "--pairs", "60", "--size", "96x72", "--image-memory", "0.002", "--steps", "3"]
+    options = ["sample", "--pairs", "60", "--size", "96x72", "--image-memory", "0.002", "--steps", "3", "--in-memory"]
     done = run_script(
         "bench_many_images.py", *options, "--json", str(report), "--", "--config", "demo", "--device", "cpu"
     )
     assert done.returncode == 0, done.stdout + done.stderr
     found = json.loads(report.read_text())
     assert found["readers"] >= 1
-    assert 0 <= found["first_epoch"]["waited"] <= 1
-    assert found["decoded_per_s"] > 0
+    assert 0 <= found["epochs"][0]["waited"] <= 1
+    assert found["in_memory"]["epochs"][0]["waited"] == 0
+    assert min(found[name] for name in ("decoded_per_s", "kept_per_s", "frame_mb", "convert_ms")) > 0
     assert found["most_gb"] > found["before_gb"] > 0
     assert found["most_gb"] > found["reading_gb"] > 0

@@ -1,6 +1,7 @@
 """Training frames whose pixels stay on the disk, as tensors; on CUDA copied to the device while earlier steps run."""
 
 import contextlib
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -80,12 +81,12 @@ class FramesFromDisk:
     def _at(self, place: int, order: Callable[[int], int], end: int) -> FrameTensors:
         if self.copies is None:
             read = self.loader.at(place, order, end)
-            frame = self._of_slot(read.index, read.pixels)
+            frame = self.of_slot(read.index, read.pixels)
             self.loader.release(read)
             return frame
         try:
             copy = self.copies.at(place, order, end)
-            frame = self._of_slot(copy.index, copy.pixels)
+            frame = self.of_slot(copy.index, copy.pixels)
             self.copies.is_used(copy)
             self.copies.go_on(place + 1, order, end)
         except BaseException:  # an interrupt may have come between two lines
@@ -93,7 +94,8 @@ class FramesFromDisk:
             raise
         return frame
 
-    def _of_slot(self, index: int, pixels: Tensor) -> FrameTensors:
+    def of_slot(self, index: int, pixels: Tensor) -> FrameTensors:
+        """A frame of the bytes of a slot, uint8 [n] on the device."""
         places = places_in_slot(self._stored[index])
         return self._frame(index, {name: place.tensors(pixels) for name, place in places.items()})
 
@@ -126,9 +128,13 @@ class FrameCopies:
     Args:
         loader: What reads the frames.
         device: The device.
+
+    Attributes:
+        ahead: Time that the host has spent waiting for the device [s].
     """
 
     def __init__(self, loader: FrameLoader, device: torch.device) -> None:
+        self.ahead = 0.0
         self._loader, self._device = loader, device
         self._stream = torch.cuda.Stream(device)
         self._slots = torch.empty((COPIED_AHEAD, loader.slot_bytes), dtype=torch.uint8, device=device)
@@ -197,5 +203,7 @@ class FrameCopies:
         """Give slots of the host back whose copies have ended; wait for the first where there are many."""
         while self._under_way and (len(self._under_way) >= COPIED_AHEAD or self._under_way[0][0].query()):
             ended, read = self._under_way.popleft()
+            started = time.perf_counter()
             ended.synchronize()
+            self.ahead += time.perf_counter() - started
             self._loader.release(read)
