@@ -1,6 +1,7 @@
 """A training whose images stay on the disk is the same training, and goes on when an image was lost."""
 
 import dataclasses
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import packed_memory
 from thermosplat.errors import UserError
+from thermosplat.runs.atomic_writes import NotWrittenError
 from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.sharing.same_capture import capture_digests
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, state_tensors, toy_run_config, toy_trainer
@@ -110,6 +113,89 @@ def test_what_was_kept_serves_a_resumed_run(tmp_path: Path, root: Path) -> None:
     assert kept.items() <= seen.items()
     RunDirectory.create(tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run" / "pixels").exists()
+
+
+def interrupted_at(trainer: Trainer, step: int) -> None:
+    """Train, and press Ctrl-C after a step."""
+
+    def stop(trainer: Trainer) -> None:
+        if trainer.step == step:
+            raise KeyboardInterrupt
+
+    trainer.between_steps = stop
+    with pytest.raises(TrainingInterrupted):
+        trainer.train()
+
+
+def test_kept_images_that_are_damaged(tmp_path: Path, root: Path) -> None:
+    """By a power cut: they are made again, and the resumed training is the same."""
+    config = toy_run_config(25)
+    whole = toy_trainer(tmp_path / "whole", config, load_capture(root))
+    whole.train()
+    interrupted_at(toy_trainer(tmp_path / "run", config, on_disk(root)), 20)
+    files = sorted((tmp_path / "run" / "pixels").iterdir())
+    for number, file in enumerate(files):
+        content = file.read_bytes()
+        file.write_bytes(
+            (b"", bytes(len(content)), content[:-9], content[:150] + bytes(len(content) - 150))[number % 4]
+        )
+    again = Trainer.resume(config, on_disk(root), RunDirectory(tmp_path / "run"))
+    again.train()
+    assert_same_state(state_tensors(whole), state_tensors(again))
+    assert not (tmp_path / "run" / "pixels").exists()
+
+
+def test_nothing_can_be_kept(tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk becomes full: images are decoded each time, and the training is the same."""
+
+    def full(path: Path, *_: object, **__: object) -> None:
+        raise NotWrittenError(f"Could not write {path}: No space left on device.")
+
+    config = toy_run_config(25)
+    whole = toy_trainer(tmp_path / "whole", config, load_capture(root))
+    whole.train()
+    monkeypatch.setattr("thermosplat.datasets.pixel_cache.write_atomically", full)
+    trainer = toy_trainer(tmp_path / "run", config, on_disk(root))
+    kept: list[Path] = []
+    trainer.between_steps = lambda trainer: kept.extend((tmp_path / "run" / "pixels").iterdir())
+    trainer.train()
+    assert kept == []
+    assert_same_state(state_tensors(whole), state_tensors(trainer))
+
+
+def test_a_reader_that_is_killed(tmp_path: Path, root: Path) -> None:
+    """As where memory is short: the state is saved, and the command in the message goes on to the same numbers."""
+    config = toy_run_config(25)
+    whole = toy_trainer(tmp_path / "whole", config, load_capture(root))
+    whole.train()
+    trainer = toy_trainer(tmp_path / "run", config, on_disk(root))
+
+    def kill(trainer: Trainer) -> None:
+        if trainer.step == 5:
+            assert trainer.frames.from_disk is not None
+            for process in trainer.frames.from_disk.loader._reading._processes:
+                process.kill()
+
+    trainer.between_steps = kill
+    with pytest.raises(UserError, match="was ended by the system, as it does where memory is short") as caught:
+        trainer.train()
+    assert f"Checkpoint saved to {tmp_path / 'run' / 'ckpts'}" in caught.value.message
+    assert trainer.run.resume_command() in caught.value.hint
+    assert trainer.frames.from_disk.loader._reading is None
+    again = Trainer.resume(config, on_disk(root), RunDirectory(tmp_path / "run"))
+    assert 5 <= again.step < 25
+    again.train()
+    assert_same_state(state_tensors(whole), state_tensors(again))
+
+
+def test_no_process_is_left(tmp_path: Path, root: Path) -> None:
+    """After Ctrl-C, and after the last step."""
+    before = set(active_children())
+    trainer = toy_trainer(tmp_path / "run", toy_run_config(25), on_disk(root))
+    interrupted_at(trainer, 3)
+    assert set(active_children()) == before
+    Trainer.resume(toy_run_config(25), on_disk(root), RunDirectory(tmp_path / "run")).train()
+    assert set(active_children()) == before
 
 
 def test_too_little_memory_for_a_frame(tmp_path: Path, root: Path) -> None:
