@@ -130,8 +130,9 @@ def print_report(report: dict[str, Any]) -> None:
     print(f"memory before the first step: {report['before_gb']:.2f} GB, the most of all: {report['most_gb']:.2f} GB")
     if "reading_gb" in report:
         print(f"memory that reading took without training: {report['reading_gb']:.2f} GB")
-        for name, called in (("decoded_per_s", "decoded and undistorted"), ("kept_per_s", "from the disk cache")):
-            print(f"the readers alone, {called}: {report[name]:.1f} frames per second")
+        for name, called in (("decoded", "decoded and undistorted"), ("kept", "from the disk cache")):
+            rate, busy = report[f"{name}_per_s"], report[f"{name}_cpu_ms"]
+            print(f"the readers alone, {called}: {rate:.1f} frames per second, {busy:.1f} ms of a core for each")
         parts = f"{report['copy_ms']:.2f} ms to the device, {report['convert_ms']:.2f} ms to make tensors of them"
         print(f"the {report['frame_mb']:.1f} MB of a frame, once they were read: {parts}")
     print_epochs(report["epochs"])

@@ -24,16 +24,17 @@ def memory_of(pid: int) -> HostMemory:
     Args:
         pid: The process.
     """
-    below = _children(pid)
+    below = children(pid)
     return HostMemory(_proportional(pid), sum(map(_proportional, below)))
 
 
-def _children(pid: int) -> list[int]:
+def children(pid: int) -> list[int]:
+    """Processes that a process has started, and those that these have started."""
     found: list[int] = []
     for thread in Path(f"/proc/{pid}/task").glob("*/children"):
         try:
             for child in map(int, thread.read_text().split()):
-                found += [child, *_children(child)]
+                found += [child, *children(child)]
         except OSError:  # it has ended
             continue
     return found

@@ -17,6 +17,7 @@ import torch
 
 from measuring.device_time import device_time
 from measuring.process_memory import memory_of
+from measuring.process_time import seconds_of_children
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.host_settings import prepare_host
 from thermosplat.datasets import capture_of
@@ -110,22 +111,24 @@ def main(words: list[str]) -> None:
 
 
 def read_alone(trainer: Trainer, disk: FramesFromDisk, folder: Path) -> dict[str, Any]:
-    """What reading alone takes: frames per second, decoded and then from what was kept; memory [GB]; parts [ms]."""
+    """What reading alone takes: frames per second and the readers' time per frame [ms], decoded and then from what was
+    kept; memory [GB]; parts of a frame's way [ms]."""
     found: dict[str, Any] = {"reading_gb": 0.0}
     count = min(READ_ALONE, len(trainer.frames))
     before = memory_of(os.getpid()).total
     for frame in disk.loader.each(range(min(2 * disk.loader.processes, count))):
         disk.loader.release(frame)  # processes are started, and have their tables
     keep_images(trainer.capture, folder)
-    for name in ("decoded_per_s", "kept_per_s"):
-        looking, started = 0.0, time.perf_counter()
+    for name in ("decoded", "kept"):
+        ran, looking, started = seconds_of_children(os.getpid()), 0.0, time.perf_counter()
         for frame in disk.loader.each(range(count)):
             if frame.place % LOOK_EVERY == 0:
                 looks = time.perf_counter()
                 found["reading_gb"] = max(found["reading_gb"], (memory_of(os.getpid()).total - before) / 1e9)
                 looking += time.perf_counter() - looks
             disk.loader.release(frame)
-        found[name] = count / (time.perf_counter() - started - looking)
+        found[f"{name}_per_s"] = count / (time.perf_counter() - started - looking)
+        found[f"{name}_cpu_ms"] = 1e3 * (seconds_of_children(os.getpid()) - ran) / count
     found["frame_mb"] = disk.loader.slot_bytes / 1e6
     found |= parts_of_a_frame(disk, trainer.device)
     disk.close()

@@ -12,6 +12,7 @@ from bench_many_images import measured
 from benchmark_scripts import run_script
 from measuring.device_time import covered
 from measuring.process_memory import memory_of
+from measuring.process_time import seconds_of_children
 from scenes.capture_of_copies import capture_of_copies
 from thermosplat.datasets import load_capture
 from training.timed_training import Notes
@@ -59,6 +60,20 @@ def test_profiled_steps() -> None:
     assert Notes(10, 25, 3)._last == {10: 7, 20: 17, 24: 21}
     assert Notes(10, 25, 0)._last == {}
     assert Notes(10, 10, 3)._last == {9: 6}
+
+
+def test_time_is_that_of_children() -> None:
+    """Not of this process."""
+    before = seconds_of_children(os.getpid())
+    script = "import time\nwhile time.process_time() < 0.3: pass\nprint(1, flush=True); input()"
+    child = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    try:
+        assert child.stdout is not None
+        child.stdout.readline()
+        found = seconds_of_children(os.getpid()) - before
+    finally:
+        child.communicate(b"\n")
+    assert 0.25 < found < 10
 
 
 def test_memory_is_that_of_children_too() -> None:
