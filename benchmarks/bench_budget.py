@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
 
 from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.config.files import load_config

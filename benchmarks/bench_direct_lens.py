@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
 import numpy as np
 import pycolmap
 import torch

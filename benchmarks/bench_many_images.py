@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
 
 from measuring.process_memory import memory_of
 from scenes.capture_of_copies import capture_of_copies

@@ -23,7 +23,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
 import pycolmap
 
 from preparation.rig_truth import rig_errors

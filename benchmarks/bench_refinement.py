@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
-import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
 import numpy as np
 
 from preparation.rig_capture import Disturbance, thermal_errors, write_capture

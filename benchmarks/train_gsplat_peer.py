@@ -12,7 +12,7 @@ import math
 import time
 from pathlib import Path
 
-import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
 import torch
 from gsplat import rasterization
 from gsplat.strategy import DefaultStrategy

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2  # before pycolmap: see docs/troubleshooting.md
+import cv2  # before pycolmap, see src/thermosplat/datasets/lens.py
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray

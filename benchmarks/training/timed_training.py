@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2  # noqa: F401  (before pycolmap: see docs/troubleshooting.md)
+import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
 import torch
 
 from measuring.device_time import device_time
