@@ -41,7 +41,7 @@ class Notes:
     Args:
         epoch: Training frames.
         count: Steps.
-        profiled: Of the last steps of each epoch; 0: none.
+        profiled: Of the last steps of each epoch but the very last, after which something else may be due; 0: none.
     """
 
     def __init__(self, epoch: int, count: int, profiled: int) -> None:
@@ -49,7 +49,7 @@ class Notes:
         """Of each: when it ended, the time waited for frames to be read until then, and for the device."""
         self.windows: list[dict[str, float]] = []
         self._stood = 0.0
-        ends = [*range(epoch, count - 1, epoch), count - 1]
+        ends = [*range(epoch - 1, count - 1, epoch), count - 1]
         starts = [0, *ends[:-1]]
         self._last = {end: end - profiled for end, start in zip(ends, starts) if profiled and end - start > profiled}
         self._profile: Any = None

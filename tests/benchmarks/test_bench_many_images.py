@@ -55,9 +55,9 @@ def test_time_in_which_a_device_is_busy() -> None:
 
 
 def test_profiled_steps() -> None:
-    """The last ones of each epoch that has more; none after the last step but one, after which nothing is noted."""
-    assert Notes(10, 25, 4)._last == {10: 6, 20: 16}  # the last epoch has no more than four steps
-    assert Notes(10, 25, 3)._last == {10: 7, 20: 17, 24: 21}
+    """The last ones of each epoch that has more, but the very last; nothing is noted after the last step of all."""
+    assert Notes(10, 25, 5)._last == {9: 4, 19: 14}  # the third epoch has no more than five
+    assert Notes(10, 25, 3)._last == {9: 6, 19: 16, 24: 21}
     assert Notes(10, 25, 0)._last == {}
     assert Notes(10, 10, 3)._last == {9: 6}
 
