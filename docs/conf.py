@@ -21,7 +21,7 @@ copyright = "2026, The thermosplat developers"
 release = thermosplat.__version__
 
 root_doc = "docs/index"
-include_patterns = ["docs/**.md", "benchmarks/**.md", "CHANGELOG.md", "CONTRIBUTING.md"]
+include_patterns = ["docs/**.md", "benchmarks/**.md", "tests/fixtures/README.md", "CHANGELOG.md", "CONTRIBUTING.md"]
 exclude_patterns = [".*", "build", "data", "dist", "results"]  # whatever lies in a working tree
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
@@ -43,6 +43,7 @@ SIDEBAR = {
         "docs/data-layouts",
         "docs/spectra",
         "docs/viewer",
+        "docs/result-folder",
         "docs/exports",
         "docs/conventions",
         "docs/comparing-methods",
@@ -66,6 +67,7 @@ SIDEBAR = {
         "benchmarks/peers/README",
         "benchmarks/records/README",
         "benchmarks/notes/README",
+        "tests/fixtures/README",
         "CHANGELOG",
     ],
 }
