@@ -26,7 +26,12 @@ from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
 from warp_kernels.decoding.decoder_memory import TEAMS
 from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
 from warp_kernels.machinery.strand_sums import strand_sum_kernel
-from warp_kernels.projection.affine_camera_adjoint import affine_camera_adjoint_kernel, lens_finish_kernel
+from warp_kernels.projection.affine_camera_adjoint import (
+    ROLLING_RECORD,
+    STILL_RECORD,
+    affine_camera_adjoint_kernel,
+    lens_finish_kernel,
+)
 from warp_kernels.projection.affine_cameras import affine_camera_kernel
 from warp_kernels.projection.camera_gradients import CAMERA_RECORD, camera_finish_kernel
 from warp_kernels.projection.lens_models import LensModel, lens_limit_kernel
@@ -49,10 +54,10 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for to_cameras in (False, True)
         for antialiased in (False, True)
     ]
-    kernels.append(projection_adjoint_kernel(dtype, "pinhole", False, False, False, True))
+    kernels += [projection_adjoint_kernel(dtype, "pinhole", False, posed, False, True) for posed in (False, True)]
     kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, camera_finish_kernel(dtype)]
     kernels += activation_kernels(dtype)
-    kernels += [strand_sum_kernel(dtype, length) for length in (3, CAMERA_RECORD)]
+    kernels += [strand_sum_kernel(dtype, 3), strand_sum_kernel(wp.float64, CAMERA_RECORD)]
     kernels.append(contributors_kernel(dtype))
     for hits, normals in ((False, False), (True, True)):
         along = RayVariant(3, hits, normals, dtype)
@@ -91,11 +96,12 @@ def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Pat
 @pytest.mark.parametrize("arch", [75, 90])
 @pytest.mark.parametrize("model", get_args(LensModel))
 def test_lenses_compile_for_cuda(model: LensModel, arch: int, tmp_path: Path) -> None:
-    """All lens models, with and without a rolling shutter, with gradients to cameras."""
+    """All lens models, with and without a rolling shutter, with and without gradients to cameras."""
     kernels = [lens_limit_kernel(wp.float32, model)]
+    kernels += [strand_sum_kernel(wp.float64, length) for length in (STILL_RECORD, ROLLING_RECORD)]
     for rolling in (False, True):
         kernels += [affine_camera_kernel(wp.float32, model, rolling), lens_finish_kernel(wp.float32, rolling)]
-        kernels.append(affine_camera_adjoint_kernel(wp.float32, model, rolling, True))
+        kernels += [affine_camera_adjoint_kernel(wp.float32, model, rolling, posed) for posed in (False, True)]
     compile_all(kernels, arch, tmp_path)
 
 

@@ -3,7 +3,6 @@
 import warp as wp
 
 from warp_kernels.machinery.loading import made_once
-from warp_kernels.machinery.strand_sums import STRANDS
 
 
 @made_once
@@ -14,7 +13,7 @@ def camera_position_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         dtype: ``wp.float32`` or ``wp.float64``, of the view matrices.
 
     Returns:
-        ``(forward, adjoint)``. The adjoint adds the strands of the directions' gradients, whose negative sum is the
+        ``(forward, adjoint)``. The adjoint takes the sum of the directions' gradients, whose negative is the
         gradient v to the position p, and adds to that of the view matrix V: with p = V⁻¹ e4 it is -(V⁻ᵀ v) pᵀ.
     """
     mat44 = wp.types.matrix((4, 4), dtype)
@@ -40,15 +39,13 @@ def camera_position_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
 
     @wp.kernel(name=f"camera_position_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def camera_position_adjoint_kernel(
-        partial_sums: wp.array(dtype=wp.vec3d),  # [images · STRANDS]
+        totals: wp.array(dtype=wp.vec3d),  # [images]
         viewmats: wp.array(dtype=mat44),  # [images]
         # outputs
         v_viewmats: wp.array(dtype=mat44),  # [images]
     ):
         image = wp.tid()
-        total = wp.vec3d()
-        for strand in range(wp.static(STRANDS)):
-            total = total + partial_sums[image * wp.static(STRANDS) + strand]
+        total = totals[image]
         back = inverse(viewmats[image])
         v_view = v_viewmats[image]
         for i in range(4):

@@ -12,7 +12,7 @@ from warp_kernels.color.spherical_harmonics import ColorVariant, color_adjoint_k
 from warp_kernels.machinery.array_views import ArrayView, empty
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch, launch_again
-from warp_kernels.machinery.strand_sums import strand_sums
+from warp_kernels.machinery.strand_sums import image_sums
 from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.machinery.warp_lists import LISTED, threads_of_many
 
@@ -120,7 +120,7 @@ def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bo
         launch_again(
             camera_position_kernels(dtype)[1],
             images,
-            [strand_sums(v_offsets, images), a.viewmats, a.viewmats.grad],
+            [image_sums(v_offsets, images), a.viewmats, a.viewmats.grad],
             device,
         )
 

@@ -27,6 +27,25 @@ def total_function(dtype: type):
     return warp_total
 
 
+@made_once
+def lane_sum_function(length: int):
+    """A sum of float64 vectors over all lanes of a warp, which all call it together; always in the same order.
+
+    Args:
+        length: of the vectors.
+
+    Returns:
+        A Warp function (sums, row, lane, vector) that stores the sum in ``sums[row]``; on the CPU, the vector itself.
+    """
+    vector = wp.types.vector(length, wp.float64)
+    source = accumulate_snippet(length, wp.float64) + on_cuda("", "dst.data[index] = v;")
+
+    @wp.func_native(source)
+    def store_lane_sum(dst: wp.array(dtype=vector), index: int, lane: int, v: vector): ...
+
+    return store_lane_sum
+
+
 def accumulate_snippet(length: int, dtype: type, *, apart: Sequence[tuple[str, int, int]] | None = None) -> str:
     """Source of a native function that sums a vector over the warp and stores it in ``dst[index]``, or adds it there.
 

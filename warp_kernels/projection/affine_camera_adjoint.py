@@ -1,28 +1,71 @@
-"""Adjoint of affine_cameras, written by hand; notation as there.
+"""Adjoint of affine_cameras, written by hand; notation as there, and for the ellipse as in projection.
 
-One thread per Gaussian walks the cameras of its scene and sums its own gradient; gradients to cameras are records that
-are summed afterwards, as in projection_adjoint. Each of the seven points takes its share of the gradients to the mean
-and the a_i back through the lens by its own Jacobian.
+One thread per Gaussian walks the cameras of its scene and sums its own gradient; gradients to cameras are summed over
+each warp, and its records afterwards (see camera_gradients). Each of the seven points takes its share of the gradients
+to the mean and the a_i back through the lens by its own Jacobian, and adds them to the gradients to its path: that of
+the mean, and that of its axis. The paths' gradients become those to the Gaussian and the pose at the end.
 
-With a rolling shutter the time depends on where the point lands. For u = π(V(τ) x), τ = s · u and the pace w = ∂u / ∂τ,
-a gradient v to u is one of v + s (w · v) / (1 - s · w) to π(V(τ) x) at that time.
+With a rolling shutter the time depends on where the point lands; the forward kernel has left it. For u = π(V(τ) x),
+τ = s · u and the pace w = ∂u / ∂τ, a gradient v to u is one of v + s (w · v) / (1 - s · w) to π(V(τ) x) at that time.
 """
 
 import warp as wp
 
+from warp_kernels.machinery.lane_sums import lane_sum_function
 from warp_kernels.machinery.loading import made_once
-from warp_kernels.machinery.strand_sums import STRANDS
 from warp_kernels.projection.affine_cameras import SPREAD, loading_functions, sight_functions
-from warp_kernels.projection.camera_gradients import CAMERA_RECORD
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel, lens_functions, lens_vector
+from warp_kernels.projection.projection import covariance_functions
 from warp_kernels.projection.rotation import rotation_functions
-from warp_kernels.projection.shutter_motion import MOTION, mat34d, motion_vector, pose_functions
+from warp_kernels.projection.shutter_motion import (
+    MOTION,
+    mat34d,
+    motion_vector,
+    path_rows,
+    pose_functions,
+    turn_bends,
+)
 
 STILL_RECORD = 12 + 4 + LENS_COEFFS
 """Numbers of a record: the first three rows of a view matrix, fx, fy, cx, cy, the coefficients of the lens."""
 
 ROLLING_RECORD = MOTION + 4 + LENS_COEFFS
 """The same with a motion in place of the view matrix."""
+
+
+@made_once
+def slope_gradient_function(dtype: type):
+    """From the gradient of an ellipse in the image to that of the slopes it was made of.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        A Warp function of the slopes, the root and the compensation, their gradients, and eps2d.
+    """
+    vec3, vec6 = wp.types.vector(3, dtype), wp.types.vector(6, dtype)
+    from_rows, _, _ = covariance_functions(dtype)
+    zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
+
+    @wp.func
+    def slope_gradient(slope: vec6, root: vec3, rho: dtype, v_root: vec3, v_compensation: dtype, eps2d: dtype):
+        a0, a1 = vec3(slope[0], slope[1], slope[2]), vec3(slope[3], slope[4], slope[5])
+        u, k, v = root[0], root[1], root[2]
+        w01 = -v / u * v_root[1]
+        b0, b1 = u * (a0 + k * a1), v * a1
+        v_a0 = u * (w01 * b1 - u * v_root[0] * b0)
+        v_a1 = k * v_a0 + v * (w01 * b0 - v * v_root[2] * b1)
+        if rho > zero:  # 0 in the classic mode
+            xx, _xy, yy, det = from_rows(a0, a1)
+            share = half * v_compensation / (rho * (det + eps2d * (xx + yy) + eps2d * eps2d))
+            v_det = share * (one - rho * rho)
+            v_blur = -share * rho * rho * eps2d
+            normal = wp.cross(a0, a1)
+            v_a0 = v_a0 + two * (v_blur * a0 + v_det * wp.cross(a1, normal))
+            v_a1 = v_a1 + two * (v_blur * a1 + v_det * wp.cross(normal, a0))
+        return vec6(v_a0[0], v_a0[1], v_a0[2], v_a1[0], v_a1[1], v_a1[2])
+
+    return slope_gradient
 
 
 @made_once
@@ -36,22 +79,50 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
         to_cameras: Also write gradients to poses, intrinsics and lenses.
 
     Returns:
-        The Warp kernel.
+        The Warp kernel, launched over ``WarpRows.threads``.
     """
-    vec3, vec4 = wp.types.vector(3, dtype), wp.types.vector(4, dtype)
+    vec2, vec3, vec4, vec6 = (wp.types.vector(k, dtype) for k in (2, 3, 4, 6))
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     coefficients_type, motion_type = wp.types.vector(LENS_COEFFS, dtype), wp.types.vector(MOTION, dtype)
-    affine_record = wp.types.vector(CAMERA_RECORD, dtype)
-    poses = MOTION if rolling else 12
-    record = wp.types.vector(ROLLING_RECORD if rolling else STILL_RECORD, dtype)
-    pose_kind = motion_vector if rolling else mat34d
-    intrinsics, sight = sight_functions(model, rolling)
+    poses, length = MOTION if rolling else 12, ROLLING_RECORD if rolling else STILL_RECORD
+    record, record64 = wp.types.vector(length, dtype), wp.types.vector(length, wp.float64)
+    store_lane_sum = lane_sum_function(length)
+    rows, pose_kind = path_rows(rolling), motion_vector if rolling else mat34d
+    path_kind, paths_kind = (wp.types.matrix((count, 3), wp.float64) for count in (rows, 3 * rows))
+    intrinsics, _ = sight_functions(model, rolling)
+    turned, begin, drift, weights, position, velocity = pose_functions(rolling)
     pose_of, lens_of, axes_of = loading_functions(dtype, rolling)
-    _, velocity, turned_back, pose_gradient = pose_functions(rolling)
     bend, coefficient_gradient, _ = lens_functions(model)
     to_matrix, turn_adjoint = rotation_functions(dtype)
+    slope_gradient = slope_gradient_function(dtype)
     zero, half, one, spread = (wp.float64(x) for x in (0.0, 0.5, 1.0, SPREAD))
     in_pixels = model in ("ftheta", "ftheta_inverse")
+
+    @wp.func
+    def turned_back(pose: pose_kind, g: path_kind):
+        """The gradient to a path, as one to the point or difference that it is of."""
+        result = wp.vec3d()
+        for r in range(wp.static(rows)):
+            for i in range(3):
+                for j in range(3):
+                    if wp.static(rolling):
+                        result[j] += pose[9 * r + 3 * i + j] * g[r, i]
+                    else:
+                        result[j] += pose[i, j] * g[r, i]
+        return result
+
+    @wp.func
+    def turn_gradient(g: path_kind, v: wp.vec3d):
+        """The gradient to the path of v, as one to the pose."""
+        result = pose_kind()
+        for r in range(wp.static(rows)):
+            for i in range(3):
+                for j in range(3):
+                    if wp.static(rolling):
+                        result[9 * r + 3 * i + j] = g[r, i] * v[j]
+                    else:
+                        result[i, j] = g[r, i] * v[j]
+        return result
 
     @wp.kernel(
         name=f"affine_camera_adjoint_{model}{'_rolling' * rolling}{'_cameras' * to_cameras}_{dtype.__name__}",
@@ -73,18 +144,32 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
         shutter_x: wp.float64,
         shutter_y: wp.float64,
         shutter_start: wp.float64,
+        lanes: int,
+        warps: int,
+        eps2d: dtype,
+        packed_roots: wp.array(dtype=vec4),  # [images · N]
+        compensations: wp.array(dtype=dtype),  # [images · N]; [0] in the classic mode
         radii: wp.array(dtype=wp.vec2i),  # [images · N]
-        v_affine: wp.array(dtype=affine_record),  # [images · N]; see camera_gradients
+        slopes: wp.array(dtype=vec6),  # [images · N]
+        times: wp.array(dtype=wp.float64),  # [images · N]; [0] without a rolling shutter
+        leads: wp.array(dtype=vec6),  # [images · N]; likewise
+        v_means2d: wp.array(dtype=vec2),  # [images · N]; [0]: zeros, as in those below
+        v_depths: wp.array(dtype=dtype),  # [images · N]
+        v_roots: wp.array(dtype=vec3),  # [images · N]
+        v_compensations: wp.array(dtype=dtype),  # [images · N]
         store: bool,
         store_means: bool,
         # outputs
         v_means: wp.array(dtype=vec3),  # [scenes · N]
         v_quats: wp.array(dtype=vec4),  # [scenes · N]
         v_scales: wp.array(dtype=vec3),  # [scenes · N]
-        v_cameras: wp.array(dtype=record),  # [images · N]; [0]: not wanted
+        v_cameras: wp.array(dtype=record64),  # [images · warps]; [0]: not wanted
     ):
-        gaussian = wp.tid() + first
-        scene = gaussian // num_gaussians
+        thread = wp.tid() + first
+        scene = thread // (warps * lanes)
+        place = thread % (warps * lanes)
+        inside = place < num_gaussians
+        gaussian = scene * num_gaussians + wp.min(place, num_gaussians - 1)
         shutter = wp.vec3d(shutter_x, shutter_y, shutter_start)
         raw, s, mean = quats[gaussian], scales[gaussian], means[gaussian]
         m = wp.vec3d(wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2]))
@@ -94,70 +179,134 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
         given = bool(True)
         for camera in range(num_cameras):
             image = scene * num_cameras + camera
-            index = image * num_gaussians + gaussian % num_gaussians
-            g_pose, g_K, g_lens = pose_kind(), wp.vec4d(), lens_vector()
-            if radii[index][0] > 0:
-                v = v_affine[index]
-                given = given and wp.isfinite(v)
-                v_mean2d = wp.vec2d(wp.float64(v[9]), wp.float64(v[10]))
+            index = image * num_gaussians + gaussian - scene * num_gaussians
+            G = record()
+            if inside and radii[index][0] > 0:
+                # gradients that are not given are zero
+                v_mean, v_depth_given, v_root, v_compensation, rho = vec2(), dtype(0.0), vec3(), dtype(0.0), dtype(0.0)
+                if v_means2d.shape[0] > 0:
+                    v_mean = v_means2d[index]
+                if v_depths.shape[0] > 0:
+                    v_depth_given = v_depths[index]
+                if v_roots.shape[0] > 0:
+                    v_root = v_roots[index]
+                if v_compensations.shape[0] > 0:
+                    v_compensation = v_compensations[index]
+                    rho = compensations[index]
+                finite = wp.isfinite(v_root) and wp.isfinite(v_mean) and wp.isfinite(v_depth_given)
+                finite = finite and wp.isfinite(v_compensation)
+                given = given and finite
+                packed = packed_roots[index]
+                root = vec3(packed[0], packed[1], packed[2])
+                v_slope = slope_gradient(slopes[index], root, rho, v_root, v_compensation, eps2d)
+                if finite and not wp.isfinite(v_slope):
+                    v_slope = vec6()
+                    v_mean = vec2()
+                    v_depth_given = dtype(0.0)
+                v_mean2d = wp.vec2d(wp.float64(v_mean[0]), wp.float64(v_mean[1]))
+
                 raw_K = Ks[image]
                 K = intrinsics(
                     wp.float64(raw_K[0, 0]), wp.float64(raw_K[1, 1]), wp.float64(raw_K[0, 2]), wp.float64(raw_K[1, 2])
                 )
                 pose, k, limit = pose_of(viewmats, motions, image), lens_of(coefficients, image), limits[image]
-                time = wp.float64(0.5)
+                drifting = drift(pose)
+                square, time = wp.float64(0.0), wp.float64(0.0)
+                lead = vec6()
+                if wp.static(rolling):
+                    square = pose[33]
+                    time = times[index]
+                    lead = leads[index]
+                path = turned(pose, m)
+                path[0] = path[0] + begin(pose)
+                paths = paths_kind()
+                for i in range(3):
+                    of_axis = turned(pose, axes[i])
+                    for r in range(wp.static(rows)):
+                        paths[i * rows + r] = of_axis[r]
+
+                g_path, g_paths = path_kind(), paths_kind()
+                g_drift, g_square = wp.vec3d(), wp.float64(0.0)
+                g_K, g_lens = wp.vec4d(), lens_vector()
                 points = int(7)  # in a variable: a loop, and no copies of it
-                for point in range(points):  # the mean, and on both sides of it along the axes
-                    axis = wp.max((point - 1) // 2, 0)
-                    away = wp.float64(0.0)
+                for point in range(points):  # the mean, above it along the axes, and below
+                    axis = wp.max(point - 1, 0) % 3
+                    away, tau, v_depth = wp.float64(0.0), time, wp.float64(0.0)
                     v_u = (one - wp.float64(3.0) / (spread * spread)) * v_mean2d
-                    if point > 0:
-                        away = wp.float64(spread)
-                        if (point - 1) % 2 == 1:
-                            away = -away
-                        v_slope = wp.vec2d(wp.float64(v[axis]), wp.float64(v[3 + axis]))
-                        v_u = (half / (spread * spread)) * v_mean2d + (half / away) * v_slope
-                    place = m + away * axes[axis]
-                    _seen, _u, J, x, tau, pace, left = sight(pose, place, K, k, limit, shutter, time)
-                    v_depth = wp.float64(0.0)
                     if point == 0:
-                        time = tau
-                        v_depth = wp.float64(v[11])
+                        v_depth = wp.float64(v_depth_given)
+                    else:
+                        away = wp.where(point > 3, -spread, spread)
+                        steep = wp.vec2d(wp.float64(v_slope[axis]), wp.float64(v_slope[3 + axis]))
+                        v_u = (half / (spread * spread)) * v_mean2d + (half / away) * steep
+                        if wp.static(rolling):
+                            tau = time + wp.float64(lead[point - 1])
+                    here = path_kind()
+                    for r in range(wp.static(rows)):
+                        here[r] = path[r] + away * paths[axis * rows + r]
+                    w = weights(square, tau)
+                    x = position(here, w, drifting, tau)
+                    _seen, bent, J = bend(x, k, limit)
+                    J[0] = K[0] * J[0]
+                    J[1] = K[1] * J[1]
                     if wp.static(rolling):
                         along = wp.vec2d(shutter[0], shutter[1])
-                        rate = velocity(pose, place, tau)
+                        rate = velocity(here, w, drifting, square)
+                        pace = J * rate
                         v_u += (v_depth * rate[2]) * along
-                        v_u += (wp.dot(pace, v_u) / left) * along
+                        v_u += (wp.dot(pace, v_u) / (one - wp.dot(along, pace))) * along
                     v_x = wp.transpose(J) * v_u + wp.vec3d(zero, zero, v_depth)
-                    v_place = turned_back(pose, tau, v_x)
-                    g_mean += v_place
-                    g_axes[axis] = g_axes[axis] + away * v_place
+                    for r in range(wp.static(rows)):
+                        weighted = w[r] * v_x
+                        g_path[r] = g_path[r] + weighted
+                        g_paths[axis * rows + r] = g_paths[axis * rows + r] + away * weighted
                     if wp.static(to_cameras):
-                        g_pose += pose_gradient(pose, place, tau, v_x)
-                        _seen, bent, _J = bend(x, k, limit)
+                        if wp.static(rolling):
+                            s_square, c_square = turn_bends(square, tau)
+                            g_drift += tau * v_x
+                            g_square += wp.dot(v_x, s_square * here[1] + c_square * here[2])
                         g_K += wp.vec4d(v_u[0] * bent[0], v_u[1] * bent[1], v_u[0], v_u[1])
                         g_lens += coefficient_gradient(x, k, wp.vec2d(K[0] * v_u[0], K[1] * v_u[1]))
-            if wp.static(to_cameras):
-                G = record()
-                if wp.static(rolling):
-                    for i in range(wp.static(MOTION)):
-                        G[i] = dtype(g_pose[i])
-                else:
-                    for i in range(3):
-                        for j in range(4):
-                            G[4 * i + j] = dtype(g_pose[i, j])
-                if wp.static(not in_pixels):
-                    G[poses] = dtype(g_K[0])
-                    G[poses + 1] = dtype(g_K[1])
-                G[poses + 2] = dtype(g_K[2])
-                G[poses + 3] = dtype(g_K[3])
-                for i in range(wp.static(LENS_COEFFS)):
-                    G[poses + 4 + i] = dtype(g_lens[i])
-                # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
-                if given and not wp.isfinite(G):
-                    G = record()
-                v_cameras[index] = G
 
+                g_mean += turned_back(pose, g_path)
+                g_pose = pose_kind()
+                if wp.static(to_cameras):
+                    g_pose = turn_gradient(g_path, m)
+                for i in range(3):
+                    of_axis = path_kind()
+                    for r in range(wp.static(rows)):
+                        of_axis[r] = g_paths[i * rows + r]
+                    g_axes[i] = g_axes[i] + turned_back(pose, of_axis)
+                    if wp.static(to_cameras):
+                        g_pose += turn_gradient(of_axis, axes[i])
+                if wp.static(to_cameras):
+                    if wp.static(rolling):
+                        for i in range(wp.static(MOTION)):
+                            G[i] = dtype(g_pose[i])
+                        for i in range(3):
+                            G[27 + i] = dtype(g_path[0, i])
+                            G[30 + i] = dtype(g_drift[i])
+                        G[33] = dtype(g_square)
+                    else:
+                        for i in range(3):
+                            for j in range(3):
+                                G[4 * i + j] = dtype(g_pose[i, j])
+                            G[4 * i + 3] = dtype(g_path[0, i])
+                    if wp.static(not in_pixels):
+                        G[poses] = dtype(g_K[0])
+                        G[poses + 1] = dtype(g_K[1])
+                    G[poses + 2] = dtype(g_K[2])
+                    G[poses + 3] = dtype(g_K[3])
+                    for i in range(wp.static(LENS_COEFFS)):
+                        G[poses + 4 + i] = dtype(g_lens[i])
+                    # A gradient too large for its type: none at all, rather than an infinity that ends an optimisation.
+                    if finite and not wp.isfinite(G):
+                        G = record()
+            if wp.static(to_cameras):
+                store_lane_sum(v_cameras, image * warps + place // lanes, place % lanes, record64(G))
+
+        if not inside:
+            return
         rotation = to_matrix(raw)
         columns = wp.transpose(rotation)
         g_scale = vec3()
@@ -187,7 +336,7 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
 
 @made_once
 def lens_finish_kernel(dtype: type, rolling: bool) -> wp.Kernel:
-    """Adds the strands of each image and hands the result to the gradients, one thread an image.
+    """Hands the sum of each image's records to the gradients, one thread an image.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the gradients.
@@ -205,7 +354,7 @@ def lens_finish_kernel(dtype: type, rolling: bool) -> wp.Kernel:
         name=f"finish_lens_gradients{'_rolling' * rolling}_{dtype.__name__}", enable_backward=False, module="unique"
     )
     def finish_lens_gradients_kernel(
-        partial_sums: wp.array(dtype=record64),  # [images · STRANDS]
+        totals: wp.array(dtype=record64),  # [images]
         # outputs
         v_viewmats: wp.array(dtype=mat44),  # [images]
         v_motions: wp.array(dtype=motion_type),  # [images]; [0] without a rolling shutter
@@ -213,9 +362,7 @@ def lens_finish_kernel(dtype: type, rolling: bool) -> wp.Kernel:
         v_coefficients: wp.array(dtype=coefficients_type),  # [images]
     ):
         image = wp.tid()
-        total = record64()
-        for strand in range(wp.static(STRANDS)):
-            total = total + partial_sums[image * wp.static(STRANDS) + strand]
+        total = totals[image]
         if wp.static(rolling):
             motion = v_motions[image]
             for i in range(wp.static(MOTION)):

@@ -7,22 +7,23 @@ point, g1, g2, g3 the Gaussian's axes times its standard deviations, and δ = α
     covariance = Σ a_i a_iᵀ,   a_i = (f(m + δ g_i) - f(m - δ g_i)) / (2 δ).
 
 This is the transform's covariance without δ²/4 Σ h_i h_iᵀ + (β - α²) s sᵀ, s = ½ Σ h_i, which changes no error that was
-measured. What is left is that of a sphere of size 1 at the origin before the orthographic camera whose view matrix has
-a_1, a_2, a_3 as columns of its first two rows: everything after it, and its adjoint, is the orthographic projection's.
+measured. What is left is that of a sphere of size 1 before an affine camera with a_1, a_2, a_3 as columns: its slopes.
 That the mean moves by ½ Σ h_i takes about a quarter off the error of a linearisation, with lenses and without
 (benchmarks/bench_lens_projection.py).
 
 With a rolling shutter f(x) = π(V(τ) x), where the time τ = shutter · (f(x), 1) is the one at which the line is read
-where the point lands. Newton's method finds it. Beyond the first and the last line the motion goes on: a time that was
-kept within 0 and 1 would bend f sharply there, which second differences of close points take for a large h_i.
+where the point lands. Newton's method finds it; for the points beside the mean it begins at the time that the mean's
+time and its gradient foretell. Beyond the first and the last line the motion goes on: a time that was kept within 0 and
+1 would bend f sharply there, which second differences of close points take for a large h_i.
 """
 
 import warp as wp
 
 from warp_kernels.machinery.loading import made_once
+from warp_kernels.projection.footprints import footprint_functions
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel, lens_functions, lens_vector
 from warp_kernels.projection.rotation import rotation_functions
-from warp_kernels.projection.shutter_motion import MOTION, mat34d, motion_vector, pose_functions
+from warp_kernels.projection.shutter_motion import MOTION, mat34d, motion_vector, path_rows, pose_functions
 
 SPREAD = 0.1 * 3.0**0.5
 """δ: how far the points lie from the mean [standard deviations]. gsplat's α and κ."""
@@ -34,9 +35,9 @@ the axis polynomials are no lens any more. (gsplat allows 0.1.)"""
 SHUTTER_STEPS = 10
 """Most steps of Newton's method to the time at which a point is seen; three are usual."""
 
-CONVERGED = 1.0e-7
-"""What the time may be off [readouts] before the last step, which squares it. A point whose time is not found is not
-seen."""
+CONVERGED = 1.0e-8
+"""What the time may be off [readouts] before the last step, which squares it and moves the point along its pace. A
+point whose time is not found is not seen."""
 
 EARLIEST, LATEST = -1.0, 2.0
 """Times between which it is looked for: those of centres that are drawn are between -0.5 and 1.5."""
@@ -57,8 +58,8 @@ def sight_functions(model: LensModel, rolling: bool):
         ``(intrinsics, sight)``, Warp functions in float64.
     """
     bend, _, _ = lens_functions(model)
-    position, velocity, _, _ = pose_functions(rolling)
-    pose_kind = motion_vector if rolling else mat34d
+    _, _, _, weights, position, velocity = pose_functions(rolling)
+    path_kind = wp.types.matrix((path_rows(rolling), 3), wp.float64)
     half, one, least, converged = (wp.float64(x) for x in (0.5, 1.0, LEAST_PACE, CONVERGED))
     earliest, latest = wp.float64(EARLIEST), wp.float64(LATEST)
 
@@ -71,45 +72,50 @@ def sight_functions(model: LensModel, rolling: bool):
         return result
 
     @wp.func
-    def at_time(pose: pose_kind, m: wp.vec3d, K: wp.vec4d, k: lens_vector, limit: wp.float64, tau: wp.float64):
-        x = position(pose, m, tau)
-        seen, bent, J = bend(x, k, limit)
-        u = wp.vec2d(K[0] * bent[0] + K[2], K[1] * bent[1] + K[3])
-        J[0] = K[0] * J[0]
-        J[1] = K[1] * J[1]
-        return seen, u, J, x
-
-    @wp.func
     def sight(
-        pose: pose_kind,
-        m: wp.vec3d,
+        path: path_kind,
+        drifting: wp.vec3d,
+        square: wp.float64,
         K: wp.vec4d,
         k: lens_vector,
         limit: wp.float64,
         shutter: wp.vec3d,
         first_time: wp.float64,
     ):
-        """Whether a point of the world is seen, where [px], the Jacobian [px per world unit], its position in camera
-        axes, the time, its pace in the image [px], and the share of a line that the pace leaves."""
+        """Whether a point is seen, where [px], its position in camera axes, the time, and the gradient of the time in
+        that position [readouts per world unit]."""
+        u, x, later = wp.vec2d(), wp.vec3d(), wp.vec3d()
         tau = wp.float64(first_time)
-        seen, u, J, x = at_time(pose, m, K, k, limit, tau)
-        pace = wp.vec2d()
-        left = wp.float64(1.0)
+        seen = bool(True)
         if wp.static(rolling):
+            left = wp.float64(1.0)
             found = bool(False)
             step = int(0)
             while step < wp.static(SHUTTER_STEPS) and seen and not found:
-                pace = J * velocity(pose, m, tau)
-                left = one - shutter[0] * pace[0] - shutter[1] * pace[1]
+                w = weights(square, tau)
+                x = position(path, w, drifting, tau)
+                moving = velocity(path, w, drifting, square)
+                seen, bent, J = bend(x, k, limit)
+                u = wp.vec2d(K[0] * bent[0] + K[2], K[1] * bent[1] + K[3])
+                along = wp.vec2d(shutter[0] * K[0], shutter[1] * K[1])
+                later = wp.transpose(J) * along
+                left = one - wp.dot(later, moving)
                 wrong = shutter[0] * u[0] + shutter[1] * u[1] + shutter[2] - tau
                 found = wp.abs(wrong) <= converged
+                last = tau
                 tau = wp.clamp(tau + wrong / wp.max(left, least), earliest, latest)
-                seen, u, J, x = at_time(pose, m, K, k, limit, tau)
+                if found:
+                    x += (tau - last) * moving
+                    pace = J * moving
+                    u += (tau - last) * wp.vec2d(K[0] * pace[0], K[1] * pace[1])
                 step += 1
-            pace = J * velocity(pose, m, tau)
-            left = one - shutter[0] * pace[0] - shutter[1] * pace[1]
             seen = seen and found and left > least
-        return seen, u, J, x, tau, pace, left
+            later = later / left
+        else:
+            x = path[0]
+            seen, bent, _J = bend(x, k, limit)
+            u = wp.vec2d(K[0] * bent[0] + K[2], K[1] * bent[1] + K[3])
+        return seen, u, x, tau, later
 
     return intrinsics, sight
 
@@ -181,20 +187,28 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
     Returns:
         The Warp kernel.
     """
-    vec3, vec4 = wp.types.vector(3, dtype), wp.types.vector(4, dtype)
+    vec2, vec3, vec4, vec6 = (wp.types.vector(k, dtype) for k in (2, 3, 4, 6))
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     coefficients_type, motion_type = wp.types.vector(LENS_COEFFS, dtype), wp.types.vector(MOTION, dtype)
+    rows = path_rows(rolling)
+    path_kind, paths_kind = (wp.types.matrix((count, 3), wp.float64) for count in (rows, 3 * rows))
     intrinsics, sight = sight_functions(model, rolling)
+    turned, begin, drift, weights, position, _ = pose_functions(rolling)
     pose_of, lens_of, axes_of = loading_functions(dtype, rolling)
-    zero, one, undefined = dtype(0.0), dtype(1.0), dtype(float("nan"))
+    culled, footprint = footprint_functions(dtype)
     half, spread, margin = wp.float64(0.5), wp.float64(SPREAD), wp.float64(0.5 + IMAGE_MARGIN)
+    # Two blocks a multiprocessor spill next to nothing; with a rolling shutter they would spill a hundred numbers.
+    bounds = (256, 2) if dtype is wp.float32 and not rolling else None
 
     @wp.func
     def in_reach(u: wp.float64, size: int):
         return wp.abs(u - half * wp.float64(size)) <= margin * wp.float64(size)
 
     @wp.kernel(
-        name=f"affine_cameras_{model}{'_rolling' * rolling}_{dtype.__name__}", enable_backward=False, module="unique"
+        name=f"affine_cameras_{model}{'_rolling' * rolling}_{dtype.__name__}",
+        enable_backward=False,
+        module="unique",
+        launch_bounds=bounds,
     )
     def affine_cameras_kernel(
         first: int,
@@ -211,55 +225,94 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
         shutter_x: wp.float64,
         shutter_y: wp.float64,
         shutter_start: wp.float64,
+        opacities: wp.array(dtype=dtype),  # [scenes · N]
+        thermal_opacities: wp.array(dtype=dtype),  # [scenes · N]
         width: int,
         height: int,
+        eps2d: dtype,
         near_plane: dtype,
         far_plane: dtype,
+        radius_clip: dtype,
+        antialiased: bool,
         # outputs
-        affine_views: wp.array(dtype=mat44),  # [images · N]; the depth of what is not drawn is not a number
-        affine_Ks: wp.array(dtype=mat33),  # [images · N]
+        means2d: wp.array(dtype=vec2),  # [images · N]
+        depths: wp.array(dtype=dtype),  # [images · N]
+        packed_roots: wp.array(dtype=vec4),  # [images · N]
+        compensations: wp.array(dtype=dtype),  # [images · N]; [0]: not wanted
+        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        extents: wp.array(dtype=vec2),  # [images · N]
+        slopes: wp.array(dtype=vec6),  # [images · N]; [0]: not wanted
+        times: wp.array(dtype=wp.float64),  # [images · N]; [0] without a rolling shutter, or not wanted
+        leads: wp.array(dtype=vec6),  # [images · N]; likewise
     ):
         index = wp.tid() + first
         image = index // num_gaussians
         gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
-        A = mat44()
-        A[2, 3] = undefined
-        rest = mat33()
+        culled(index, means2d, depths, compensations, radii)
         raw_K = Ks[image]
         K = intrinsics(
             wp.float64(raw_K[0, 0]), wp.float64(raw_K[1, 1]), wp.float64(raw_K[0, 2]), wp.float64(raw_K[1, 2])
         )
         pose, k, limit = pose_of(viewmats, motions, image), lens_of(coefficients, image), limits[image]
+        drifting = drift(pose)
+        square = wp.float64(0.0)
+        if wp.static(rolling):
+            square = pose[33]
         shutter = wp.vec3d(shutter_x, shutter_y, shutter_start)
         mean = means[gaussian]
-        m = wp.vec3d(wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2]))
-        seen, center, _J, x, tau, _pace, _left = sight(pose, m, K, k, limit, shutter, half)
+        path = turned(pose, wp.vec3d(wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2])))
+        path[0] = path[0] + begin(pose)
+        seen, center, x, tau, later = sight(path, drifting, square, K, k, limit, shutter, half)
         depth = dtype(x[2])
         seen = seen and in_reach(center[0], width) and in_reach(center[1], height)
-        if seen and depth >= near_plane and depth <= far_plane:
-            axes = axes_of(quats[gaussian], scales[gaussian])
-            mean2d = center
-            for i in range(3):
-                step = spread * axes[i]
-                seen_above, above, _J, _x, _tau, _pace, _left = sight(pose, m + step, K, k, limit, shutter, tau)
-                seen_below, below, _J, _x, _tau, _pace, _left = sight(pose, m - step, K, k, limit, shutter, tau)
-                seen = seen and seen_above and seen_below
-                mean2d += (half / (spread * spread)) * ((above - center) + (below - center))
-                slope = (half / spread) * (above - below)
-                A[0, i] = dtype(slope[0])
-                A[1, i] = dtype(slope[1])
-            if seen:
-                A[0, 3] = dtype(mean2d[0])
-                A[1, 3] = dtype(mean2d[1])
-                A[2, 3] = depth
-                A[3, 3] = one
-                # What rounding took from the position goes where the principal point is.
-                rest = mat33(
-                    one, zero, dtype(mean2d[0] - wp.float64(A[0, 3])),
-                    zero, one, dtype(mean2d[1] - wp.float64(A[1, 3])),
-                    zero, zero, one,
-                )  # fmt: skip
-        affine_views[index] = A
-        affine_Ks[index] = rest
+        if not (seen and depth >= near_plane and depth <= far_plane):
+            return
+        axes = axes_of(quats[gaussian], scales[gaussian])
+        paths = paths_kind()
+        for i in range(3):
+            of_axis = turned(pose, spread * axes[i])
+            for r in range(wp.static(rows)):
+                paths[i * rows + r] = of_axis[r]
+        w = weights(square, tau)
+        shift = wp.vec2d()
+        slope, lead = vec6(), vec6()
+        count = int(3)  # in a variable: a loop, and no copies of it
+        for i in range(count):
+            away = path_kind()
+            for r in range(wp.static(rows)):
+                away[r] = paths[i * rows + r]
+            sooner = wp.dot(later, position(away, w, wp.vec3d(), tau))
+            seen_above, above, _x, tau_above, _later = sight(
+                path + away, drifting, square, K, k, limit, shutter, tau + sooner
+            )
+            seen_below, below, _x, tau_below, _later = sight(
+                path - away, drifting, square, K, k, limit, shutter, tau - sooner
+            )
+            seen = seen and seen_above and seen_below
+            shift += (above - center) + (below - center)
+            steep = (half / spread) * (above - below)
+            slope[i] = dtype(steep[0])
+            slope[3 + i] = dtype(steep[1])
+            if wp.static(rolling):
+                lead[i] = dtype(tau_above - tau)
+                lead[3 + i] = dtype(tau_below - tau)
+        if not seen:
+            return
+        exact = center + (half / (spread * spread)) * shift
+        mean2d = vec2(dtype(exact[0]), dtype(exact[1]))
+        remainder = vec2(dtype(exact[0] - wp.float64(mean2d[0])), dtype(exact[1] - wp.float64(mean2d[1])))
+        a0, a1 = vec3(slope[0], slope[1], slope[2]), vec3(slope[3], slope[4], slope[5])
+        normal = wp.cross(a0, a1)
+        footprint(
+            index, gaussian, mean2d, remainder, depth,
+            wp.dot(a0, a0), wp.dot(a0, a1), wp.dot(a1, a1), wp.dot(normal, normal), opacities, thermal_opacities,
+            width, height, eps2d, radius_clip, antialiased,
+            means2d, depths, packed_roots, compensations, radii, extents,
+        )  # fmt: skip
+        if slopes.shape[0] > 0:
+            slopes[index] = slope
+            if wp.static(rolling):
+                times[index] = tau
+                leads[index] = lead
 
     return affine_cameras_kernel

@@ -86,7 +86,9 @@ def _rational():
         below = one + square * (k[3] + square * (k[4] + square * k[5]))
         d_above = k[0] + square * (two * k[1] + three * square * k[2])
         d_below = k[3] + square * (two * k[4] + three * square * k[5])
-        return above / below, (d_above * below - above * d_below) / (below * below), below
+        inverse = one / below
+        c = above * inverse
+        return c, (d_above - c * d_below) * inverse, below
 
     @wp.func
     def bend(p: wp.vec3d, k: lens_vector, limit: wp.float64):
@@ -114,7 +116,8 @@ def _rational():
     @wp.func
     def coefficient_gradient(p: wp.vec3d, k: lens_vector, v: wp.vec2d):
         """Gradient to the coefficients for the gradient v to x' and y'."""
-        x, y = p[0] / p[2], p[1] / p[2]
+        rz = one / p[2]
+        x, y = p[0] * rz, p[1] * rz
         square = x * x + y * y
         c, _slope, below = radial(square, k)
         share = square * (v[0] * x + v[1] * y) / below

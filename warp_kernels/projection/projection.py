@@ -17,10 +17,9 @@ from typing import Literal
 
 import warp as wp
 
-from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN, FOV_MARGIN
-from warp_kernels.machinery.coalesced_stores import store_functions, store_pair
+from warp_kernels.constants import EXTENT_MAX, FOV_MARGIN
 from warp_kernels.machinery.loading import made_once
-from warp_kernels.projection.packed_roots import packed_root_functions
+from warp_kernels.projection.footprints import footprint_functions
 from warp_kernels.projection.rotation import rotation_functions
 
 CameraModel = Literal["pinhole", "ortho"]
@@ -146,13 +145,10 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     to_matrix, _ = rotation_functions(dtype)
     camera_position, camera_axes, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
-    store2, _, store4 = store_functions(dtype)
-    pack, _, _ = packed_root_functions(dtype)
+    culled, footprint = footprint_functions(dtype)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
-    zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
-    alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
-    largest_radius = dtype(1.0e9)  # fits an int32
-    sharpest = dtype(1.0e30 if dtype is wp.float32 else 1.0e300)  # times pixels squared stays finite
+    zero, two = dtype(0.0), dtype(2.0)
+    extent_max = dtype(EXTENT_MAX)
 
     @wp.func
     def rounded(x: wp.vec3d):
@@ -206,13 +202,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         image = index // num_gaussians
         gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
 
-        # A culled Gaussian: zero what users see, or multiply with.
-        store2(means2d, index, vec2())
-        depths[index] = zero
-        store_pair(radii, index, wp.vec2i(0, 0))
-        if compensations.shape[0] > 0:
-            compensations[index] = zero
-
+        culled(index, means2d, depths, compensations, radii)
         view = viewmats[image]
         K = Ks[image]
         exact = camera_position(view, means[gaussian])
@@ -239,42 +229,11 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
                 return
             back = wp.transpose(to_matrix(raw))
             xx, xy, yy, det = from_rows(wp.cw_mul(rounded(back * M[0]), s), wp.cw_mul(rounded(back * M[1]), s))
-        det_blurred = det + eps2d * (xx + yy) + eps2d * eps2d
-        xx = xx + eps2d
-        yy = yy + eps2d
-        if not (det_blurred > zero and wp.isfinite(det_blurred) and wp.isfinite(mean2d)):
-            return
-        root = vec3(wp.sqrt(yy / det_blurred), -xy / yy, one / wp.sqrt(yy))
-        # The conic's largest entries, and the slope
-        if not (xx + yy) / det_blurred <= sharpest or not wp.abs(root[1]) <= sharpest or not root[0] > zero:
-            return
-        compensation = dtype(1.0)
-        if antialiased:
-            compensation = wp.sqrt(wp.max(det / det_blurred, zero))
-
-        # Opacity-aware extent (StopThePop, arXiv 2402.00525, section B.2): beyond it alpha is below ALPHA_MIN.
-        opacity = wp.max(opacities[gaussian], thermal_opacities[gaussian]) * compensation
-        if not (wp.isfinite(opacities[gaussian] + thermal_opacities[gaussian]) and opacity >= alpha_min):
-            return
-        extent = wp.clamp(wp.sqrt(two * wp.log(opacity / alpha_min)), extent_min, extent_max)
-        ex = extent * wp.sqrt(xx)
-        ey = extent * wp.sqrt(yy)
-        rx = wp.min(wp.ceil(ex), largest_radius)
-        ry = wp.min(wp.ceil(ey), largest_radius)
-        if rx <= radius_clip and ry <= radius_clip:
-            return
-        if mean2d[0] + rx <= zero or mean2d[0] - rx >= dtype(width):
-            return
-        if mean2d[1] + ry <= zero or mean2d[1] - ry >= dtype(height):
-            return
-
-        store2(means2d, index, mean2d)
-        depths[index] = p[2]
-        store4(packed_roots, index, vec4(root[0], root[1], root[2], pack(remainder)))
-        if compensations.shape[0] > 0:
-            compensations[index] = compensation
-        store_pair(radii, index, wp.vec2i(int(rx), int(ry)))
-        store2(extents, index, vec2(ex, ey))
+        footprint(
+            index, gaussian, mean2d, remainder, p[2], xx, xy, yy, det, opacities, thermal_opacities,
+            width, height, eps2d, radius_clip, antialiased,
+            means2d, depths, packed_roots, compensations, radii, extents,
+        )  # fmt: skip
 
     return project_kernel
 

@@ -1,7 +1,7 @@
 """Adjoint of the EWA projection, written by hand; notation as in projection.
 
 One thread a Gaussian walks the cameras of its scene and sums its own gradient, so that nothing is atomic and the sum
-is the same on every run. Gradients to cameras are written one record an (image, Gaussian) pair and summed afterwards.
+is the same on every run. Gradients to cameras are summed over each warp, and its records afterwards.
 
 With U the conic's root and V the symmetric gradient of the loss to a matrix: the gradient to (u, k, v) determines W,
 the sum of p z zᵀ over pixels (see gradient_records), and V_cov = ½ Uᵀ W U, V_A = Uᵀ W (U A). All of it is computed on
@@ -15,6 +15,7 @@ V_b = V_A diag(s), is (sy - sz) times a sum of V_Ay bz + V_Az by: of a sphere ex
 import warp as wp
 
 from warp_kernels.machinery.coalesced_stores import store_functions
+from warp_kernels.machinery.lane_sums import lane_sum_function
 from warp_kernels.machinery.lanes import LANES_CUDA
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH
@@ -35,14 +36,15 @@ def projection_adjoint_kernel(
         from_covars: 3D covariances were given instead of quaternions and scales.
         to_cameras: Also write gradients to view matrices and intrinsics.
         antialiased: The projection's compensations were used.
-        many: Most Gaussians may be out of view; on CUDA, of scenes with one camera.
+        many: Most Gaussians may be out of view; on CUDA, of scenes with one camera, and one scene ``to_cameras``.
 
     Returns:
-        The Warp kernel, launched over ``whole_warps``, or with ``many`` over ``threads_of_many``.
+        The Warp kernel, launched over ``WarpRows.threads``, or with ``many`` over ``threads_of_many``.
     """
     vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
     _, store3, store4 = store_functions(dtype)
     vec6, record = wp.types.vector(6, dtype), wp.types.vector(CAMERA_RECORD, dtype)
+    record64, store_lane_sum = wp.types.vector(CAMERA_RECORD, wp.float64), lane_sum_function(CAMERA_RECORD)
     mat23, mat33, mat44 = (wp.types.matrix(shape, dtype) for shape in ((2, 3), (3, 3), (4, 4)))
     to_matrix, turn_adjoint = rotation_functions(dtype)
     camera_position, camera_axes, jacobian, _, fov_limits = projection_functions(dtype, camera_model)
@@ -81,6 +83,8 @@ def projection_adjoint_kernel(
         first: int,
         num_gaussians: int,
         num_cameras: int,
+        lanes_of_row: int,
+        rows: int,
         means: wp.array(dtype=vec3),  # [scenes · N]
         quats: wp.array(dtype=vec4),  # [scenes · N]; [0] with covars
         scales: wp.array(dtype=vec3),  # [scenes · N]; [0] with covars
@@ -104,7 +108,7 @@ def projection_adjoint_kernel(
         v_quats: wp.array(dtype=vec4),  # [scenes · N]
         v_scales: wp.array(dtype=vec3),  # [scenes · N]
         v_covars: wp.array(dtype=vec6),  # [scenes · N]
-        v_cameras: wp.array(dtype=record),  # [images · N]; [0]: not wanted
+        v_cameras: wp.array(dtype=record64),  # [images · rows]; [0]: not wanted
     ):
         thread = wp.tid() + first
         nearest = (thread // lanes) * wp.static(each * lanes) + thread % lanes
@@ -115,9 +119,15 @@ def projection_adjoint_kernel(
                     seen_bits |= 1 << j
         step = int(0)
         while step < each:
-            inside = nearest + step * lanes < means.shape[0]
-            gaussian = wp.min(nearest + step * lanes, means.shape[0] - 1)
-            scene = gaussian // num_gaussians
+            # A scene's threads are whole warps. Of ``many``, scenes follow one another without a gap.
+            spot = nearest + step * lanes
+            scene = wp.min(spot, means.shape[0] - 1) // num_gaussians
+            place = spot - scene * num_gaussians
+            if wp.static(not many):
+                scene = spot // (rows * lanes_of_row)
+                place = spot % (rows * lanes_of_row)
+            inside = place < num_gaussians
+            gaussian = scene * num_gaussians + wp.min(place, num_gaussians - 1)
             seen = bool(False)
             if wp.static(many):
                 seen = (seen_bits >> step) & 1 > 0
@@ -150,6 +160,7 @@ def projection_adjoint_kernel(
             for camera in range(num_cameras):
                 image = scene * num_cameras + camera
                 index = image * num_gaussians + gaussian % num_gaussians
+                G = record()
                 drawn = seen
                 if wp.static(not many):
                     drawn = seen and radii[index][0] > 0
@@ -316,10 +327,10 @@ def projection_adjoint_kernel(
                         )  # fmt: skip
                         if finite and not wp.isfinite(G):
                             G = record()
-                        v_cameras[index] = G
-                elif inside:
-                    if wp.static(to_cameras):
-                        v_cameras[index] = record()
+                if wp.static(to_cameras):
+                    row = place // lanes_of_row
+                    if row < rows:  # the same for all of a warp
+                        store_lane_sum(v_cameras, image * rows + row, place % lanes_of_row, record64(G))
 
             g_quat = vec4()
             if wp.static(not from_covars):

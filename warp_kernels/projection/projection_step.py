@@ -2,13 +2,12 @@
 
 import warp as wp
 
-from warp_kernels.machinery.array_views import empty, nothing
-from warp_kernels.machinery.lanes import whole_warps
+from warp_kernels.machinery.array_views import empty
 from warp_kernels.machinery.launching import launch, launch_again
-from warp_kernels.machinery.strand_sums import strand_sums
+from warp_kernels.machinery.strand_sums import image_sums
 from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.machinery.warp_lists import LISTED, threads_of_many
-from warp_kernels.projection.camera_gradients import CAMERA_RECORD, camera_finish_kernel
+from warp_kernels.projection.camera_gradients import CAMERA_RECORD, WarpRows, camera_finish_kernel
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings, projection_kernel
 from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
 
@@ -82,55 +81,21 @@ def project_adjoint(
     """
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
     to_cameras = gaussians.viewmats.grad is not None or gaussians.Ks.grad is not None
-    record = wp.types.vector(CAMERA_RECORD, dtype)
-    v_cameras = (
-        empty(settings.num_images * settings.num_gaussians, record, device)
-        if to_cameras
-        else nothing(record, 1, device)
-    )
-    launch_adjoint(gaussians, settings, projected, v_cameras, store=store, add_to_means=add_to_means)
-    if to_cameras:
-        launch_again(
-            camera_finish_kernel(dtype),
-            settings.num_images,
-            [
-                strand_sums(v_cameras, settings.num_images),
-                gradient_of(gaussians.viewmats),
-                gradient_of(gaussians.Ks),
-            ],
-            device,
-        )
-
-
-def launch_adjoint(
-    gaussians: GaussianArrays,
-    settings: ProjectionSettings,
-    projected: ProjectedArrays,
-    v_cameras: wp.array,
-    *,
-    store: bool,
-    add_to_means: bool = False,
-) -> None:
-    """The adjoint's kernel, which leaves gradients to cameras as records.
-
-    Args:
-        gaussians: as in ``project_adjoint``, as are those below.
-        settings: ...
-        projected: ...
-        v_cameras: vec [images · N] of ``CAMERA_RECORD`` numbers; empty where no camera wants a gradient.
-        store: ...
-        add_to_means: ...
-    """
-    device, dtype, to_cameras = gaussians.means.device, gaussians.opacities.dtype, v_cameras.shape[0] > 0
+    scenes = settings.num_images // max(settings.num_cameras, 1)
     covars, count = gaussians.covars, gaussians.means.shape[0]
+    rows = WarpRows.of(settings.num_gaussians, scenes, device)
+    record = wp.types.vector(CAMERA_RECORD, wp.float64)
+    v_cameras = empty(settings.num_images * rows.rows, record, device) if to_cameras else None
     variant = (settings.camera_model, covars is not None, to_cameras, settings.antialiased)
-    many = count > LISTED and settings.num_cameras == 1 and device.is_cuda
+    many = count > LISTED and settings.num_cameras == 1 and device.is_cuda and (scenes == 1 or not to_cameras)
     launch(
         projection_adjoint_kernel(dtype, *variant, many),
-        threads_of_many(count) if many else whole_warps(count, device),
+        threads_of_many(count) if many else rows.threads,
         [
             settings.num_gaussians,
             settings.num_cameras,
+            rows.lanes,
+            rows.rows,
             gaussians.means,
             gaussians.quats,
             gaussians.scales,
@@ -157,3 +122,14 @@ def launch_adjoint(
         ],
         device,
     )
+    if v_cameras is not None:
+        launch_again(
+            camera_finish_kernel(dtype),
+            settings.num_images,
+            [
+                image_sums(v_cameras, settings.num_images),
+                gradient_of(gaussians.viewmats),
+                gradient_of(gaussians.Ks),
+            ],
+            device,
+        )

@@ -111,6 +111,10 @@ class ProjectSaved(NamedTuple):
     """Of means2d and depths the adjoint reads only the gradients."""
     compensations: Any
     radii: Any
+    slopes: Any
+    """These three of lenses; see ``LensArrays``."""
+    times: Any
+    leads: Any
 
 
 class ProjectGradients(NamedTuple):
@@ -163,7 +167,12 @@ class Project(torch.autograd.Function):
         )
         p = projected.arrays()
         g = _gaussians(means, quats, scales, covars, viewmats, Ks, inputs)
-        lens = None if lenses is None else _lenses(lenses, motions)
+        recorded = inputs.recorded and True in ctx.needs_input_grad
+        through_lens, rolling = recorded and lenses is not None, recorded and motions is not None
+        slopes = means.new_empty(*shape, 6) if through_lens else None
+        times = means.new_empty(*shape, dtype=torch.float64) if rolling else None
+        leads = means.new_empty(*shape, 6) if rolling else None
+        lens = None if lenses is None else _lenses(lenses, motions, slopes, times, leads)
         entries = p.means2d.shape[0]
         colors = [means.new_empty(entries, 3) for _ in inputs.color_settings]
         c = []
@@ -178,19 +187,21 @@ class Project(torch.autograd.Function):
                 evaluated = view(shown, g.means.dtype, entries)
                 c.append(ColorArrays(g.means, g.viewmats, *by_degree(sh0, shN), p.radii, evaluated))
                 sh_colors(c[-1], how)
-        if inputs.recorded and True in ctx.needs_input_grad:
+        if recorded:
             ctx.set_materialize_grads(False)
             ctx.settings, ctx.gaussians, ctx.projected, ctx.lens = settings, g, p, lens
             ctx.colors, ctx.color_settings, ctx.lens_settings = c, inputs.color_settings, inputs.lens
             ctx.turns = inputs.turns
             # in the order of ProjectSaved, and behind that of the colours
-            of_lens = (None, None) if lens is None else (lens.coefficients, lens.motions)
-            arrays = [g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks, *of_lens]
-            arrays += [p.packed_roots, p.compensations, p.radii]
+            of_images, of_pairs = (None, None), (None, None, None)
+            if lens is not None:
+                of_images, of_pairs = (lens.coefficients, lens.motions), (lens.slopes, lens.times, lens.leads)
+            arrays = [g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks, *of_images]
+            arrays += [p.packed_roots, p.compensations, p.radii, *of_pairs]
             arrays += [array for one in c for array in (one.sh0, one.shN)]
             arrays += [one.colors for one in c]
             tensors = [means, quats, scales, covars, viewmats, Ks, lenses, motions]
-            tensors += [packed_roots, projected.compensations, projected.radii, *coefficients, *colors]
+            tensors += [packed_roots, projected.compensations, projected.radii, slopes, times, leads, *coefficients, *colors]
             keep(ctx, arrays, tensors)
         return *projected[:4], *colors, projected[4:], p
 
@@ -310,10 +321,16 @@ def _gaussians(
     )
 
 
-def _lenses(lenses: Tensor, motions: Tensor | None) -> LensArrays:
-    coefficients = view(lenses, vector_of(lenses.shape[-1], lenses.dtype))
+def _lenses(
+    lenses: Tensor, motions: Tensor | None, slopes: Tensor | None, times: Tensor | None, leads: Tensor | None
+) -> LensArrays:
+    vec6 = kinds_of(lenses.dtype).vec6
     return LensArrays(
-        coefficients, None if motions is None else view(motions, vector_of(motions.shape[-1], motions.dtype))
+        coefficients=view(lenses, vector_of(lenses.shape[-1], lenses.dtype)),
+        motions=None if motions is None else view(motions, vector_of(motions.shape[-1], motions.dtype)),
+        slopes=None if slopes is None else view(slopes, vec6),
+        times=None if times is None else view(times, wp.float64),
+        leads=None if leads is None else view(leads, vec6),
     )
 
 

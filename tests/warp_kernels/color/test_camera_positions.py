@@ -5,7 +5,6 @@ import torch
 import warp as wp
 
 from warp_kernels.color.camera_positions import camera_position_kernels
-from warp_kernels.machinery.strand_sums import STRANDS
 
 IMAGES = 3
 
@@ -32,12 +31,12 @@ def test_positions_are_where_the_view_is_zero() -> None:
 def test_adjoint_adds_the_gradient_through_the_inverse() -> None:
     """Against torch's, for a loss linear in the directions; what was there before stays."""
     views = view_matrices().requires_grad_()
-    sums = torch.randn(IMAGES, STRANDS, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    sums = torch.randn(IMAGES, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     positions = torch.linalg.inv(views)[:, :3, 3]
-    (-(sums.sum(1)) * positions).sum().backward()  # directions are of differences mean - position
+    (-sums * positions).sum().backward()  # directions are of differences mean - position
     gradients = wp.full(IMAGES, wp.mat44d(*[0.5] * 16), dtype=wp.mat44d, device="cpu")
     inputs = [
-        wp.array(sums.reshape(-1, 3).numpy(), dtype=wp.vec3d, device="cpu"),
+        wp.array(sums.numpy(), dtype=wp.vec3d, device="cpu"),
         wp.array(views.detach().numpy(), dtype=wp.mat44d, device="cpu"),
     ]
     wp.launch(camera_position_kernels(wp.float64)[1], IMAGES, inputs, [gradients], device="cpu")
