@@ -56,7 +56,7 @@ def test_scenes_and_cameras_have_gradients_of_their_own(device: torch.device, le
 
 
 def as_twists(scene: Scene, lens: str) -> tuple[Scene, Any, Any]:
-    """Poses of a rolling shutter turn and move with six numbers each: its gradients mean something along these alone."""
+    """Poses of a rolling shutter turn and move with six numbers each: gradients mean something along these alone."""
     reference = one_by_one(lens)
     if lens != "rolling":
         return scene, rasterization, reference

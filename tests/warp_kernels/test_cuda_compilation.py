@@ -26,15 +26,17 @@ from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
 from warp_kernels.decoding.decoder_memory import TEAMS
 from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
 from warp_kernels.machinery.strand_sums import strand_sum_kernel
-from warp_kernels.projection.affine_camera_adjoint import (
+from warp_kernels.projection.affine_camera_adjoint import affine_camera_adjoint_kernel
+from warp_kernels.projection.affine_cameras import affine_camera_kernel
+from warp_kernels.projection.camera_gradients import (
+    CAMERA_RECORD,
     ROLLING_RECORD,
     STILL_RECORD,
-    affine_camera_adjoint_kernel,
+    camera_finish_kernel,
     lens_finish_kernel,
 )
-from warp_kernels.projection.affine_cameras import affine_camera_kernel
-from warp_kernels.projection.camera_gradients import CAMERA_RECORD, camera_finish_kernel
 from warp_kernels.projection.lens_models import LensModel, lens_limit_kernel
+from warp_kernels.projection.motion_step import motion_kernels
 from warp_kernels.projection.projection import projection_kernel
 from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.training.activations import activation_kernels
@@ -97,7 +99,7 @@ def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Pat
 @pytest.mark.parametrize("model", get_args(LensModel))
 def test_lenses_compile_for_cuda(model: LensModel, arch: int, tmp_path: Path) -> None:
     """All lens models, with and without a rolling shutter, with and without gradients to cameras."""
-    kernels = [lens_limit_kernel(wp.float32, model)]
+    kernels = [lens_limit_kernel(wp.float32, model), *motion_kernels(wp.float32)]
     kernels += [strand_sum_kernel(wp.float64, length) for length in (STILL_RECORD, ROLLING_RECORD)]
     for rolling in (False, True):
         kernels += [affine_camera_kernel(wp.float32, model, rolling), lens_finish_kernel(wp.float32, rolling)]

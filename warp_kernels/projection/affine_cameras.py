@@ -197,8 +197,6 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
     pose_of, lens_of, axes_of = loading_functions(dtype, rolling)
     culled, footprint = footprint_functions(dtype)
     half, spread, margin = wp.float64(0.5), wp.float64(SPREAD), wp.float64(0.5 + IMAGE_MARGIN)
-    # Two blocks a multiprocessor spill next to nothing; with a rolling shutter they would spill a hundred numbers.
-    bounds = (256, 2) if dtype is wp.float32 and not rolling else None
 
     @wp.func
     def in_reach(u: wp.float64, size: int):
@@ -208,7 +206,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
         name=f"affine_cameras_{model}{'_rolling' * rolling}_{dtype.__name__}",
         enable_backward=False,
         module="unique",
-        launch_bounds=bounds,
+        launch_bounds=_launch_bounds(dtype, rolling),
     )
     def affine_cameras_kernel(
         first: int,
@@ -316,3 +314,8 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
                 leads[index] = lead
 
     return affine_cameras_kernel
+
+
+def _launch_bounds(dtype: type, rolling: bool) -> tuple[int, int] | None:
+    """Two blocks a multiprocessor spill next to nothing; with a rolling shutter they would spill a hundred numbers."""
+    return (256, 2) if dtype is wp.float32 and not rolling else None

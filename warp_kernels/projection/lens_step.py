@@ -13,15 +13,10 @@ from warp_kernels.machinery.array_views import empty
 from warp_kernels.machinery.launching import launch, launch_again
 from warp_kernels.machinery.strand_sums import image_sums
 from warp_kernels.machinery.tape_recording import gradient_of
-from warp_kernels.projection.affine_camera_adjoint import (
-    ROLLING_RECORD,
-    STILL_RECORD,
-    affine_camera_adjoint_kernel,
-    lens_finish_kernel,
-)
+from warp_kernels.projection.affine_camera_adjoint import affine_camera_adjoint_kernel
 from warp_kernels.projection.affine_cameras import affine_camera_kernel
-from warp_kernels.projection.camera_gradients import WarpRows
-from warp_kernels.projection.lens_models import LensModel, lens_limit_kernel
+from warp_kernels.projection.camera_gradients import ROLLING_RECORD, STILL_RECORD, WarpRows, lens_finish_kernel
+from warp_kernels.projection.lens_models import LensModel, lens_limits
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
 
 
@@ -53,6 +48,7 @@ class LensArrays:
             Output.
         leads: vec6 [images · N] [readouts], how much later the points above it along its axes are seen, and those
             below; None likewise. Output.
+        limits: float64 [images], where images fold back; set by ``project_through_lenses``.
     """
 
     coefficients: wp.array
@@ -60,6 +56,7 @@ class LensArrays:
     slopes: wp.array | None = None
     times: wp.array | None = None
     leads: wp.array | None = None
+    limits: wp.array | None = None
 
 
 def project_through_lenses(
@@ -79,6 +76,7 @@ def project_through_lenses(
         projected: outputs, one entry an (image, Gaussian) pair.
     """
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
+    lenses.limits = lens_limits(lenses.coefficients, lens.model)
     launch(
         affine_camera_kernel(dtype, lens.model, lens.shutter is not None),
         settings.num_images * settings.num_gaussians,
@@ -180,9 +178,6 @@ def _sights(
     gaussians: GaussianArrays, lenses: LensArrays, lens: LensSettings, settings: ProjectionSettings
 ) -> list[Any]:
     """What the kernel and its adjoint begin with."""
-    device, dtype = gaussians.means.device, gaussians.opacities.dtype
-    limits = empty(settings.num_images, wp.float64, device)
-    launch_again(lens_limit_kernel(dtype, lens.model), settings.num_images, [lenses.coefficients, limits], device)
     return [
         settings.num_gaussians,
         settings.num_cameras,
@@ -193,6 +188,6 @@ def _sights(
         lenses.motions,
         gaussians.Ks,
         lenses.coefficients,
-        limits,
+        lenses.limits,
         *(lens.shutter or (0.0, 0.0, 0.0)),
     ]

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.arguments import check_shape
+from thermosplat.rasterizer.shutter_poses import motions
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel
 from warp_kernels.projection.lens_step import LensSettings
 
@@ -157,8 +158,7 @@ def checked_lenses(
     settings = LensSettings(model, _line_times(shutter, width, height))
     if shutter is RollingShutterType.GLOBAL:
         return Lenses(settings, coefficients, None, viewmats)
-    end = cast("Tensor", viewmats_rs)
-    return Lenses(settings, coefficients, motions(viewmats, end), _half_way(viewmats, end))
+    return Lenses(settings, coefficients, *motions(viewmats, cast("Tensor", viewmats_rs)))
 
 
 def _check_coefficients(camera_model: str, given: dict[str, Any], lead: tuple[int, ...], means: Tensor) -> None:
@@ -189,13 +189,15 @@ def _packed(camera_model: str, given: dict[str, Any], lead: tuple[int, ...], mea
     if camera_model == "ftheta":
         return _packed_ftheta(given["ftheta_coeffs"], lead, means)
     widths = {"radial_coeffs": 6, "tangential_coeffs": 2, "thin_prism_coeffs": 4}
-    parts = []
+    parts, missing = [], 0  # zeros that follow one another are one tensor
     for name, width in widths.items():
         part = given[name]
-        found = 0 if part is None else part.shape[-1]
-        parts += [] if part is None else [part]
-        parts.append(means.new_zeros((*lead, width - found)))
-    parts.append(means.new_zeros((*lead, LENS_COEFFS - sum(widths.values()))))
+        if part is not None:
+            parts += [means.new_zeros((*lead, missing))] if missing else []
+            parts.append(part)
+            missing, width = 0, width - part.shape[-1]
+        missing += width
+    parts.append(means.new_zeros((*lead, missing + LENS_COEFFS - sum(widths.values()))))
     return cast("LensModel", camera_model), torch.cat(parts, -1)
 
 
@@ -243,42 +245,3 @@ def _line_times(shutter: RollingShutterType, width: int, height: int) -> tuple[f
     if shutter in (RollingShutterType.ROLLING_BOTTOM_TO_TOP, RollingShutterType.ROLLING_RIGHT_TO_LEFT):
         slope, start = -slope, 1.0 - start
     return (slope, 0.0, start) if across else (0.0, slope, start)
-
-
-def motions(viewmats: Tensor, viewmats_rs: Tensor) -> Tensor:
-    """Motions as warp_kernels' shutter_motion has them; differentiable in both poses.
-
-    Args:
-        viewmats: Poses at the beginning of the readout, [..., C, 4, 4].
-        viewmats_rs: Poses at its end, less than half a turn away, [..., C, 4, 4].
-
-    Returns:
-        [..., C, MOTION].
-    """
-    begin, end = viewmats.double(), viewmats_rs.double()
-    R0, t0 = begin[..., :3, :3], begin[..., :3, 3]
-    Q = end[..., :3, :3] @ R0.transpose(-1, -2)
-    skew = (Q - Q.transpose(-1, -2)) / 2  # [axis] sin φ
-    sine = torch.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], -1)
-    square = sine.square().sum(-1)
-    cosine = (Q.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
-    small = square < 1e-8
-    length = torch.where(small, torch.ones_like(square), square).sqrt()
-    factor = torch.where(small, 1 + square / 6, torch.atan2(length, cosine) / length)  # φ / sin φ
-    W = factor[..., None, None] * skew
-    angle_square = factor.square() * square
-    A1 = W @ R0
-    parts = [R0.flatten(-2), A1.flatten(-2), (W @ A1).flatten(-2), t0, end[..., :3, 3] - t0, angle_square[..., None]]
-    return torch.cat(parts, -1).to(viewmats.dtype)
-
-
-def _half_way(viewmats: Tensor, viewmats_rs: Tensor) -> Tensor:
-    """View matrices from half way between two camera positions."""
-    center = (_position(viewmats) + _position(viewmats_rs)) / 2
-    R = viewmats[..., :3, :3]
-    top = torch.cat([R, -(R @ center[..., None])], -1)
-    return torch.cat([top, viewmats[..., 3:, :]], -2)
-
-
-def _position(viewmats: Tensor) -> Tensor:
-    return -(viewmats[..., :3, :3].transpose(-1, -2) @ viewmats[..., :3, 3:])[..., 0]

@@ -201,7 +201,8 @@ class Project(torch.autograd.Function):
             arrays += [array for one in c for array in (one.sh0, one.shN)]
             arrays += [one.colors for one in c]
             tensors = [means, quats, scales, covars, viewmats, Ks, lenses, motions]
-            tensors += [packed_roots, projected.compensations, projected.radii, slopes, times, leads, *coefficients, *colors]
+            tensors += [packed_roots, projected.compensations, projected.radii, slopes, times, leads]
+            tensors += [*coefficients, *colors]
             keep(ctx, arrays, tensors)
         return *projected[:4], *colors, projected[4:], p
 
@@ -228,7 +229,7 @@ class Project(torch.autograd.Function):
                 v_means = torch.empty_like(means) if v_means is None else v_means
                 v_quats = None if saved.quats is None else torch.empty_like(saved.quats)
                 v_covars = None if saved.covars is None else torch.empty_like(saved.covars)
-                if v_roots is not None and scales is not None and settings.num_cameras == 1 and lens is None:
+                if v_roots is not None and scales is not None and settings.num_cameras == 1:
                     # A thread reads its Gaussian's gradient before it writes: where there was one to the root, one to
                     # the scales. Nobody else has it: roots are not shown.
                     v_roots = v_roots.contiguous()
