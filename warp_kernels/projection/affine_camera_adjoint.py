@@ -11,11 +11,13 @@ With a rolling shutter the time depends on where the point lands; the forward ke
 
 import warp as wp
 
+from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lane_sums import lane_sum_function
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.affine_cameras import SPREAD, loading_functions, sight_functions
 from warp_kernels.projection.camera_gradients import ROLLING_RECORD, STILL_RECORD
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel, lens_functions, lens_vector
+from warp_kernels.projection.packed_roots import packed_root_functions
 from warp_kernels.projection.projection import covariance_functions
 from warp_kernels.projection.rotation import rotation_functions
 from warp_kernels.projection.shutter_motion import (
@@ -90,6 +92,8 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
     bend, coefficient_gradient, _ = lens_functions(model)
     to_matrix, turn_adjoint = rotation_functions(dtype)
     slope_gradient = slope_gradient_function(dtype)
+    _, store3, store4 = store_functions(dtype)
+    _, _, packed_row = packed_root_functions(dtype)
     zero, half, one, spread = (wp.float64(x) for x in (0.0, 0.5, 1.0, SPREAD))
     in_pixels = model in ("ftheta", "ftheta_inverse")
 
@@ -123,6 +127,7 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
         name=f"affine_camera_adjoint_{model}{'_rolling' * rolling}{'_cameras' * to_cameras}_{dtype.__name__}",
         enable_backward=False,
         module="unique",
+        launch_bounds=_launch_bounds(dtype, rolling),
     )
     def affine_camera_adjoint_kernel(
         first: int,
@@ -145,9 +150,9 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
         packed_roots: wp.array(dtype=vec4),  # [images · N]
         compensations: wp.array(dtype=dtype),  # [images · N]; [0] in the classic mode
         radii: wp.array(dtype=wp.vec2i),  # [images · N]
-        slopes: wp.array(dtype=vec6),  # [images · N]
+        slopes: wp.array2d(dtype=dtype),  # [6, images · N]
         times: wp.array(dtype=wp.float64),  # [images · N]; [0] without a rolling shutter
-        leads: wp.array(dtype=vec6),  # [images · N]; likewise
+        leads: wp.array2d(dtype=dtype),  # [6, images · N]; likewise
         v_means2d: wp.array(dtype=vec2),  # [images · N]; [0]: zeros, as in those below
         v_depths: wp.array(dtype=dtype),  # [images · N]
         v_roots: wp.array(dtype=vec3),  # [images · N]
@@ -191,9 +196,14 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
                 finite = wp.isfinite(v_root) and wp.isfinite(v_mean) and wp.isfinite(v_depth_given)
                 finite = finite and wp.isfinite(v_compensation)
                 given = given and finite
-                packed = packed_roots[index]
+                packed = packed_row(packed_roots, index)
                 root = vec3(packed[0], packed[1], packed[2])
-                v_slope = slope_gradient(slopes[index], root, rho, v_root, v_compensation, eps2d)
+                slope, lead = vec6(), vec6()
+                for i in range(6):
+                    slope[i] = slopes[i, index]
+                    if wp.static(rolling):
+                        lead[i] = leads[i, index]
+                v_slope = slope_gradient(slope, root, rho, v_root, v_compensation, eps2d)
                 if finite and not wp.isfinite(v_slope):
                     v_slope = vec6()
                     v_mean = vec2()
@@ -207,11 +217,9 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
                 pose, k, limit = pose_of(viewmats, motions, image), lens_of(coefficients, image), limits[image]
                 drifting = drift(pose)
                 square, time = wp.float64(0.0), wp.float64(0.0)
-                lead = vec6()
                 if wp.static(rolling):
                     square = pose[33]
                     time = times[index]
-                    lead = leads[index]
                 path = turned(pose, m)
                 path[0] = path[0] + begin(pose)
                 paths = paths_kind()
@@ -300,8 +308,6 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
             if wp.static(to_cameras):
                 store_lane_sum(v_cameras, image * warps + place // lanes, place % lanes, record64(G))
 
-        if not inside:
-            return
         rotation = to_matrix(raw)
         columns = wp.transpose(rotation)
         g_scale = vec3()
@@ -322,8 +328,15 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
         if not store:
             g_scale = v_scales[gaussian] + g_scale
             g_quat = v_quats[gaussian] + g_quat
-        v_means[gaussian] = own
-        v_scales[gaussian] = g_scale
-        v_quats[gaussian] = g_quat
+        written = wp.where(inside, gaussian, -1)
+        store3(v_means, written, own)
+        store3(v_scales, written, g_scale)
+        if inside:
+            store4(v_quats, gaussian, g_quat)
 
     return affine_camera_adjoint_kernel
+
+
+def _launch_bounds(dtype: type, rolling: bool) -> tuple[int, int] | None:
+    """One block a multiprocessor: two spill a hundred numbers, without a rolling shutter, too."""
+    return None

@@ -110,7 +110,7 @@ def sight_functions(model: LensModel, rolling: bool):
                     u += (tau - last) * wp.vec2d(K[0] * pace[0], K[1] * pace[1])
                 step += 1
             seen = seen and found and left > least
-            later = later / left
+            later = (one / left) * later
         else:
             x = path[0]
             seen, bent, _J = bend(x, k, limit)
@@ -239,9 +239,9 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
         compensations: wp.array(dtype=dtype),  # [images · N]; [0]: not wanted
         radii: wp.array(dtype=wp.vec2i),  # [images · N]
         extents: wp.array(dtype=vec2),  # [images · N]
-        slopes: wp.array(dtype=vec6),  # [images · N]; [0]: not wanted
+        slopes: wp.array2d(dtype=dtype),  # [6, images · N]; [0, 0]: not wanted
         times: wp.array(dtype=wp.float64),  # [images · N]; [0] without a rolling shutter, or not wanted
-        leads: wp.array(dtype=vec6),  # [images · N]; likewise
+        leads: wp.array2d(dtype=dtype),  # [6, images · N]; likewise
     ):
         index = wp.tid() + first
         image = index // num_gaussians
@@ -308,10 +308,12 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
             means2d, depths, packed_roots, compensations, radii, extents,
         )  # fmt: skip
         if slopes.shape[0] > 0:
-            slopes[index] = slope
+            for i in range(6):
+                slopes[i, index] = slope[i]
+                if wp.static(rolling):
+                    leads[i, index] = lead[i]
             if wp.static(rolling):
                 times[index] = tau
-                leads[index] = lead
 
     return affine_cameras_kernel
 

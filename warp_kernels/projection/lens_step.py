@@ -42,11 +42,11 @@ class LensArrays:
         coefficients: vec [images] of ``LENS_COEFFS`` numbers; see lens_models. Receives a gradient.
         motions: vec [images] of ``MOTION`` numbers; see shutter_motion. None without a rolling shutter, where the view
             matrices are read. Receives a gradient.
-        slopes: vec6 [images · N] [px]: how far a standard deviation along each axis of a Gaussian reaches to the right,
+        slopes: [6, images · N] [px]: how far a standard deviation along each axis of a Gaussian reaches to the right,
             and how far down. None where there will be no adjoint. Output.
         times: float64 [images · N] [readouts], when the mean is seen. None without a rolling shutter, or an adjoint.
             Output.
-        leads: vec6 [images · N] [readouts], how much later the points above it along its axes are seen, and those
+        leads: [6, images · N] [readouts], how much later the points above it along its axes are seen, and those
             below; None likewise. Output.
         limits: float64 [images], where images fold back; set by ``project_through_lenses``.
     """

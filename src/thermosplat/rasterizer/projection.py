@@ -169,9 +169,9 @@ class Project(torch.autograd.Function):
         g = _gaussians(means, quats, scales, covars, viewmats, Ks, inputs)
         recorded = inputs.recorded and True in ctx.needs_input_grad
         through_lens, rolling = recorded and lenses is not None, recorded and motions is not None
-        slopes = means.new_empty(*shape, 6) if through_lens else None
+        slopes = means.new_empty(6, *shape) if through_lens else None
         times = means.new_empty(*shape, dtype=torch.float64) if rolling else None
-        leads = means.new_empty(*shape, 6) if rolling else None
+        leads = means.new_empty(6, *shape) if rolling else None
         lens = None if lenses is None else _lenses(lenses, motions, slopes, times, leads)
         entries = p.means2d.shape[0]
         colors = [means.new_empty(entries, 3) for _ in inputs.color_settings]
@@ -325,13 +325,13 @@ def _gaussians(
 def _lenses(
     lenses: Tensor, motions: Tensor | None, slopes: Tensor | None, times: Tensor | None, leads: Tensor | None
 ) -> LensArrays:
-    vec6 = kinds_of(lenses.dtype).vec6
+    scalar = kinds_of(lenses.dtype).scalar
     return LensArrays(
         coefficients=view(lenses, vector_of(lenses.shape[-1], lenses.dtype)),
         motions=None if motions is None else view(motions, vector_of(motions.shape[-1], motions.dtype)),
-        slopes=None if slopes is None else view(slopes, vec6),
+        slopes=None if slopes is None else view(slopes, scalar, 6, slopes.numel() // 6),
         times=None if times is None else view(times, wp.float64),
-        leads=None if leads is None else view(leads, vec6),
+        leads=None if leads is None else view(leads, scalar, 6, leads.numel() // 6),
     )
 
 
