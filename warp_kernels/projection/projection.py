@@ -34,12 +34,12 @@ def projection_functions(dtype: type, camera_model: CameraModel):
         camera_model: "pinhole" or "ortho".
 
     Returns:
-        ``(camera_position, camera_axes, jacobian, project_mean, fov_limits)``, Warp functions.
+        ``(camera_position, camera_axes, jacobian, project_mean, clamp_adjoint)``, Warp functions.
     """
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     mat23d = wp.types.matrix((2, 3), wp.float64)
-    half, margin, zero64 = dtype(0.5), dtype(FOV_MARGIN), wp.float64(0.0)
+    zero, half, margin, zero64 = dtype(0.0), dtype(0.5), dtype(FOV_MARGIN), wp.float64(0.0)
     pinhole = camera_model == "pinhole"
 
     @wp.func
@@ -91,7 +91,21 @@ def projection_functions(dtype: type, camera_model: CameraModel):
         mean2d = vec2(dtype(u), dtype(v))
         return mean2d, vec2(dtype(u - wp.float64(mean2d[0])), dtype(v - wp.float64(mean2d[1])))
 
-    return camera_position, camera_axes, jacobian, project_mean, fov_limits
+    @wp.func
+    def clamp_adjoint(position: dtype, depth: dtype, focal: dtype, center: dtype, size: dtype, v: dtype):
+        """Gradient v to t = z · clamp(x / z, low, high), passed on to x, z, focal length and principal point."""
+        low, high = fov_limits(focal, center, size)
+        ratio = position / depth
+        v_position, v_depth, v_focal, v_center = v, zero, zero, zero
+        if ratio < low or ratio > high:
+            limit = wp.clamp(ratio, low, high)
+            v_position = zero
+            v_depth = v * limit
+            v_focal = -v * depth * limit / focal
+            v_center = -v * depth / focal
+        return v_position, v_depth, v_focal, v_center
+
+    return camera_position, camera_axes, jacobian, project_mean, clamp_adjoint
 
 
 @made_once

@@ -47,7 +47,7 @@ def projection_adjoint_kernel(
     record64, store_lane_sum = wp.types.vector(CAMERA_RECORD, wp.float64), lane_sum_function(CAMERA_RECORD)
     mat23, mat33, mat44 = (wp.types.matrix(shape, dtype) for shape in ((2, 3), (3, 3), (4, 4)))
     to_matrix, turn_adjoint = rotation_functions(dtype)
-    camera_position, camera_axes, jacobian, _, fov_limits = projection_functions(dtype, camera_model)
+    camera_position, camera_axes, jacobian, _, clamp_adjoint = projection_functions(dtype, camera_model)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
     pinhole = camera_model == "pinhole"
@@ -56,20 +56,6 @@ def projection_adjoint_kernel(
     each, lanes = (EACH, LANES_CUDA) if many else (1, 1)
     # Two blocks a multiprocessor: most Gaussians may be out of view, which only waits for memory.
     bounds = (256, 2) if dtype is wp.float32 else None
-
-    @wp.func
-    def clamp_adjoint(position: dtype, depth: dtype, focal: dtype, center: dtype, size: dtype, v: dtype):
-        """Gradient v to t = z · clamp(x / z, low, high), passed on to x, z, focal length and principal point."""
-        low, high = fov_limits(focal, center, size)
-        ratio = position / depth
-        v_position, v_depth, v_focal, v_center = v, zero, zero, zero
-        if ratio < low or ratio > high:
-            limit = wp.clamp(ratio, low, high)
-            v_position = zero
-            v_depth = v * limit
-            v_focal = -v * depth * limit / focal
-            v_center = -v * depth / focal
-        return v_position, v_depth, v_focal, v_center
 
     @wp.func
     def mixed(v: vec3, b: vec3):
