@@ -15,10 +15,10 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
         "projection adjoint",
         (
             *("project_adjoint", "activate_adjoint", "finish_camera_gradients", "strand_sums", "ProjectBackward"),
-            *("affine_camera_adjoint", "finish_lens_gradients"),
+            *("affine_camera_adjoint", "finish_lens_gradients", "motion_adjoint"),
         ),
     ),
-    ("projection", ("project_", "activate_", "affine_cameras", "lens_limits", "Project")),
+    ("projection", ("project_", "activate_", "affine_cameras", "lens_limits", "make_motions", "Project")),
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint")),
     ("SH", ("sh_colors", "camera_positions")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "BlendBackward")),
