@@ -75,6 +75,7 @@ def test_a_model_alone_says_what_it_lacks() -> None:
         ("training__strategies", None, "training.strategies must be"),
         ("training__growing", "yes", "training.growing must be true or false, found 'yes'"),
         ("training__best_validation", (1.0,), "training.best_validation must be"),
+        ("training__noise_watch", [1.0], "training.noise_watch must be a dictionary or None, found list"),
         ("training__seconds", {"train": math.nan}, "training.seconds must be numbers of seconds"),
         ("train_frames", 5, "train_frames must be a list of names, found 5"),
         ("test_frames", ["a", 3], "test_frames must be a list of names, found list"),

@@ -14,6 +14,7 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.evaluation import held_out
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training import training_step
+from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, enlarged, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -142,20 +143,22 @@ def test_cameras_are_found_on_images_of_full_size(
 
 def test_noise_floors_are_those_of_averages(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     """The mean of k pixels has a k-th of the variance of their noise."""
-    seen: list[dict[str, float]] = []
+    seen: list[float] = []
     original = training_step.gradient_shares
 
-    def noted(compared: Any, floors: dict[str, float]) -> dict[str, torch.Tensor]:
-        seen.append(dict(floors))
+    def noted(compared: Any, floors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        seen.append(floors["thermal"].item())
         return original(compared, floors)
 
     monkeypatch.setattr(training_step, "gradient_shares", noted)
     trainer = toy_trainer(tmp_path, growing(), capture)
-    trainer.device_step.floors = {"thermal": 0.01}
+    trainer.state.noise_watch = NoiseWatch({"thermal": 0.01}, len(trainer.frames), trainer.device)
     while trainer.step < 12:
         trainer._train_step()
     expected = [0.01 / 2.25] * 4 + [0.01 / 1.44] * 4 + [0.01] * 4
-    assert [floors["thermal"] for floors in seen] == pytest.approx(expected)
+    assert seen == pytest.approx(expected)
+    errors = trainer.state.noise_watch.errors["thermal"]  # those of averages are not kept
+    assert torch.count_nonzero(errors) == len({trainer.schedule.frame(step).name for step in range(8, 12)})
 
 
 def test_images_on_the_disk_shrink_to_the_same_pixels(tmp_path: Path) -> None:

@@ -44,6 +44,8 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.validate_every": 1,
     "auto_budget.patience": 1,
     "auto_budget.least_gain": 0,
+    "auto_budget.spectrum_loss": 0,
+    "auto_budget.spectrum_patience": 0,
     "densification.position_noise": 0,
     "densification.grad_threshold": 0,
     "densification.prune_large_from": 0,

@@ -250,6 +250,11 @@ class AutoBudgetConfig:
     patience: int = 3000
     """Growth stops when there was no such rise for this many steps: as long as from one opacity reset to the next. Too
     many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
+    spectrum_loss: float = 0.05
+    """Fall of the validation views' PSNR in one spectrum [dB] from which on it learns noise, if its images are noisy:
+    it is held where it was best. Open choice."""
+    spectrum_patience: int = 1000
+    """So many steps it must have been best ago. Open choice."""
 
 
 @dataclass(frozen=True)

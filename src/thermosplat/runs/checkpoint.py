@@ -71,6 +71,8 @@ class SavedTraining:
     """Whether the model is as small as a budget leaves it at the end."""
     best_validation: tuple[float, int] = (-math.inf, 0)
     """Best PSNR of withheld training views [dB], and its step."""
+    noise_watch: dict[str, Any] | None = None
+    """How far noisy images are fitted and may be (``NoiseWatch.state_dict``); None where no spectrum has a floor."""
     seconds: dict[str, float] | None = None
     """Where the time went."""
     missing: tuple[str, ...] = ()
@@ -195,6 +197,7 @@ class _Reader:
             "budget_due": (_are_due, "parts of a budget"),
             "trimmed": (_is_bool, "true or false"),
             "best_validation": (_is_validation, "a number of decibels and a step"),
+            "noise_watch": (_or_none(_is_dict), "a dictionary or None"),
             "seconds": (_are_seconds, "numbers of seconds"),
         }
         there = self.state["training"]

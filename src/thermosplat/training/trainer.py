@@ -33,6 +33,7 @@ from thermosplat.stop_signals import deferred_interrupts, raise_lost_stop, signa
 from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import AutoBudget, Budget
 from thermosplat.training.budget.noise_floor import noise_floors
+from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.camera_rounds import CameraRounds
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_ops import become_copy
@@ -109,7 +110,10 @@ class Trainer:
         measured, smoothness_notes = with_measured_smoothness(config, noise_of)
         floors, floor_notes = noise_floors(config, noise_of)
         self.noise_notes = (*smoothness_notes, *floor_notes)
-        self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device), floors=floors)
+        if floors and self.state.noise_watch is None:
+            self.state.noise_watch = NoiseWatch(floors, len(self.frames), self.device)
+            self.state.noise_watch.over = not self.state.growing
+        self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device))
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
         fast = fast_decoders(self.model.decoders, config, self.device)

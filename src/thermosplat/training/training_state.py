@@ -16,6 +16,7 @@ from thermosplat.runs.checkpoint import Checkpoint, SavedTraining, damage_explai
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.density.gaussian_ops import Optimizers, replace_parameters
 from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
@@ -66,6 +67,7 @@ class TrainingState:
         budget_due: What a budget is to leave out after the step done and has not left out yet: memory ended before.
         trimmed: Whether what the training images do not miss was dropped after the last step (``AutoBudget.finish``).
         best_validation: Best PSNR of withheld training views so far [dB], and its step.
+        noise_watch: How far noisy images are fitted and may be; None where no spectrum has a noise floor.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
         seconds: Where the time went.
 
@@ -110,6 +112,8 @@ class TrainingState:
         self.step = 0
         finds_cameras = self.corrections is not None and bool(self.corrections.registered)
         self.camera_passes = len(PASSES) if finds_cameras and config.refine_first > 0 else 0
+        self.noise_watch: NoiseWatch | None = None
+        self.num_frames = len(capture.training_frames(model.spectra))
         self._forget_budget()
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.seed, self.scene_extent = config.seed, capture.scene_extent
@@ -124,6 +128,8 @@ class TrainingState:
         self.budget_due: tuple[str, ...] = ()
         self.trimmed = False
         self.best_validation = (-math.inf, 0)
+        if self.noise_watch is not None:
+            self.noise_watch.forget()
 
     @torch.no_grad()
     def start_anew(self, model: SceneModel) -> None:
@@ -244,6 +250,7 @@ class TrainingState:
             budget_due=self.budget_due,
             trimmed=self.trimmed,
             best_validation=self.best_validation,
+            noise_watch=None if self.noise_watch is None else self.noise_watch.state_dict(),
             seconds=asdict(self.seconds),
         )
         return Checkpoint(
@@ -289,6 +296,10 @@ class TrainingState:
         self.budget_due = training.budget_due
         self.trimmed = training.trimmed
         self.best_validation = training.best_validation
+        if training.noise_watch is not None:
+            device = self.step_on_device.device
+            self.noise_watch = NoiseWatch(training.noise_watch["noise"], self.num_frames, device)
+            self.noise_watch.load_state_dict(training.noise_watch)
         self.seconds = Seconds(**training.seconds or {})
 
 

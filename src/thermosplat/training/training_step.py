@@ -4,7 +4,7 @@ Nothing in here reads a value back, so the same lines run one by one or, capture
 (captured_steps.py).
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -117,7 +117,6 @@ class TrainingStep:
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.
         decoding: Opened around rendering and backward pass; what makes decoders fast.
-        floors: Squared errors by spectrum below which a view has no gradient (budget/noise_floor.py).
     """
 
     def __init__(
@@ -127,10 +126,8 @@ class TrainingStep:
         guard: FiniteGuard,
         capacity: PairCapacity,
         decoding: Callable[[], AbstractContextManager[None]] = nullcontext,
-        floors: Mapping[str, float] | None = None,
     ) -> None:
         self.config = config
-        self.floors = floors or {}
         self.state = state
         self.guard = guard
         self.capacity = capacity
@@ -220,9 +217,13 @@ class TrainingStep:
             if kind.densifying:
                 for name, strategy in state.strategies.items():
                     strategy.step_pre_backward(rendered.infos.get(name, []))
-            # the mean of k independent pixels has a k-th of their noise's variance
-            floors = {name: floor / kind.image_factor**2 for name, floor in self.floors.items()}
-            shares = gradient_shares(compared, floors)
+            shares = {}
+            if state.noise_watch is not None and frame.index is not None:
+                # the mean of k independent pixels has a k-th of their noise's variance
+                floors = state.noise_watch.floors_of(frame.index)
+                shares = gradient_shares(compared, {name: one / kind.image_factor**2 for name, one in floors.items()})
+                if kind.image_factor == 1.0:
+                    state.noise_watch.note(frame.index, compared.squared_errors)
             # Of their sum, which nobody looks at; by this thread, since handing it to torch's own for the device and
             # waiting for it costs the host half a millisecond.
             with torch.autograd.set_multithreading_enabled(False):

@@ -14,6 +14,7 @@ from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.losses.image_terms import compare_frame
 from thermosplat.training.budget.noise_floor import gradient_shares, noise_floors
+from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.image_noise import training_noise
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
@@ -50,6 +51,11 @@ def trained(trainer: Trainer, steps: int) -> Trainer:
     return trainer
 
 
+def watch_of(trainer: Trainer, floor: float) -> NoiseWatch:
+    """With one floor for all RGB images."""
+    return NoiseWatch({"rgb": floor}, len(trainer.frames), trainer.device)
+
+
 def gradients(trainer: Trainer) -> dict[str, torch.Tensor]:
     """Gradients of a step on the first frame, by parameter."""
     trainer.state.clear_gradients()
@@ -65,19 +71,22 @@ def test_floor_is_a_share_of_the_noise_of_each_spectrum(tmp_path: Path) -> None:
     floors, notes = noise_floors(trainer.config, partial(training_noise, trainer.frames))
     assert floors["rgb"] == pytest.approx(0.8 * (12 / 255) ** 2, rel=0.15)
     assert floors["thermal"] == pytest.approx(0.8 * (3 / 255) ** 2, rel=0.2)
-    assert trainer.device_step.floors == floors
+    assert trainer.state.noise_watch is not None
+    assert trainer.state.noise_watch.noise == floors
+    for name, of_frames in trainer.state.noise_watch.floors.items():
+        assert of_frames.tolist() == pytest.approx([floors[name]] * len(trainer.frames))
     assert trainer.noise_notes == notes
     limit = -10 * math.log10(floors["rgb"])
     assert notes[0].startswith("Noise of the RGB images at least 0.04")
     assert notes[0].endswith(f"training views are fitted up to {limit:.1f} dB.")
     plain = toy_trainer(tmp_path / "b", toy_run_config(), capture)
-    assert (plain.device_step.floors, plain.noise_notes) == ({}, ())
+    assert (plain.state.noise_watch, plain.noise_notes) == (None, ())
 
 
 def test_images_without_noise_have_no_floor(tmp_path: Path) -> None:
     """Of an even image any error is the model's."""
     trainer = toy_trainer(tmp_path, floored(1.0), noisy(many_frames(toy_capture()), rgb=0, thermal=0))
-    assert trainer.device_step.floors == {}
+    assert trainer.state.noise_watch is None
 
 
 def test_a_view_below_the_floor_has_no_gradient_in_that_spectrum_alone(tmp_path: Path) -> None:
@@ -85,9 +94,9 @@ def test_a_view_below_the_floor_has_no_gradient_in_that_spectrum_alone(tmp_path:
     capture = many_frames(toy_capture())
     trainer = toy_trainer(tmp_path / "a", toy_run_config(), capture)
     free = gradients(trainer)
-    trainer.device_step.floors = {"rgb": 1e-9}
+    trainer.state.noise_watch = watch_of(trainer, 1e-9)
     above = gradients(trainer)
-    trainer.device_step.floors = {"rgb": 10.0}
+    trainer.state.noise_watch = watch_of(trainer, 10.0)
     below = gradients(trainer)
     alone = gradients(
         toy_trainer(tmp_path / "b", toy_run_config(spectra={"rgb": {"loss": 0.0, "features": 0.0}}), capture)
@@ -110,7 +119,7 @@ def test_shares_are_of_all_terms_of_a_spectrum(tmp_path: Path, fused: bool) -> N
     for factor, is_above in ((0.99, True), (1.01, False)):
         rendered = trainer.model.render(frame.views, sh_degree=0, shared_cameras=frame.shared_cameras)
         compared = compare_frame(rendered, frame, trainer.config, fused=fused)
-        shares = gradient_shares(compared, {"thermal": factor * compared.squared_errors["thermal"].item()})
+        shares = gradient_shares(compared, {"thermal": factor * compared.squared_errors["thermal"]})
         assert set(shares) == {"thermal", "features_thermal", "thermal_smoothness"}
         assert all(share.item() == is_above for share in shares.values())
         offsets.grad = None

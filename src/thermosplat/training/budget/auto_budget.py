@@ -3,6 +3,8 @@
 - No training view is fitted more closely than its noise (noise_floor.py); that is done by the steps themselves.
 - Some training views are withheld while the number of Gaussians grows; when their PSNR has not risen for a while,
   growth stops and they are trained on like the others. Held-out test views steer nothing.
+- Where images are noisy they stay withheld up to the last removal: a spectrum that they say learns noise is held where
+  it was best (noise_watch.py).
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
   Nothing is removed while it still grows, which ends with the last share at the latest.
@@ -78,10 +80,10 @@ class AutoBudget:
         ]
         self.validation = _validation_views(self._having, self.settings.validation_views)
         self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
-        if state.growing:
-            schedule.withhold(self.validation)
-        else:  # a resumed run whose growth has ended
-            self._stop_growing()
+        self._last_removal = max(self._prune_steps, default=0)
+        if not state.growing:  # a resumed run whose growth has ended
+            self._stop_strategies()
+        schedule.withhold(self.validation if self.withholds() else ())
 
     def acts_at(self, step: int) -> bool:
         """Whether something may change after this step."""
@@ -100,7 +102,7 @@ class AutoBudget:
         """
         if self._validates_at(step):
             self._validate(step, sh_degree)
-        is_last = step == max(self._prune_steps, default=0)
+        is_last = step == self._last_removal
         if is_last or self._growth_is_over(step):
             self._stop_growing()
         if self.prunes_at(step) and not self.state.growing:  # a short run may have far to grow after its first share
@@ -133,8 +135,13 @@ class AutoBudget:
             round_to_half(model, self.images(sh_degree), settings.rounding_change)
         self.state.trimmed = True
 
+    def withholds(self) -> bool:
+        """Whether some training views are withheld after the steps done."""
+        watch = self.state.noise_watch
+        return bool(self.validation) and (self.state.growing or (watch is not None and not watch.over))
+
     def _validates_at(self, step: int) -> bool:
-        if not (self.validation and self.state.growing and step % self.settings.validate_every == 0):
+        if not (step % self.settings.validate_every == 0 and self.withholds()):
             return False
         return all(strategy.has_started(step) for strategy in self.state.strategies.values())
 
@@ -150,25 +157,43 @@ class AutoBudget:
 
     @torch.no_grad()
     def _validate(self, step: int, sh_degree: int) -> None:
-        state, found = self.state, []
+        state, settings = self.state, self.settings
+        found: dict[str, list[float]] = {}
         for index in self.validation:
             frame = self.frames[index]
             rendered = state.model.render(frame.views, sh_degree=sh_degree, shared_cameras=frame.shared_cameras)
             for name in state.model.spectra:
                 if name in rendered.images and (target := frame.views[name].image) is not None:
-                    found.append(psnr(rendered.images[name], target))
-        value = sum(found) / max(len(found), 1)
+                    found.setdefault(name, []).append(psnr(rendered.images[name], target))
+        means = {name: sum(values) / len(values) for name, values in found.items()}
+        if state.noise_watch is not None:
+            state.noise_watch.judge(step, means, settings.spectrum_loss, settings.spectrum_patience)
+        if not state.growing:
+            self._release()
+            return
+        value = sum(map(sum, found.values())) / max(sum(map(len, found.values())), 1)
         best, best_step = state.best_validation
-        if value > best + self.settings.least_gain or not math.isfinite(best):
+        if value > best + settings.least_gain or not math.isfinite(best):
             state.best_validation = (value, step)
-        elif step - best_step >= self.settings.patience:
+        elif step - best_step >= settings.patience:
             self._stop_growing()
 
     def _stop_growing(self) -> None:
         self.state.growing = False
+        self._stop_strategies()
+        self._release()
+
+    def _stop_strategies(self) -> None:
         for strategy in self.state.strategies.values():
             strategy.growing = False
-        self.schedule.withhold(())
+
+    def _release(self) -> None:
+        """Train on the withheld views, too, unless a spectrum may have to be held yet."""
+        watch = self.state.noise_watch
+        if watch is not None and (self.state.step >= self._last_removal or not watch.watches()):
+            watch.over = True
+        if not self.withholds():
+            self.schedule.withhold(())
 
     def scores(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
         """What each Gaussian is worth to the training images, [N] by name of the set.

@@ -4,7 +4,8 @@ The squared error of a true render of the scene is the variance σ² of the imag
 has begun to learn the noise of its views, which no other view has. So where the squared error of a view, in a spectrum,
 is below a share of σ², its losses in that spectrum have no gradient in this step; they have one again as soon as the
 error rises. The other spectra of the view are trained on as before. (The discrepancy principle of Morozov 1966, view by
-view; Ishida et al. 2020 hold a loss at a level by the sign of its gradient.)
+view; Ishida et al. 2020 hold a loss at a level by the sign of its gradient.) Floors rise where withheld views say so
+(noise_watch.py).
 """
 
 import math
@@ -44,12 +45,12 @@ def noise_floors(config: TrainConfig, noise_of: NoiseOf) -> tuple[dict[str, floa
     return floors, tuple(notes)
 
 
-def gradient_shares(compared: ComparedFrame, floors: Mapping[str, float]) -> dict[str, Tensor]:
+def gradient_shares(compared: ComparedFrame, floors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """What the gradients of a frame's loss terms are multiplied by; nothing here waits for the device.
 
     Args:
         compared: The rendered frame against its images.
-        floors: Squared errors by spectrum, of ``noise_floors``.
+        floors: The frame's squared errors by spectrum below which it is not fitted, scalars.
 
     Returns:
         float32 scalars by term, 1 where the error of its spectrum is above the floor, else 0; of spectra with a floor.

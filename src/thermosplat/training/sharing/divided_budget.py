@@ -73,5 +73,5 @@ class DividedBudget:
         team.asked_of_first(act)
         adopt(team, state, team.dealt(shares if team.is_first else None))
         trainer.tell_blocks()
-        if not state.growing:
+        if not self.plan.withholds():
             trainer.schedule.withhold(())

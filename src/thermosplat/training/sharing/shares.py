@@ -172,6 +172,8 @@ def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
     state.growing, state.offsets_dropped = training.growing, training.offsets_dropped
     state.budget_due, state.trimmed = training.budget_due, training.trimmed
     state.best_validation = training.best_validation
+    if training.noise_watch is not None and state.noise_watch is not None:
+        state.noise_watch.load_state_dict(training.noise_watch)
     for strategy in state.strategies.values():
         strategy.growing = training.growing
     state.counts = shared_counts(team, state.model)

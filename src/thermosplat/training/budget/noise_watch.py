@@ -1,0 +1,161 @@
+"""When a spectrum whose images are noisy is fitted well enough: ``--budget auto``.
+
+Each training view has a floor in each spectrum: the squared error below which it is not fitted (noise_floor.py). At
+first that is the variance of the images' noise. But a model has an error of its own, so it learns noise long before it
+comes so near. Withheld training views show when: from then on they get worse. So the floors of a spectrum rise to the
+errors that its views had when the withheld ones were best, and the spectrum is held where it was, while others go on.
+Only spectra are held whose error is to a good part noise: in images without noise, what withheld views lose by a view
+more or less is not noise that was learnt.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+NOISY = 0.4
+"""Share of noise in the squared error of the training views from which on a spectrum may be held. In desk's photographs
+with the noise of 140 electrons at white it is over a half when withheld views begin to get worse."""
+
+
+class NoiseWatch:
+    """How far the views are fitted, and how far they may be, of the spectra whose images have noise.
+
+    Args:
+        noise: By spectrum, the squared error below which no view is fitted, more than 0.
+        num_frames: Training frames.
+        device: Where steps run.
+
+    Attributes:
+        floors: By spectrum, the squared errors below which the frames are not fitted, [num_frames] float32.
+        errors: By spectrum, the squared errors that the frames had when they were last trained on, [num_frames]
+            float32; 0 where that was never.
+        held: The spectra whose floors have risen.
+        over: Whether none is watched any more, and no view withheld for it.
+    """
+
+    def __init__(self, noise: Mapping[str, float], num_frames: int, device: torch.device) -> None:
+        self.noise = dict(noise)
+        self.floors = {name: torch.full((num_frames,), value, device=device) for name, value in noise.items()}
+        self.errors = {name: torch.zeros(num_frames, device=device) for name in noise}
+        self._best: dict[str, tuple[float, int]] = {}
+        self._errors_at_best: dict[str, Tensor] = {}
+        self.held: tuple[str, ...] = ()
+        self.over = False
+
+    def forget(self) -> None:
+        """Begin again with a new scene."""
+        for name, floors in self.floors.items():
+            floors.fill_(self.noise[name])
+            self.errors[name].zero_()
+        self._best, self._errors_at_best, self.held, self.over = {}, {}, (), False
+
+    @torch.no_grad()
+    def note(self, index: Tensor, squared_errors: Mapping[str, Tensor]) -> None:
+        """Note the errors of a frame; nothing here waits for the device.
+
+        Args:
+            index: The frame's, an int64 scalar on the device.
+            squared_errors: By spectrum, scalars.
+        """
+        for name, errors in self.errors.items():
+            if name in squared_errors:
+                errors.index_copy_(0, index.view(1), squared_errors[name].detach().view(1))
+
+    def floors_of(self, index: Tensor) -> dict[str, Tensor]:
+        """By spectrum, the squared error below which a frame is not fitted, scalars; nothing here waits for the device.
+
+        Args:
+            index: The frame's, an int64 scalar on the device.
+        """
+        return {name: floors.index_select(0, index.view(1)).view(()) for name, floors in self.floors.items()}
+
+    def is_noisy(self, name: str) -> bool:
+        """Whether a good part of a spectrum's error is noise.
+
+        Args:
+            name: One of ``noise``.
+        """
+        error = _mean_of_seen(self.errors[name])
+        return 0.0 < error <= self.noise[name] / NOISY
+
+    def watches(self) -> bool:
+        """Whether there is a spectrum that may have to be held yet."""
+        return any(name not in self.held and self.is_noisy(name) for name in self.noise)
+
+    def judge(self, step: int, psnrs: Mapping[str, float], loss: float, patience: int) -> list[str]:
+        """Hold the spectra that withheld views say are fitted too closely.
+
+        Args:
+            step: The step done.
+            psnrs: PSNR of the withheld views [dB], the mean of each spectrum.
+            loss: What it must have lost [dB].
+            patience: Steps since it was best.
+
+        Returns:
+            The spectra that are held from now on.
+        """
+        found = []
+        for name in self.noise:
+            if name in self.held or name not in psnrs:
+                continue
+            best, best_step = self._best.get(name, (-math.inf, 0))
+            if psnrs[name] > best:
+                self._best[name] = psnrs[name], step
+                self._errors_at_best[name] = self.errors[name].clone()
+            elif best - psnrs[name] >= loss and step - best_step >= patience and self.is_noisy(name):
+                self._hold(name)
+                found.append(name)
+        return found
+
+    def _hold(self, name: str) -> None:
+        errors = self._errors_at_best[name]
+        mean = _mean_of_seen(errors)
+        risen = torch.where(errors > 0, errors, mean)  # withheld views were never trained on
+        torch.maximum(self.floors[name], risen, out=self.floors[name])
+        self.held = (*self.held, name)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Tensors and built-in types."""
+        return {
+            "noise": self.noise,
+            "floors": self.floors,
+            "errors": self.errors,
+            "best": self._best,
+            "errors_at_best": self._errors_at_best,
+            "held": self.held,
+            "over": self.over,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """The inverse of ``state_dict``, for the same spectra and frames.
+
+        Args:
+            state: Of another watch.
+
+        Raises:
+            KeyError: An entry is missing.
+            ValueError: An entry does not fit the frames.
+        """
+        best = {name: (float(psnr), int(step)) for name, (psnr, step) in state["best"].items() if name in self.noise}
+        at_best = {name: self._of_frames(state["errors_at_best"][name]) for name in best}
+        for own, saved in ((self.floors, state["floors"]), (self.errors, state["errors"])):
+            for name, tensor in own.items():
+                tensor.copy_(self._of_frames(saved[name]))
+        self._best, self._errors_at_best = best, at_best
+        self.held = tuple(name for name in self.noise if name in state["held"])
+        self.over = bool(state["over"])
+
+    def _of_frames(self, tensor: Any) -> Tensor:
+        own = next(iter(self.floors.values()))
+        if not isinstance(tensor, Tensor) or tensor.shape != own.shape:
+            raise ValueError(f"There must be one number for each of {len(own)} frames.")
+        return tensor.to(own)
+
+
+def _mean_of_seen(errors: Tensor) -> float:
+    """The mean error of the frames that were trained on; 0 where none was. Waits for the device."""
+    seen = errors > 0
+    return float(errors.sum() / seen.sum().clamp(min=1))
