@@ -18,7 +18,7 @@ from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
 from thermosplat.losses.feature_norm import feature_norm_loss
 from thermosplat.losses.gaussian_penalties import gaussian_penalties
-from thermosplat.losses.image_terms import compare_frame
+from thermosplat.losses.image_terms import ComparedFrame, compare_frame
 from thermosplat.losses.spectrum_balance import balanced_losses
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.scene.initial_gaussians import SHARED
@@ -168,48 +168,14 @@ class TrainingStep:
         Raises:
             UserError: If no loss has a weight.
         """
-        config, state = self.config, self.state
+        state = self.state
         if state.corrections is not None and frame.index is not None:
             with torch.set_grad_enabled(kind.refining):
                 frame = state.corrections(frame)
         with self.decoding():
-            with self.capacity.step(fixed=fixed_capacity):
-                render = partial(
-                    state.model.render,
-                    sh_degree=kind.sh_degree,
-                    absgrad=config.densification.absgrad,
-                    deterministic=config.deterministic,
-                    depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread else None,
-                    shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
-                )
-                if part.calls is None:
-                    apart = [[name] for name in frame.views] if state.separates_spectra else None
-                    rendered = render(frame.views, shared_cameras=apart or frame.shared_cameras)
-                else:
-                    rendered = render_with_others(render, frame.views, part.calls)
-            if state.exposures is not None and frame.index is not None:
-                rendered = state.exposures(rendered, frame.index)
-            compared = compare_frame(rendered, frame, config)
+            rendered = self._rendered(frame, kind, part, fixed_capacity=fixed_capacity)
+            compared = self._compared(rendered, frame, part)
             losses = compared.losses
-            if part.penalised is None:
-                losses |= self._feature_norm()
-            if rendered.depth_spreads:
-                losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
-            if config.loss.balance:
-                numbers = {name: state.num_gaussians(name) for name in state.gaussian_sets}
-                losses = balanced_losses(losses, compared.spectra, numbers)
-            if part.weight != 1.0:
-                losses = {name: part.weight * loss for name, loss in losses.items()}
-            # of sets that this step renders: nothing would hold others against their penalties
-            if part.penalised is None:
-                rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
-                losses |= gaussian_penalties(rendered_sets, config.loss, state.scene_extent)
-            else:
-                losses |= self._penalties_of_shares(part.penalised)
-            if part.calls is not None:
-                # Every image takes part, so that every rank's backward pass makes the same exchanges.
-                seen = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
-                losses[TAKING_PART] = torch.stack([image.sum() for image in seen]).sum() * 0.0
             if not losses:
                 raise UserError(
                     "All loss weights are 0: nothing to learn.", "Set the loss of a spectrum, such as --rgb.loss 1."
@@ -230,6 +196,53 @@ class TrainingStep:
                 torch.autograd.backward(list(losses.values()), [shares.get(name, self._one) for name in losses])
         losses.pop(TAKING_PART, None)
         return Differentiated(rendered, losses, compared.squared_errors)
+
+    def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part, *, fixed_capacity: bool) -> RenderedFrame:
+        """The frame's images as the losses see them: with the exposures of its photographs."""
+        config, state = self.config, self.state
+        render = partial(
+            state.model.render,
+            sh_degree=kind.sh_degree,
+            absgrad=config.densification.absgrad,
+            deterministic=config.deterministic,
+            depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread else None,
+            shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
+        )
+        with self.capacity.step(fixed=fixed_capacity):
+            if part.calls is None:
+                apart = [[name] for name in frame.views] if state.separates_spectra else None
+                rendered = render(frame.views, shared_cameras=apart or frame.shared_cameras)
+            else:
+                rendered = render_with_others(render, frame.views, part.calls)
+        if state.exposures is not None and frame.index is not None:
+            rendered = state.exposures(rendered, frame.index)
+        return rendered
+
+    def _compared(self, rendered: RenderedFrame, frame: FrameTensors, part: Part) -> ComparedFrame:
+        """The frame against its images, with all loss terms of the step: those of the Gaussians, too."""
+        config, state = self.config, self.state
+        compared = compare_frame(rendered, frame, config)
+        losses = dict(compared.losses)
+        if part.penalised is None:
+            losses |= self._feature_norm()
+        if rendered.depth_spreads:
+            losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
+        if config.loss.balance:
+            numbers = {name: state.num_gaussians(name) for name in state.gaussian_sets}
+            losses = balanced_losses(losses, compared.spectra, numbers)
+        if part.weight != 1.0:
+            losses = {name: part.weight * loss for name, loss in losses.items()}
+        # of sets that this step renders: nothing would hold others against their penalties
+        if part.penalised is None:
+            rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
+            losses |= gaussian_penalties(rendered_sets, config.loss, state.scene_extent)
+        else:
+            losses |= self._penalties_of_shares(part.penalised)
+        if part.calls is not None:
+            # Every image takes part, so that every rank's backward pass makes the same exchanges.
+            seen = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
+            losses[TAKING_PART] = torch.stack([image.sum() for image in seen]).sum() * 0.0
+        return replace(compared, losses=losses)
 
     def _penalties_of_shares(self, names: Collection[str]) -> dict[str, Tensor]:
         """Penalties on this rank's share of some sets, which over all ranks add up to those on the sets."""
