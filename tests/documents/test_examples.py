@@ -55,3 +55,7 @@ def test_the_readme_has_the_example_of_a_trained_scene(tmp_path: Path, monkeypat
     (viewing,) = [code for name, code in EXAMPLES if name == "docs/viewer.md" and "load_run(" in code]
     exec(viewing, names)
     assert names["image"].unit == "°C"  # type: ignore[attr-defined]
+    (measuring,) = [code for name, code in EXAMPLES if name == "docs/api/trained-scenes.md"]
+    exec(measuring, names)
+    assert names["celsius"].shape == names["depth"].shape == (38, 50)  # type: ignore[attr-defined]
+    assert 0 < names["celsius"].mean() < 60  # type: ignore[attr-defined]
