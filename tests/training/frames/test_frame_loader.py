@@ -184,6 +184,11 @@ def test_an_image_that_is_lost_is_named(tmp_path: Path) -> None:
         found = loader.at(place, range(7).__getitem__, 7)
         assert found.index == place
         loader.release(found)
+    until = time.monotonic() + 60
+    while not loader._asked[0].done:
+        assert not loader.is_ready(2, range(7).__getitem__)
+        assert time.monotonic() < until
+    assert not loader.is_ready(2, range(7).__getitem__)
     with pytest.raises(ImageLostError) as caught:
         loader.at(2, range(7).__getitem__, 7)
     assert caught.value.message == f"{root}/rgb/0003.png is 64x48, and it was 32x24 when the training began."

@@ -98,7 +98,7 @@ def test_another_order(both: tuple[TrainFrames, TrainFrames]) -> None:
 
 
 def test_it_goes_on_after_a_lost_image(root: Path, device: torch.device) -> None:
-    """And after it was closed."""
+    """Which is told at its own step; and after it was closed."""
     read = TrainFrames(load_capture(root, image_memory=LITTLE), ("rgb", "thermal"), device)
     held = TrainFrames(load_capture(root), ("rgb", "thermal"), device)
     path = root / "rgb" / "0006.png"
@@ -107,8 +107,11 @@ def test_it_goes_on_after_a_lost_image(root: Path, device: torch.device) -> None
         write_image(path, rgb_image(6, 64, 48))
         assert_same(read.at(0, range(COUNT).__getitem__, COUNT), held[0])
         read.close()
+        lost = [frame.name for frame in read.frames].index("0006")
+        for place in range(lost):
+            assert_same(read.at(place, range(COUNT).__getitem__, COUNT), held[place])
         with pytest.raises(ImageLostError, match=r"0006\.png is 64x48"):
-            list(map(lambda place: read.at(place, range(COUNT).__getitem__, COUNT), range(COUNT)))
+            read.at(lost, range(COUNT).__getitem__, COUNT)
     finally:
         path.write_bytes(whole)
     assert_same(read.at(5, range(COUNT).__getitem__, COUNT), held[5])

@@ -165,7 +165,7 @@ class FrameLoader:
             raise
 
     def is_ready(self, place: int, order: Callable[[int], int]) -> bool:
-        """Whether ``at`` would return at once.
+        """Whether ``at`` would return the frame at once; of a lost one it tells when its step comes.
 
         Args:
             place: As of ``at``.
@@ -174,7 +174,7 @@ class FrameLoader:
         if self._reading is None:
             return False
         self._hear(wait=False)
-        return self._is_next(place, order) and self._asked[0].done
+        return self._is_next(place, order) and self._asked[0].done and self._asked[0].lost is None
 
     def each(self, indices: Sequence[int]) -> Iterator[ReadFrame]:
         """Frames one after the other; each is to be released before the next ones.
