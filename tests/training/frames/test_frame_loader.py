@@ -202,13 +202,13 @@ def test_an_image_that_is_lost_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_process_that_is_killed(loader: FrameLoader, number: int) -> None:
     """It is told when a frame is asked for that will not come, not in the middle of something else."""
-    before = signal.getsignal(signal.SIGCHLD)
-    loader.release(loader.at(0, ORDER.__getitem__, 10**6))
+    before, order = signal.getsignal(signal.SIGCHLD), 100 * ORDER
+    loader.release(loader.at(0, order.__getitem__, len(order)))
     assert signal.getsignal(signal.SIGCHLD) is before
     for process in loader._reading._processes:
         os.kill(process.pid, number)
     with pytest.raises(ImageLostError, match="was ended by the system, as it does where memory is short") as caught:
-        go_through(loader, ORDER, start=1)  # some frames may be ready
+        go_through(loader, order, start=1)  # some frames may be ready
     assert "--image-memory" in caught.value.hint
 
 
