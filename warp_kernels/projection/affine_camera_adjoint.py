@@ -86,7 +86,7 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
     store_lane_sum = lane_sum_function(length)
     rows, pose_kind = path_rows(rolling), motion_vector if rolling else mat34d
     path_kind, paths_kind = (wp.types.matrix((count, 3), wp.float64) for count in (rows, 3 * rows))
-    intrinsics, _ = sight_functions(model, rolling)
+    intrinsics, _ = sight_functions(dtype, model, rolling)
     turned, begin, drift, weights, position, velocity = pose_functions(rolling)
     pose_of, lens_of, axes_of = loading_functions(dtype, rolling)
     bend, coefficient_gradient, _ = lens_functions(model)

@@ -35,9 +35,10 @@ the axis polynomials are no lens any more. (gsplat allows 0.1.)"""
 SHUTTER_STEPS = 10
 """Most steps of Newton's method to the time at which a point is seen; three are usual."""
 
-CONVERGED = 1.0e-8
-"""What the time may be off [readouts] before the last step, which squares it and moves the point along its pace. A
-point whose time is not found is not seen."""
+CONVERGED = {wp.float32: 4.0e-6, wp.float64: 1.0e-8}
+"""What the time may be off [readouts] before the last step, which squares it and moves the point along its pace. Left
+out is half the square of this times the acceleration in the image, and of the mean a hundred times that: 8e-8 px in float32
+where a point is accelerated by 100 px a readout². A point whose time is not found is not seen."""
 
 EARLIEST, LATEST = -1.0, 2.0
 """Times between which it is looked for: those of centres that are drawn are between -0.5 and 1.5."""
@@ -47,10 +48,11 @@ LEAST_PACE = 0.1
 
 
 @made_once
-def sight_functions(model: LensModel, rolling: bool):
+def sight_functions(dtype: type, model: LensModel, rolling: bool):
     """Where a camera sees a point.
 
     Args:
+        dtype: ``wp.float32`` or ``wp.float64``, of what is made of it.
         model: of the lens.
         rolling: The pose is a motion, and the time is looked for.
 
@@ -60,7 +62,7 @@ def sight_functions(model: LensModel, rolling: bool):
     bend, _, _ = lens_functions(model)
     _, _, _, weights, position, velocity = pose_functions(rolling)
     path_kind = wp.types.matrix((path_rows(rolling), 3), wp.float64)
-    half, one, least, converged = (wp.float64(x) for x in (0.5, 1.0, LEAST_PACE, CONVERGED))
+    half, one, least, converged = (wp.float64(x) for x in (0.5, 1.0, LEAST_PACE, CONVERGED[dtype]))
     earliest, latest = wp.float64(EARLIEST), wp.float64(LATEST)
 
     @wp.func
@@ -192,7 +194,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
     coefficients_type, motion_type = wp.types.vector(LENS_COEFFS, dtype), wp.types.vector(MOTION, dtype)
     rows = path_rows(rolling)
     path_kind, paths_kind = (wp.types.matrix((count, 3), wp.float64) for count in (rows, 3 * rows))
-    intrinsics, sight = sight_functions(model, rolling)
+    intrinsics, sight = sight_functions(dtype, model, rolling)
     turned, begin, drift, weights, position, _ = pose_functions(rolling)
     pose_of, lens_of, axes_of = loading_functions(dtype, rolling)
     culled, footprint = footprint_functions(dtype)
