@@ -37,8 +37,8 @@ SHUTTER_STEPS = 10
 
 CONVERGED = {wp.float32: 4.0e-6, wp.float64: 1.0e-8}
 """What the time may be off [readouts] before the last step, which squares it and moves the point along its pace. Left
-out is half the square of this times the acceleration in the image, and of the mean a hundred times that: 8e-8 px in float32
-where a point is accelerated by 100 px a readout². A point whose time is not found is not seen."""
+out is half the square of this times the acceleration in the image, and of the mean a hundred times that: 8e-8 px in
+float32 where a point is accelerated by 100 px a readout². A point whose time is not found is not seen."""
 
 EARLIEST, LATEST = -1.0, 2.0
 """Times between which it is looked for: those of centres that are drawn are between -0.5 and 1.5."""
