@@ -60,9 +60,11 @@ def main() -> int:
         )
         report = trained(options, data, folder, options.image_memory, flags)
         report |= {"pairs": options.pairs, "size": options.size, "image_memory_gb": options.image_memory}
+        print_report(report)
         if options.in_memory:
             report["in_memory"] = trained(options, data, folder, NO_BOUND, flags)
-    print_report(report)
+            print("with all images in memory:")
+            print_epochs(report["in_memory"]["epochs"])
     if options.json is not None:
         write_text(options.json, json.dumps(report, indent=2) + "\n")
     return 0
@@ -136,9 +138,6 @@ def print_report(report: dict[str, Any]) -> None:
         parts = f"{report['copy_ms']:.2f} ms to the device, {report['convert_ms']:.2f} ms to make tensors of them"
         print(f"the {report['frame_mb']:.1f} MB of a frame, once they were read: {parts}")
     print_epochs(report["epochs"])
-    if "in_memory" in report:
-        print("with all images in memory:")
-        print_epochs(report["in_memory"]["epochs"])
 
 
 def print_epochs(epochs: list[dict[str, Any]]) -> None:
