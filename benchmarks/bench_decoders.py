@@ -29,7 +29,7 @@ from rasterization.case import one_line
 from thermosplat.config import DecoderConfig
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.devices import choose_device
-from thermosplat.runs.run_directory import environment
+from thermosplat.runs.environment import environment
 from thermosplat.scene.decoders import Decoders
 from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, model_spectra
 from thermosplat.training.fast_decoders import Decode, FastDecoders, can_compile

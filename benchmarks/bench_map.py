@@ -25,7 +25,7 @@ from thermosplat.evaluation.loaded_run import LoadedRun, load_run
 from thermosplat.export.map_frame import camera_centres, local_frame, map_extent
 from thermosplat.export.orthomosaic import MapGrid, render_map
 from thermosplat.runs.atomic_writes import write_text
-from thermosplat.runs.run_directory import environment
+from thermosplat.runs.environment import environment
 from thermosplat.spectra import unit_label
 
 Array = NDArray[np.float64]

@@ -35,7 +35,8 @@ from thermosplat.config import DensificationConfig
 from thermosplat.fused.row_adam import RowAdam
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.devices import choose_device
-from thermosplat.runs.run_directory import environment, finite_or_null
+from thermosplat.runs.environment import environment
+from thermosplat.runs.run_directory import finite_or_null
 from thermosplat.scene import model as scene_model
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.torch_bridge.host_rows import row_length

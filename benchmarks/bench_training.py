@@ -35,7 +35,8 @@ from thermosplat.rasterizer.warp_start import start_warp
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
-from thermosplat.runs.run_directory import RunDirectory, environment, finite_or_null
+from thermosplat.runs.environment import environment
+from thermosplat.runs.run_directory import RunDirectory, finite_or_null
 from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
 from training.command import apart
 from training.frozen_training import Frames

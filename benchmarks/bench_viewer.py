@@ -30,7 +30,7 @@ with importing():
 
     from thermosplat.novel_views.bookmarks import Bookmark
     from thermosplat.runs.atomic_writes import write_text
-    from thermosplat.runs.run_directory import environment
+    from thermosplat.runs.environment import environment
     from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers, image_layer
     from thermosplat.viewer.opening import open_scene
     from thermosplat.viewer.pace import Pace

@@ -30,7 +30,7 @@ import torch  # noqa: E402
 
 from thermosplat.datasets import load_capture  # noqa: E402
 from thermosplat.runs.atomic_writes import write_text  # noqa: E402
-from thermosplat.runs.run_directory import environment  # noqa: E402
+from thermosplat.runs.environment import environment  # noqa: E402
 from thermosplat.training.trainer import Trainer  # noqa: E402
 from thermosplat.viewer.layers import LayerRenderer, available_layers  # noqa: E402
 from thermosplat.viewer.session import ViewSession, start_wish  # noqa: E402

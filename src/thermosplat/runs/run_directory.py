@@ -11,11 +11,9 @@ tb/                    TensorBoard events     training.lock     the process that
 pixels/                undistorted images of a capture larger than memory, as long as it is trained on
 """
 
-import importlib.metadata
 import json
 import math
 import os
-import platform
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,18 +22,15 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from thermosplat import __version__
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import plain_folder, write_text
 from thermosplat.runs.checkpoint_file import load_checkpoint
-from thermosplat.runs.devices import device_name
+from thermosplat.runs.environment import environment
 from thermosplat.runs.run_lock import run_lock
 from thermosplat.runs.written_files import CHECKPOINT_NAME, FILES, delete_run, sweep_run
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
-
-_PACKAGES = ("torch", "warp-lang", "numpy", "kornia", "pycolmap", "opencv-contrib-python-headless")
 
 
 class FolderGoneError(UserError):
@@ -334,23 +329,3 @@ def finite_or_null(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [finite_or_null(item) for item in value]
     return value
-
-
-def environment(device: torch.device) -> dict[str, Any]:
-    """Versions, device and threads of this process; no paths."""
-    versions: dict[str, str | None] = {"thermosplat": __version__}
-    for package in _PACKAGES:
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            versions[package] = None
-    versions["torch"] = str(torch.__version__)  # names the build too (+cu124), which the metadata may not
-    return {
-        "python": platform.python_version(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "packages": versions,
-        "device": device_name(device),
-        "cuda": torch.version.cuda if device.type == "cuda" else None,
-        "cpu_cores": os.cpu_count(),
-        "torch_threads": torch.get_num_threads(),
-    }

@@ -26,6 +26,7 @@ from thermosplat.scene.decoders import Decoders, may_be_hybrid
 from thermosplat.scene.feature_passes import blend_features
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.gaussians_in_view import GaussiansInView, gaussians_in_view
+from thermosplat.scene.harmonic_passes import render_harmonics
 from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians, sets_of
 from thermosplat.scene.lens_distortion import nearest_distorted
 from thermosplat.scene.offloaded import stored_values
@@ -37,8 +38,6 @@ from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.scene.view_directions import view_directions
 from thermosplat.scene.views import (
     Rendering,
-    render_two_opacities,
-    render_view,
     render_view_depth,
 )
 from thermosplat.spectra import Spectrum, model_spectra
@@ -202,7 +201,14 @@ class SceneModel(nn.Module):
             if names and self.decoders is not None:
                 self._render_features(self.decoders, sets, names, views[names[0]], how, rendered)
             elif names:
-                self._render_sh(sets, names, views[names[0]], how, rendered)
+                render_harmonics(
+                    sets,
+                    [self.spectra[name] for name in names],
+                    views[names[0]],
+                    how,
+                    rendered,
+                    leading=next(iter(self.spectra)),
+                )
         for name, view in views.items():
             if view.distortion is not None:
                 rendered.bend(name, view.K, view.distortion)
@@ -265,52 +271,6 @@ class SceneModel(nn.Module):
         if not self.decoder_config.view_direction:
             return features
         return torch.cat([features, view_directions(view)], dim=-1)
-
-    def _render_sh(
-        self,
-        sets: Mapping[str, Gaussians],
-        names: Sequence[str],
-        view: "ViewTensors",
-        how: Rendering,
-        rendered: RenderedFrame,
-    ) -> None:
-        """Spectra of one camera from their spherical harmonics: the first two by one traversal of a shared set."""
-        rest = list(names)
-        if len(names) > 1 and names[0] == next(iter(self.spectra)):
-            first, second, *rest = names
-            gaussians = sets[SHARED]
-            has_own = second in gaussians.second_opacities
-            sh_coeffs = gaussians.sh_coeffs_of(second)
-            output = render_two_opacities(gaussians, second if has_own else None, sh_coeffs, view, how)
-            colors, alphas = output.render_thermal_features, output.render_thermal_alphas
-            if colors is None or alphas is None:
-                colors, alphas = output.render_features, output.render_alphas
-            rendered.images[first] = self._sh_image(first, output.render_colors.squeeze(0))
-            rendered.images[second] = self._sh_image(second, colors.squeeze(0))
-            rendered.alphas[first], rendered.alphas[second] = output.render_alphas.squeeze(0), alphas.squeeze(0)
-            rendered.note_call(SHARED, [first, second], output.info)
-        for name in rest:
-            gaussians = sets[self.set_of(name)]
-            backgrounds = how.backgrounds if self.spectra[name].is_photograph else None
-            image, rendered.alphas[name], info = render_view(
-                gaussians,
-                gaussians.sh_coeffs_of(name),
-                gaussians.logits_in(name),
-                view,
-                how,
-                backgrounds=backgrounds,
-            )
-            rendered.images[name] = self._sh_image(name, image)
-            if not how.geometry_held:
-                rendered.note_call(self.set_of(name), [name], info)
-
-    def _sh_image(self, name: str, colors: Tensor) -> Tensor:
-        """A spectrum's image [H, W, channels] of its blended SH colours [H, W, 3].
-
-        A one-channel image is the mean of three channels that start equal and get equal gradients: they stay grey, and
-        so does the exported PLY.
-        """
-        return colors if self.spectra[name].channels == 3 else colors.mean(dim=-1, keepdim=True)
 
     # ---- making and restoring ----------------------------------------------------------------------------------------
 
