@@ -13,6 +13,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from thermosplat.datasets.cameras import camera_center
 from thermosplat.datasets.capture import Capture
 from thermosplat.runs.atomic_writes import write_text
 
@@ -96,6 +97,9 @@ def write_capture(source: Path, points: Path, out: Path, wrong: Disturbance, shr
 def thermal_errors(source: Path, found: Capture, given: Capture, wrong: Disturbance) -> Array:
     """How far points land in the untouched thermal images from where the true camera sees them [px], flat.
 
+    Where poses were wrong, after the similarity that takes the true places of the photographs to the found ones: the
+    mean over all poses is held, so a scene stays as far off as the poses were in the mean.
+
     Args:
         source: Folder with the truth.
         found: The capture with its cameras as training found them.
@@ -107,13 +111,19 @@ def thermal_errors(source: Path, found: Capture, given: Capture, wrong: Disturba
     x, y = np.meshgrid(np.linspace(20, camera["width"] - 20, 12), np.linspace(20, camera["height"] - 20, 9))
     slopes = np.column_stack([(x.ravel() - camera["cx"]) / camera["fx"], (y.ravel() - camera["cy"]) / camera["fy"]])
     true_places = _untouched(slopes, camera, 1.0)
+    to_found = pycolmap.Sim3d()
+    if wrong.pose_degrees > 0 or wrong.pose_share > 0:
+        true_poses = [np.array(truth["camera_to_world"][frame.views["rgb"].path.name]) for frame in found.train]
+        found_centers = np.array([camera_center(frame.views["rgb"].viewmat) for frame in found.train])
+        to_found = pycolmap.estimate_sim3d(np.array([pose[:3, 3] for pose in true_poses]), found_centers)
+    similarity = np.vstack([to_found.matrix(), [0.0, 0.0, 0.0, 1.0]])
     errors = []
     for frame, before in zip(found.train, given.train, strict=True):
         view, lens = frame.views["thermal"], before.views["thermal"].camera
         pose = np.array(truth["camera_to_world"][frame.views["rgb"].path.name]) @ np.array(truth["thermal_to_visible"])
         for depth in DEPTHS:
             seen = np.column_stack([slopes * depth, np.full(len(slopes), depth), np.ones(len(slopes))])
-            local = seen @ pose.T @ view.viewmat.T
+            local = seen @ pose.T @ similarity.T @ view.viewmat.T
             places = local[:, :2] / local[:, 2:3]
             found_lens = view.camera.lens
             k1, k2 = found_lens.radial[:2] if found_lens is not None else view.camera.distortion or (0.0, 0.0)

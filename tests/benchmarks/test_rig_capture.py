@@ -1,6 +1,7 @@
 """The capture of a known rig that the refinement's benchmark writes and judges."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,13 +22,13 @@ def lens(width: int, height: int, focal: float, k1: float, k2: float) -> dict[st
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
-    """Three pairs of noise, their truth, and a model with points."""
+    """Five pairs of noise, their truth, and a model with points."""
     rng, poses = np.random.default_rng(1), {}
-    for number in range(3):
+    for number in range(5):
         (tmp_path / "visible").mkdir(exist_ok=True)
         (tmp_path / "thermal").mkdir(exist_ok=True)
         pose = np.eye(4)
-        pose[0, 3] = 0.2 * number
+        pose[:3, 3] = 0.2 * number, 0.05 * number**2, 0.02 * number**3
         poses[f"VIS_{number}.jpg"] = pose.tolist()
         photograph = rng.integers(0, 256, (60, 80, 3), dtype=np.uint8)
         counts = rng.integers(28000, 31000, (240, 320), dtype=np.uint16)
@@ -61,3 +62,18 @@ def test_errors_are_those_of_the_disturbance(source: Path, wrong: Disturbance, l
     height, width = capture.train[0].views["thermal"].image.shape[:2]
     assert abs(width - 160) < 40
     assert abs(height - 120) < 40
+
+
+def test_where_the_scene_lies_as_a_whole_is_no_error_of_poses(source: Path) -> None:
+    """Cameras that all turned and moved as one are right, where poses were wrong; where the rig was, they are not."""
+    write_capture(source, source / "points", source / "capture", Disturbance(), (1, 2))
+    capture = load_capture(source / "capture", spectra=TrainConfig().spectra)
+    turn = np.eye(4)
+    turn[:3, :3], turn[:3, 3] = cv2.Rodrigues(np.radians([0.3, -0.2, 0.4]))[0], (0.01, 0.0, -0.02)
+    frames = tuple(
+        replace(frame, views={name: replace(view, viewmat=view.viewmat @ turn) for name, view in frame.views.items()})
+        for frame in capture.train
+    )
+    moved = replace(capture, train=frames)
+    assert thermal_errors(source, moved, capture, Disturbance(pose_degrees=0.3)).max() < 1e-6
+    assert np.median(thermal_errors(source, moved, capture, Disturbance(degrees=1.0))) > 1.0

@@ -24,7 +24,7 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
             "refine": ("poses", "rig", "intrinsics", "distortion"),
             "refine_from": 2,
             "refine_every": 8,
-            "refine_first": 0.25,
+            "refine_first": 10,
         },
         {"aligned": False},
     ),

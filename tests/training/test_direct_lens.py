@@ -79,8 +79,8 @@ def test_a_wrong_lens_of_the_photographs_comes_back(tmp_path: Path) -> None:
     """--refine distortion corrects the lens itself: gradients come from the projection, on the true scene."""
     capture, scene = rendered_behind_lenses()
     disturbed = through(capture, {"rgb": slightly_off(FISHEYE), "thermal": BARREL})
-    config = toy_run_config(100, lens="direct", refine=("distortion",), refine_from=0, refine_first=0.0)
-    trainer = trained_on_the_true_scene(tmp_path, config, disturbed, scene, cameras_lr=0.1)
+    config = toy_run_config(100, lens="direct", refine=("distortion",), refine_from=0, refine_first=0)
+    trainer = trained_on_the_true_scene(tmp_path, config, disturbed, scene, cameras_lr=0.1 / capture.train[0].views["rgb"].camera.width)
     assert_corrected(trainer, "rgb", FISHEYE)
 
 
@@ -88,7 +88,7 @@ def test_a_wrong_thermal_lens_comes_back(tmp_path: Path) -> None:
     """It is registered to the true scene through the lens itself."""
     capture, scene = relief_capture(lenses={"rgb": FISHEYE, "thermal": BARREL})
     disturbed = through(capture, {"rgb": FISHEYE, "thermal": slightly_off(BARREL)})
-    config = toy_run_config(12, lens="direct", refine=("distortion",), refine_from=0, refine_every=1, refine_first=1.0)
+    config = toy_run_config(12, lens="direct", refine=("distortion",), refine_from=0, refine_every=1, refine_first=12)
     trainer = trained_on_the_true_scene(tmp_path, config, disturbed, scene, last_pass=True)
     assert_corrected(trainer, "thermal", BARREL)
 

@@ -28,6 +28,8 @@ CONFIG = OptimizerConfig()
         ("means", 0.5, 1.6e-5 * 3.0),
         ("means", 1.0, 1.6e-6 * 3.0),
         ("means", 1.5, 1.6e-6 * 3.0),
+        ("poses", 0.0, 1e-4 * 3.0),
+        ("cameras", 1.0, 5e-6 * 3.0),
         ("decoders", 0.0, 5e-3),
         ("decoders", 1.0, 5e-4),
         ("log_scales", 0.7, 5e-3),
@@ -44,8 +46,8 @@ CONFIG = OptimizerConfig()
     ],
 )
 def test_published_rates(name: str, progress: float, expected: float) -> None:
-    """Means, features and decoders decay exponentially, means in units of the scene; everything else is constant."""
-    assert learning_rate(name, CONFIG, progress, scene_extent=3.0) == pytest.approx(expected)
+    """Lengths, features and decoders decay exponentially; means are in units of the scene, cameras of the images."""
+    assert learning_rate(name, CONFIG, progress, scale=3.0) == pytest.approx(expected)
 
 
 def test_rates_may_decay() -> None:
@@ -71,7 +73,7 @@ def test_every_parameter_has_its_rate() -> None:
     """Rates are set parameter by parameter, and there is one optimizer for each."""
     gaussians = random_gaussians(3, others={"nir": "own", "red_edge": "offset"})
     optimizers = gaussian_optimizers(gaussians, CONFIG)
-    set_learning_rates(optimizers, CONFIG, progress=1.0, scene_extent=2.0)
+    set_learning_rates(optimizers, CONFIG, progress=1.0, scale=2.0)
     assert set(optimizers) == {name for name, _ in gaussians.named_parameters()}
     for name, optimizer in optimizers.items():
         assert optimizer.param_groups[0]["lr"] == learning_rate(name, CONFIG, 1.0, 2.0)

@@ -26,7 +26,7 @@ def test_a_wrong_rig_and_focal_length_come_back(tmp_path: Path) -> None:
     capture, scene = relief_capture()
     off = disturbed(capture, torch.tensor([0.02, -0.01, 0.015, 0.01, -0.01, 0.01]), focal=1.03)
     config = toy_run_config(
-        24, refine=("rig", "intrinsics"), refine_from=0, refine_every=1, refine_first=1.0, log_every=100
+        24, refine=("rig", "intrinsics"), refine_from=0, refine_every=1, refine_first=24, log_every=100
     )
     trainer = trained_on_the_true_scene(tmp_path, config, off, scene)
     found = trainer.corrected_capture()
@@ -42,7 +42,7 @@ def test_rounds_come_first(tmp_path: Path) -> None:
     """In two passes, cameras move every ``refine_every`` steps after ``refine_from``; then all steps follow."""
     capture, _ = relief_capture(times=2)
     held = DensificationConfig(enabled=False)  # a reset would hide the scene
-    config = toy_run_config(12, refine=("rig",), refine_from=2, refine_every=2, refine_first=0.7, densification=held)
+    config = toy_run_config(12, refine=("rig",), refine_from=2, refine_every=2, refine_first=9, densification=held)
     trainer = toy_trainer(tmp_path, config, capture)
     corrections = trainer.state.corrections
     assert corrections is not None
@@ -65,7 +65,7 @@ def test_the_scene_starts_anew_with_the_cameras_that_were_found(tmp_path: Path) 
         refine=("rig", "intrinsics"),
         refine_from=0,
         refine_every=1,
-        refine_first=0.5,
+        refine_first=3,
         spectra={"thermal": {"exposure": "affine"}},
     )
     trainer = toy_trainer(tmp_path / "whole", config, capture)
@@ -92,7 +92,7 @@ def test_spectra_have_one_opacity_while_their_cameras_are_found(
     tmp_path: Path, refine: tuple[Refined, ...], held: int
 ) -> None:
     """Where it is the rig or a lens that is corrected, offsets stay zero while they are found."""
-    config = toy_run_config(10, refine=refine, refine_from=1, refine_every=1, refine_first=0.4)
+    config = toy_run_config(10, refine=refine, refine_from=1, refine_every=1, refine_first=4)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(aligned=False)))
     offsets_kept = []
     while trainer.step < config.max_steps:
@@ -106,7 +106,7 @@ def test_spectra_have_one_opacity_while_their_cameras_are_found(
 def test_a_run_that_refines_everything(tmp_path: Path, budget: str, steps: int) -> None:
     """It trains, says what it changed, writes the cameras, and every later command sees them; so does a resumed run."""
     capture, _ = rendered_capture()
-    config = toy_run_config(12, refine=EVERY, refine_from=1, refine_every=1, refine_first=0.25, budget=budget)
+    config = toy_run_config(12, refine=EVERY, refine_from=1, refine_every=1, refine_first=3, budget=budget)
     trainer = toy_trainer(tmp_path / "whole", config, capture)
     metrics = trainer.train()
     corrections = trainer.state.corrections
@@ -135,7 +135,7 @@ def test_a_loaded_run_has_the_corrected_capture(tmp_path: Path) -> None:
     run = tmp_path / "run"
     refine: tuple[Refined, ...] = ("poses", "rig", "intrinsics")
     config = toy_run_config(
-        4, refine=refine, refine_from=0, refine_every=1, refine_first=0.5, data="sample", data_factor=8
+        4, refine=refine, refine_from=0, refine_every=1, refine_first=2, data="sample", data_factor=8
     )
     capture = load_capture("sample", data_factor=8)
     trainer = toy_trainer(run, config, capture)
@@ -168,8 +168,10 @@ def test_a_rig_needs_two_cameras() -> None:
 
 def test_passes_need_a_round() -> None:
     """A run that is too short to find cameras says so, and not one that refines poses alone, or starts with them."""
-    with pytest.raises(UserError, match=r"finds cameras in passes of 100 steps .* would begin at step 550"):
-        check_config(toy_run_config(1000, refine=("rig",)))
-    check_config(toy_run_config(1000, refine=("poses",)))
-    check_config(toy_run_config(1000, refine=("rig",), refine_first=0.0))
-    check_config(toy_run_config(1000, refine=("distortion",), without=("thermal",)))
+    with pytest.raises(UserError, match=r"in passes of 500 steps \(--max-steps\), and would begin at step 525"):
+        check_config(toy_run_config(500, refine=("rig",)))
+    with pytest.raises(UserError, match=r"in passes of 100 steps \(--refine-first\), and would begin at step 525"):
+        check_config(toy_run_config(1000, refine=("rig",), refine_first=100))
+    check_config(toy_run_config(500, refine=("poses",)))
+    check_config(toy_run_config(500, refine=("rig",), refine_first=0))
+    check_config(toy_run_config(500, refine=("distortion",), without=("thermal",)))

@@ -13,7 +13,7 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.evaluation import held_out
 from thermosplat.runs.run_directory import RunDirectory
-from thermosplat.training import training_step
+from thermosplat.training import camera_rounds, training_step
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, enlarged, many_frames, state_tensors, toy_run_config, toy_trainer
@@ -127,18 +127,33 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, capture: Capture, ch
     assert_same_state(state_tensors(second), state_tensors(whole))
 
 
-def test_cameras_are_found_on_images_of_full_size(
-    tmp_path: Path, compared: list[tuple[int, ...]], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("widest", "factors"), [((160, 320), (1.0, 1.0)), ((40, 48), (1.2, 1.0))])
+def test_cameras_are_found_on_images_of_two_sizes(
+    tmp_path: Path,
+    compared: list[tuple[int, ...]],
+    monkeypatch: pytest.MonkeyPatch,
+    widest: tuple[int, int],
+    factors: tuple[float, float],
 ) -> None:
-    """Passes that find cameras need all detail; the scene that is trained with them begins small."""
+    """No thermal image is wider than a pass allows; the scene that is trained with the cameras begins small."""
+    seen: list[tuple[int, int]] = []
+    sizes = {1.0: ((72, 54), (48, 42)), 1.2: ((60, 45), (40, 35))}
+
+    def noted(model: Any, corrections: Any, frames: Any, *others: Any) -> None:
+        view = frames[0].views["thermal"]
+        assert view.image.shape[:2] == (view.height, view.width)
+        seen.append((view.width, view.height))
+
+    monkeypatch.setattr(camera_rounds, "WIDEST", widest)
+    monkeypatch.setattr(camera_rounds, "register_cameras", noted)
     monkeypatch.setattr("thermosplat.evaluation.held_out_poses.STEPS", 2)
     capture = enlarged(many_frames(toy_capture(aligned=False)), 3)
-    config = growing(refine=("rig",), refine_from=1, refine_every=1, refine_first=0.25)
+    config = growing(refine=("rig",), refine_from=1, refine_every=1, refine_first=3)
     toy_trainer(tmp_path, config, capture).train()
-    passes = len(compared) - 12
-    assert passes > 0
-    assert compared[:passes] == [(72, 54)] * passes
-    assert compared[passes:] == [(48, 36)] * 4 + [(60, 45)] * 4 + [(72, 54)] * 4
+    photographs, thermal = zip(*(sizes[factor] for factor in factors), strict=True)
+    assert compared[:6] == [photographs[0]] * 3 + [photographs[1]] * 3
+    assert seen == [thermal[0]] * 2 + [thermal[1]] * 2
+    assert compared[6:] == [(48, 36)] * 4 + [(60, 45)] * 4 + [(72, 54)] * 4
 
 
 def test_noise_floors_are_those_of_averages(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

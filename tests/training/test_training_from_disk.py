@@ -48,7 +48,7 @@ NOISY = {"thermal": {"smoothness_noise": 0.02}}
     [
         toy_run_config(8, eval_steps=(4,), spectra=NOISY),
         toy_run_config(8, budget="auto", auto_budget=BUDGET),
-        toy_run_config(6, refine=("poses", "rig"), refine_from=1, refine_every=1, refine_first=0.5),
+        toy_run_config(6, refine=("poses", "rig"), refine_from=1, refine_every=1, refine_first=3),
         toy_run_config(4, batch_size=3),
     ],
     ids=["plain", "budget", "refined", "batches"],

@@ -22,6 +22,7 @@ _AT_LEAST: dict[str, float] = {
     "log_every": 1,
     "refine_from": 0,
     "refine_every": 1,
+    "refine_first": 0,
     "seed": 0,
     "model.feature_dim": 0,
     "model.feature_noise": 0,
@@ -63,7 +64,6 @@ _LARGEST_INTEGER = 2**63 - 1
 _SHARES = (
     "loss.ssim_lambda",
     "loss.depth_spread_from",
-    "refine_first",
     "densification.prune_opacity",
     "densification.keep_opacity",
 )
@@ -151,14 +151,14 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
 def _check_camera_passes(config: TrainConfig, name: Any) -> None:
     """Passes that find cameras must be long enough for a round."""
     between_cameras = [kind for kind in config.refine if kind != "poses"]
-    steps = config.refine_first * config.max_steps
+    steps = min(config.refine_first, config.max_steps)
     if not between_cameras or len(config.modelled) < 2 or not 0 < steps < config.refine_from + config.refine_every:
         return
+    limit = name("refine_first" if steps == config.refine_first else "max_steps")
     raise UserError(
-        f"{name('refine')} {' '.join(between_cameras)} finds cameras in passes of {steps:,.0f} steps "
-        f"({name('refine_first')} {config.refine_first:g} of {config.max_steps:,}), and would begin at step "
-        f"{config.refine_from + config.refine_every:,}.",
-        f"Lower {name('refine_from')} and {name('refine_every')}, or raise {name('refine_first')}.",
+        f"{name('refine')} {' '.join(between_cameras)} finds cameras in passes of {steps:,} steps ({limit}), and would "
+        f"begin at step {config.refine_from + config.refine_every:,}.",
+        f"Lower {name('refine_from')} and {name('refine_every')}, or raise {limit}.",
     )
 
 

@@ -120,15 +120,15 @@ class OptimizerConfig:
     """Exposures of the training views (a spectrum's ``exposure``). Open choice: a tenth of 3DGS's."""
     exposures_lr_final: float = 1e-4
     """Exposures at the last step (exponential decay). Open choice: a tenth of 3DGS's."""
-    poses_lr: float = 0.02
-    """Poses of the training frames (``refine``), in the images' pixels. Open choice."""
-    poses_lr_final: float = 0.0005
+    poses_lr: float = 1e-4
+    """Poses of the training frames (``refine``), in widths of the images. Open choice."""
+    poses_lr_final: float = 2.5e-6
     """Poses at the last step (exponential decay). Open choice."""
-    cameras_lr: float = 0.3
-    """Rig, focal lengths and distortion (``refine``), in the images' pixels. Open choice: more than poses, which few
-    steps look at."""
-    cameras_lr_final: float = 0.001
-    """Rig, focal lengths and distortion at the last step (exponential decay). Open choice."""
+    cameras_lr: float = 1.5e-3
+    """Distortion of the first spectrum, or the only one's focal lengths (``refine``), in widths of the images. Open
+    choice: more than poses, which few steps look at."""
+    cameras_lr_final: float = 5e-6
+    """The same at the last step (exponential decay). Open choice."""
     final_share: float = 1.0
     """Share of every other rate that is left at the last step (exponential decay). 3DGS: 1, all of it."""
     eps: float = 1e-15
@@ -341,13 +341,13 @@ class TrainConfig:
     images that were undistorted with a wrong focal length stay wrong towards the corners."""
     refine_from: int = 500
     """Steps before cameras are corrected: as long as there is no scene, images say little of them. Open choice."""
-    refine_every: int = 50
+    refine_every: int = 25
     """Steps between two rounds that register the cameras of the other spectra to the scene (rig, focal lengths,
     distortion). Open choice."""
-    refine_first: float = 0.1
-    """Where rig, focal lengths or distortion are corrected: two passes of this share of the steps come first. They find
-    these cameras on a scene that the first spectrum alone shapes. Then it starts anew with them. Open choice: at 30,000
-    steps a pass ends before the first reset of opacities."""
+    refine_first: int = 1500
+    """Where rig, focal lengths or distortion are corrected: two passes of so many steps come first, of ``max_steps`` if
+    that is less. They find these cameras on a scene that the first spectrum alone shapes. Then it starts anew with
+    them. 0: without passes. Open choice, measured (benchmarks/records/refinement.md): a pass then has 40 rounds."""
     without: tuple[str, ...] = ()
     """Spectra that are left out: --without thermal trains on the others alone."""
     spectra: dict[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))

@@ -30,9 +30,9 @@ from thermosplat.spectra import label
 
 STEPS = 100
 """Updates per frame. Open choice."""
-RATES = (0.3, 0.003)
-"""Adam's learning rate at the first and at the last update [px]. Open choice: the updates sum up to 6 px, more than the
-pose of a frame that training could use is wrong by."""
+RATES = (1.5e-3, 1.5e-5)
+"""Adam's learning rate at the first and at the last update [image widths]. Open choice: the updates sum up to 3% of the
+width, more than the pose of a frame that training could use is wrong by."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,9 @@ def _best_motion(
 ) -> Tensor:
     """The motion with the least loss of all that were tried, no motion among them."""
     learnt = center.new_zeros(6, requires_grad=True)
-    optimizer = torch.optim.Adam([learnt], lr=RATES[0])
+    width = next(iter(frame.views.values())).width
+    first, last = (rate * width for rate in RATES)
+    optimizer = torch.optim.Adam([learnt], lr=first)
     least, best = math.inf, center.new_zeros(6)
     for step in range(STEPS + 1):
         motion = basis @ learnt
@@ -152,7 +154,7 @@ def _best_motion(
         if step < STEPS:
             optimizer.zero_grad()
             loss.backward()
-            optimizer.param_groups[0]["lr"] = RATES[0] * (RATES[1] / RATES[0]) ** (step / (STEPS - 1))
+            optimizer.param_groups[0]["lr"] = first * (last / first) ** (step / (STEPS - 1))
             optimizer.step()
     return best
 

@@ -73,6 +73,7 @@ class CameraCorrections(nn.Module):
         registered: Numbers of the cameras that are registered to the scene; gradients reach the others.
         zoomed: Spectra whose focal lengths are corrected.
         scene_extent: Radius of the scene [world units].
+        image_width: Width of the images of the first camera [px]: learning rates are shares of it.
 
     Args:
         refined: What is learnt.
@@ -89,6 +90,7 @@ class CameraCorrections(nn.Module):
         self.scene_extent = capture.scene_extent
         found = (SharedCamera(name, f.views[name].camera) for name in spectra for f in frames if name in f.views)
         self.shared: tuple[SharedCamera, ...] = tuple(dict.fromkeys(found))
+        self.image_width = self.shared[0].camera.width
         self.poses = nn.Parameter(torch.zeros(len(frames), 6))
         self.cameras = nn.Parameter(torch.zeros(len(self.shared), SIZE))
         self.velocity: Tensor

@@ -1,11 +1,17 @@
-"""When cameras are registered to the scene as it is trained."""
-
-import math
+"""When cameras are registered to the scene as it is trained, and on images of which size."""
 
 from thermosplat.config import TrainConfig
+from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.distributed.team import Team
-from thermosplat.refinement.image_registration import PASSES, Frames, register_cameras, sharpness_at
+from thermosplat.refinement.image_registration import PASSES, register_cameras, sharpness_at
+from thermosplat.training.frames.shrunk_frames import shrunk_frame
+from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
+
+WIDEST = (160, 320)
+"""Width [px] that images of the cameras that are found have at most, in each pass. Wrong by the same angle, a camera is
+the fewer pixels off the smaller its images are. Open choice, measured on rig_desk
+(benchmarks/records/refinement.md)."""
 
 
 class CameraRounds:
@@ -24,10 +30,19 @@ class CameraRounds:
         team: The ranks that share the model; None: there is one.
     """
 
-    def __init__(self, config: TrainConfig, state: TrainingState, frames: Frames, team: Team | None = None) -> None:
+    def __init__(self, config: TrainConfig, state: TrainingState, frames: TrainFrames, team: Team | None = None) -> None:
         self._config, self._state, self._frames, self._team = config, state, frames, team
-        self.steps = math.ceil(config.refine_first * config.max_steps)
+        self.steps = min(config.refine_first, config.max_steps)
         """Steps of a pass."""
+
+    @property
+    def image_factor(self) -> float | None:
+        """What the sides of images are divided by in the pass under way; None: it is over, the scene is trained."""
+        corrections = self._state.corrections
+        if not self._state.finds_cameras or corrections is None:
+            return None
+        width = min(corrections.shared[number].camera.width for number in corrections.registered)
+        return max(1.0, width / WIDEST[self._number])
 
     def after_step(self, step: int, sh_degree: int) -> None:
         """Do the round that is due after a step, if one is.
@@ -36,16 +51,36 @@ class CameraRounds:
             step: The step, from 1.
             sh_degree: Highest SH degree in use.
         """
-        config, state = self._config, self._state
+        config, state, factor = self._config, self._state, self.image_factor
         done, last = step - config.refine_from, self.steps - config.refine_from
-        if not state.finds_cameras or state.corrections is None:
+        if factor is None or state.corrections is None:
             return
         if not 0 < done <= last or done % config.refine_every > 0:
             return
-        turn, sharpness = done // config.refine_every, sharpness_at(len(PASSES) - state.camera_passes, done / last)
+        turn, sharpness = done // config.refine_every, sharpness_at(self._number, done / last)
         if sharpness is not None:
-            register_cameras(state.model, state.corrections, self._frames, turn, sharpness, sh_degree, self._team)
+            frames = _FramesOfSize(self._frames, factor)
+            register_cameras(state.model, state.corrections, frames, turn, sharpness, sh_degree, self._team)
 
     def pass_ends(self, step: int) -> bool:
         """Whether the scene starts anew after this step."""
         return self._state.finds_cameras and step >= self.steps
+
+    @property
+    def _number(self) -> int:
+        """The pass under way, from 0."""
+        return len(PASSES) - self._state.camera_passes
+
+
+class _FramesOfSize:
+    """The training frames with images whose sides are divided by a factor."""
+
+    def __init__(self, frames: TrainFrames, factor: float) -> None:
+        self._frames, self._factor = frames, factor
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> FrameTensors:
+        frame = self._frames[index]
+        return frame if self._factor == 1.0 else shrunk_frame(frame, self._frames.frames[index].views, self._factor)

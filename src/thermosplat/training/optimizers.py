@@ -20,25 +20,27 @@ from thermosplat.scene.gaussians import OFFSETS
 from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.training.density.gaussian_ops import Optimizers
 
+_LENGTHS = {"means", "poses", "cameras"}
 _MOMENTS = {"step", "exp_avg", "exp_avg_sq"}
 """What Adam knows of a parameter."""
 
 
-def learning_rate(name: str, config: OptimizerConfig, progress: float, scene_extent: float) -> float:
+def learning_rate(name: str, config: OptimizerConfig, progress: float, scale: float) -> float:
     """Learning rate of a parameter.
 
     Args:
         name: Parameter name of a set of Gaussians, "decoders", "exposures", or of the cameras' corrections.
         config: The rates.
         progress: Share of the run that is done, 0 to 1.
-        scene_extent: Radius of the cameras [world units]; scales the rate of the means. 3DGS.
+        scale: What rates of lengths are multiples of: for means the radius of the cameras [world units] (3DGS), for
+            "poses" and "cameras" the width of the images [px].
     """
     field = f"{_kind(name)}_lr"
     rate = getattr(config, field)
     final = getattr(config, f"{field}_final", rate * config.final_share)
     if rate > 0 and final != rate:
         rate = rate * (final / rate) ** min(progress, 1.0)
-    return rate * scene_extent if name == "means" else rate
+    return rate * scale if name in _LENGTHS else rate
 
 
 def _kind(name: str) -> str:
@@ -105,10 +107,10 @@ def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:
                     raise ValueError(f"{name} of an optimizer has the shape {list(moment.shape)}")
 
 
-def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress: float, scene_extent: float) -> None:
-    """Set the rates of optimizers, given by parameter name, for the step to come."""
+def set_learning_rates(optimizers: Optimizers, config: OptimizerConfig, progress: float, scale: float) -> None:
+    """Set the rates of optimizers, given by parameter name, for the step to come; as ``learning_rate``."""
     for name, optimizer in optimizers.items():
-        rate = learning_rate(name, config, progress, scene_extent)
+        rate = learning_rate(name, config, progress, scale)
         for group in optimizer.param_groups:
             if not isinstance(group["lr"], Tensor):
                 group["lr"] = rate

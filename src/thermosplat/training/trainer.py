@@ -280,7 +280,8 @@ class Trainer:
         config, state = self.config, self.state
         step, started = state.step + 1, time.perf_counter()
         densifying = any(strategy.is_active(step) for strategy in state.strategies.values())
-        kind = StepKind.at(config, step, densifying=densifying, finding_cameras=state.finds_cameras)
+        found_at = self.camera_rounds.image_factor
+        kind = StepKind.at(config, step, densifying=densifying, cameras_found_at=found_at)
         frame = self.schedule.tensors(state.step, factor=kind.image_factor)
         budget = None if state.finds_cameras else self.budget
         state.begin_step(step, config.optimizer, self.capture.scene_extent)

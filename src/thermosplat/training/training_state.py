@@ -183,7 +183,8 @@ class TrainingState:
         if any(strategy.moves_gaussians for strategy in self.strategies.values()):
             start_stream(self.noise, self.seed, "position noise", step)
         for owner, optimizers in self.optimizers.items():
-            set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scene_extent)
+            scale = self.corrections.image_width if owner == "corrections" and self.corrections else scene_extent
+            set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scale)
 
     def clear_gradients(self) -> None:
         """Forget all gradients, and free their memory."""

@@ -61,8 +61,18 @@ class StepKind:
     """What the sides of the images are divided by."""
 
     @classmethod
-    def at(cls, config: TrainConfig, step: int, *, densifying: bool, finding_cameras: bool = False) -> "StepKind":
-        """What is done in a step, from 1; one that is to find the cameras, or one that trains the scene with them."""
+    def at(
+        cls, config: TrainConfig, step: int, *, densifying: bool, cameras_found_at: float | None = None
+    ) -> "StepKind":
+        """What is done in a step.
+
+        Args:
+            config: The whole configuration.
+            step: The step, from 1.
+            densifying: As the field.
+            cameras_found_at: What the sides of the images are divided by while cameras are found; None: the step
+                trains the scene with them.
+        """
         late = step > config.loss.depth_spread_from * config.max_steps
         refining = bool(config.refine) and step > config.refine_from
         return cls(
@@ -70,8 +80,8 @@ class StepKind:
             densifying,
             depth_spread=config.loss.depth_spread > 0 and late,
             refining=refining,
-            geometry_held=finding_cameras,
-            image_factor=1.0 if finding_cameras else image_factor(config, step),
+            geometry_held=cameras_found_at is not None,
+            image_factor=image_factor(config, step) if cameras_found_at is None else cameras_found_at,
         )
 
 
