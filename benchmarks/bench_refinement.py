@@ -15,18 +15,23 @@ import argparse
 import json
 import os
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
 import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
 from preparation.rig_capture import Disturbance, thermal_errors, write_capture
 from preparation.rig_truth import rig_errors
 from thermosplat.config import LensUse, Refined, TrainConfig
 from thermosplat.config.files import load_config
 from thermosplat.datasets import load_capture
+from thermosplat.datasets.capture import Capture
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.trainer import Trainer
@@ -36,6 +41,8 @@ WRONG: dict[str, tuple[Disturbance, tuple[Refined, ...]]] = {
     "poses": (Disturbance(pose_degrees=0.3, pose_share=0.005), ("poses",)),
 }
 """What is disturbed, and what is refined where ``--refine`` does not say."""
+ROWS = ("true", "refined", "as_it_is")
+"""With the true cameras, and with disturbed ones that are refined, or are not."""
 
 
 def settings(arguments: argparse.Namespace, refine: tuple[Refined, ...]) -> TrainConfig:
@@ -49,6 +56,30 @@ def settings(arguments: argparse.Namespace, refine: tuple[Refined, ...]) -> Trai
     return config if arguments.max_steps is None else replace(config, max_steps=arguments.max_steps)
 
 
+class Rounds:
+    """Says after each round of a training how far its thermal camera is off.
+
+    Args:
+        errors: The errors [px] of a capture with corrected cameras.
+    """
+
+    def __init__(self, errors: Callable[[Capture], NDArray[np.float64]]) -> None:
+        self.errors, self.number, self.began = errors, 0, time.perf_counter()
+        self.found: torch.Tensor | None = None
+
+    def __call__(self, trainer: Trainer) -> None:
+        """Called after each step."""
+        corrections = trainer.state.corrections
+        if corrections is None or not corrections.registered:
+            return
+        found = corrections.cameras[list(corrections.registered)].detach().clone()
+        if self.found is None or not torch.equal(found, self.found):
+            errors, seconds = self.errors(trainer.corrected_capture()), time.perf_counter() - self.began
+            where = f"median {np.median(errors):.2f} px, 95% {np.percentile(errors, 95):.2f} px"
+            print(f"round {self.number}, step {trainer.step:,}: {where}, after {seconds:.0f} s", flush=True)
+            self.found, self.number = found, self.number + 1
+
+
 def measured(
     arguments: argparse.Namespace, name: str, wrong: Disturbance, refine: tuple[Refined, ...]
 ) -> dict[str, Any]:
@@ -60,6 +91,8 @@ def measured(
     capture = load_capture(folder, spectra=config.spectra, lens=config.lens)
     run = RunDirectory.create(arguments.out / f"run_{name}_{'_'.join(refine) or 'as_it_is'}", overwrite=True)
     trainer = Trainer(config, capture, run)
+    if arguments.rounds:
+        trainer.between_steps = Rounds(lambda found: thermal_errors(arguments.source, found, capture, wrong))
     metrics = trainer.train()
     errors = thermal_errors(arguments.source, trainer.corrected_capture(), capture, wrong)
     of_poses = rig_errors(run.refined if refine else folder / "sparse/0", arguments.source / "truth.json")
@@ -99,15 +132,20 @@ def main() -> None:
     parser.add_argument("--wrong", nargs="+", choices=WRONG, default=["rig"], help="what is disturbed")
     parser.add_argument("--refine", nargs="+", choices=get_args(Refined), help="in place of what is disturbed")
     parser.add_argument("--lens", choices=get_args(LensUse), default="undistort", help="as of thermosplat-train")
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="which trainings")
+    parser.add_argument("--rounds", action="store_true", help="print the thermal camera's error after every round")
     parser.add_argument("--true-too", action="store_true", help="refine the true cameras, too")
     parser.add_argument("--out", type=Path, default=Path("results/refinement"), help="where captures and runs go")
     arguments = parser.parse_args()
-    cases: list[tuple[str, Disturbance, tuple[Refined, ...]]] = [("true", Disturbance(), ())]
+    cases: list[tuple[str, Disturbance, tuple[Refined, ...]]] = []
+    if "true" in arguments.rows:
+        cases += [("true", Disturbance(), ())]
     for wrong in arguments.wrong:
         disturbance, refine = WRONG[wrong]
         refine = cast("tuple[Refined, ...]", tuple(arguments.refine or refine))
         disturbed = f"disturbed_{wrong}"
-        cases += [(disturbed, disturbance, refine), (disturbed, disturbance, ())]
+        cases += [(disturbed, disturbance, refine)] if "refined" in arguments.rows else []
+        cases += [(disturbed, disturbance, ())] if "as_it_is" in arguments.rows else []
         cases += [("true", Disturbance(), refine)] if arguments.true_too else []
     rows = []
     for case in cases:

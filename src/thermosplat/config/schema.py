@@ -341,13 +341,13 @@ class TrainConfig:
     images that were undistorted with a wrong focal length stay wrong towards the corners."""
     refine_from: int = 500
     """Steps before cameras are corrected: as long as there is no scene, images say little of them. Open choice."""
-    refine_every: int = 25
+    refine_every: int = 50
     """Steps between two rounds that register the cameras of the other spectra to the scene (rig, focal lengths,
     distortion). Open choice."""
-    refine_first: int = 1500
+    refine_first: int = 3000
     """Where rig, focal lengths or distortion are corrected: two passes of so many steps come first, of ``max_steps`` if
     that is less. They find these cameras on a scene that the first spectrum alone shapes. Then it starts anew with
-    them. 0: without passes. Open choice, measured (benchmarks/records/refinement.md): a pass then has 40 rounds."""
+    them. 0: without passes. Open choice, measured (benchmarks/records/refinement.md): a pass then has 50 rounds."""
     without: tuple[str, ...] = ()
     """Spectra that are left out: --without thermal trains on the others alone."""
     spectra: dict[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))

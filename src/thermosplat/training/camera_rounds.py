@@ -30,7 +30,9 @@ class CameraRounds:
         team: The ranks that share the model; None: there is one.
     """
 
-    def __init__(self, config: TrainConfig, state: TrainingState, frames: TrainFrames, team: Team | None = None) -> None:
+    def __init__(
+        self, config: TrainConfig, state: TrainingState, frames: TrainFrames, team: Team | None = None
+    ) -> None:
         self._config, self._state, self._frames, self._team = config, state, frames, team
         self.steps = min(config.refine_first, config.max_steps)
         """Steps of a pass."""
