@@ -1,8 +1,11 @@
 """When cameras are registered to the scene as it is trained, and on images of which size."""
 
-from thermosplat.config import TrainConfig
+from dataclasses import replace
+
+from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.distributed.team import Team
+from thermosplat.refinement.camera_corrections import POSES
 from thermosplat.refinement.image_registration import PASSES, register_cameras, sharpness_at
 from thermosplat.training.frames.shrunk_frames import shrunk_frame
 from thermosplat.training.frames.train_frames import TrainFrames
@@ -12,6 +15,23 @@ WIDEST = (160, 320)
 """Width [px] that images of the cameras that are found have at most, in each pass. Wrong by the same angle, a camera is
 the fewer pixels off the smaller its images are. Open choice, measured on rig_desk
 (benchmarks/records/refinement.md)."""
+
+
+def finds_cameras(config: TrainConfig) -> bool:
+    """Whether passes come first that find the cameras of the other spectra."""
+    return len(config.modelled) > 1 and not set(config.refine) <= {POSES} and config.refine_first > 0
+
+
+def of_passes(config: TrainConfig) -> TrainConfig:
+    """What the scene on which cameras are found starts from: opaque and large enough to cover images from the first
+    steps on, as 3DGS has it. A method's own start may cover them late, and through holes nothing is compared.
+
+    Args:
+        config: The whole configuration.
+    """
+    usual = ModelConfig()
+    model = replace(config.model, init_opacity=usual.init_opacity, init_scale=usual.init_scale)
+    return replace(config, model=model)
 
 
 class CameraRounds:

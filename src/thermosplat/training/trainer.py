@@ -34,7 +34,7 @@ from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import AutoBudget, Budget
 from thermosplat.training.budget.noise_floor import noise_floors
 from thermosplat.training.budget.noise_watch import NoiseWatch
-from thermosplat.training.camera_rounds import CameraRounds
+from thermosplat.training.camera_rounds import CameraRounds, finds_cameras, of_passes
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.fast_decoders import fast_decoders
@@ -98,7 +98,7 @@ class Trainer:
         self.rows_on_device: dict[str, int] = {}
         """By set, Gaussians whose offloaded moments are on the device as long as it has room for them."""
         self.offload_notes: tuple[str, ...] = ()
-        self.model = self._make_model(checkpoint)
+        self.model = self._make_model(checkpoint, finds_cameras=finds_cameras(config))
         self.state = TrainingState(self.model, config, capture, self.device)
         self.state.keep_moments_on_device(self.rows_on_device)
         if checkpoint is not None:
@@ -139,9 +139,11 @@ class Trainer:
             tensorboard=config.tensorboard,
         )
 
-    def _make_model(self, checkpoint: Checkpoint | None) -> SceneModel:
+    def _make_model(self, checkpoint: Checkpoint | None, *, finds_cameras: bool = False) -> SceneModel:
         if checkpoint is None:
-            model = SceneModel.from_capture(self.config, self.capture, "cpu")
+            model = SceneModel.from_capture(
+                of_passes(self.config) if finds_cameras else self.config, self.capture, "cpu"
+            )
         else:
             model = SceneModel.from_checkpoint(checkpoint, "cpu")
         if self.offloaded is None:
@@ -325,7 +327,7 @@ class Trainer:
                 found_so_far.unlink(missing_ok=True)
 
     def _forget_scene(self) -> None:
-        self.state.start_anew(self._make_model(None))
+        self.state.start_anew(self._make_model(None, finds_cameras=self.state.camera_passes > 1))
 
     def _refine(self, name: str, step: int) -> None:
         """Let density control add and remove Gaussians of a set."""

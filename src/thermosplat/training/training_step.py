@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import LossConfig, TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
 from thermosplat.losses.feature_norm import feature_norm_loss
@@ -118,6 +118,11 @@ def sh_degree_at(config: TrainConfig, step: int) -> int:
     return min(max(step - 1, 0) // config.sh_degree_interval, config.sh_degree)
 
 
+def _of_penalties(config: TrainConfig, kind: StepKind) -> LossConfig:
+    """Weights of the penalties on Gaussians. While cameras are found there are none: they would open holes."""
+    return replace(config.loss, opacity_reg=0.0, scale_reg=0.0) if kind.geometry_held else config.loss
+
+
 class TrainingStep:
     """The step of one run.
 
@@ -184,7 +189,7 @@ class TrainingStep:
                 frame = state.corrections(frame)
         with self.decoding():
             rendered = self._rendered(frame, kind, part, fixed_capacity=fixed_capacity)
-            compared = self._compared(rendered, frame, part)
+            compared = self._compared(rendered, frame, kind, part)
             losses = compared.losses
             if not losses:
                 raise UserError(
@@ -228,7 +233,9 @@ class TrainingStep:
             rendered = state.exposures(rendered, frame.index)
         return rendered
 
-    def _compared(self, rendered: RenderedFrame, frame: FrameTensors, part: Part) -> ComparedFrame:
+    def _compared(
+        self, rendered: RenderedFrame, frame: FrameTensors, kind: StepKind, part: Part
+    ) -> ComparedFrame:
         """The frame against its images, with all loss terms of the step: those of the Gaussians, too."""
         config, state = self.config, self.state
         compared = compare_frame(rendered, frame, config)
@@ -245,24 +252,24 @@ class TrainingStep:
         # of sets that this step renders: nothing would hold others against their penalties
         if part.penalised is None:
             rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
-            losses |= gaussian_penalties(rendered_sets, config.loss, state.scene_extent)
+            losses |= gaussian_penalties(rendered_sets, _of_penalties(config, kind), state.scene_extent)
         else:
-            losses |= self._penalties_of_shares(part.penalised)
+            losses |= self._penalties_of_shares(part.penalised, _of_penalties(config, kind))
         if part.calls is not None:
             # Every image takes part, so that every rank's backward pass makes the same exchanges.
             seen = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
             losses[TAKING_PART] = torch.stack([image.sum() for image in seen]).sum() * 0.0
         return replace(compared, losses=losses)
 
-    def _penalties_of_shares(self, names: Collection[str]) -> dict[str, Tensor]:
+    def _penalties_of_shares(self, names: Collection[str], weights: LossConfig) -> dict[str, Tensor]:
         """Penalties on this rank's share of some sets, which over all ranks add up to those on the sets."""
-        config, state = self.config, self.state
+        state = self.state
         total: dict[str, Tensor] = {}
         for name in names:
             share = len(state.gaussian_sets[name]) / max(state.num_gaussians(name), 1)
             if share == 0.0:
                 continue
-            penalties = gaussian_penalties({name: state.gaussian_sets[name]}, config.loss, state.scene_extent)
+            penalties = gaussian_penalties({name: state.gaussian_sets[name]}, weights, state.scene_extent)
             if name == SHARED:
                 penalties |= self._feature_norm()
             for term, penalty in penalties.items():
@@ -293,7 +300,8 @@ class TrainingStep:
         step_unless(blocked, state.optimizers)
         state.step += 1
         for name, strategy in state.strategies.items():
-            if strategy.moves_gaussians and state.gaussian_sets[name].means.grad is not None:
+            moves = strategy.moves_gaussians and not kind.geometry_held
+            if moves and state.gaussian_sets[name].means.grad is not None:
                 strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
         if config.budget == "auto" and not state.offsets_dropped:
             for name, gaussians in state.gaussian_sets.items():

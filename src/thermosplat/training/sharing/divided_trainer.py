@@ -28,7 +28,7 @@ from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import Budget
-from thermosplat.training.camera_rounds import CameraRounds
+from thermosplat.training.camera_rounds import CameraRounds, of_passes
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.offloading import refused
 from thermosplat.training.session.checkpoint_writer import going_on_without, naming_the_newest_checkpoint
@@ -115,9 +115,11 @@ class DividedTrainer(Trainer):
             self.run, max_steps=never, log_every=never, device=self.device, tensorboard=False, console=silent
         )
 
-    def _make_model(self, checkpoint: Checkpoint | None) -> SceneModel:
+    def _make_model(self, checkpoint: Checkpoint | None, *, finds_cameras: bool = False) -> SceneModel:
         if checkpoint is None:
-            model = SceneModel.from_capture(self.config, self.capture, "cpu")
+            model = SceneModel.from_capture(
+                of_passes(self.config) if finds_cameras else self.config, self.capture, "cpu"
+            )
             self._counts = keep_share(model, self.team)
             return model.to(self.device)
         model = SceneModel.from_checkpoint(checkpoint, self.device)
