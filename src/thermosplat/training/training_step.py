@@ -233,9 +233,7 @@ class TrainingStep:
             rendered = state.exposures(rendered, frame.index)
         return rendered
 
-    def _compared(
-        self, rendered: RenderedFrame, frame: FrameTensors, kind: StepKind, part: Part
-    ) -> ComparedFrame:
+    def _compared(self, rendered: RenderedFrame, frame: FrameTensors, kind: StepKind, part: Part) -> ComparedFrame:
         """The frame against its images, with all loss terms of the step: those of the Gaussians, too."""
         config, state = self.config, self.state
         compared = compare_frame(rendered, frame, config)
