@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.capture import Capture, View
 from thermosplat.datasets.ground_truth import read_ground_truth
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run
-from thermosplat.export.map_frame import camera_centres, local_frame, map_extent
+from thermosplat.export.map_frame import camera_centers, local_frame, map_extent
 from thermosplat.export.orthomosaic import MapGrid, render_map
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.environment import environment
@@ -94,7 +94,7 @@ def compared(loaded: LoadedRun, data: str | None, gsd: float, within: float) -> 
     capture = loaded.capture(data)
     leading = next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
     frame = local_frame(capture, leading)
-    top = float(frame.to_map(camera_centres(capture, leading)[0])[:, 2].max())
+    top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
     grid = MapGrid.covering(frame, map_extent(frame, capture), gsd, top)
     rows = []
     for name, scale in loaded.scales.items():

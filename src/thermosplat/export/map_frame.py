@@ -49,7 +49,7 @@ class MapFrame:
         return centred @ self.rotation / self.scale
 
 
-def camera_centres(capture: Capture, spectrum: str) -> tuple[Vector, Vector]:
+def camera_centers(capture: Capture, spectrum: str) -> tuple[Vector, Vector]:
     """Centres [V, 3] and viewing directions [V, 3] of a spectrum's training cameras, in the world.
 
     Args:
@@ -83,7 +83,7 @@ def local_frame(capture: Capture, spectrum: str, up: tuple[float, float, float] 
         if not np.isfinite(up).all() or np.linalg.norm(up) == 0:
             raise UserError(f"--up must be a direction, found {' '.join(f'{x:g}' for x in up)}.", "Give --up 0 0 1.")
         return MapFrame(_with_up(np.array(up)), note="Up is as given.")
-    _, directions = camera_centres(capture, spectrum)
+    _, directions = camera_centers(capture, spectrum)
     mean = directions.mean(axis=0)
     if np.linalg.norm(mean) > _LOOKING_DOWN:
         return MapFrame(_with_up(-mean), note="Down is where the cameras look: all look about one way.")

@@ -88,7 +88,7 @@ def tsdf_mesh(
             f"No surface of {name} was found within the scene.", "Is the run trained? Give another --voxel."
         ) from error
     vertices = (low + corners * voxel).astype(np.float32)
-    return Mesh(_coloured(seen, vertices, TRUNCATION * voxel), faces.astype(np.int32))
+    return Mesh(_colored(seen, vertices, TRUNCATION * voxel), faces.astype(np.int32))
 
 
 def _fused(
@@ -139,7 +139,7 @@ def _looked_up(one: DepthView, points: Tensor) -> tuple[Tensor, Tensor, tuple[Te
     return torch.where(inside, one.depth[pixel], 0.0), ahead, pixel
 
 
-def _coloured(seen: Sequence[DepthView], vertices: NDArray[np.float32], reach: float) -> PointCloud:
+def _colored(seen: Sequence[DepthView], vertices: NDArray[np.float32], reach: float) -> PointCloud:
     """Vertices with the mean colours and values of the views in which they lie on the surface."""
     device = seen[0].depth.device
     points = torch.as_tensor(vertices, device=device)

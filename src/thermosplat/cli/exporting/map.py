@@ -26,7 +26,7 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
 
     from thermosplat.export.georeference import georeferenced_frame
     from thermosplat.export.geotiff import rasterio_module
-    from thermosplat.export.map_frame import camera_centres, local_frame, map_extent
+    from thermosplat.export.map_frame import camera_centers, local_frame, map_extent
     from thermosplat.export.orthomosaic import MapGrid, render_map, write_map
 
     rasterio_module()  # to say that it is missing before anything is rendered
@@ -47,7 +47,7 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
         pixel = max(extent[2] - extent[0], extent[3] - extent[1]) / PIXELS_BY_DEFAULT
     top = arguments.top
     if top is None:
-        top = float(frame.to_map(camera_centres(capture, leading)[0])[:, 2].max())
+        top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
     grid = MapGrid.covering(frame, extent, pixel, top)
     for name in names:
         scale = loaded.scales[name]
