@@ -264,7 +264,8 @@ class TrainConfig:
     data: str = ""
     """Folder of the capture, or "sample" for the small one that comes with the package."""
     config: str = "thermosplat"
-    """Preset (thermosplat, demo, a baseline's or an ablation's name) or YAML file that the other values start from."""
+    """Preset (thermosplat, thermosplat_plus, thermosplat_fast, demo, 3dgs, another baseline's or an ablation's name) or
+    YAML file that the other values start from."""
     result_dir: str | None = None
     """Where everything the run makes goes. None: results/<capture's name>/<config's name>."""
     max_steps: int = 30_000
