@@ -134,9 +134,8 @@ class FrameSlots:
             if int(torch.cuda.cudart().cudaHostRegister(self._bytes.ctypes.data, self._bytes.nbytes, 0)) == 0:
                 self._pinned_for = device
                 return
-            with contextlib.suppress(
-                RuntimeError
-            ):  # CUDA tells an error again to whoever asks next, and then forgets it
+            # CUDA tells an error again to whoever asks next, and then forgets it
+            with contextlib.suppress(RuntimeError):
                 torch.zeros((), device=device).fill_(1.0)
 
     def unpin(self) -> None:
