@@ -24,7 +24,8 @@ def test_schedules_count_images_and_rates_follow_the_root() -> None:
     assert scaled.densification.every == 25
     assert scaled.densification.stop_step == 3750
     assert scaled.refine_from == 125
-    assert scaled.refine_every == 13
+    assert scaled.refine_every == 2
+    assert scaled.refine_first == 150
     assert scaled.auto_budget.patience == 750
     assert scaled.log_every == config.log_every
     for field in dataclasses.fields(config.optimizer):

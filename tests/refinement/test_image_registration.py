@@ -104,11 +104,12 @@ def test_images_that_say_nothing_move_nothing(relief: Relief) -> None:
 
 
 def test_rounds_become_finer() -> None:
-    """The blur falls from stage to stage; the last stage takes the rest; a second pass waits for its scene."""
+    """Blur and tolerance fall from stage to stage; the last one takes the rest; a second pass waits for its scene."""
     first, second = PASSES
     assert [sharpness_at(0, share) for share in (0.0, 0.2, 0.4, 1.0)] == [stage[1] for stage in first]
     assert [sharpness_at(1, share) for share in (0.0, 0.4, 1.0)] == [stage[1] for stage in second]
     assert second[0][1] is None
-    blurs = [sharpness.blur for _, sharpness in first + second[1:] if sharpness is not None]
-    assert blurs == sorted(blurs, reverse=True)
-    assert dataclasses.replace(FINE, momentum=0.3) == second[-1][1]
+    stages = [sharpness for _, sharpness in first + second[1:] if sharpness is not None]
+    for values in ([stage.blur for stage in stages], [stage.tolerance for stage in stages]):
+        assert values == sorted(values, reverse=True)
+    assert stages[-1] == dataclasses.replace(FINE, tolerance=1.5, momentum=0.3)

@@ -168,9 +168,9 @@ def test_a_rig_needs_two_cameras() -> None:
 
 def test_passes_need_a_round() -> None:
     """A run that is too short to find cameras says so, and not one that refines poses alone, or starts with them."""
-    with pytest.raises(UserError, match=r"in passes of 500 steps \(--max-steps\), and would begin at step 550"):
+    with pytest.raises(UserError, match=r"in passes of 500 steps \(--max-steps\), and would begin at step 508"):
         check_config(toy_run_config(500, refine=("rig",)))
-    with pytest.raises(UserError, match=r"in passes of 100 steps \(--refine-first\), and would begin at step 550"):
+    with pytest.raises(UserError, match=r"in passes of 100 steps \(--refine-first\), and would begin at step 508"):
         check_config(toy_run_config(1000, refine=("rig",), refine_first=100))
     check_config(toy_run_config(500, refine=("poses",)))
     check_config(toy_run_config(500, refine=("rig",), refine_first=0))

@@ -79,6 +79,7 @@ _POSITIVE = (
     "optimizer.poses_lr_final",
     "optimizer.cameras_lr_final",
     "optimizer.final_share",
+    "refine_rates",
     "densification.grow_scale3d",
     "densification.prune_scale3d",
 )
@@ -148,16 +149,22 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
 
 
+def first_round_after(config: TrainConfig) -> int:
+    """Steps of a pass that finds cameras before its first round: with higher rates a scene is there sooner."""
+    return math.ceil(config.refine_from / config.refine_rates)
+
+
 def _check_camera_passes(config: TrainConfig, name: Any) -> None:
     """Passes that find cameras must be long enough for a round."""
     between_cameras = [kind for kind in config.refine if kind != "poses"]
     steps = min(config.refine_first, config.max_steps)
-    if not between_cameras or len(config.modelled) < 2 or not 0 < steps < config.refine_from + config.refine_every:
+    begin = first_round_after(config) + config.refine_every
+    if not between_cameras or len(config.modelled) < 2 or not 0 < steps < begin:
         return
     limit = name("refine_first" if steps == config.refine_first else "max_steps")
     raise UserError(
         f"{name('refine')} {' '.join(between_cameras)} finds cameras in passes of {steps:,} steps ({limit}), and would "
-        f"begin at step {config.refine_from + config.refine_every:,}.",
+        f"begin at step {begin:,}.",
         f"Lower {name('refine_from')} and {name('refine_every')}, or raise {limit}.",
     )
 

@@ -13,7 +13,8 @@ where the gradient of the training loss is not (benchmarks/records/refinement.md
 - Rendered images are divided by their accumulated opacity, and pixels weigh by it. Else a scene that thins out towards
   the border draws the focal length up.
 - Slopes are compared, not values, after a blur that becomes finer with time.
-- Large differences weigh little: w = 1 / (1 + (r / s)²), s from the median of |r| (Cauchy).
+- Large differences weigh little: w = 1 / (1 + (r / s)²), s from the median of |r| (Cauchy). Close to the true camera s
+  is small. The photographs' shape leaves thermal images differences that no camera explains, and they move it.
 - T in place of a second G (an instrumental variable): structure that only one of the two images has does not shorten
   the step.
 
@@ -79,13 +80,13 @@ PASSES: tuple[Stages, ...] = (
     (
         (0.125, Sharpness(0.02, 20.0, 0.0)),
         (0.3, Sharpness(0.0125, 20.0, 0.0)),
-        (0.8, Sharpness(0.0, 6.0, 0.8)),
-        (1.0, Sharpness(0.0, 6.0, 0.5)),
+        (0.6, Sharpness(0.0, 6.0, 0.8)),
+        (1.0, Sharpness(0.0, 1.5, 0.5)),
     ),
     (
         (0.3, None),
-        (0.6, Sharpness(0.0, 6.0, 0.3)),
-        (1.0, Sharpness(0.0, 6.0, 0.3, distortion=True)),
+        (0.6, Sharpness(0.0, 1.5, 0.3)),
+        (1.0, Sharpness(0.0, 1.5, 0.3, distortion=True)),
     ),
 )
 """The first pass begins with wrong cameras, the second with some that are nearly right. Open choices, measured on

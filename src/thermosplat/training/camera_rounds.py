@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from thermosplat.config import ModelConfig, TrainConfig
+from thermosplat.config.checks import first_round_after
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.distributed.team import Team
 from thermosplat.refinement.camera_corrections import POSES
@@ -11,10 +12,10 @@ from thermosplat.training.frames.shrunk_frames import shrunk_frame
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
 
-WIDEST = (160, 320)
-"""Width [px] that images of the cameras that are found have at most, in each pass. Wrong by the same angle, a camera is
-the fewer pixels off the smaller its images are. Open choice, measured on rig_desk
-(benchmarks/records/refinement.md)."""
+WIDEST = 160
+"""Width [px] that images of the cameras that are found have at most. Wrong by the same angle, a camera is the fewer
+pixels off the smaller its images are. Open choice, measured on rig_desk (benchmarks/records/refinement.md)."""
+_FASTER = ("means_lr", "means_lr_final", "quats_lr", "scales_lr", "sh0_lr", "shN_lr")
 
 
 def finds_cameras(config: TrainConfig) -> bool:
@@ -23,19 +24,22 @@ def finds_cameras(config: TrainConfig) -> bool:
 
 
 def of_passes(config: TrainConfig) -> TrainConfig:
-    """What the scene on which cameras are found starts from: opaque and large enough to cover images from the first
-    steps on, as 3DGS has it. A method's own start may cover them late, and through holes nothing is compared.
+    """What the scene on which cameras are found starts from, and how fast it learns.
+
+    Its Gaussians are opaque and large enough to cover images from the first steps on, as 3DGS has it. A method's own
+    start may cover them late, and through holes nothing is compared.
 
     Args:
         config: The whole configuration.
     """
     usual = ModelConfig()
     model = replace(config.model, init_opacity=usual.init_opacity, init_scale=usual.init_scale)
-    return replace(config, model=model)
+    rates = {name: config.refine_rates * getattr(config.optimizer, name) for name in _FASTER}
+    return replace(config, model=model, optimizer=replace(config.optimizer, **rates))
 
 
 class CameraRounds:
-    """Rounds of ``register_cameras`` between steps: every ``refine_every`` steps, after ``refine_from`` of them.
+    """Rounds of ``register_cameras`` between steps: every ``refine_every`` steps, as soon as there is a scene.
 
     They come first, in passes of some steps (``refine_first``) in which the first spectrum alone shapes the Gaussians:
     a scene that all spectra shape would follow wrong cameras. After each pass the scene is forgotten and starts anew.
@@ -56,6 +60,8 @@ class CameraRounds:
         self._config, self._state, self._frames, self._team = config, state, frames, team
         self.steps = min(config.refine_first, config.max_steps)
         """Steps of a pass."""
+        self.start = first_round_after(config)
+        """Steps of a pass before its first round."""
 
     @property
     def image_factor(self) -> float | None:
@@ -64,7 +70,7 @@ class CameraRounds:
         if not self._state.finds_cameras or corrections is None:
             return None
         width = min(corrections.shared[number].camera.width for number in corrections.registered)
-        return max(1.0, width / WIDEST[self._number])
+        return max(1.0, width / WIDEST)
 
     def after_step(self, step: int, sh_degree: int) -> None:
         """Do the round that is due after a step, if one is.
@@ -74,7 +80,7 @@ class CameraRounds:
             sh_degree: Highest SH degree in use.
         """
         config, state, factor = self._config, self._state, self.image_factor
-        done, last = step - config.refine_from, self.steps - config.refine_from
+        done, last = step - self.start, self.steps - self.start
         if factor is None or state.corrections is None:
             return
         if not 0 < done <= last or done % config.refine_every > 0:

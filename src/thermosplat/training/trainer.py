@@ -281,18 +281,21 @@ class Trainer:
         """One step: render a frame, compare it with its images, improve Gaussians and decoders."""
         config, state = self.config, self.state
         step, started = state.step + 1, time.perf_counter()
-        densifying = any(strategy.is_active(step) for strategy in state.strategies.values())
+        # the scene on which cameras are found keeps its Gaussians: many small ones fit images through wrong cameras
+        strategies = {} if state.finds_cameras else state.strategies
+        densifying = any(strategy.is_active(step) for strategy in strategies.values())
         found_at = self.camera_rounds.image_factor
         kind = StepKind.at(config, step, densifying=densifying, cameras_found_at=found_at)
         frame = self.schedule.tensors(state.step, factor=kind.image_factor)
         budget = None if state.finds_cameras else self.budget
-        state.begin_step(step, config.optimizer, self.capture.scene_extent)
+        rates = of_passes(config).optimizer if state.finds_cameras else config.optimizer
+        state.begin_step(step, rates, self.capture.scene_extent)
 
         with self._first_step(), self.steps.run(frame, kind) as values:
             if self._looks_at_guard(step):
                 self._stop_if_not_finite()
                 self.steps.check_overflow()
-            refining = {n: s for n, s in state.strategies.items() if s.refines_at(step) or s.resets_at(step)}
+            refining = {n: s for n, s in strategies.items() if s.refines_at(step) or s.resets_at(step)}
             pruning = budget is not None and budget.prunes_at(step)
             replacing = any(strategy.replaces_tensors(state.gaussian_sets[n]) for n, strategy in refining.items())
             if replacing or pruning:
