@@ -135,7 +135,7 @@ def test_sog_says_what_it_is(tmp_path: Path) -> None:
 def test_usd_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without usd-core one sentence names the extra."""
     monkeypatch.setitem(__import__("sys").modules, "pxr", None)
-    with pytest.raises(UserError, match=r"thermosplat\[usd\]"):
+    with pytest.raises(UserError, match=r'pip install "\.\[usd\]"'):
         write_format("usd", tmp_path, Described(scene_like_splats(3, 0), "rgb"))
 
 

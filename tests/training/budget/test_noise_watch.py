@@ -14,6 +14,7 @@ from toy_run import assert_same_state, many_frames, state_tensors, toy_run_confi
 from toy_scene import toy_capture
 
 LOSS, PATIENCE = 0.05, 100
+FRAMES = 41  # of which 40 are trained on
 NOISE = 0.2
 """Variance, about the error that a toy run begins with."""
 
@@ -85,13 +86,13 @@ def worse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def watched(**changes: float) -> TrainConfig:
     """A short run that withholds two frames, and whose growth ends at once."""
-    settings = {"prune_at": (0.5,), "validation_views": 2, "validate_every": 2, "measured_views": 3, "patience": 1}
-    return toy_run_config(40, budget="auto", auto_budget=AutoBudgetConfig(**(settings | changes)))  # type: ignore[arg-type]
+    settings = {"prune_at": (0.2,), "validation_views": 2, "validate_every": 2, "measured_views": 3, "patience": 1}
+    return toy_run_config(100, budget="auto", auto_budget=AutoBudgetConfig(**(settings | changes)))  # type: ignore[arg-type]
 
 
-def noisy_run(folder: Path, config: TrainConfig, noise: float) -> Trainer:
+def noisy_run(folder: Path, config: TrainConfig, noise: float, frames: int = FRAMES) -> Trainer:
     """With that variance of noise in RGB, whatever its images have."""
-    trainer = toy_trainer(folder, config, many_frames(toy_capture(), 21))
+    trainer = toy_trainer(folder, config, many_frames(toy_capture(), frames))
     trainer.state.noise_watch = NoiseWatch({"rgb": noise}, len(trainer.frames), trainer.device)
     return trainer
 
@@ -117,11 +118,20 @@ def test_views_stay_withheld_while_noise_may_be_learnt(tmp_path: Path, noise: fl
     assert len(withheld) == 2
     advance(trainer, 12)
     assert not trainer.state.growing
-    assert bool(withheld & shown(trainer, 12, 40)) == (not noisy)
+    assert bool(withheld & shown(trainer, 12, 100)) == (not noisy)
     advance(trainer, 20)
     assert trainer.state.noise_watch is not None
     assert trainer.state.noise_watch.over
-    assert withheld < shown(trainer, 20, 40)
+    assert withheld < shown(trainer, 20, 100)
+
+
+def test_few_views_are_not_withheld_for_long(tmp_path: Path) -> None:
+    """Where two are more than a twentieth, growth frees them, noisy or not."""
+    trainer = advance(noisy_run(tmp_path, watched(), NOISE, FRAMES - 2), 12)
+    assert not trainer.state.growing
+    assert trainer.state.noise_watch is not None
+    assert trainer.state.noise_watch.is_noisy("rgb")
+    assert trainer.state.noise_watch.over
 
 
 def test_a_held_spectrum_frees_the_views(tmp_path: Path, worse: None) -> None:
@@ -140,7 +150,7 @@ def test_a_held_spectrum_frees_the_views(tmp_path: Path, worse: None) -> None:
 def test_resumed_run_is_the_same(tmp_path: Path, worse: None, batch_size: int | None) -> None:
     """Cut before a spectrum is held, and after."""
     config = dataclasses.replace(watched(spectrum_patience=4), batch_size=batch_size)
-    capture = many_frames(toy_capture(), 21)
+    capture = many_frames(toy_capture(), FRAMES)
     end = 18 if batch_size is None else 9
     whole = advance(noisy_run(tmp_path / "whole", config, NOISE), end)
     for stop in (5, end - 2):
