@@ -38,8 +38,8 @@ from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames
 from thermosplat.training.training_state import TrainingState
 
 MOST_WATCHED = 0.05
-"""Share of a spectrum's training views that may stay withheld beyond growth. Of 21 views of desk two are a tenth, and
-without them images in the light came out 0.3 to 0.6 dB worse."""
+"""Share of a spectrum's training views that may stay withheld beyond growth: a capture of few views misses each of
+them. Open choice."""
 
 
 class Budget(Protocol):
