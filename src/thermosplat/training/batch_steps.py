@@ -104,6 +104,7 @@ class BatchSteps:
         said = {name: torch.stack(values).sum() * (len(batch) / own_frames) for name, values in losses.items()}
         if team is not None:
             self._add_up_replicated(team)
+            self._tell_errors(team, [indices[rank] for indices in rounds if rank < len(indices)])
         self.step.guard.observe(state.step_on_device, said, state.gradients_to_watch())
         if team is not None:
             team.largest_in_place(self.step.guard.blocked)
@@ -125,6 +126,15 @@ class BatchSteps:
             return [(name,) for name in names]
         groups = (tuple(name for name in names if name in group) for group in frame.shared_cameras)
         return [group for group in groups if group]
+
+    def _tell_errors(self, team: Team, own: list[int]) -> None:
+        """Let all ranks know the errors of the frames that this one trained on, by index."""
+        watch = self.step.state.noise_watch
+        for errors in () if watch is None else watch.errors.values():
+            found = torch.zeros_like(errors)
+            found[own] = errors[own]
+            team.sum_in_place([found])
+            errors.copy_(torch.where(found > 0, found, errors))
 
     def _add_up_replicated(self, team: Team) -> None:
         """Sum the gradients of what every rank has whole, where some rank has one."""
