@@ -130,11 +130,14 @@ class BatchSteps:
     def _tell_errors(self, team: Team, own: list[int]) -> None:
         """Let all ranks know the errors of the frames that this one trained on, by index."""
         watch = self.step.state.noise_watch
-        for errors in () if watch is None else watch.errors.values():
-            found = torch.zeros_like(errors)
-            found[own] = errors[own]
-            team.sum_in_place([found])
-            errors.copy_(torch.where(found > 0, found, errors))
+        if watch is None:
+            return
+        noted = torch.stack(list(watch.errors.values()))
+        found = torch.zeros_like(noted)
+        found[:, own] = noted[:, own]
+        team.largest_in_place(found)  # a frame that two ranks have, where an epoch ends, has one error
+        for errors, of_spectrum in zip(watch.errors.values(), found, strict=True):
+            errors.copy_(torch.where(of_spectrum > 0, of_spectrum, errors))
 
     def _add_up_replicated(self, team: Team) -> None:
         """Sum the gradients of what every rank has whole, where some rank has one."""
