@@ -37,9 +37,10 @@ from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames
 from thermosplat.training.training_state import TrainingState
 
-MOST_WATCHED = 0.05
-"""Share of a spectrum's training views that may stay withheld beyond growth: a capture of few views misses each of
-them. Open choice."""
+WITHHELD_ONE_IN = 10
+"""At most one in so many of a spectrum's training views is withheld while Gaussians are added. Open choice."""
+WATCHED_ONE_IN = 20
+"""At most one in so many stays withheld beyond growth: a capture of few views misses each of them. Open choice."""
 
 
 class Budget(Protocol):
@@ -193,10 +194,7 @@ class AutoBudget:
 
     def _release(self) -> None:
         """Train on the withheld views, too, unless a spectrum may have to be held yet."""
-        watch = self.state.noise_watch
-        too_many = any(
-            len(set(self.validation).intersection(indices)) > MOST_WATCHED * len(indices) for indices in self._having
-        )
+        watch, too_many = self.state.noise_watch, _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
         if watch is not None and (too_many or self.state.step >= self._last_removal or not watch.watches()):
             watch.over = True
         if not self.withholds():
@@ -284,10 +282,14 @@ class AutoBudget:
 
 
 def _validation_views(having: Sequence[Sequence[int]], count: int) -> tuple[int, ...]:
-    """As ``_spread``, frames to withhold; none where that would be more than a tenth of those of a spectrum."""
+    """As ``_spread``, frames to withhold; none where that would be too many of those of a spectrum."""
     chosen = _spread(having, count)
-    too_many = any(10 * len(set(chosen).intersection(indices)) > len(indices) for indices in having)
-    return () if too_many else chosen
+    return () if _more_than_one_in(WITHHELD_ONE_IN, chosen, having) else chosen
+
+
+def _more_than_one_in(number: int, chosen: Sequence[int], having: Sequence[Sequence[int]]) -> bool:
+    """Whether the chosen frames are more than one in so many of those that have some spectrum."""
+    return any(number * len(set(chosen).intersection(indices)) > len(indices) for indices in having)
 
 
 def _spread(having: Sequence[Sequence[int]], count: int) -> tuple[int, ...]:
