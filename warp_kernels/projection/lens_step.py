@@ -18,6 +18,7 @@ from warp_kernels.projection.affine_cameras import affine_camera_kernel
 from warp_kernels.projection.camera_gradients import ROLLING_RECORD, STILL_RECORD, WarpRows, lens_finish_kernel
 from warp_kernels.projection.lens_models import LensModel, lens_limits
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
+from warp_kernels.projection.projection_step import seen_and_stored
 
 
 @dataclass(frozen=True)
@@ -84,19 +85,7 @@ def project_through_lenses(
             *_sights(gaussians, lenses, lens, settings),
             gaussians.opacities,
             gaussians.thermal_opacities,
-            settings.width,
-            settings.height,
-            settings.eps2d,
-            settings.near_plane,
-            settings.far_plane,
-            settings.radius_clip,
-            settings.antialiased,
-            projected.means2d,
-            projected.depths,
-            projected.packed_roots,
-            projected.compensations,
-            projected.radii,
-            projected.extents,
+            *seen_and_stored(settings, projected),
             lenses.slopes,
             lenses.times,
             lenses.leads,

@@ -1,5 +1,7 @@
 """The step that projects Gaussians to the image plane: its launches, and its adjoint on a tape."""
 
+from typing import Any
+
 import warp as wp
 
 from warp_kernels.machinery.array_views import empty
@@ -38,19 +40,7 @@ def project(
             gaussians.thermal_opacities,
             gaussians.viewmats,
             gaussians.Ks,
-            settings.width,
-            settings.height,
-            settings.eps2d,
-            settings.near_plane,
-            settings.far_plane,
-            settings.radius_clip,
-            settings.antialiased,
-            projected.means2d,
-            projected.depths,
-            projected.packed_roots,
-            projected.compensations,
-            projected.radii,
-            projected.extents,
+            *seen_and_stored(settings, projected),
         ],
         device,
     )
@@ -60,6 +50,30 @@ def project(
     inputs = [g.means, g.quats, g.scales, g.viewmats, g.Ks, *([g.covars] if g.covars is not None else [])]
     outputs = [p.means2d, p.depths, p.roots, p.compensations]
     record_adjoint(tape, lambda: project_adjoint(gaussians, settings, projected), *inputs, *outputs)
+
+
+def seen_and_stored(settings: ProjectionSettings, projected: ProjectedArrays) -> list[Any]:
+    """Arguments that all forward kernels share, in their order: what is drawn, and where that is stored.
+
+    Args:
+        settings: as of ``project``.
+        projected: likewise.
+    """
+    return [
+        settings.width,
+        settings.height,
+        settings.eps2d,
+        settings.near_plane,
+        settings.far_plane,
+        settings.radius_clip,
+        settings.antialiased,
+        projected.means2d,
+        projected.depths,
+        projected.packed_roots,
+        projected.compensations,
+        projected.radii,
+        projected.extents,
+    ]
 
 
 def project_adjoint(
