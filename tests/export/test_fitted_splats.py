@@ -5,30 +5,12 @@ import dataclasses
 import pytest
 import torch
 
-from thermosplat.datasets.capture import Capture
-from thermosplat.datasets.frame_tensors import ViewTensors
+from decoding_scene import cameras, decoding_model
 from thermosplat.errors import UserError
 from thermosplat.export.fitted_splats import fit_splats
 from thermosplat.export.scene import spectrum_splats
 from thermosplat.export.splat_rendering import render_splats
-from thermosplat.scene.model import SceneModel
-from toy_run import many_frames
-from toy_scene import toy_capture, toy_config, toy_frame, toy_model
-
-
-def decoding_model(capture: Capture) -> SceneModel:
-    """A model whose decoders add much, and unlike in every pixel."""
-    model = toy_model(toy_config(decoder={"hybrid_bias": 0.0}), capture)
-    with torch.no_grad():
-        for parameter in model.decoders.parameters():
-            parameter *= 3.0
-    return model
-
-
-def cameras(name: str, capture_kind: str = "color") -> tuple[list[ViewTensors], Capture]:
-    capture = many_frames(toy_capture(thermal_kind=capture_kind), 6)
-    views = [toy_frame(dataclasses.replace(capture, train=(frame,))).views[name] for frame in capture.train]
-    return views, capture
+from toy_scene import toy_config, toy_model
 
 
 @pytest.mark.parametrize(("name", "kind"), [("rgb", "color"), ("thermal", "color"), ("thermal", "scalar")])

@@ -18,7 +18,7 @@ def view(x: float, degrees: float = 0.0) -> ViewTensors:
 def drawn(views: list[ViewTensors], index: int, count: int = 50, neighbors: int = 3) -> list[torch.Tensor]:
     """Poses of drawn cameras, camera to world."""
     between, generator = ViewsBetween(views, neighbors), torch.Generator().manual_seed(0)
-    return [torch.linalg.inv(between.draw(index, generator).viewmat) for _ in range(count)]
+    return [torch.linalg.inv(camera.viewmat) for camera in between.draw([index] * count, generator)]
 
 
 def test_cameras_lie_between_neighbors() -> None:
@@ -47,7 +47,7 @@ def test_views_that_look_elsewhere_are_no_neighbors() -> None:
 def test_a_single_view_is_its_own_neighbor() -> None:
     """Without others the camera is that of the view, without its image."""
     only = view(0.3, 20.0)
-    between = ViewsBetween([only]).draw(0, torch.Generator().manual_seed(0))
+    (between,) = ViewsBetween([only]).draw([0], torch.Generator().manual_seed(0))
     torch.testing.assert_close(between.viewmat, only.viewmat, rtol=0, atol=1e-6)
     assert between.image is None
     assert (between.width, between.height) == (8, 6)

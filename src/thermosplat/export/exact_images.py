@@ -49,7 +49,8 @@ class ExactImages:
     def image(self, view: ViewTensors) -> Tensor:
         """The exact image by a pinhole camera, colours [H, W, 3] in [0, 1]."""
         pinhole = dataclasses.replace(view, distortion=None, lens=None, fisheye=False)
-        exact = self.model.render({self.name: pinhole}, sh_degree=self.sh_degree).images[self.name].clamp(0, 1)
+        rendered = self.model.render({self.name: pinhole}, sh_degree=self.sh_degree, shared_cameras=[[self.name]])
+        exact = rendered.images[self.name].clamp(0, 1)
         return shown_colors(exact, self.scale, self.colors)
 
     def render(self, splats: Splats, view: ViewTensors) -> Tensor:

@@ -11,7 +11,6 @@ camera, so the fit sees cameras between the training views, each of them once: n
 photograph is looked at. The minimum is found by Adam with the renderer's own gradients.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -22,21 +21,16 @@ from torch import Tensor
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
 from thermosplat.export.exact_images import ExactImages
+from thermosplat.export.fit_steps import FitSteps
+from thermosplat.export.learning_splats import LearningSplats
 from thermosplat.export.scene import Colors, spectrum_splats
-from thermosplat.export.seen_harmonics import SeenHarmonics
-from thermosplat.export.splat_relocation import errors_of_splats, moves, relocate
-from thermosplat.export.splats import INVISIBLE_OPACITY, Splats
+from thermosplat.export.splats import Splats
 from thermosplat.export.views_between import ViewsBetween
 from thermosplat.scene.model import SceneModel
-from thermosplat.scene.rotation import rotate
 from thermosplat.thermal.radiometry import PixelScale
 
 PASSES = {"cpu": 30, "cuda": 60}
 """Passes by type of device where none are asked for."""
-RATES = {"means": 0.2, "quats": 0.2, "log_scales": 0.4, "logit_opacities": 2.0, "color": 0.4, "changes": 0.05}
-"""Adam's step sizes at the start, of the images' root-mean-square error before the fit: what is wrong by little is to
-be moved by little. Those of the means also of the splat's own standard deviations, along its own axes. The colour is
-that which all cameras see, the changes are those from camera to camera (``seen_harmonics``)."""
 LAST_SHARE = 0.01
 """The step size at the end, of that at the start. It falls as half a wave of the cosine does: after 420 steps lab's
 thermal splats are 43.3 dB from the exact render, and 42.2 dB where it falls exponentially."""
@@ -99,102 +93,25 @@ def fit_splats(
     unfitted = spectrum_splats(model, name, {name: scale}, colors=colors)
     exact = ExactImages(model, name, scale, sh_degree, colors)
     before = exact.mean_psnr(unfitted, measured or views)
-    fit = _Fit(unfitted, views, sh_degree, error=10.0 ** (-before / 20.0))
+    learning = LearningSplats(unfitted, views, sh_degree, error=10.0 ** (-before / 20.0))
+    fit = FitSteps(learning, exact)
     steps = len(views) * (PASSES[unfitted.means.device.type] if passes is None else passes)
-    schedule = torch.optim.lr_scheduler.LambdaLR(fit.adam, lambda step: _share_of_rate(step / steps))
     between = ViewsBetween(views)
     generator = torch.Generator().manual_seed(_SEED)
-    order: list[int] = []
-    relocations = {int(share * steps) for share in RELOCATE_AT} - {0} if fit.invisible >= LEAST_INVISIBLE else set()
+    cameras: list[ViewTensors] = []
+    moving = learning.invisible >= LEAST_INVISIBLE
+    relocations = {int(share * steps) for share in RELOCATE_AT} - {0} if moving else set()
     for step in progress(range(steps)):
         if step in relocations:
-            fit.relocate(exact, views, generator)
-        order = order or torch.randperm(len(views), generator=generator).tolist()
-        view = between.draw(order.pop(), generator)
-        fit.adam.zero_grad()
-        image, wanted = exact.render(fit.splats, view), exact.image(view)
-        shown = torch.where(wanted == 1.0, image.clamp(max=1.0), image)  # brighter than white is white
-        (shown - wanted).square().mean().backward()
-        fit.adam.step()
-        schedule.step()
-    after = exact.mean_psnr(fit.detached(), measured or views)
+            learning.relocate(exact, views, generator)
+        cameras = cameras or between.draw(torch.randperm(len(views), generator=generator).tolist(), generator)
+        fit.run(cameras.pop(), _share_of_rate(step / steps))
+    after = exact.mean_psnr(learning.detached(), measured or views)
     if after <= before:  # it was as good as the passes can make it
-        return FittedSplats(unfitted, torch.arange(len(fit.sources)), before, before)
-    return FittedSplats(fit.detached(), fit.sources, before, after)
+        return FittedSplats(unfitted, torch.arange(len(learning.sources)), before, before)
+    return FittedSplats(learning.detached(), learning.sources, before, after)
 
 
 def _share_of_rate(done: float) -> float:
     """The step size of that at the start, where a share of the steps in [0, 1] is done."""
     return LAST_SHARE + (1.0 - LAST_SHARE) * 0.5 * (1.0 + math.cos(math.pi * done))
-
-
-class _Fit:
-    """Splats that learn, and their optimizer.
-
-    A centre learns how many standard deviations it moves along the axes of its splat: a flat splat leaves its surface
-    slowly, and small splats move less than large ones.
-
-    Args:
-        unfitted: As they are at the start.
-        views: The cameras that see them.
-        sh_degree: Highest degree to learn.
-        error: Root-mean-square error of their images in [0, 1].
-    """
-
-    def __init__(self, unfitted: Splats, views: Sequence[ViewTensors], sh_degree: int, error: float) -> None:
-        self.centers, self.quats = unfitted.means.clone(), unfitted.quats.clone()
-        self.units = unfitted.log_scales.exp()
-        self.harmonics = SeenHarmonics(unfitted.means, views, sh_degree)
-        coefficients = torch.cat([unfitted.sh0, unfitted.shN], dim=1)[:, : (sh_degree + 1) ** 2]
-        coordinates = self.harmonics.coordinates(coefficients)
-        values = {
-            "means": torch.zeros_like(unfitted.means),
-            "quats": unfitted.quats.clone(),
-            "log_scales": unfitted.log_scales.clone(),
-            "logit_opacities": unfitted.logit_opacities.clone(),
-            "color": coordinates[:, :1].clone(),
-            "changes": coordinates[:, 1:].clone(),
-        }
-        self.learnt = {name: value.requires_grad_() for name, value in values.items()}
-        self.sources = torch.arange(len(unfitted.means))
-        self.invisible = (torch.sigmoid(unfitted.logit_opacities) < INVISIBLE_OPACITY).float().mean().item()
-        groups = [{"params": [self.learnt[name]], "lr": rate * error} for name, rate in RATES.items()]
-        fused = unfitted.means.device.type in ("cpu", "cuda")
-        self.adam = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15, fused=fused)
-
-    @property
-    def splats(self) -> Splats:
-        """The splats as they are now; gradients flow into all that learns."""
-        learnt = self.learnt
-        means = self.centers + rotate(self.quats, self.units * learnt["means"])
-        coefficients = self.harmonics.coefficients(torch.cat([learnt["color"], learnt["changes"]], dim=1))
-        shape = learnt["quats"], learnt["log_scales"], learnt["logit_opacities"]
-        return Splats(means, *shape, coefficients[:, :1], coefficients[:, 1:])
-
-    @torch.no_grad()
-    def detached(self) -> Splats:
-        """A copy of the splats as they are now, without gradients."""
-        splats = self.splats
-        return Splats(**{field.name: getattr(splats, field.name).clone() for field in dataclasses.fields(Splats)})
-
-    def relocate(self, exact: ExactImages, views: Sequence[ViewTensors], generator: torch.Generator) -> None:
-        """Move faint splats; what has changed starts again with moments of zero."""
-        splats = self.detached()
-        moved, onto = moves(errors_of_splats(splats, exact, views), splats.logit_opacities, generator)
-        relocate(splats, moved, onto)
-        self.sources[moved.cpu()] = self.sources[onto.cpu()]
-        changed = torch.cat([moved, onto])
-        with torch.no_grad():
-            self.centers[changed] = splats.means[changed]
-            self.quats[changed] = splats.quats[changed]
-            self.units[changed] = splats.log_scales[changed].exp()
-            self.harmonics.from_coordinates[moved] = self.harmonics.from_coordinates[onto]
-            learnt = self.learnt
-            learnt["means"][changed] = 0.0
-            for name in ("quats", "log_scales", "logit_opacities"):
-                learnt[name][changed] = getattr(splats, name)[changed]
-            for name in ("color", "changes"):
-                learnt[name][moved] = learnt[name][onto]
-        for state in self.adam.state.values():
-            for moment in (state["exp_avg"], state["exp_avg_sq"]):
-                moment[changed] = 0.0

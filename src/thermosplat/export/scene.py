@@ -22,7 +22,7 @@ from thermosplat.export.splats import Splats, WrittenSplats
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import label
-from thermosplat.thermal.intensity import pixel_intensity
+from thermosplat.thermal.intensity import palette_colors, pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 
 SceneSplats = dict[str, tuple[Splats, list[str]]]
@@ -158,7 +158,7 @@ def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -
     intensity = pixel_intensity(image, scale)
     if colors == "scalar":
         return intensity[..., None].expand(*intensity.shape, 3).to(image)
-    return torch.as_tensor(scale.palette.to_color(intensity.cpu().numpy())).to(image)
+    return palette_colors(intensity, scale.palette).to(image)
 
 
 def spectrum_values(model: SceneModel, name: str, scales: Scales) -> Tensor:

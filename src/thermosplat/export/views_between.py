@@ -10,7 +10,7 @@ from thermosplat.datasets.frame_tensors import ViewTensors
 
 
 class ViewsBetween:
-    """Draws cameras at random places between a view and its nearest neighbours.
+    """Draws cameras at random places between views and their nearest neighbours.
 
     Args:
         views: The capture's, at least one.
@@ -30,20 +30,28 @@ class ViewsBetween:
         distances = torch.cdist(places, places).fill_diagonal_(-1.0)  # where views coincide, each is its own first
         return distances.argsort(dim=1)[:, : 1 + count]
 
-    def draw(self, index: int, generator: torch.Generator) -> ViewTensors:
-        """A camera of the size and intrinsics of a view, between that view and its neighbours.
+    def draw(self, indices: Sequence[int], generator: torch.Generator) -> list[ViewTensors]:
+        """Cameras of the size and intrinsics of views, each between one view and its neighbours.
 
         Args:
-            index: The view.
+            indices: The views, n of them.
             generator: Draws the weights of the poses, evenly among all that sum to one.
+
+        Returns:
+            n cameras.
         """
-        chosen = self.nearest[index]
-        weights = -torch.log(1.0 - torch.rand(len(chosen), generator=generator, dtype=torch.float64))
-        weights = weights / weights.sum()
-        center = weights @ self.centers[chosen]
-        u, _, vh = torch.linalg.svd(torch.einsum("k,kij->ij", weights, self.rotations[chosen]))
-        turned = u @ torch.diag(torch.tensor([1.0, 1.0, torch.linalg.det(u @ vh)], dtype=torch.float64)) @ vh
-        viewmat = torch.eye(4, dtype=torch.float64)
-        viewmat[:3, :3], viewmat[:3, 3] = turned.T, -turned.T @ center
-        view = self.views[index]
-        return dataclasses.replace(view, viewmat=viewmat.to(view.viewmat), image=None, intensity=None, values=None)
+        chosen = self.nearest[list(indices)]
+        weights = -torch.log(1.0 - torch.rand(chosen.shape, generator=generator, dtype=torch.float64))
+        weights = weights / weights.sum(dim=1, keepdim=True)
+        centers = torch.einsum("nk,nki->ni", weights, self.centers[chosen])
+        u, _, vh = torch.linalg.svd(torch.einsum("nk,nkij->nij", weights, self.rotations[chosen]))
+        u[:, :, 2] *= torch.linalg.det(u @ vh)[:, None]  # the nearest rotation is no reflection
+        to_camera = (u @ vh).mT
+        viewmats = torch.eye(4, dtype=torch.float64).repeat(len(chosen), 1, 1)
+        viewmats[:, :3, :3] = to_camera
+        viewmats[:, :3, 3] = -torch.einsum("nij,nj->ni", to_camera, centers)
+        on_device = viewmats.to(self.views[0].viewmat).unbind()
+        return [
+            dataclasses.replace(self.views[index], viewmat=viewmat, image=None, intensity=None, values=None)
+            for index, viewmat in zip(indices, on_device, strict=True)
+        ]

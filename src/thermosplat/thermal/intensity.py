@@ -33,6 +33,23 @@ def pixel_intensity(image: Tensor, scale: PixelScale) -> Tensor:
     return _inverted(pixels, scale.palette)
 
 
+def palette_colors(intensity: Tensor, palette: Palette) -> Tensor:
+    """As ``Palette.to_color``, on the intensities' device, without waiting for it.
+
+    Args:
+        intensity: [...] in [0, 1]; values outside are clipped.
+        palette: The curve.
+
+    Returns:
+        Colours [..., 3] in [0, 1].
+    """
+    colors = _colors_on(palette, intensity.device)
+    position = intensity.clamp(0, 1) * (len(colors) - 1)
+    segment = position.long().clamp(max=len(colors) - 2)
+    fraction = (position - segment)[..., None]
+    return colors[segment] * (1 - fraction) + colors[segment + 1] * fraction
+
+
 def _inverted(colors: Tensor, palette: Palette) -> Tensor:
     """As ``Palette.to_intensity``, on the colours' device, which takes all pixels at once."""
     curve = _curve_on(palette, colors.device)
@@ -44,3 +61,9 @@ def _inverted(colors: Tensor, palette: Palette) -> Tensor:
 def _curve_on(palette: Palette, device: torch.device) -> Curve:
     """The palette's curve on a device, to which it is brought once and not for every image."""
     return Curve(*(torch.tensor(part, device=device) for part in palette.curve))
+
+
+@functools.lru_cache(maxsize=8)
+def _colors_on(palette: Palette, device: torch.device) -> Tensor:
+    """The palette's colours on a device, [n, 3]."""
+    return torch.tensor(palette.colors, device=device)
