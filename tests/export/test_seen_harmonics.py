@@ -5,7 +5,7 @@ import torch
 
 from splat_scenes import scene_like_splats
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.seen_harmonics import DAMPING, SeenHarmonics
+from thermosplat.export.seen_harmonics import CHANGES, DAMPING, SeenHarmonics
 from thermosplat.export.splats import Splats
 
 
@@ -46,9 +46,10 @@ def test_functions_of_the_coordinates_are_uncorrelated() -> None:
     means = torch.tensor([[0.0, 0.0, 0.0], [0.6, -0.4, 0.5]])
     seen = SeenHarmonics(means, ARC, 1)
     basis = linear_basis(means, ARC)
-    functions = basis @ seen.from_coordinates.double()
+    undivided = seen.from_coordinates.double() / torch.tensor([1.0, CHANGES, CHANGES, CHANGES])
+    functions = basis @ undivided
     undamped = torch.einsum("nvi,nvj->nij", functions, functions) / len(ARC)
-    damping = DAMPING * seen.from_coordinates.double().mT @ seen.from_coordinates.double()
+    damping = DAMPING * undivided.mT @ undivided
     identity = torch.eye(4, dtype=torch.float64).expand(2, 4, 4)
     torch.testing.assert_close(undamped + damping, identity, rtol=0, atol=1e-3)
     plain = torch.einsum("nvi,nvj->nij", basis, basis) / len(ARC)
@@ -68,7 +69,7 @@ def test_cameras_that_do_not_see_a_splat_do_not_count() -> None:
 def test_splats_that_no_camera_sees_have_coordinates() -> None:
     """They are finite, and those of harmonics whose mean square from everywhere is one."""
     unseen = SeenHarmonics(torch.tensor([[0.0, 0.0, -50.0]]), ARC, 1)
-    expected = torch.eye(4)[None] * 12.5663706**0.5
+    expected = torch.diag(torch.tensor([1.0, CHANGES, CHANGES, CHANGES]))[None] * 12.5663706**0.5
     torch.testing.assert_close(unseen.from_coordinates, expected, rtol=1e-5, atol=1e-5)
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from thermosplat.thermal.intensity import pixel_intensity
+from thermosplat.thermal.intensity import palette_colors, pixel_intensity
 from thermosplat.thermal.radiometry import FLIR_IRON, PixelScale
 
 COLOR, SCALAR = PixelScale("color", FLIR_IRON), PixelScale("scalar", FLIR_IRON)
@@ -16,6 +16,13 @@ def test_of_pseudo_colours_and_of_scalars(device: torch.device) -> None:
     intensity = intensity.to(device)
     torch.testing.assert_close(pixel_intensity(colors, COLOR), intensity, atol=2e-3, rtol=0)
     torch.testing.assert_close(pixel_intensity(3 * intensity[..., None], SCALAR), (3 * intensity).clamp(0, 1))
+
+
+def test_colors_of_intensities(device: torch.device) -> None:
+    """As the palette's own on the host: at its ends and entries, between them, and clipped outside."""
+    intensity = torch.linspace(-0.2, 1.2, 1401).reshape(3, -1)
+    expected = torch.from_numpy(FLIR_IRON.to_color(intensity.numpy()))
+    torch.testing.assert_close(palette_colors(intensity.to(device), FLIR_IRON).cpu(), expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("scale", [COLOR, SCALAR], ids=["color", "scalar"])

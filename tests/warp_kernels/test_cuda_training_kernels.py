@@ -18,13 +18,14 @@ from warp_kernels.training.gaussian_penalties import penalty_kernels
 from warp_kernels.training.position_noise import noise_kernel
 from warp_kernels.training.row_adam import row_adam_kernel
 from warp_kernels.training.row_fetch import row_fetch_kernel
+from warp_kernels.training.small_products import small_product_kernels
 
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
-    """Adam and the finite check, with tables of addresses as arguments, and what is noted of pairs."""
+    """Adam and the finite check, with tables of addresses as arguments, what is noted of pairs, small products."""
     adam = [adam_coefficients_kernel, adam_update_kernel, row_adam_kernel, row_fetch_kernel]
-    compile_all([*adam, note_bad_kernel, note_pairs_kernel], arch, tmp_path)
+    compile_all([*adam, note_bad_kernel, note_pairs_kernel, *small_product_kernels(wp.float32)], arch, tmp_path)
 
 
 @pytest.mark.slow

@@ -18,10 +18,10 @@ from thermosplat.export.splats import INVISIBLE_OPACITY, Splats
 from thermosplat.fused.adam import WarpAdam
 from thermosplat.scene.rotation import rotate
 
-RATES = {"means": 0.2, "quats": 0.2, "log_scales": 0.4, "logit_opacities": 2.0, "color": 0.4, "changes": 0.05}
+RATES = {"means": 0.2, "quats": 0.2, "log_scales": 0.4, "logit_opacities": 2.0, "colors": 0.4}
 """Adam's step sizes at the start, of the images' root-mean-square error before the fit: what is wrong by little is to
-be moved by little. Those of the means also of the splat's own standard deviations, along its own axes. The colour is
-that which all cameras see, the changes are those from camera to camera (``seen_harmonics``)."""
+be moved by little. Those of the means also of the splat's own standard deviations, along its own axes. Those of the
+colours are of the colour that all cameras see (``seen_harmonics``)."""
 BETAS = (0.9, 0.999)
 """Adam's decays of its moments."""
 
@@ -46,14 +46,12 @@ class LearningSplats:
         self._units = unfitted.log_scales.exp()
         self._harmonics = SeenHarmonics(unfitted.means, views, sh_degree)
         coefficients = torch.cat([unfitted.sh0, unfitted.shN], dim=1)[:, : (sh_degree + 1) ** 2]
-        coordinates = self._harmonics.coordinates(coefficients)
         values = {
             "means": torch.zeros_like(unfitted.means),
             "quats": unfitted.quats.clone(),
             "log_scales": unfitted.log_scales.clone(),
             "logit_opacities": unfitted.logit_opacities.clone(),
-            "color": coordinates[:, :1].clone(),
-            "changes": coordinates[:, 1:].clone(),
+            "colors": self._harmonics.coordinates(coefficients),
         }
         self._learnt = {name: value.requires_grad_() for name, value in values.items()}
         self.sources = torch.arange(len(unfitted.means))
@@ -81,7 +79,7 @@ class LearningSplats:
         """The splats as they are now; gradients flow into all that learns."""
         learnt = self._learnt
         means = self._centers + rotate(self._quats, self._units * learnt["means"])
-        coefficients = self._harmonics.coefficients(torch.cat([learnt["color"], learnt["changes"]], dim=1))
+        coefficients = self._harmonics.coefficients(learnt["colors"])
         shape = learnt["quats"], learnt["log_scales"], learnt["logit_opacities"]
         return Splats(means, *shape, *coefficients.split((1, coefficients.shape[1] - 1), dim=1))
 
@@ -113,8 +111,7 @@ class LearningSplats:
             learnt["means"][changed] = 0.0
             for name in ("quats", "log_scales", "logit_opacities"):
                 learnt[name][changed] = getattr(splats, name)[changed]
-            for name in ("color", "changes"):
-                learnt[name][moved] = learnt[name][onto]
+            learnt["colors"][moved] = learnt["colors"][onto]
         for state in self.adam.state.values():
             for moment in (state["exp_avg"], state["exp_avg_sq"]):
                 moment[changed] = 0.0

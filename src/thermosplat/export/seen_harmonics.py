@@ -7,7 +7,8 @@ nearly depend on each other, and steps along single coefficients are slow. With 
 
 the functions L⁻¹ B have a mean square of one and no correlation over the directions, and the colour of a splat is
 their sum with coordinates z = L^T c in place of the coefficients c. The first coordinate is the colour that the
-directions share, the others change it from camera to camera.
+directions share, the others change it from camera to camera. Those are divided by ``CHANGES``, so that Adam, which
+moves all numbers alike, moves them by so much less.
 """
 
 import math
@@ -17,10 +18,13 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.fused.small_products import warp_small_products
 from thermosplat.rasterizer.steps import spherical_harmonics
 
 DAMPING = 1e-3
 """λ: what lies between directions that were seen is to change little where the directions themselves do not say it."""
+CHANGES = 0.125
+"""How fast a colour learns to change from camera to camera, of how fast it learns what all cameras see."""
 MARGIN = 0.1
 """A splat is seen whose centre lies so far outside of the image at most, of the image's size."""
 _CHUNK = 65536
@@ -39,10 +43,13 @@ class SeenHarmonics:
     def __init__(self, means: Tensor, views: Sequence[ViewTensors], degree: int) -> None:
         chunks = [_inverse_factors(chunk, views, degree) for chunk in means.split(_CHUNK)]
         self.from_coordinates = torch.cat(chunks) if chunks else means.new_zeros(0, 1, 1)
-        """L^-T, [N, K, K]."""
+        self.from_coordinates[:, :, 1:] *= CHANGES
+        """L^-T, its columns after the first times ``CHANGES``, [N, K, K]."""
 
     def coefficients(self, coordinates: Tensor) -> Tensor:
-        """SH coefficients [N, K, 3] of coordinates [N, K, 3]."""
+        """SH coefficients [N, K, 3] of coordinates [N, K, 3], to which gradients flow."""
+        if coordinates.is_cuda:
+            return warp_small_products(self.from_coordinates, coordinates)
         return self.from_coordinates @ coordinates
 
     def coordinates(self, coefficients: Tensor) -> Tensor:
