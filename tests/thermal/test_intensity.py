@@ -21,7 +21,7 @@ def test_of_pseudo_colours_and_of_scalars(device: torch.device) -> None:
 def test_colors_of_intensities(device: torch.device) -> None:
     """As the palette's own on the host: at its ends and entries, between them, and clipped outside."""
     intensity = torch.linspace(-0.2, 1.2, 1401).reshape(3, -1)
-    expected = torch.from_numpy(FLIR_IRON.to_color(intensity.numpy()))
+    expected = torch.from_numpy(FLIR_IRON.to_color(intensity.numpy())).float()
     torch.testing.assert_close(palette_colors(intensity.to(device), FLIR_IRON).cpu(), expected, rtol=0, atol=1e-6)
 
 
