@@ -37,10 +37,10 @@ class FitSteps:
         device = exact.background.device
         self._capacity = PairCapacity(device)
         self._captures = device.type == "cuda"
-        self._pool: torch.cuda.MemPool | None = None  # outlives the graphs, which take turns in it
         self._done = 0
         self._cameras: dict[_Size, ViewTensors] = {}
         self._graphs: dict[_Size, torch.cuda.CUDAGraph] = {}
+        self._pool: torch.cuda.MemPool | None = None  # outlives the graphs, which take turns in it
 
     def run(self, view: ViewTensors, share: float) -> None:
         """Do one step.

@@ -67,7 +67,7 @@ def fit_splats(
     measured: Sequence[ViewTensors] = (),
     colors: Colors = "palette",
     passes: int | None = None,
-    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    progress: Callable[[Sequence[int]], Iterable[int]] = iter,
 ) -> FittedSplats:
     """Splats of one spectrum that are fitted to the exact render.
 

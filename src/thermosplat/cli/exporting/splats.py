@@ -1,6 +1,5 @@
 """thermosplat-export --format ply, sog, ...: splats, fitted to the exact render."""
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,8 +64,7 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSpl
     if loaded.model.decoders is None or arguments.fit_passes == 0:
         unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors)
         return unfitted, dict.fromkeys(unfitted, slice(None))
-    from rich.progress import track
-
+    from thermosplat.cli.exporting.fit_progress import shown_steps
     from thermosplat.export.fitted_splats import fit_splats
     from thermosplat.export.scene import header_comments
     from thermosplat.novel_views.viewpoints import viewpoints
@@ -95,7 +93,7 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSpl
             measured=views.get("test", []),
             colors=arguments.colors,
             passes=arguments.fit_passes,
-            progress=partial(track, description=f"Fitting {name}", transient=True, disable=not sys.stdout.isatty()),
+            progress=partial(shown_steps, name=name),
         )
         print(f"{name}: {fit.after:.2f} dB from the exact render, {fit.before:.2f} dB before the fit")
         sources[name] = fit.sources
