@@ -6,7 +6,8 @@ RIG_DESK is a folder of rendered photographs and temperatures with the true came
 OPENCV lenses in one rig, camera_to_world of the photographs); --points names a COLMAP model of the scene to start from,
 without which training starts from random points. The folder becomes a capture with true cameras, which is trained on
 with --lens undistort and with --lens direct; flags behind "--" go to both trainings. A finished training is not done
-again. Both scenes are then rendered through the lenses and compared with the held-out images as they were taken.
+again. Both scenes are then compared with the same held-out images, first as they were taken, then undistorted. The
+number that a training reports of itself is of its own kind of images, and comes last.
 """
 
 import argparse
@@ -33,7 +34,7 @@ from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.evaluation.held_out import rendered_views
 from thermosplat.evaluation.loaded_run import load_run
 from thermosplat.runs.atomic_writes import write_text
-from thermosplat.scene.lens_slopes import straightened
+from thermosplat.scene.lens_slopes import bent, straightened
 from thermosplat.spectra import label
 
 LENSES = ("undistort", "direct")
@@ -95,9 +96,23 @@ def trained(capture: Path, out: Path, lens: str, data_factor: int, flags: list[s
     return run
 
 
+ROWS = {
+    "untouched, all pixels": "both rendered through the lens",
+    "untouched, pixels that both kinds of images show": "both rendered through the lens",
+    "untouched, the same pixels": "each rendered as it was trained; undistort is then bent",
+    "undistorted": "each rendered as it was trained; direct is then undistorted",
+    "undistorted, the same": "both rendered as pinholes",
+    "each its own kind": "each rendered as it was trained: **other images, not comparable**",
+}
+"""What is compared with: held-out images, and how the scenes are rendered."""
+
+
 def judged(run: Path, capture: Path, data_factor: int) -> dict[str, Any]:
-    """By spectrum a scene's PSNR [dB] against the held-out images as they were taken: whole, and where undistorted
-    images show them, rendered through the lens and as a bent pinhole image; its own number; and seconds of training."""
+    """By spectrum a scene's PSNR [dB] against held-out images of both kinds; its Gaussians, and seconds of training.
+
+    Returns:
+        "numbers": by spectrum one number for each of ``ROWS``. "gaussians" and "seconds": of the training.
+    """
     loaded = load_run(str(run), device="auto")
     config, model = loaded.config, loaded.model
     how: dict[str, Any] = {"test_every": config.test_every, "spectra": config.spectra, "data_factor": data_factor}
@@ -105,25 +120,35 @@ def judged(run: Path, capture: Path, data_factor: int) -> dict[str, Any]:
     rows: dict[str, list[list[float]]] = {name: [] for name in model.spectra}
     for frame, other in zip(untouched.test, resampled.test, strict=True):
         pinholes = rendered_views(model, other, resampled.scales, loaded.sh_degree, loaded.device)
-        straight = {view.spectrum: view.image for view in pinholes}
+        straight = {view.spectrum: view for view in pinholes}
         for view in rendered_views(model, frame, untouched.scales, loaded.sh_degree, loaded.device):
+            pinhole = straight[view.spectrum]
             places = places_in(other.views[view.spectrum].camera, view.camera)
             inside = (places.abs() < 1).all(dim=-1)
-            bent = functional.grid_sample(
-                straight[view.spectrum].permute(2, 0, 1)[None], places[None], mode="bicubic", align_corners=False
+            curved = sampled(pinhole.image, places, "bicubic")
+            unbent = sampled(view.image, bent_places(pinhole.camera, view.camera), "bilinear")
+            through, straightly = view.image - view.target, pinhole.image - pinhole.target
+            direct = config.lens == "direct"
+            found = (
+                through,
+                through[inside],
+                through[inside] if direct else (curved - view.target)[inside],
+                unbent - pinhole.target if direct else straightly,
+                straightly,
+                through if direct else straightly,
             )
-            errors = [
-                (image - view.target).square().mean(dim=-1)
-                for image in (view.image, bent[0].permute(1, 2, 0).clamp(0, 1))
-            ]
-            shown = (errors[0].mean(), errors[0][inside].mean(), errors[1][inside].mean())
-            rows[view.spectrum].append([decibels(error) for error in shown])
+            rows[view.spectrum].append([decibels(error.square().mean()) for error in found])
+    numbers = {name: [sum(column) / len(found) for column in zip(*found)] for name, found in rows.items()}
     metrics = json.loads((run / "metrics.json").read_text())
-    numbers = {}
-    for name, found in rows.items():
-        whole, inside, bent = (sum(column) / len(found) for column in zip(*found, strict=True))
-        numbers[name] = {"whole": whole, "inside": inside, "bent": bent, "own": metrics[name]["psnr"]}
-    return {"numbers": numbers, "seconds": metrics["train_seconds"]}
+    return {"numbers": numbers, "gaussians": metrics["num_gaussians"], "seconds": metrics["train_seconds"]}
+
+
+def sampled(image: Tensor, places: Tensor, mode: str) -> Tensor:
+    """An image [H, W, C] at places [h, w, 2] from -1 to 1, clamped to [0, 1]; the border goes on outside."""
+    found = functional.grid_sample(
+        image.permute(2, 0, 1)[None], places[None], mode=mode, align_corners=False, padding_mode="border"
+    )
+    return found[0].permute(1, 2, 0).clamp(0, 1)
 
 
 def decibels(error: Tensor) -> float:
@@ -140,6 +165,15 @@ def places_in(pinhole: Camera, view: ViewTensors) -> Tensor:
     scale = slopes.new_tensor([2 * pinhole.fx / pinhole.width, 2 * pinhole.fy / pinhole.height])
     start = slopes.new_tensor([2 * pinhole.cx / pinhole.width - 1, 2 * pinhole.cy / pinhole.height - 1])
     return slopes * scale + start
+
+
+def bent_places(pinhole: ViewTensors, view: ViewTensors) -> Tensor:
+    """Where pixels of an undistorted view lie in the image through the lens, [h, w, 2], from -1 to 1 within it."""
+    y, x = torch.meshgrid(torch.arange(pinhole.height) + 0.5, torch.arange(pinhole.width) + 0.5, indexing="ij")
+    K = pinhole.K
+    slopes = (torch.stack([x, y], dim=-1).to(K.device) - K[:2, 2]) / K.diagonal()[:2]
+    pixels = bent(slopes, view) * view.K.diagonal()[:2] + view.K[:2, 2]
+    return 2 * pixels / pixels.new_tensor([view.width, view.height]) - 1
 
 
 @torch.no_grad()
@@ -161,25 +195,23 @@ def main() -> None:
         run = trained(capture, options.out, lens, options.data_factor, flags)
         numbers[lens] = judged(run, capture, options.data_factor)
     device = "CUDA" if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores"
+    before, after = (numbers[lens] for lens in LENSES)
     lines = [
         f"{time.strftime('%Y-%m-%d')}, {platform.machine()} {device}, torch {torch.__version__}; "
-        f"--data-factor {options.data_factor} {' '.join(flags)}. PSNR [dB] against the images as they were taken.",
+        f"--data-factor {options.data_factor} {' '.join(flags)}. PSNR [dB] of held-out views.",
         "",
-        "| spectrum | images | undistort | direct | difference |",
-        "|---|---|---|---|---|",
+        "| spectrum | images | rendered | undistort | direct | difference |",
+        "|---|---|---|---|---|---|",
     ]
-    for name in numbers["direct"]["numbers"]:
-        before, after = (numbers[lens]["numbers"][name] for lens in LENSES)
-        for words, old, new in (
-            ("all pixels, rendered through the lens", before["whole"], after["whole"]),
-            ("pixels that undistorted images show, too", before["inside"], after["inside"]),
-            ("those; undistort rendered as a pinhole, and bent", before["bent"], after["inside"]),
-        ):
-            lines.append(f"| {label(name)} | {words} | {old:.2f} | {new:.2f} | {new - old:+.2f} |")
-        own = f"{before['own']:.2f} | {after['own']:.2f}"
-        lines.append(f"| {label(name)} | each against the images it was trained on | {own} | |")
-    seconds = [numbers[lens]["seconds"] for lens in LENSES]
-    lines += ["", f"Training took {seconds[0]:.0f} s and {seconds[1]:.0f} s ({seconds[1] / seconds[0]:.2f} times)."]
+    for name in after["numbers"]:
+        for (images, rendered), old, new in zip(ROWS.items(), before["numbers"][name], after["numbers"][name]):
+            lines.append(f"| {label(name)} | {images} | {rendered} | {old:.2f} | {new:.2f} | {new - old:+.2f} |")
+    lines += [
+        "",
+        f"Training took {before['seconds']:.0f} s and {after['seconds']:.0f} s "
+        f"({after['seconds'] / before['seconds']:.2f} times), and ended with {before['gaussians']:,} and "
+        f"{after['gaussians']:,} Gaussians.",
+    ]
     print("\n".join(lines))
     write_text(options.out / "direct_lens.md", "\n".join(lines) + "\n")
 

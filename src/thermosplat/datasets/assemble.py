@@ -34,6 +34,8 @@ from thermosplat.datasets.large_captures import (
 from thermosplat.datasets.lens import COEFFICIENTS, camera_through_lens, rectified_camera, shrunk
 from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.datasets.plausible_cameras import check_camera, outlying_notes
+from thermosplat.datasets.readouts import Readout
+from thermosplat.datasets.shutter_file import readouts
 from thermosplat.datasets.splits import divide, hold_out_mask
 from thermosplat.datasets.stored_pixels import ImagesOnDisk, seen_by
 from thermosplat.errors import UserError
@@ -79,6 +81,7 @@ def assemble(
         )
     frames = _checked_frames(listing, root)
     mask = hold_out_mask(frames, test_every)
+    read_by_line, shutter_notes = readouts(root, frames)
     headers, memory = Headers(frames), allowed_memory(image_memory)
     taken = headers.taken_at_once(frames, data_factor)
     if taken <= memory:
@@ -89,7 +92,8 @@ def assemble(
     views = []
     for index, frame in enumerate(frames):
         exposures = {spectrum: pixels[index] for spectrum, pixels in read.pixels.items()}
-        views.append(_frame(frame, exposures, listing, root, data_factor, spectra, lens))
+        lines = {spectrum: read_by_line.get((frame.name, spectrum)) for spectrum in exposures}
+        views.append(_frame(frame, exposures, lines, listing, root, data_factor, spectra, lens))
     shown = [bool(frame.views) for frame in views]  # a lone file may be of no use
     views, mask = list(compress(views, shown)), list(compress(mask, shown))
     train, test = divide(views, mask)
@@ -98,6 +102,7 @@ def assemble(
         *listing.notes,
         *pairing_notes(views, spectra),
         *distortion_notes(frames, lens),
+        *shutter_notes,
         *outlying_notes(frames, root),
         *(note for reading in read.readings.values() for note in reading.notes),
         *read.notes,
@@ -223,6 +228,7 @@ def _edge_notes(readings: Mapping[str, SpectrumReading]) -> list[str]:
 def _frame(
     files: FrameFiles,
     pixels: Mapping[str, SpectrumPixels | UnreadPixels | None],
+    lines: Mapping[str, Readout | None],
     listing: Listing,
     root: Path,
     data_factor: int,
@@ -241,7 +247,7 @@ def _frame(
         elif not spectra[spectrum].aligned:
             lent = None if lender is None else lender.size
             _check_borrowed_camera(spectrum, files.leading, shot, exposure.size, lent, listing.registered, root)
-        views[spectrum] = _view(spectrum, shot, exposure, data_factor, lens)
+        views[spectrum] = _view(spectrum, shot, exposure, lines[spectrum], data_factor, lens)
     return Frame(files.name, views)
 
 
@@ -290,7 +296,14 @@ def _check_borrowed_camera(
     )
 
 
-def _view(spectrum: str, shot: Shot, exposure: SpectrumPixels | UnreadPixels, data_factor: int, lens: LensUse) -> View:
+def _view(
+    spectrum: str,
+    shot: Shot,
+    exposure: SpectrumPixels | UnreadPixels,
+    readout: Readout | None,
+    data_factor: int,
+    lens: LensUse,
+) -> View:
     width, height = exposure.size
     if lens == "direct":
         taken_by = _untouched_camera(shot, width, height)
@@ -311,10 +324,14 @@ def _view(spectrum: str, shot: Shot, exposure: SpectrumPixels | UnreadPixels, da
         )
     about = spectrum, shot.path.stem, shot.path, camera, shot.viewmat
     straightened_from = None if lens == "direct" else shot.lens
+    if readout is not None:
+        if straightened_from is not None and straightened_from.distorted:
+            readout = readout.undistorted(straightened_from, exposure.size, taken_by)
+        readout = readout.resized(taken_by, camera)
     if isinstance(exposure, UnreadPixels):
-        return View(*about, None, stored=exposure.seen_by(camera, straightened_from))
+        return View(*about, None, stored=exposure.seen_by(camera, straightened_from), readout=readout)
     pixels = seen_by(camera, straightened_from, exposure)
-    return View(*about, pixels.image, pixels.values)
+    return View(*about, pixels.image, pixels.values, readout=readout)
 
 
 def _untouched_camera(shot: Shot, width: int, height: int) -> Camera:

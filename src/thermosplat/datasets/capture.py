@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.images.image_folders import looked_for
 from thermosplat.datasets.images.pixel_meaning import SpectrumPixels
+from thermosplat.datasets.readouts import Readout
 from thermosplat.datasets.stored_pixels import ImagesOnDisk, StoredPixels
 from thermosplat.errors import UserError
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig, label, listed
@@ -32,6 +33,7 @@ class View:
         values: float32 [H, W], measured values in the unit of the spectrum's scale, such as °C, where the data has
             them and they do not stay on the disk.
         stored: Where the pixels are that stay on the disk.
+        readout: How its lines were read one after the other; None: all at once.
     """
 
     spectrum: str
@@ -42,6 +44,7 @@ class View:
     image: NDArray[np.uint8] | NDArray[np.float32] | None
     values: NDArray[np.float32] | None = None
     stored: StoredPixels | None = None
+    readout: Readout | None = None
 
     def __post_init__(self) -> None:
         if (self.image is None) == (self.stored is None):
@@ -67,6 +70,12 @@ class View:
         return f"View({self.spectrum} {self.name!r}, {size}, {channels}{values})"
 
 
+def _same_camera(one: View, other: View) -> bool:
+    """Whether two views share camera, size, pose and readout."""
+    together = other.readout is None if one.readout is None else one.readout.is_same_as(other.readout)
+    return together and other.camera == one.camera and np.array_equal(other.viewmat, one.viewmat)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Frame:
     """One exposure: the views that were taken together, by spectrum, in the order of the spectra."""
@@ -84,7 +93,7 @@ class Frame:
         for name, view in self.views.items():
             for group in groups:
                 other = self.views[group[0]]
-                if other.camera == view.camera and np.array_equal(other.viewmat, view.viewmat):
+                if _same_camera(view, other):
                     group.append(name)
                     break
             else:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Frame, View
+from thermosplat.datasets.readouts import LineOrder, Readout
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 
@@ -31,6 +32,9 @@ class ViewTensors:
         distortion: [2] float32, k1 and k2 of a lens that is no pinhole (``scene.lens_distortion``).
         lens: [8] float32, k1 to k6, p1 and p2 of the lens that the view is rendered through; None: of none.
         fisheye: The lens is OpenCV's fisheye model, of k1 to k4.
+        readout: [2, 4, 4] float32, where lines are read one after the other: the camera's motion from the view's pose
+            to that at the first line, and to that at the last (``datasets.readouts``). None: all at once.
+        line_order: In which order lines are read, with a readout.
         orthographic: Rays are parallel: x, y [world units] in camera axes times fx, fy [px per unit] plus cx, cy.
     """
 
@@ -45,6 +49,12 @@ class ViewTensors:
     orthographic: bool = False
     lens: Tensor | None = None
     fisheye: bool = False
+    readout: Tensor | None = None
+    line_order: LineOrder = "top-to-bottom"
+
+    def as_pinhole(self) -> "ViewTensors":
+        """The view by a pinhole camera without a lens, which takes its image at once."""
+        return replace(self, distortion=None, lens=None, fisheye=False, readout=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +74,11 @@ class FrameTensors:
     def packable(self) -> list[Tensor]:
         """The tensors that ``memory`` holds where there is one."""
         views = self.views.values()
-        tensors = [tensor for view in views for tensor in (view.viewmat, view.K, view.image, view.intensity, view.lens)]
+        tensors = [
+            tensor
+            for view in views
+            for tensor in (view.viewmat, view.K, view.image, view.intensity, view.lens, view.readout)
+        ]
         return [tensor for tensor in (*tensors, self.index) if tensor is not None]
 
     def only(self, spectra: Collection[str]) -> "FrameTensors":
@@ -116,10 +130,12 @@ def _placed(frame: FrameTensors, memory: Tensor, place: Callable[[Tensor], Tenso
     """The frame with other tensors for those that can be packed."""
 
     def placed(view: ViewTensors) -> ViewTensors:
-        image, intensity, lens = (
-            None if tensor is None else place(tensor) for tensor in (view.image, view.intensity, view.lens)
+        image, intensity, lens, readout = (
+            None if tensor is None else place(tensor)
+            for tensor in (view.image, view.intensity, view.lens, view.readout)
         )
-        return replace(view, viewmat=place(view.viewmat), K=place(view.K), image=image, intensity=intensity, lens=lens)
+        moved = replace(view, viewmat=place(view.viewmat), K=place(view.K), image=image, intensity=intensity)
+        return replace(moved, lens=lens, readout=readout)
 
     index = None if frame.index is None else place(frame.index)
     return replace(frame, views={name: placed(v) for name, v in frame.views.items()}, index=index, memory=memory)
@@ -172,6 +188,8 @@ def without_pixels(view: View, device: torch.device | str) -> ViewTensors:
         distortion=distortion_tensor(view.camera, device),
         lens=lens_tensor(view.camera, device),
         fisheye=has_fisheye(view.camera),
+        readout=readout_tensor(view.readout, device),
+        line_order="top-to-bottom" if view.readout is None else view.readout.order,
     )
 
 
@@ -201,6 +219,11 @@ def lens_tensor(camera: Camera, device: torch.device | str) -> Tensor | None:
     if camera.lens is None:
         return None
     return torch.tensor([*camera.lens.radial, *camera.lens.tangential], dtype=torch.float32, device=device)
+
+
+def readout_tensor(readout: Readout | None, device: torch.device | str) -> Tensor | None:
+    """The motion of a readout on a device, [2, 4, 4] float32; None of an image that is taken at once."""
+    return None if readout is None else torch.tensor(readout.motion, dtype=torch.float32, device=device)
 
 
 def has_fisheye(camera: Camera) -> bool:

@@ -126,15 +126,33 @@ def rectification(lens: Lens, width: int, height: int) -> Rectification:
     camera = rectified_camera(lens, width, height)
     if not lens.distorted:
         return Rectification(camera, None)
-    source, scale = lens.colmap_camera(), np.array([width / lens.width, height / lens.height])
     maps = np.empty((camera.height, camera.width, 2), np.float32)
     for start in range(0, camera.height, _ROWS):  # rays take several times the memory of the maps
         rows = np.arange(start, min(start + _ROWS, camera.height))
-        x, y = np.meshgrid(np.arange(camera.width) + 0.5, rows + 0.5)
-        rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
-        seen = source.img_from_cam(rays.reshape(-1, 3)) * scale - 0.5
-        maps[start : start + _ROWS] = seen.reshape(len(rows), camera.width, 2)
+        places = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, rows + 0.5), axis=-1)
+        maps[start : start + _ROWS] = positions_in_file(lens, width, height, camera, places) - 0.5
     return Rectification(camera, maps)
+
+
+def positions_in_file(
+    lens: Lens, width: int, height: int, camera: Camera, places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Where places of the pinhole image lie in a file's image.
+
+    Args:
+        lens: The file's camera.
+        width: Width of the file's image [px].
+        height: Height of the file's image [px].
+        camera: The pinhole camera.
+        places: x and y in the pinhole image [px], shape [..., 2].
+
+    Returns:
+        x and y in the file's image [px], shape [..., 2].
+    """
+    slopes = (places - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    rays = np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1)
+    seen = lens.colmap_camera().img_from_cam(rays.reshape(-1, 3))
+    return (seen * (width / lens.width, height / lens.height)).reshape(places.shape)
 
 
 def camera_through_lens(lens: Lens, width: int, height: int) -> Camera | None:

@@ -1,7 +1,7 @@
 """What a trained scene shows in a view, pixel by pixel: depth, colours, and the measured values of all spectra."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -48,7 +48,7 @@ def depth_view(
         scales: What pixel values mean, by spectrum.
         sh_degree: Highest SH degree in use.
     """
-    pinhole = replace(view, distortion=None, lens=None, fisheye=False)
+    pinhole = view.as_pinhole()
     rendered = model.render(dict.fromkeys(model.spectra, pinhole), sh_degree=sh_degree)
     depth = model.render_depth(name, pinhole)
     depth = torch.where(rendered.alphas[name][..., 0] >= LEAST_COVER, depth, 0.0)

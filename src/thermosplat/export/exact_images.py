@@ -1,6 +1,5 @@
 """What a model shows of one spectrum, and what splats show in its place."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -48,7 +47,7 @@ class ExactImages:
     @torch.no_grad()
     def image(self, view: ViewTensors) -> Tensor:
         """The exact image by a pinhole camera, colours [H, W, 3] in [0, 1]."""
-        pinhole = dataclasses.replace(view, distortion=None, lens=None, fisheye=False)
+        pinhole = view.as_pinhole()
         rendered = self.model.render({self.name: pinhole}, sh_degree=self.sh_degree, shared_cameras=[[self.name]])
         exact = rendered.images[self.name].clamp(0, 1)
         return shown_colors(exact, self.scale, self.colors)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame
-from thermosplat.datasets.frame_tensors import ViewTensors, distortion_tensor, has_fisheye, lens_tensor
+from thermosplat.datasets.frame_tensors import ViewTensors, distortion_tensor, without_pixels
 from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import Bookmark, fov_camera, path_through
 from thermosplat.novel_views.camera_paths import ellipse_path, interpolated_path, spiral_path
@@ -161,8 +161,7 @@ def _viewpoint(frame: Frame, shown: Collection[str], device: torch.device | str)
     for group in frame.shared_cameras:
         names = [name for name in group if name in shown]
         if names:
-            view = frame.views[names[0]]
-            cameras |= dict.fromkeys(names, _view_tensors(view.camera, view.viewmat, device))
+            cameras |= dict.fromkeys(names, without_pixels(frame.views[names[0]], device))
     return Viewpoint(cameras, frame.name)
 
 
@@ -174,6 +173,4 @@ def _view_tensors(camera: Camera, viewmat: NDArray[np.float64], device: torch.de
         width=camera.width,
         height=camera.height,
         distortion=distortion_tensor(camera, device),
-        lens=lens_tensor(camera, device),
-        fisheye=has_fisheye(camera),
     )

@@ -270,6 +270,8 @@ def camera_tensors(view: View) -> ViewTensors:
         distortion=distortion,
         lens=None if lens is None else lens.double(),
         fisheye=has_fisheye(camera),
+        readout=None if view.readout is None else torch.from_numpy(view.readout.motion),
+        line_order="top-to-bottom" if view.readout is None else view.readout.order,
     )
 
 

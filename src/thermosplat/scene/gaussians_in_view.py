@@ -7,11 +7,11 @@ import torch
 from torch import Tensor, nn
 
 from thermosplat.fused.row_fetch import fetched_rows
-from thermosplat.rasterizer import LensArguments, project
+from thermosplat.rasterizer import project
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.offloaded import OffloadedParameter, some_offloaded
 from thermosplat.scene.packed_parameters import is_band
-from thermosplat.scene.views import lens_arguments
+from thermosplat.scene.views import projection_arguments
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
@@ -88,16 +88,6 @@ def indices_in_view(
         part = slice(first, first + _PROJECTED_AT_ONCE)
         of_part = gaussians.means[part], gaussians.quats[part], torch.exp(gaussians.log_scales[part]), opacities[part]
         for view in views:
-            arguments = lens_arguments(view)
-            scene = project(
-                *of_part,
-                view.viewmat[None],
-                view.K[None],
-                view.width,
-                view.height,
-                rasterize_mode=rasterize_mode,
-                camera_model=arguments.pop("camera_model"),
-                lens=LensArguments(**arguments),
-            )
+            scene = project(*of_part, rasterize_mode=rasterize_mode, **projection_arguments(view))
             seen[part] |= (scene.projected.radii > 0).all(dim=-1).reshape(-1)
     return torch.where(seen)[0]

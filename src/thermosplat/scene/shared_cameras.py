@@ -31,14 +31,15 @@ def views_by_camera(views: Mapping[str, "ViewTensors"]) -> list[list[str]]:
 
 def _same_camera(one: "ViewTensors", other: "ViewTensors") -> bool:
     return (
-        (one.width, one.height, one.orthographic, one.fisheye)
-        == (other.width, other.height, other.orthographic, other.fisheye)
+        (one.width, one.height, one.orthographic, one.fisheye, one.line_order)
+        == (other.width, other.height, other.orthographic, other.fisheye, other.line_order)
         and torch.equal(one.K, other.K)
         and torch.equal(one.viewmat, other.viewmat)
-        and _same_lens(one.distortion, other.distortion)
-        and _same_lens(one.lens, other.lens)
+        and _equal(one.distortion, other.distortion)
+        and _equal(one.lens, other.lens)
+        and _equal(one.readout, other.readout)
     )
 
 
-def _same_lens(one: Tensor | None, other: Tensor | None) -> bool:
+def _equal(one: Tensor | None, other: Tensor | None) -> bool:
     return one is other or (one is not None and other is not None and torch.equal(one, other))

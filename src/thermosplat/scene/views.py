@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.fused.activations import activated
-from thermosplat.rasterizer import RGBTRender, rasterization, rasterization_rgbt
+from thermosplat.rasterizer import LensArguments, RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
@@ -37,7 +37,32 @@ class Rendering(NamedTuple):
     """The set is divided over ranks, each of which renders a view of its own now."""
 
 
-def lens_arguments(view: "ViewTensors") -> dict[str, Any]:
+def camera_arguments(view: "ViewTensors") -> dict[str, Any]:
+    """What the rasterizer is told of a view's camera: pose, intrinsics, size, lens, and how its lines are read.
+
+    Args:
+        view: Camera and pose.
+    """
+    arguments = {"Ks": view.K[None], "width": view.width, "height": view.height, **_lens_arguments(view)}
+    if view.readout is None:
+        return {"viewmats": view.viewmat[None], **arguments}
+    first, last = (view.readout @ view.viewmat).split(1)
+    shutter = f"ROLLING_{view.line_order.replace('-', '_').upper()}"
+    return {"viewmats": first, "viewmats_rs": last, "rolling_shutter": shutter, **arguments}
+
+
+def projection_arguments(view: "ViewTensors") -> dict[str, Any]:
+    """``camera_arguments`` as ``project`` takes them.
+
+    Args:
+        view: Camera and pose.
+    """
+    arguments = camera_arguments(view)
+    of_lens = {name: arguments.pop(name) for name in LensArguments._fields if name in arguments}
+    return {**arguments, "lens": LensArguments(**of_lens)}
+
+
+def _lens_arguments(view: "ViewTensors") -> dict[str, Any]:
     """What the rasterizer is told of a view's lens: its camera model and coefficients, [1, n] each.
 
     Args:
@@ -88,16 +113,12 @@ def render_view(
         scales,
         opacities,
         colors,
-        view.viewmat[None],
-        view.K[None],
-        view.width,
-        view.height,
         sh_degree=None if isinstance(colors, Tensor) else rendering.sh_degree,
         packed=False,
         backgrounds=backgrounds,
         absgrad=rendering.absgrad,
         rasterize_mode=rendering.rasterize_mode,
-        **lens_arguments(view),
+        **camera_arguments(view),
         deterministic=rendering.deterministic,
         distributed=rendering.distributed,
     )
@@ -122,14 +143,10 @@ def render_view_depth(
         scales,
         opacities,
         opacities[:, None],  # not drawn
-        view.viewmat[None],
-        view.K[None],
-        view.width,
-        view.height,
         packed=False,
         render_mode="ED",
         rasterize_mode=rendering.rasterize_mode,
-        **lens_arguments(view),
+        **camera_arguments(view),
         deterministic=rendering.deterministic,
         distributed=rendering.distributed,
     )
@@ -165,16 +182,12 @@ def render_two_opacities(
         second_opacities,
         gaussians.sh_coeffs,
         features,
-        view.viewmat[None],
-        view.K[None],
-        view.width,
-        view.height,
         sh_degree=rendering.sh_degree,
         features_sh_degree=None if isinstance(features, Tensor) else rendering.sh_degree,
         backgrounds=rendering.backgrounds,
         absgrad=rendering.absgrad,
         rasterize_mode=rendering.rasterize_mode,
-        **lens_arguments(view),
+        **camera_arguments(view),
         deterministic=rendering.deterministic,
         distributed=rendering.distributed,
     )

@@ -35,6 +35,8 @@ class _Shape:
     """Of all the memory."""
     shared_cameras: tuple[tuple[str, ...], ...]
     """The spectra, in groups of one camera."""
+    cameras: tuple[tuple[bool, str], ...]
+    """Whether the lens of each view is a fisheye lens, and in which order its lines are read."""
 
 
 @dataclass(frozen=True)
@@ -138,4 +140,5 @@ class CapturedSteps:
 
 def _shape(frame: FrameTensors) -> _Shape:
     tensors = tuple((place_in_frame(frame, tensor), tuple(tensor.shape)) for tensor in frame.packable())
-    return _Shape(tensors, len(packed_memory(frame)), frame.shared_cameras)
+    cameras = tuple((view.fisheye, view.line_order) for view in frame.views.values())
+    return _Shape(tensors, len(packed_memory(frame)), frame.shared_cameras, cameras)

@@ -19,7 +19,7 @@ from thermosplat.rasterizer import rasterization, rasterization_rgbt
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.model import SceneModel
-from thermosplat.scene.views import lens_arguments
+from thermosplat.scene.views import camera_arguments
 
 
 def contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
@@ -92,12 +92,8 @@ def _weights_of_two(model: SceneModel, second: str, view: ViewTensors, signs: to
         gaussians.opacities_in(second).detach() if second in gaussians.second_opacities else None,
         colors,
         features,
-        view.viewmat[None],
-        view.K[None],
-        view.width,
-        view.height,
         rasterize_mode=model.config.rasterize_mode,
-        **lens_arguments(view),
+        **camera_arguments(view),
         deterministic=True,
     )
     thermal = output.render_thermal_features
@@ -119,13 +115,9 @@ def _weights(model: SceneModel, spectrum: str, view: ViewTensors, signs: torch.G
         gaussians.scales.detach(),
         gaussians.opacities_in(spectrum).detach(),
         colors,
-        view.viewmat[None],
-        view.K[None],
-        view.width,
-        view.height,
         packed=False,
         rasterize_mode=model.config.rasterize_mode,
-        **lens_arguments(view),
+        **camera_arguments(view),
         deterministic=True,
     )
     return _summed_weights(torch.autograd.grad(_sum(image, signs), colors)[0], squared=signs is not None)

@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
-from thermosplat.rasterizer import LensArguments, project
+from thermosplat.rasterizer import project
 from thermosplat.rasterizer.projected_scene import ProjectedScene
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
-from thermosplat.scene.views import Coefficients, lens_arguments
+from thermosplat.scene.views import Coefficients, projection_arguments
 from thermosplat.training.budget.contributions import squared_contributions
 from thermosplat.training.budget.image_change import ImageChange, most_within
 
@@ -124,19 +124,12 @@ def _up_to(shN: Tensor, degrees: Tensor) -> Tensor:
 
 def _projected(gaussians: Gaussians, coefficients: Coefficients, view: ViewTensors, sh_degree: int) -> ProjectedScene:
     """The set projected to one camera, which says who is seen, with its colours of every degree up to ``sh_degree``."""
-    arguments = lens_arguments(view)
-    camera_model = arguments.pop("camera_model")
     return project(
         gaussians.means,
         gaussians.quats,
         gaussians.scales,
         gaussians.opacities,
-        view.viewmat[None],
-        view.K[None],
-        view.width,
-        view.height,
         drawn={f"colors of degree {degree}": (coefficients, degree) for degree in range(sh_degree + 1)},
         thermal_opacities=gaussians.largest_opacities if gaussians.second_opacities else None,
-        camera_model=camera_model,
-        lens=LensArguments(**arguments),
+        **projection_arguments(view),
     )

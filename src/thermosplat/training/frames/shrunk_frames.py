@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.capture import View
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, packed
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, packed, readout_tensor
 from thermosplat.datasets.lens import shrunk
 from thermosplat.training.frames.train_frames import TrainFrames, frame_bytes
 
@@ -86,7 +86,17 @@ def shrunk_view(view: ViewTensors, taken: View, factor: float) -> ViewTensors:
         for pixels in (view.image, view.intensity)
     )
     K = torch.tensor(camera.K, dtype=view.K.dtype, device=view.K.device)
-    return replace(view, K=K, width=camera.width, height=camera.height, image=image, intensity=intensity, values=None)
+    readout = None if taken.readout is None else taken.readout.resized(taken.camera, camera)
+    return replace(
+        view,
+        K=K,
+        width=camera.width,
+        height=camera.height,
+        image=image,
+        intensity=intensity,
+        values=None,
+        readout=readout_tensor(readout, view.K.device),
+    )
 
 
 def area_averages(pixels: Tensor, width: int, height: int) -> Tensor:

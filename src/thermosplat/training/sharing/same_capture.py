@@ -61,7 +61,7 @@ def capture_digests(capture: Capture) -> dict[str, str]:
 
 
 def _of_view(view: View) -> str:
-    camera = repr(view.camera)
+    camera = repr((view.camera, None if view.readout is None else (view.readout.order, view.readout.motion.tobytes())))
     if view.stored is not None:
         return _digest(view.viewmat, camera, repr((view.stored.header, [stamp.size for stamp in view.stored.stamps])))
     pixels = view.pixels()

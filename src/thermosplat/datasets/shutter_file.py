@@ -1,0 +1,259 @@
+"""``shutter.json`` of a capture: which cameras read their images line by line, and how long that takes.
+
+    {"thermal": {"readout": 0.016, "interval": 0.033, "direction": "top-to-bottom"}}
+
+By spectrum: the time from the first line to the last, and the time between one frame and the next in the same unit.
+Without "interval" the times are those of ``frames.csv``. "poses" in place of "readout" states the poses themselves:
+{"0001.png": [[4x4 at the first line], [4x4 at the last]]}, world to camera.
+"""
+
+import csv
+import math
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.config.values import shown
+from thermosplat.datasets.frame_files import FrameFiles, Shot
+from thermosplat.datasets.readouts import LineOrder, Readout, motion_of, paces
+from thermosplat.errors import UserError
+from thermosplat.spectra import label
+from thermosplat.thermal.temperature_units import read_json
+
+SHUTTER_FILE = "shutter.json"
+"""Name of the file in the capture's folder."""
+TABLE = "frames.csv"
+"""The table of images that thermosplat-prepare writes, with their times."""
+_KEYS = ("direction", "readout", "interval", "poses")
+_LARGEST_TURN = np.radians(90.0)
+"""Of a camera during one readout: more is a mistake in the times, or poses of different images."""
+_FROM_VIDEO = re.compile(r"^(.*)#(\d+)$")
+"""The source of a frame of a video in the table."""
+_HINT = "docs/data-layouts.md describes it; remove the file if all lines are read at once."
+
+
+@dataclass(frozen=True, eq=False)
+class _Statement:
+    """What the file says of one spectrum."""
+
+    order: LineOrder
+    readout: float | None
+    interval: float | None
+    poses: Mapping[str, NDArray[np.float64]] | None
+
+
+def readouts(root: Path, frames: Sequence[FrameFiles]) -> tuple[dict[tuple[str, str], Readout], list[str]]:
+    """The readouts of a capture's images by names of frame and spectrum, and what the user should be told.
+
+    Args:
+        root: The capture's folder; without ``shutter.json`` in it, all images are taken at once.
+        frames: Its frames, in the order of their names.
+
+    Raises:
+        UserError: The file is damaged, or the motion cannot be known.
+    """
+    path = root / SHUTTER_FILE
+    if not path.is_file():
+        return {}, []
+    found: dict[tuple[str, str], Readout] = {}
+    notes = []
+    for spectrum, stated in read_json(path).items():
+        statement = _statement(path, spectrum, stated)
+        shots = {frame.name: frame.shots[spectrum] for frame in frames if spectrum in frame.shots}
+        if not shots:
+            continue  # a spectrum that is not modelled
+        if statement.poses is not None:
+            of_spectrum = _stated_motions(path, spectrum, statement, shots)
+        else:
+            of_spectrum = _neighbours_motions(root, spectrum, statement, shots)
+        _check_turns(path, spectrum, of_spectrum)
+        found |= {(frame, spectrum): readout for frame, readout in of_spectrum.items()}
+        notes.append(_note(spectrum, statement.order, list(of_spectrum.values())))
+    return found, notes
+
+
+def _statement(path: Path, spectrum: str, stated: Any) -> _Statement:
+    """What is said of a spectrum, checked."""
+    where = f"{path}: {spectrum}"
+    if not isinstance(stated, dict) or not set(stated) <= set(_KEYS):
+        raise UserError(f"{where} must be an object with {', '.join(_KEYS)}, found {shown(stated)}.", _HINT)
+    order = stated.get("direction", "top-to-bottom")
+    if order not in get_args(LineOrder):
+        raise UserError(f"{where}: direction must be one of {', '.join(get_args(LineOrder))}, found {shown(order)}.")
+    if ("readout" in stated) == ("poses" in stated):
+        raise UserError(f"{where} must have either readout or poses, found {shown(sorted(stated))}.", _HINT)
+    if "poses" in stated:
+        return _Statement(order, None, None, _poses(where, stated["poses"]))
+    return _Statement(
+        order, _positive(where, "readout", stated), _positive(where, "interval", stated, optional=True), None
+    )
+
+
+def _positive(where: str, key: str, stated: Mapping[str, Any], *, optional: bool = False) -> float | None:
+    value = stated.get(key)
+    if optional and value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise UserError(f"{where}: {key} must be a time above 0, found {shown(value)}.", _HINT)
+    return float(value)
+
+
+def _poses(where: str, stated: Any) -> dict[str, NDArray[np.float64]]:
+    """Poses at the first and the last line by file name, [2, 4, 4] each."""
+    if not isinstance(stated, dict):
+        raise UserError(f"{where}: poses must be an object of file names, found {shown(stated)}.", _HINT)
+    poses = {}
+    for name, pair in stated.items():
+        try:
+            found = np.array(pair, dtype=np.float64)
+        except (TypeError, ValueError):
+            found = np.empty(0)
+        if found.shape != (2, 4, 4):
+            raise UserError(
+                f"{where}: the poses of {name} must be two 4x4 matrices, at the first line and at the last.", _HINT
+            )
+        if not _are_rigid(found):
+            raise UserError(
+                f"{where}: the poses of {name} are no rigid motions from the world to the camera.",
+                "Rotations in the first three columns, without scale; the last row is 0 0 0 1.",
+            )
+        poses[name] = found
+    return poses
+
+
+def _are_rigid(poses: NDArray[np.float64]) -> bool:
+    if not (np.isfinite(poses).all() and np.allclose(poses[:, 3], (0, 0, 0, 1))):
+        return False
+    rotations = poses[:, :3, :3]
+    straight = np.allclose(rotations @ rotations.transpose(0, 2, 1), np.eye(3), atol=1e-3)
+    return bool(straight and np.linalg.det(rotations).min() > 0)
+
+
+def _stated_motions(path: Path, spectrum: str, statement: _Statement, shots: Mapping[str, Shot]) -> dict[str, Readout]:
+    """Readouts whose poses the file states, by frame."""
+    poses = statement.poses or {}
+    missing = [shot.path.name for shot in shots.values() if shot.path.name not in poses]
+    if missing:
+        raise UserError(
+            f"{path}: {spectrum} has no poses of {len(missing)} of {len(shots)} images (first: {missing[0]}).",
+            "Give the poses of all images, by the name of the file.",
+        )
+    return {
+        name: Readout(statement.order, poses[shot.path.name] @ np.linalg.inv(shot.viewmat))
+        for name, shot in shots.items()
+    }
+
+
+def _neighbours_motions(
+    root: Path, spectrum: str, statement: _Statement, shots: Mapping[str, Shot]
+) -> dict[str, Readout]:
+    """Readouts during which a camera moves as the poses of the images before and after say, by frame."""
+    assert statement.readout is not None  # noqa: S101  a statement without poses has one
+    found = {}
+    for names, times in _sequences(root, spectrum, statement.interval, shots):
+        if len(names) < 2:
+            raise UserError(
+                f"{shots[names[0]].path.name} has no image before or after it in time, so how its camera moves during "
+                "the readout is not known.",
+                f'State the poses in {SHUTTER_FILE} ("poses"), or leave this image out.',
+            )
+        viewmats = np.stack([shots[name].viewmat for name in names])
+        for name, turn, move in zip(names, *paces(viewmats, times), strict=True):
+            motion = motion_of(shots[name].viewmat, statement.readout * turn, statement.readout * move)
+            found[name] = Readout(statement.order, motion)
+    return found
+
+
+def _sequences(
+    root: Path, spectrum: str, interval: float | None, shots: Mapping[str, Shot]
+) -> list[tuple[list[str], NDArray[np.float64]]]:
+    """Frames that were taken one after the other, with their times: a sequence a video, or one of all."""
+    rows = _table(root, spectrum)
+    sources = {name: rows.get(_below(shot.path, root, spectrum), {}) for name, shot in shots.items()}
+    timed: dict[str, list[tuple[float, str]]] = defaultdict(list)
+    for place, (name, row) in enumerate(sources.items()):
+        time, video = None, _FROM_VIDEO.match(row.get("source") or "")
+        if interval is not None and video is not None:
+            time = interval * int(video[2])
+        elif interval is not None:
+            time = interval * place
+        else:
+            time = _seconds(row.get("time"))
+        if time is None:
+            raise UserError(
+                f"When {shots[name].path.name} was taken is not known: {TABLE} has no time of it.",
+                f'State the time between frames in {SHUTTER_FILE} ("interval"), in the unit of "readout".',
+            )
+        timed[video[1] if video is not None else ""].append((time, name))
+    sequences = []
+    for found in timed.values():
+        found.sort()
+        times = np.array([time for time, _ in found])
+        if (np.diff(times) <= 0).any():
+            at = int(np.argmax(np.diff(times) <= 0))
+            one, other = (shots[found[index][1]].path.name for index in (at, at + 1))
+            raise UserError(
+                f"{one} and {other} were taken at the same time, by {TABLE}, so how the camera moves is not known.",
+                f'State the time between frames in {SHUTTER_FILE} ("interval"), in the unit of "readout".',
+            )
+        sequences.append(([name for _, name in found], times))
+    return sequences
+
+
+def _table(root: Path, spectrum: str) -> dict[str, dict[str, str]]:
+    """Rows of the table of images by file below ``images/<spectrum>/``; none without a table."""
+    path = root / TABLE
+    if not path.is_file():
+        return {}
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.DictReader(file) if row.get("spectrum") == spectrum and row.get("file")]
+    except (OSError, ValueError, csv.Error) as error:
+        raise UserError(f"Cannot read {path}: {error}.", "Make it again: thermosplat-prepare import.") from error
+    return {str(row["file"]): row for row in rows}
+
+
+def _below(path: Path, root: Path, spectrum: str) -> str:
+    folder = root / "images" / spectrum
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
+
+
+def _seconds(text: str | None) -> float | None:
+    """A time of the table [s]; one without a zone counts as UTC. None where there is none."""
+    try:
+        moment = datetime.fromisoformat(text or "")
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def _check_turns(path: Path, spectrum: str, found: Mapping[str, Readout]) -> None:
+    for name, readout in found.items():
+        if _turn(readout) > _LARGEST_TURN:
+            raise UserError(
+                f"{path}: the {label(spectrum)} camera of {name} would turn by {np.degrees(_turn(readout)):.0f} "
+                "degrees while its lines are read.",
+                "Are readout and interval in one unit, and the poses those of this image?",
+            )
+
+
+def _turn(readout: Readout) -> float:
+    """By how much a camera turns during a readout [rad]."""
+    first, last = readout.motion[:, :3, :3]
+    return float(np.arccos(np.clip((np.trace(last @ first.T) - 1) / 2, -1, 1)))
+
+
+def _note(spectrum: str, order: LineOrder, found: Sequence[Readout]) -> str:
+    turns = np.degrees([_turn(readout) for readout in found])
+    moves = [np.linalg.norm(last[:3, 3] - first[:3, 3]) for first, last in (readout.motion for readout in found)]
+    return (
+        f"{label(spectrum)} images are read line by line ({order.replace('-', ' ')}): meanwhile the camera turns by "
+        f"{np.median(turns):.2g} degrees and moves by {np.median(moves):.2g} world units in the median."
+    )
