@@ -86,11 +86,11 @@ def _points(model: Path | None) -> list[str]:
     return [f"{number} {' '.join(map(str, (*p.xyz, *p.color)))} {p.error}" for number, p in found.items()]
 
 
-def trained(capture: Path, out: Path, lens: str, data_factor: int, flags: list[str]) -> Path:
+def trained(capture: Path, out: Path, lens: str, seed: int, data_factor: int, flags: list[str]) -> Path:
     """The result folder of a training, which is done if it is not."""
-    run = out / lens
+    run = out / f"{lens}_{seed}"
     if not (run / "metrics.json").is_file():
-        command = [sys.executable, "-m", "thermosplat", "train", str(capture), "--lens", lens]
+        command = [sys.executable, "-m", "thermosplat", "train", str(capture), "--lens", lens, "--seed", str(seed)]
         command += ["--data-factor", str(data_factor), "--result-dir", str(run), "--overwrite", *flags]
         subprocess.run(command, check=True)
     return run
@@ -111,7 +111,8 @@ def judged(run: Path, capture: Path, data_factor: int) -> dict[str, Any]:
     """By spectrum a scene's PSNR [dB] against held-out images of both kinds; its Gaussians, and seconds of training.
 
     Returns:
-        "numbers": by spectrum one number for each of ``ROWS``. "gaussians" and "seconds": of the training.
+        "numbers": by spectrum one number for each held-out view and each of ``ROWS``. "gaussians" and "seconds": of
+        the training.
     """
     loaded = load_run(str(run), device="auto")
     config, model = loaded.config, loaded.model
@@ -138,9 +139,8 @@ def judged(run: Path, capture: Path, data_factor: int) -> dict[str, Any]:
                 through if direct else straightly,
             )
             rows[view.spectrum].append([decibels(error.square().mean()) for error in found])
-    numbers = {name: [sum(column) / len(found) for column in zip(*found)] for name, found in rows.items()}
     metrics = json.loads((run / "metrics.json").read_text())
-    return {"numbers": numbers, "gaussians": metrics["num_gaussians"], "seconds": metrics["train_seconds"]}
+    return {"numbers": rows, "gaussians": metrics["num_gaussians"], "seconds": metrics["train_seconds"]}
 
 
 def sampled(image: Tensor, places: Tensor, mode: str) -> Tensor:
@@ -184,33 +184,51 @@ def main() -> None:
     parser.add_argument("--points", type=Path, default=None, help="COLMAP model whose points training starts from")
     parser.add_argument("--out", type=Path, default=Path("results/direct_lens"))
     parser.add_argument("--data-factor", type=int, default=4)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="one training of each kind per seed")
     own, flags = sys.argv[1:], []
     if "--" in own:
         own, flags = own[: own.index("--")], own[own.index("--") + 1 :]
     options = parser.parse_args(own)
     capture = options.out / "capture"
     write_capture(options.rig, options.points, capture)
-    numbers = {}
-    for lens in LENSES:
-        run = trained(capture, options.out, lens, options.data_factor, flags)
-        numbers[lens] = judged(run, capture, options.data_factor)
+    found: dict[str, list[dict[str, Any]]] = {lens: [] for lens in LENSES}
+    for seed in options.seeds:
+        for lens in LENSES:
+            run = trained(capture, options.out, lens, seed, options.data_factor, flags)
+            found[lens].append(judged(run, capture, options.data_factor))
+            write_text(options.out / "direct_lens.json", json.dumps({"command": sys.argv, **found}, indent=1))
     device = "CUDA" if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores"
-    before, after = (numbers[lens] for lens in LENSES)
+    seeds = " ".join(map(str, options.seeds))
     lines = [
         f"{time.strftime('%Y-%m-%d')}, {platform.machine()} {device}, torch {torch.__version__}; "
-        f"--data-factor {options.data_factor} {' '.join(flags)}. PSNR [dB] of held-out views.",
+        f"--data-factor {options.data_factor} --seeds {seeds} {' '.join(flags)}. PSNR [dB], mean over held-out views "
+        "and seeds.",
         "",
-        "| spectrum | images | rendered | undistort | direct | difference |",
+        "| spectrum | held-out images | rendered | undistort | direct | difference |",
         "|---|---|---|---|---|---|",
     ]
-    for name in after["numbers"]:
-        for (images, rendered), old, new in zip(ROWS.items(), before["numbers"][name], after["numbers"][name]):
-            lines.append(f"| {label(name)} | {images} | {rendered} | {old:.2f} | {new:.2f} | {new - old:+.2f} |")
+    by_view = []
+    for name in found["direct"][0]["numbers"]:
+        old, new = (np.array([one["numbers"][name] for one in found[lens]]) for lens in LENSES)  # [seeds, views, rows]
+        for row, (images, rendered) in enumerate(ROWS.items()):
+            before, after = old[..., row].mean(), new[..., row].mean()
+            lines.append(
+                f"| {label(name)} | {images} | {rendered} | {before:.2f} | {after:.2f} | {after - before:+.2f} |"
+            )
+        for seed, differences in zip(options.seeds, (new - old)[..., 0], strict=True):
+            shown = ", ".join(f"{difference:+.2f}" for difference in differences)
+            by_view.append(f"- {label(name)}, seed {seed}: {shown}; median {np.median(differences):+.2f}.")
+    seconds, counts = (
+        [float(np.mean([one[what] for one in found[lens]])) for lens in LENSES] for what in ("seconds", "gaussians")
+    )
     lines += [
         "",
-        f"Training took {before['seconds']:.0f} s and {after['seconds']:.0f} s "
-        f"({after['seconds'] / before['seconds']:.2f} times), and ended with {before['gaussians']:,} and "
-        f"{after['gaussians']:,} Gaussians.",
+        "Differences of the first row by held-out view:",
+        "",
+        *by_view,
+        "",
+        f"Training took {seconds[0]:.0f} s and {seconds[1]:.0f} s ({seconds[1] / seconds[0]:.2f} times), and ended "
+        f"with {counts[0]:,.0f} and {counts[1]:,.0f} Gaussians.",
     ]
     print("\n".join(lines))
     write_text(options.out / "direct_lens.md", "\n".join(lines) + "\n")

@@ -1,0 +1,178 @@
+"""What does a scene gain when training knows that thermal images are read line by line?
+
+    thermosplat-train data/rgbt_synthetic/desk --thermal.source raw --result-dir results/desk
+    python benchmarks/bench_rolling_shutter.py results/desk --out results/shutter -- --config thermosplat
+
+The scene of the run is the truth. A hand-held camera films it; the lines of its thermal images are read over
+``--readout`` seconds (preparation/shutter_capture.py). The film is trained on as if each image were taken at once, with
+the motion that neighbouring frames' poses tell (``shutter.json`` with "readout"), and with the true one ("poses"), with
+each ``--lens``. Flags behind "--" go to all trainings. A finished training is not done again.
+
+The scenes are judged by held-out images as they were read, and by what a camera at rest would see from there, which
+only the truth knows: PSNR [dB], and the mean slope of the image as a share of the true one's.
+"""
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
+import numpy as np
+import torch
+from torch import Tensor
+
+from preparation.shutter_capture import ROLLING, Film, HandHeld, Readouts, still_image, write_capture
+from thermosplat.config import LensUse
+from thermosplat.datasets import load_capture
+from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
+from thermosplat.evaluation.loaded_run import LoadedRun, load_run
+from thermosplat.image_quality.metrics import psnr
+from thermosplat.runs.atomic_writes import write_text
+
+TOLD = {
+    "at once": "nothing: images are taken at once",
+    "readout": "readout time; the motion from neighbouring frames",
+    "poses": "true poses at the first and the last line",
+}
+"""What training is told of the shutter."""
+
+
+def shutter_file(told: str, film: Film, readouts: Readouts) -> dict[str, Any] | None:
+    """The content of ``shutter.json``; None: no file."""
+    if told == "at once":
+        return None
+    if told == "readout":
+        interval = float(readouts.times[1] - readouts.times[0])
+        return {ROLLING: {"readout": readouts.seconds, "interval": interval}}
+    return {ROLLING: {"poses": {f"{number:04d}.png": pair.tolist() for number, pair in enumerate(film.ends)}}}
+
+
+def capture_with(told: str, film_folder: Path, out: Path, film: Film, readouts: Readouts) -> Path:
+    """The film as a capture that says so much of its shutter."""
+    folder = out / f"capture_{told.replace(' ', '_')}"
+    folder.mkdir(parents=True, exist_ok=True)
+    for part in ("images", "sparse"):
+        if not (folder / part).exists():
+            os.symlink((film_folder / part).resolve(), folder / part)
+    content = shutter_file(told, film, readouts)
+    if content is not None:
+        write_text(folder / "shutter.json", json.dumps(content))
+    return folder
+
+
+def trained(capture: Path, run: Path, lens: str, film: Film, flags: list[str]) -> Path:
+    """The result folder of a training, which is done if it is not."""
+    if not (run / "metrics.json").is_file():
+        low, high = map(str, film.celsius)
+        command = [sys.executable, "-m", "thermosplat", "train", str(capture), "--lens", lens]
+        command += [f"--{ROLLING}.source", "raw", f"--{ROLLING}.range", low, high]
+        subprocess.run([*command, "--result-dir", str(run), "--overwrite", *flags], check=True)
+    return run
+
+
+@torch.no_grad()
+def judged(truth: LoadedRun, run: Path, capture: Path) -> dict[str, float]:
+    """Numbers of a scene: PSNR against images as they were read, and PSNR and slopes against a camera at rest."""
+    loaded = load_run(str(run), device=str(truth.device))
+    config = loaded.config
+    held_out = load_capture(capture, lens=config.lens, test_every=config.test_every, spectra=config.spectra).test
+    decibels, slopes = [], []
+    for frame in held_out:
+        view = view_tensors(frame.views[ROLLING], None, loaded.device)
+        resting = view_at_rest(view)
+        true, found = (still_image(one, resting, ROLLING) for one in (truth, loaded))
+        decibels.append(psnr(found, true))
+        slopes.append(mean_slope(found) / mean_slope(true))
+    metrics = json.loads((run / "metrics.json").read_text())
+    photographs = [metrics[name]["psnr"] for name in metrics["spectra"] if name != ROLLING]
+    return {
+        "as_read": metrics[ROLLING]["psnr"],
+        "at_rest": float(np.mean(decibels)),
+        "slope": float(np.mean(slopes)),
+        "others": float(np.mean(photographs)) if photographs else float("nan"),
+        "seconds": metrics["train_seconds"],
+        "gaussians": metrics["num_gaussians"],
+    }
+
+
+def view_at_rest(view: ViewTensors) -> ViewTensors:
+    """The view by a camera that does not move while it is read."""
+    return replace(view, readout=None, image=None, intensity=None, values=None)
+
+
+def mean_slope(image: Tensor) -> float:
+    """Mean absolute difference of neighbouring pixels."""
+    return float(image.diff(dim=0).abs().mean() + image.diff(dim=1).abs().mean())
+
+
+def line(lens: str, told: str, row: dict[str, float]) -> str:
+    """A row of the table."""
+    return (
+        f"| {lens} | {TOLD[told]} | {row['as_read']:.2f} | {row['at_rest']:.2f} | {100 * row['slope']:.0f} | "
+        f"{row['others']:.2f} | {row['gaussians']:,.0f} | {row['seconds']:.0f} |"
+    )
+
+
+def main() -> None:
+    """Film, train, judge; print and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, help="a training on temperatures, whose scene is filmed")
+    parser.add_argument("--out", type=Path, default=Path("results/shutter"))
+    parser.add_argument("--frames", type=int, default=48, help="of the film")
+    parser.add_argument("--interval", type=float, default=0.1, help="between frames [s]")
+    parser.add_argument("--readout", type=float, default=1 / 30, help="from the first line to the last [s]")
+    parser.add_argument("--arc", type=float, default=120.0, help="of the way round the scene [degrees]")
+    parser.add_argument("--width", type=int, default=160, help="of the images [px]")
+    parser.add_argument("--radial", type=float, nargs=2, default=(-0.24, 0.07), help="k1 and k2 of the thermal lens")
+    parser.add_argument("--lens", nargs="+", choices=get_args(LensUse), default=["direct"], help="of thermosplat-train")
+    parser.add_argument("--told", nargs="+", choices=TOLD, default=list(TOLD), help="rows of the table")
+    parser.add_argument("--device", default="auto")
+    own, flags = sys.argv[1:], []
+    if "--" in own:
+        own, flags = own[: own.index("--")], own[own.index("--") + 1 :]
+    options = parser.parse_args(own)
+    truth = load_run(str(options.run), device=options.device)
+    capture = truth.capture(None)
+    readouts = Readouts(options.interval * np.arange(options.frames), options.readout)
+    taken = np.stack([frame.views[ROLLING].viewmat for frame in capture.train if ROLLING in frame.views])
+    path = HandHeld.through(taken, options.interval * options.frames, np.radians(options.arc))
+    began = time.perf_counter()
+    film = write_capture(truth, capture, options.out / "film", path, readouts, options.width, tuple(options.radial))
+    print(f"{options.frames} frames were filmed in {time.perf_counter() - began:.0f} s", flush=True)
+    device = torch.cuda.get_device_name() if truth.device.type == "cuda" else f"CPU, {os.cpu_count()} cores"
+    turns = [np.degrees(np.arccos(np.clip((np.trace(b[:3, :3] @ a[:3, :3].T) - 1) / 2, -1, 1))) for a, b in film.ends]
+    focal = film.cameras[ROLLING].fx
+    lines = [
+        f"{time.strftime('%Y-%m-%d')}, {platform.machine()} {device}, torch {torch.__version__}; "
+        f"{options.frames} frames of {film.cameras[ROLLING].width}x{film.cameras[ROLLING].height} px, one each "
+        f"{options.interval:g} s, read over {1000 * options.readout:.0f} ms. Meanwhile the camera turns by "
+        f"{np.median(turns):.2f} degrees ({focal * np.radians(np.median(turns)):.1f} px) in the median, by "
+        f"{max(turns):.2f} at most. {' '.join(flags)}",
+        "",
+        "| --lens | shutter.json says | thermal, held out, as read | as a camera at rest sees it | slopes [%] | "
+        "photographs | Gaussians | [s] |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    print("\n".join(lines), flush=True)
+    rows = []
+    for lens in options.lens:
+        for told in options.told:
+            folder = capture_with(told, options.out / "film", options.out, film, readouts)
+            run = trained(folder, options.out / f"{lens}_{told.replace(' ', '_')}", lens, film, flags)
+            found = judged(truth, run, folder)
+            rows.append({"lens": lens, "told": told, **found})
+            lines.append(line(lens, told, found))
+            print(lines[-1], flush=True)
+            write_text(options.out / "rolling_shutter.json", json.dumps({"command": sys.argv, "rows": rows}, indent=1))
+            write_text(options.out / "rolling_shutter.md", "\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
