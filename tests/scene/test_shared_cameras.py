@@ -17,7 +17,7 @@ def test_views_of_one_camera_are_one_group() -> None:
 
 
 def test_any_difference_makes_a_group_of_its_own() -> None:
-    """Another size, pose, focal length or lens is another camera; groups keep the order of the spectra."""
+    """Another size, pose, focal length, lens or shutter is another camera; groups keep the order of the spectra."""
     moved = VIEW.viewmat.clone()
     moved[0, 3] = 0.1
     views = {
@@ -26,8 +26,12 @@ def test_any_difference_makes_a_group_of_its_own() -> None:
         "moved": replace(VIEW, viewmat=moved),
         "longer": replace(VIEW, K=1.01 * VIEW.K),
         "bent": replace(VIEW, distortion=torch.tensor([0.1, 0.0])),
+        "shaken": replace(VIEW, readout=torch.eye(4).expand(2, 4, 4)),
         "nir": VIEW,
         "bent too": replace(VIEW, distortion=torch.tensor([0.1, 0.0])),
+        "shaken too": replace(VIEW, readout=torch.eye(4).expand(2, 4, 4).clone()),
+        "read upwards": replace(VIEW, readout=torch.eye(4).expand(2, 4, 4), line_order="bottom-to-top"),
     }
-    groups = [["rgb", "nir"], ["smaller"], ["moved"], ["longer"], ["bent", "bent too"]]
+    alike = [["bent", "bent too"], ["shaken", "shaken too"]]
+    groups = [["rgb", "nir"], ["smaller"], ["moved"], ["longer"], *alike, ["read upwards"]]
     assert views_by_camera(views) == groups

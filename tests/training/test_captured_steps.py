@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 
+from rolling_captures import shaken
 from thermosplat.config import AutoBudgetConfig, DensificationConfig, ResolutionConfig
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.plain_steps import PlainSteps
@@ -38,6 +39,7 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"model": {"feature_dim": 0}, "spectra": {"nir": {"opacity": "own"}}},
         {"others": ("nir",), "aligned": False},
     ),
+    "shared, thermal lines that are read one after the other": ({}, {"aligned": False, "shaken": ("thermal",)}),
 }
 
 
@@ -45,7 +47,9 @@ def _run(path: Path, kind: str, steps: int, *, of: int | None = None, **changes:
     """A toy run after so many steps, ``of`` as many."""
     settings, capture = KINDS[kind]
     config = dataclasses.replace(toy_run_config(max_steps=of or steps, **settings), device="cuda", **changes)
-    trainer = toy_trainer(path, config, many_frames(toy_capture(**capture)))
+    how = dict(capture)
+    rolling = how.pop("shaken", ())
+    trainer = toy_trainer(path, config, shaken(many_frames(toy_capture(**how)), rolling))
     while trainer.step < steps:
         trainer._train_step()
     return trainer

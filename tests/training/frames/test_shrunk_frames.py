@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from rolling_captures import shaken
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.cameras import LensCoefficients
 from thermosplat.datasets.frame_tensors import FrameTensors, packed_memory, place_in_frame
@@ -132,3 +133,16 @@ def test_the_whole_image_keeps_its_mean() -> None:
     one_hot = torch.zeros(31, 47)
     one_hot[30, 46] = 1.0
     torch.testing.assert_close(area_averages(one_hot, 20, 13).sum(), torch.tensor(20 * 13 / (31 * 47)))
+
+
+def test_smaller_images_have_the_times_of_their_lines() -> None:
+    """A view whose lines are read one after the other is shrunk as --data-factor shrinks it."""
+    capture = shaken(enlarged(many_frames(toy_capture()), 4), ("thermal",))
+    frames = TrainFrames(capture, SPECTRA, CPU)
+    taken = frames.frames[0].views["thermal"]
+    found = shrunk_view(frames[0].views["thermal"], taken, 2.0)
+    assert taken.readout is not None
+    expected = taken.readout.resized(taken.camera, taken.camera.resized(found.width, found.height))
+    torch.testing.assert_close(found.readout, torch.tensor(expected.motion, dtype=torch.float32))
+    assert not torch.equal(found.readout, frames[0].views["thermal"].readout)
+    assert shrunk_view(frames[0].views["rgb"], frames.frames[0].views["rgb"], 2.0).readout is None
