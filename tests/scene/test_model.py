@@ -345,3 +345,26 @@ def test_spectra_that_do_not_shape_the_scene(feature_dim: int) -> None:
     assert reached[f"gaussian_sets.shared.{colors}"] > 0
     reached = largest_gradients(model, held.images["rgb"].square().sum())
     assert reached["gaussian_sets.shared.means"] > 0
+
+
+@pytest.mark.parametrize("restored", [False, True])
+def test_scenes_of_direct_lenses_are_seen_by_pinholes_as_they_were_trained(restored: bool) -> None:
+    """A pinhole camera shows what a lens that bends nothing shows; of other scenes the linearisation, as ever."""
+    capture = toy_capture(aligned=False)
+    frame, flat = toy_frame(capture), torch.zeros(8)
+    images, depths = {}, {}
+    for lens in ("direct", "undistort"):
+        config = dataclasses.replace(toy_config(), lens=lens)
+        model = toy_model(config, capture)
+        if restored:
+            saved = Checkpoint(1, config, 1, model.checkpoint_state(), {}, SavedTraining())
+            model = SceneModel.from_checkpoint(saved, "cpu")
+        for bent in (False, True):
+            views = {name: dataclasses.replace(view, lens=flat if bent else None) for name, view in frame.views.items()}
+            rendered = model.render(views, sh_degree=1)
+            images[lens, bent] = torch.cat([image.flatten() for image in rendered.images.values()])
+            depths[lens, bent] = model.render_depth("thermal", views["thermal"])
+    for seen in (images, depths):
+        torch.testing.assert_close(seen["direct", False], seen["direct", True])
+        torch.testing.assert_close(seen["undistort", True], seen["direct", True])
+        assert (seen["undistort", False] - seen["direct", False]).abs().max() > 1e-3

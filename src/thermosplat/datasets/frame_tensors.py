@@ -35,6 +35,7 @@ class ViewTensors:
         readout: [2, 4, 4] float32, where lines are read one after the other: the camera's motion from the view's pose
             to that at the first line, and to that at the last (``datasets.readouts``). None: all at once.
         line_order: In which order lines are read, with a readout.
+        unscented: A pinhole camera without a lens sees Gaussians by the unscented transform too, as lenses do.
         orthographic: Rays are parallel: x, y [world units] in camera axes times fx, fy [px per unit] plus cx, cy.
     """
 
@@ -51,6 +52,7 @@ class ViewTensors:
     fisheye: bool = False
     readout: Tensor | None = None
     line_order: LineOrder = "top-to-bottom"
+    unscented: bool = False
 
     def as_pinhole(self) -> "ViewTensors":
         """The view by a pinhole camera without a lens, which takes its image at once."""

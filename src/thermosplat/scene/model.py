@@ -13,6 +13,7 @@ need. A third opacity takes a traversal of its own; spectra that share α take n
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -67,6 +68,8 @@ class SceneModel(nn.Module):
         spectra: What is rendered, in order.
         gaussian_sets: The Gaussians by set name, as ``config.gaussian_sets`` asks for.
         background: RGB background colour in [0, 1].
+        unscented: Pinhole cameras see the Gaussians by the unscented transform, as lenses do. For scenes that were
+            trained through lenses (``--lens direct``): the linearisation shows what training has never seen.
     """
 
     background: Tensor
@@ -78,6 +81,8 @@ class SceneModel(nn.Module):
         spectra: Sequence[Spectrum],
         gaussian_sets: dict[str, Gaussians],
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        *,
+        unscented: bool = False,
     ) -> None:
         super().__init__()
         self.config = config
@@ -88,6 +93,7 @@ class SceneModel(nn.Module):
         if config.gaussian_sets == SHARED and config.feature_dim > 0:
             self.decoders = make_decoders(decoder, config.feature_dim, spectra)
         self.register_buffer("background", torch.tensor(background, dtype=torch.float32), persistent=False)
+        self.unscented = unscented
         self._has_background = any(channel != 0.0 for channel in background)
         first = spectra[0]
         self.photograph = first.name if may_be_hybrid(first, spectra) else None
@@ -176,7 +182,7 @@ class SceneModel(nn.Module):
         Returns:
             The images.
         """
-        views = {name: views[name] for name in self.spectra if name in views}
+        views = {name: self._seen(views[name]) for name in self.spectra if name in views}
         backgrounds = self.background[None] if self._has_background else None
         how = Rendering(
             sh_degree,
@@ -214,6 +220,10 @@ class SceneModel(nn.Module):
                 rendered.bend(name, view.K, view.distortion)
         return rendered
 
+    def _seen(self, view: "ViewTensors") -> "ViewTensors":
+        """The view, projected as the scene was trained."""
+        return replace(view, unscented=True) if self.unscented else view
+
     def _to_render(self, name: str, views: Views, groups: Groups, sh_degree: int) -> Gaussians:
         """What of a set is rendered for these views, in groups that share a camera: all, or where some of it is
         offloaded, what is in view."""
@@ -231,7 +241,7 @@ class SceneModel(nn.Module):
         """
         gaussians = self.gaussians(self.set_of(spectrum))
         how = Rendering(0, False, self.config.rasterize_mode, None, distributed=distributed)
-        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), view, how)
+        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), self._seen(view), how)
         if view.distortion is None:
             return depth
         return nearest_distorted(depth, view.K, view.distortion)
@@ -275,6 +285,13 @@ class SceneModel(nn.Module):
     # ---- making and restoring ----------------------------------------------------------------------------------------
 
     @classmethod
+    def _configured(
+        cls, config: TrainConfig, spectra: Sequence[Spectrum], gaussian_sets: dict[str, Gaussians]
+    ) -> "SceneModel":
+        direct = config.lens == "direct"
+        return cls(config.model, config.decoder, spectra, gaussian_sets, config.background, unscented=direct)
+
+    @classmethod
     def from_capture(cls, config: TrainConfig, capture: "Capture", device: torch.device | str) -> "SceneModel":
         """A model at the start of training; the same for the same seed, whatever was drawn before.
 
@@ -293,7 +310,7 @@ class SceneModel(nn.Module):
         gaussian_sets = initial_gaussians(config, capture, spectra)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            model = cls(config.model, config.decoder, spectra, gaussian_sets, config.background)
+            model = cls._configured(config, spectra, gaussian_sets)
         return model.to(device)
 
     def checkpoint_state(self) -> SavedModel:
@@ -324,7 +341,7 @@ class SceneModel(nn.Module):
             }
             if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
                 _check_decoders(saved.decoders, config, spectra)
-            model = cls(config.model, config.decoder, spectra, gaussian_sets, config.background)
+            model = cls._configured(config, spectra, gaussian_sets)
             if model.decoders is not None and saved.decoders is not None:
                 model.decoders.load_state_dict(saved.decoders)
         return model.to(device)

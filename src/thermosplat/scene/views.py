@@ -68,8 +68,10 @@ def _lens_arguments(view: "ViewTensors") -> dict[str, Any]:
     Args:
         view: Camera and pose.
     """
+    if view.lens is None and view.orthographic:
+        return {"camera_model": "ortho"}
     if view.lens is None:
-        return {"camera_model": "ortho" if view.orthographic else "pinhole"}
+        return {"camera_model": "pinhole", "with_ut": view.unscented}
     coefficients = view.lens[None]
     if view.fisheye:
         return {"camera_model": "fisheye", "radial_coeffs": coefficients[:, :4]}
