@@ -89,12 +89,18 @@ def compare_frame(
         image, view = rendered.images.get(name), frame.views.get(name)
         if image is not None and view is not None and view.image is not None:
             known = found.squared_errors.get(name)
-            errors[name] = _squared_error(image, view.image) if known is None else known
+            errors[name] = squared_error(image, view.image) if known is None else known
     return ComparedFrame(losses, spectra, errors)
 
 
 @torch.no_grad()
-def _squared_error(image: Tensor, target: Tensor) -> Tensor:
+def squared_error(image: Tensor, target: Tensor) -> Tensor:
+    """Mean squared difference of an image clamped to [0, 1] from its target, a scalar; no gradient reaches it.
+
+    Args:
+        image: Any shape.
+        target: The same shape.
+    """
     return (image.clamp(0.0, 1.0) - target).square().mean()
 
 

@@ -3,7 +3,8 @@
 A step launches some hundreds of small kernels; launching them takes Python longer than running them takes the GPU. A
 graph is good as long as the tensors it works on are the same ones: until Gaussians are added or removed, the degree of
 the spherical harmonics changes, or frames have another size. Frames are copied into tensors that stay. Where all frames
-get another size (``resolution``), steps run line by line again for as long as it takes to see their pairs.
+get another size (``resolution``), or a spectrum a teacher that is rendered too, steps run line by line again for as
+long as it takes to see their pairs.
 """
 
 from collections.abc import Iterator
@@ -60,6 +61,7 @@ class CapturedSteps:
         self.step = step
         self._measured_anew = self._to_measure = min(num_frames, MEASURED)
         self._image_factor = 1.0
+        self._taught: tuple[str, ...] = ()
         self._seen: set[tuple[_Shape, StepKind]] = set()
         self._frames: dict[_Shape, FrameTensors] = {}
         self._graphs: dict[tuple[_Shape, StepKind], _Captured] = {}
@@ -79,8 +81,8 @@ class CapturedSteps:
             yield self._run(frame, kind)
 
     def _run(self, frame: FrameTensors, kind: StepKind) -> StepValues:
-        if kind.image_factor != self._image_factor:
-            self._image_factor = kind.image_factor
+        if (kind.image_factor, kind.taught) != (self._image_factor, self._taught):
+            self._image_factor, self._taught = kind.image_factor, kind.taught
             self._forget_sizes()
         shape = _shape(frame)
         if self._to_measure > 0 or (shape, kind) not in self._seen:
@@ -107,7 +109,7 @@ class CapturedSteps:
             self._seen.clear()
 
     def _forget_sizes(self) -> None:
-        """Frames have other sizes from now on: graphs and their frames go, and pairs are counted anew."""
+        """Other sizes or other scenes are rendered from now on: graphs go, and pairs are counted anew."""
         self.forget()
         self._frames.clear()
         self._to_measure = self._measured_anew

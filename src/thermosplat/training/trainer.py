@@ -34,6 +34,7 @@ from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import AutoBudget, Budget
 from thermosplat.training.budget.noise_floor import noise_floors
 from thermosplat.training.budget.noise_watch import NoiseWatch
+from thermosplat.training.budget.teacher import may_teach
 from thermosplat.training.camera_rounds import CameraRounds, finds_cameras, of_passes
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_ops import become_copy
@@ -103,6 +104,8 @@ class Trainer:
         self.state.keep_moments_on_device(self.rows_on_device)
         if checkpoint is not None:
             self.state.load(checkpoint)
+            if self.state.noise_watch is not None and not self._teaches():
+                self.state.noise_watch.forget_teachers()
         self.budget: Budget | None = self._make_budget() if config.budget == "auto" else None
         self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
@@ -112,7 +115,8 @@ class Trainer:
         self.noise_notes = (*smoothness_notes, *floor_notes)
         if floors and self.state.noise_watch is None:
             self.state.noise_watch = NoiseWatch(floors, len(self.frames), self.device)
-            self.state.noise_watch.over = not self.state.growing
+            if not self.state.growing:
+                self.state.noise_watch.end()
         self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device))
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
@@ -154,7 +158,12 @@ class Trainer:
         return model.to(self.device)
 
     def _make_budget(self) -> Budget:
-        return AutoBudget(self.config, self.state, CorrectedFrames(self.frames, self.state.corrections), self.schedule)
+        frames = CorrectedFrames(self.frames, self.state.corrections)
+        return AutoBudget(self.config, self.state, frames, self.schedule, teaches=self._teaches())
+
+    def _teaches(self) -> bool:
+        """Whether there is room for scenes as they were: what is offloaded has none on the device."""
+        return self.offloaded == "nothing" and may_teach(self.model)
 
     def _make_camera_rounds(self) -> CameraRounds:
         return CameraRounds(self.config, self.state, self.frames)
@@ -285,7 +294,7 @@ class Trainer:
         strategies = {} if state.finds_cameras else state.strategies
         densifying = any(strategy.is_active(step) for strategy in strategies.values())
         found_at = self.camera_rounds.image_factor
-        kind = StepKind.at(config, step, densifying=densifying, cameras_found_at=found_at)
+        kind = StepKind.at(config, step, densifying=densifying, cameras_found_at=found_at, taught=state.taught)
         frame = self.schedule.tensors(state.step, factor=kind.image_factor)
         budget = None if state.finds_cameras else self.budget
         rates = of_passes(config).optimizer if state.finds_cameras else config.optimizer

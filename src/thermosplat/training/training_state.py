@@ -156,6 +156,11 @@ class TrainingState:
         self._forget_budget()
 
     @property
+    def taught(self) -> tuple[str, ...]:
+        """The spectra that are trained on what a teacher shows."""
+        return () if self.noise_watch is None else tuple(self.noise_watch.teachers)
+
+    @property
     def finds_cameras(self) -> bool:
         """Whether the scene is to start anew, with the cameras that are found on it."""
         return self.camera_passes > 0
@@ -251,7 +256,7 @@ class TrainingState:
             budget_due=self.budget_due,
             trimmed=self.trimmed,
             best_validation=self.best_validation,
-            noise_watch=None if self.noise_watch is None else self.noise_watch.state_dict(),
+            noise_watch=None if self.noise_watch is None else self.noise_watch.state_dict(teachers=not self.trimmed),
             seconds=asdict(self.seconds),
         )
         return Checkpoint(
@@ -275,10 +280,10 @@ class TrainingState:
             UserError: It is incomplete, or does not fit the model.
         """
         with damage_explained("training state"):
-            self._load(checkpoint.training)
+            self._load(checkpoint.training, checkpoint)
         self.step = checkpoint.step
 
-    def _load(self, training: SavedTraining) -> None:
+    def _load(self, training: SavedTraining, checkpoint: Checkpoint) -> None:
         if training.missing:
             raise KeyError(training.missing[0])
         if training.optimizers is not None:
@@ -301,6 +306,7 @@ class TrainingState:
             device = self.step_on_device.device
             self.noise_watch = NoiseWatch(training.noise_watch["noise"], self.num_frames, device)
             self.noise_watch.load_state_dict(training.noise_watch)
+            self.noise_watch.load_teachers(training.noise_watch, checkpoint)
         self.seconds = Seconds(**training.seconds or {})
 
 

@@ -18,7 +18,7 @@ from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
 from thermosplat.losses.feature_norm import feature_norm_loss
 from thermosplat.losses.gaussian_penalties import gaussian_penalties
-from thermosplat.losses.image_terms import ComparedFrame, compare_frame
+from thermosplat.losses.image_terms import ComparedFrame, compare_frame, squared_error
 from thermosplat.losses.spectrum_balance import balanced_losses
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.scene.initial_gaussians import SHARED
@@ -59,10 +59,18 @@ class StepKind:
     """Let the images of the first spectrum alone shape the Gaussians, and leave opacity offsets at zero."""
     image_factor: float = 1.0
     """What the sides of the images are divided by."""
+    taught: tuple[str, ...] = ()
+    """Spectra that are compared with what a teacher shows, in place of images."""
 
     @classmethod
     def at(
-        cls, config: TrainConfig, step: int, *, densifying: bool, cameras_found_at: float | None = None
+        cls,
+        config: TrainConfig,
+        step: int,
+        *,
+        densifying: bool,
+        cameras_found_at: float | None = None,
+        taught: tuple[str, ...] = (),
     ) -> "StepKind":
         """What is done in a step.
 
@@ -72,6 +80,7 @@ class StepKind:
             densifying: As the field.
             cameras_found_at: What the sides of the images are divided by while cameras are found; None: the step
                 trains the scene with them.
+            taught: As the field.
         """
         late = step > config.loss.depth_spread_from * config.max_steps
         refining = bool(config.refine) and step > config.refine_from
@@ -82,6 +91,7 @@ class StepKind:
             refining=refining,
             geometry_held=cameras_found_at is not None,
             image_factor=image_factor(config, step) if cameras_found_at is None else cameras_found_at,
+            taught=taught,
         )
 
 
@@ -188,8 +198,10 @@ class TrainingStep:
             with torch.set_grad_enabled(kind.refining):
                 frame = state.corrections(frame)
         with self.decoding():
-            rendered = self._rendered(frame, kind, part, fixed_capacity=fixed_capacity)
-            compared = self._compared(rendered, frame, kind, part)
+            with self.capacity.step(fixed=fixed_capacity):
+                rendered = self._rendered(frame, kind, part)
+                targets = self._targets(frame, kind)
+            compared = self._compared(rendered, frame, targets, kind, part)
             losses = compared.losses
             if not losses:
                 raise UserError(
@@ -212,7 +224,7 @@ class TrainingStep:
         losses.pop(TAKING_PART, None)
         return Differentiated(rendered, losses, compared.squared_errors)
 
-    def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part, *, fixed_capacity: bool) -> RenderedFrame:
+    def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part) -> RenderedFrame:
         """The frame's images as the losses see them: with the exposures of its photographs."""
         config, state = self.config, self.state
         render = partial(
@@ -223,20 +235,37 @@ class TrainingStep:
             depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread else None,
             shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
         )
-        with self.capacity.step(fixed=fixed_capacity):
-            if part.calls is None:
-                apart = [[name] for name in frame.views] if state.separates_spectra else None
-                rendered = render(frame.views, shared_cameras=apart or frame.shared_cameras)
-            else:
-                rendered = render_with_others(render, frame.views, part.calls)
+        if part.calls is None:
+            apart = [[name] for name in frame.views] if state.separates_spectra else None
+            rendered = render(frame.views, shared_cameras=apart or frame.shared_cameras)
+        else:
+            rendered = render_with_others(render, frame.views, part.calls)
         if state.exposures is not None and frame.index is not None:
             rendered = state.exposures(rendered, frame.index)
         return rendered
 
-    def _compared(self, rendered: RenderedFrame, frame: FrameTensors, kind: StepKind, part: Part) -> ComparedFrame:
-        """The frame against its images, with all loss terms of the step: those of the Gaussians, too."""
+    def _targets(self, frame: FrameTensors, kind: StepKind) -> FrameTensors:
+        """The frame with the images that it is compared with: of spectra that are taught, their teachers'."""
+        watch = self.state.noise_watch
+        for name in kind.taught:
+            view = frame.views.get(name)
+            if watch is not None and view is not None and view.image is not None:
+                frame = watch.teachers[name].targets(name, frame, self.state.exposures)
+        return frame
+
+    def _compared(
+        self, rendered: RenderedFrame, frame: FrameTensors, targets: FrameTensors, kind: StepKind, part: Part
+    ) -> ComparedFrame:
+        """The render against its targets, with all loss terms of the step: those of the Gaussians, too.
+
+        Squared errors are those against the frame's own images.
+        """
         config, state = self.config, self.state
-        compared = compare_frame(rendered, frame, config)
+        compared = compare_frame(rendered, targets, config)
+        for name in compared.squared_errors.keys() & set(kind.taught):
+            image = frame.views[name].image
+            if image is not None:
+                compared.squared_errors[name] = squared_error(rendered.images[name], image)
         losses = dict(compared.losses)
         if part.penalised is None:
             losses |= self._feature_norm()

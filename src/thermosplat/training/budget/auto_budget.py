@@ -4,7 +4,7 @@
 - Some training views are withheld while the number of Gaussians grows; when their PSNR has not risen for a while,
   growth stops and they are trained on like the others. Held-out test views steer nothing.
 - Where images are noisy they stay withheld up to the last removal: a spectrum that they say learns noise is held where
-  it was best (noise_watch.py).
+  it was best (noise_watch.py), and trained on what the scene of then shows (teacher.py).
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
   Nothing is removed while it still grows, which ends with the last share at the latest.
@@ -16,6 +16,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Protocol
 
 import torch
@@ -32,9 +33,11 @@ from thermosplat.training.budget.opacity_sensitivities import offset_effects, op
 from thermosplat.training.budget.pruning import dispensable, prune_sets
 from thermosplat.training.budget.rounding import round_to_half
 from thermosplat.training.budget.sh_bands import drop_bands
+from thermosplat.training.budget.teacher import Teacher
 from thermosplat.training.density.gaussian_ops import kept_on_failure
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames
+from thermosplat.training.session.out_of_memory import is_out_of_memory
 from thermosplat.training.training_state import TrainingState
 
 WITHHELD_ONE_IN = 10
@@ -70,15 +73,23 @@ class AutoBudget:
         state: Model, optimizers and density control.
         frames: The training frames.
         schedule: Which of them the steps take.
+        teaches: Whether held spectra may be trained on what the scene showed when they were best.
     """
 
     def __init__(
-        self, config: TrainConfig, state: TrainingState, frames: CorrectedFrames, schedule: SpectrumSchedule
+        self,
+        config: TrainConfig,
+        state: TrainingState,
+        frames: CorrectedFrames,
+        schedule: SpectrumSchedule,
+        *,
+        teaches: bool = True,
     ) -> None:
         self.config = config
         self.state = state
         self.frames = frames
         self.schedule = schedule
+        self.teaches = teaches
         self.settings = config.auto_budget
         self._having = [
             [index for index, frame in enumerate(frames.frames) if name in frame.views] for name in state.model.spectra
@@ -172,7 +183,8 @@ class AutoBudget:
                     found.setdefault(name, []).append(psnr(rendered.images[name], target))
         means = {name: sum(values) / len(values) for name, values in found.items()}
         if state.noise_watch is not None:
-            state.noise_watch.judge(step, means, settings.spectrum_loss, settings.spectrum_patience)
+            teacher = partial(self._teacher, sh_degree)
+            state.noise_watch.judge(step, means, settings.spectrum_loss, settings.spectrum_patience, teacher)
         if not state.growing:
             self._release()
             return
@@ -182,6 +194,17 @@ class AutoBudget:
             state.best_validation = (value, step)
         elif step - best_step >= settings.patience:
             self._stop_growing()
+
+    def _teacher(self, sh_degree: int) -> Teacher | None:
+        """The scene as it is now; None where there is no room for another one."""
+        if not self.teaches:
+            return None
+        try:
+            return Teacher.of_now(self.state.model, sh_degree)
+        except (RuntimeError, MemoryError) as error:
+            if not is_out_of_memory(error):
+                raise
+            return None
 
     def _stop_growing(self) -> None:
         self.state.growing = False
@@ -196,7 +219,7 @@ class AutoBudget:
         """Train on the withheld views, too, unless a spectrum may have to be held yet."""
         watch, too_many = self.state.noise_watch, _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
         if watch is not None and (too_many or self.state.step >= self._last_removal or not watch.watches()):
-            watch.over = True
+            watch.end()
         if not self.withholds():
             self.schedule.withhold(())
 

@@ -2,18 +2,23 @@
 
 Each training view has a floor in each spectrum: the squared error below which it is not fitted (noise_floor.py). At
 first that is the variance of the images' noise. But a model has an error of its own, so it learns noise long before it
-comes so near. Withheld training views show when: from then on they get worse. So the floors of a spectrum rise to the
-errors that its views had when the withheld ones were best, and the spectrum is held where it was, while others go on.
+comes so near. Withheld training views show when: from then on they get worse. So the spectrum is held where it was when
+they were best, while others go on: it is trained on what the scene of then shows (teacher.py). Where there is no
+teacher, the floors of the spectrum rise to the errors that its views had then. That holds it less well, since at the
+same error more and more of what is learnt is noise.
 Only spectra are held whose error is to a good part noise: in images without noise, what withheld views lose by a view
 more or less is not noise that was learnt.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
+
+from thermosplat.runs.checkpoint import Checkpoint
+from thermosplat.training.budget.teacher import Teacher
 
 NOISY = 0.4
 """Share of noise in the squared error of the training views from which on a spectrum may be held. In desk's photographs
@@ -32,7 +37,8 @@ class NoiseWatch:
         floors: By spectrum, the squared errors below which the frames are not fitted, [num_frames] float32.
         errors: By spectrum, the squared errors that the frames had when they were last trained on, [num_frames]
             float32; 0 where that was never.
-        held: The spectra whose floors have risen.
+        held: The spectra that are held.
+        teachers: By spectrum, what those that are held are trained on; of others there is none.
         over: Whether none is watched any more, and no view withheld for it.
     """
 
@@ -42,7 +48,9 @@ class NoiseWatch:
         self.errors = {name: torch.zeros(num_frames, device=device) for name in noise}
         self._best: dict[str, tuple[float, int]] = {}
         self._errors_at_best: dict[str, Tensor] = {}
+        self._best_teachers: dict[str, Teacher] = {}
         self.held: tuple[str, ...] = ()
+        self.teachers: dict[str, Teacher] = {}
         self.over = False
 
     def forget(self) -> None:
@@ -51,6 +59,15 @@ class NoiseWatch:
             floors.fill_(self.noise[name])
             self.errors[name].zero_()
         self._best, self._errors_at_best, self.held, self.over = {}, {}, (), False
+        self.forget_teachers()
+
+    def forget_teachers(self) -> None:
+        """Hold spectra by floors alone."""
+        self._best_teachers, self.teachers = {}, {}
+
+    def end(self) -> None:
+        """Watch no further spectrum."""
+        self.over, self._best_teachers = True, {}
 
     @torch.no_grad()
     def note(self, index: Tensor, squared_errors: Mapping[str, Tensor]) -> None:
@@ -67,10 +84,16 @@ class NoiseWatch:
     def floors_of(self, index: Tensor) -> dict[str, Tensor]:
         """By spectrum, the squared error below which a frame is not fitted, scalars; nothing here waits for the device.
 
+        What a teacher shows has no noise, so nothing of it is left out.
+
         Args:
             index: The frame's, an int64 scalar on the device.
         """
-        return {name: floors.index_select(0, index.view(1)).view(()) for name, floors in self.floors.items()}
+        return {
+            name: floors.index_select(0, index.view(1)).view(())
+            for name, floors in self.floors.items()
+            if name not in self.teachers
+        }
 
     def is_noisy(self, name: str) -> bool:
         """Whether a good part of a spectrum's error is noise.
@@ -85,7 +108,14 @@ class NoiseWatch:
         """Whether there is a spectrum that may have to be held yet."""
         return any(name not in self.held and self.is_noisy(name) for name in self.noise)
 
-    def judge(self, step: int, psnrs: Mapping[str, float], loss: float, patience: int) -> list[str]:
+    def judge(
+        self,
+        step: int,
+        psnrs: Mapping[str, float],
+        loss: float,
+        patience: int,
+        teacher: Callable[[], Teacher | None] = lambda: None,
+    ) -> list[str]:
         """Hold the spectra that withheld views say are fitted too closely.
 
         Args:
@@ -93,19 +123,24 @@ class NoiseWatch:
             psnrs: PSNR of the withheld views [dB], the mean of each spectrum.
             loss: What it must have lost [dB].
             patience: Steps since it was best.
+            teacher: The scene as it is now; None where there is no room for it.
 
         Returns:
             The spectra that are held from now on.
         """
+        watched = [name for name in self.noise if name in psnrs and name not in self.held and self.is_noisy(name)]
+        better = [name for name in watched if psnrs[name] > self._best.get(name, (-math.inf, 0))[0]]
+        now = teacher() if better else None
+        for name in better:
+            self._best[name] = psnrs[name], step
+            self._errors_at_best[name] = self.errors[name].clone()
+            self._best_teachers.pop(name, None)
+            if now is not None:
+                self._best_teachers[name] = now
         found = []
-        for name in self.noise:
-            if name in self.held or name not in psnrs:
-                continue
-            best, best_step = self._best.get(name, (-math.inf, 0))
-            if psnrs[name] > best:
-                self._best[name] = psnrs[name], step
-                self._errors_at_best[name] = self.errors[name].clone()
-            elif best - psnrs[name] >= loss and step - best_step >= patience and self.is_noisy(name):
+        for name in watched:
+            best, best_step = self._best[name]
+            if best - psnrs[name] >= loss and step - best_step >= patience:
                 self._hold(name)
                 found.append(name)
         return found
@@ -116,9 +151,16 @@ class NoiseWatch:
         risen = torch.where(errors > 0, errors, mean)  # withheld views were never trained on
         torch.maximum(self.floors[name], risen, out=self.floors[name])
         self.held = (*self.held, name)
+        if name in self._best_teachers:
+            self.teachers[name] = self._best_teachers.pop(name)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Tensors and built-in types."""
+    def state_dict(self, *, teachers: bool = True) -> dict[str, Any]:
+        """Tensors and built-in types.
+
+        Args:
+            teachers: With them, each as large as the model.
+        """
+        own, of_best = (self.teachers, self._best_teachers) if teachers else ({}, {})
         return {
             "noise": self.noise,
             "floors": self.floors,
@@ -127,10 +169,12 @@ class NoiseWatch:
             "errors_at_best": self._errors_at_best,
             "held": self.held,
             "over": self.over,
+            "teachers": {name: teacher.state_dict() for name, teacher in own.items()},
+            "best_teachers": {name: teacher.state_dict() for name, teacher in of_best.items()},
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """The inverse of ``state_dict``, for the same spectra and frames.
+        """The inverse of ``state_dict`` but for teachers, for the same spectra and frames.
 
         Args:
             state: Of another watch.
@@ -147,6 +191,24 @@ class NoiseWatch:
         self._best, self._errors_at_best = best, at_best
         self.held = tuple(name for name in self.noise if name in state["held"])
         self.over = bool(state["over"])
+
+    def load_teachers(self, state: Mapping[str, Any], checkpoint: Checkpoint) -> None:
+        """The teachers of ``state_dict``.
+
+        Args:
+            state: Of another watch. Those of older versions have no teachers.
+            checkpoint: What it lay in.
+
+        Raises:
+            KeyError: An entry is missing.
+            UserError: A teacher does not fit the model.
+        """
+        device = next(iter(self.floors.values())).device
+        for own, key in ((self.teachers, "teachers"), (self._best_teachers, "best_teachers")):
+            own.clear()
+            for name, saved in state.get(key, {}).items():
+                if name in self.noise:
+                    own[name] = Teacher.from_state(saved, checkpoint, device)
 
     def _of_frames(self, tensor: Any) -> Tensor:
         own = next(iter(self.floors.values()))

@@ -29,7 +29,7 @@ class DividedBudget:
         self.trainer = trainer
         # says when something is due, from what all ranks know; it never looks at this rank's Gaussians alone
         frames = CorrectedFrames(trainer.frames, trainer.state.corrections)
-        self.plan = AutoBudget(trainer.config, trainer.state, frames, trainer.schedule)
+        self.plan = AutoBudget(trainer.config, trainer.state, frames, trainer.schedule, teaches=False)
 
     def acts_at(self, step: int) -> bool:
         """As ``AutoBudget``'s."""
@@ -66,7 +66,7 @@ class DividedBudget:
             everything = TrainingState(model, trainer.config, trainer.capture, device)
             everything.load(whole)
             frames = CorrectedFrames(trainer.frames, everything.corrections)
-            work(AutoBudget(trainer.config, everything, frames, trainer.schedule))
+            work(AutoBudget(trainer.config, everything, frames, trainer.schedule, teaches=False))
             after = everything.checkpoint(trainer.asked, trainer.sh_degree, trainer.capture.scales, trainer.capture)
             shares.extend(shares_of(after, team.size))
 

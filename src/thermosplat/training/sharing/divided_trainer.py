@@ -132,6 +132,10 @@ class DividedTrainer(Trainer):
     def _make_budget(self) -> Budget:
         return DividedBudget(self)
 
+    def _teaches(self) -> bool:
+        """Ranks would have to render the scene of then together, too: they hold spectra by floors."""
+        return False
+
     def _make_camera_rounds(self) -> CameraRounds:
         return CameraRounds(self.config, self.state, self.frames, self.team)
 
