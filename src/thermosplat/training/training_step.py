@@ -201,7 +201,7 @@ class TrainingStep:
             with self.capacity.step(fixed=fixed_capacity):
                 rendered = self._rendered(frame, kind, part)
                 targets = self._targets(frame, kind)
-            compared = self._compared(rendered, frame, targets, kind, part)
+            compared = self._compared(rendered, targets, kind, part)
             losses = compared.losses
             if not losses:
                 raise UserError(
@@ -210,19 +210,20 @@ class TrainingStep:
             if kind.densifying:
                 for name, strategy in state.strategies.items():
                     strategy.step_pre_backward(rendered.infos.get(name, []))
+            errors = compared.squared_errors | _errors_of_images(rendered, frame, kind.taught)
             shares = {}
             if state.noise_watch is not None and frame.index is not None:
                 # the mean of k independent pixels has a k-th of their noise's variance
-                floors = state.noise_watch.floors_of(frame.index)
+                floors = state.noise_watch.floors_of(frame.index, self.config.auto_budget.held_change)
                 shares = gradient_shares(compared, {name: one / kind.image_factor**2 for name, one in floors.items()})
                 if kind.image_factor == 1.0:
-                    state.noise_watch.note(frame.index, compared.squared_errors)
+                    state.noise_watch.note(frame.index, errors)
             # Of their sum, which nobody looks at; by this thread, since handing it to torch's own for the device and
             # waiting for it costs the host half a millisecond.
             with torch.autograd.set_multithreading_enabled(False):
                 torch.autograd.backward(list(losses.values()), [shares.get(name, self._one) for name in losses])
         losses.pop(TAKING_PART, None)
-        return Differentiated(rendered, losses, compared.squared_errors)
+        return Differentiated(rendered, losses, errors)
 
     def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part) -> RenderedFrame:
         """The frame's images as the losses see them: with the exposures of its photographs."""
@@ -253,19 +254,10 @@ class TrainingStep:
                 frame = watch.teachers[name].targets(name, frame, self.state.exposures)
         return frame
 
-    def _compared(
-        self, rendered: RenderedFrame, frame: FrameTensors, targets: FrameTensors, kind: StepKind, part: Part
-    ) -> ComparedFrame:
-        """The render against its targets, with all loss terms of the step: those of the Gaussians, too.
-
-        Squared errors are those against the frame's own images.
-        """
+    def _compared(self, rendered: RenderedFrame, frame: FrameTensors, kind: StepKind, part: Part) -> ComparedFrame:
+        """The frame against its images, with all loss terms of the step: those of the Gaussians, too."""
         config, state = self.config, self.state
-        compared = compare_frame(rendered, targets, config)
-        for name in compared.squared_errors.keys() & set(kind.taught):
-            image = frame.views[name].image
-            if image is not None:
-                compared.squared_errors[name] = squared_error(rendered.images[name], image)
+        compared = compare_frame(rendered, frame, config)
         losses = dict(compared.losses)
         if part.penalised is None:
             losses |= self._feature_norm()
@@ -340,3 +332,13 @@ class TrainingStep:
                     strategy.observe(infos.get(name, []), blocked)
         losses = {name: loss.detach() for name, loss in done.losses.items()}
         return StepValues(losses, done.squared_errors)
+
+
+def _errors_of_images(rendered: RenderedFrame, frame: FrameTensors, names: Collection[str]) -> dict[str, Tensor]:
+    """Mean squared errors of some spectra against the frame's own images, whatever else they are compared with."""
+    found = {}
+    for name in names:
+        image, view = rendered.images.get(name), frame.views.get(name)
+        if image is not None and view is not None and view.image is not None:
+            found[name] = squared_error(image, view.image)
+    return found

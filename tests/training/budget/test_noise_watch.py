@@ -3,12 +3,13 @@
 import copy
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from thermosplat.config import AutoBudgetConfig, TrainConfig
-from thermosplat.training.budget.noise_watch import NOISY, NoiseWatch
+from thermosplat.training.budget.noise_watch import NOISY, SOON_NOISY, NoiseWatch
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -53,7 +54,16 @@ def test_others_go_on(step: int, psnr: float, error: float) -> None:
     watch.judge(100, {"rgb": 20.0}, LOSS, PATIENCE)
     assert watch.judge(step, {"rgb": psnr, "thermal": 0.0}, LOSS, PATIENCE) == []
     assert watch.floors["rgb"].tolist() == pytest.approx([0.01, 0.01])
-    assert watch.watches() == (error == 0.02)
+    assert watch.watches()
+
+
+@pytest.mark.parametrize(("share", "watched"), [(1.1 * SOON_NOISY, True), (0.9 * SOON_NOISY, False), (0.0, False)])
+def test_watches_what_may_become_noisy(share: float, watched: bool) -> None:
+    """Of less noise, or before the first step, no best is noted and no scene is kept."""
+    watch, kept = watch_with([0.01 / share if share else 0.0] * 2), []
+    watch.judge(100, {"rgb": 20.0}, LOSS, PATIENCE, lambda: kept.append(1))
+    assert watch.watches() == watched
+    assert len(kept) == watched
 
 
 def test_state_goes_on() -> None:
@@ -78,8 +88,8 @@ def worse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Withheld views lose a decibel of RGB in every step."""
     judge = NoiseWatch.judge
 
-    def judged(watch: NoiseWatch, step: int, psnrs: dict[str, float], loss: float, patience: int) -> list[str]:
-        return judge(watch, step, psnrs | {"rgb": 50.0 - step}, loss, patience)
+    def judged(watch: NoiseWatch, step: int, psnrs: dict[str, float], *others: Any) -> list[str]:
+        return judge(watch, step, psnrs | {"rgb": 50.0 - step}, *others)
 
     monkeypatch.setattr(NoiseWatch, "judge", judged)
 
@@ -130,7 +140,7 @@ def test_few_views_are_not_withheld_for_long(tmp_path: Path) -> None:
     trainer = advance(noisy_run(tmp_path, watched(), NOISE, FRAMES - 2), 12)
     assert not trainer.state.growing
     assert trainer.state.noise_watch is not None
-    assert trainer.state.noise_watch.is_noisy("rgb")
+    assert trainer.state.noise_watch.noise_share("rgb") >= NOISY
     assert trainer.state.noise_watch.over
 
 
@@ -144,6 +154,7 @@ def test_a_held_spectrum_frees_the_views(tmp_path: Path, worse: None) -> None:
     assert watch.over
     assert watch.floors["rgb"].min() >= NOISE - 1e-6
     assert watch.floors["rgb"].max() > NOISE + 1e-3
+    assert trainer.state.taught == ("rgb",)
 
 
 @pytest.mark.parametrize("batch_size", [None, 2])

@@ -23,6 +23,8 @@ from thermosplat.training.budget.teacher import Teacher
 NOISY = 0.4
 """Share of noise in the squared error of the training views from which on a spectrum may be held. In desk's photographs
 with the noise of 140 electrons at white it is over a half when withheld views begin to get worse."""
+SOON_NOISY = 0.2
+"""Share from which on a spectrum is watched: as its error falls, noise becomes a larger part of it. Open choice."""
 
 
 class NoiseWatch:
@@ -81,32 +83,30 @@ class NoiseWatch:
             if name in squared_errors:
                 errors.index_copy_(0, index.view(1), squared_errors[name].detach().view(1))
 
-    def floors_of(self, index: Tensor) -> dict[str, Tensor]:
+    def floors_of(self, index: Tensor, taught: float) -> dict[str, Tensor]:
         """By spectrum, the squared error below which a frame is not fitted, scalars; nothing here waits for the device.
-
-        What a teacher shows has no noise, so nothing of it is left out.
 
         Args:
             index: The frame's, an int64 scalar on the device.
+            taught: Of what a teacher shows, the floor as a share of what it would be of the frame's own image.
         """
         return {
-            name: floors.index_select(0, index.view(1)).view(())
+            name: floors.index_select(0, index.view(1)).view(()) * (taught if name in self.teachers else 1.0)
             for name, floors in self.floors.items()
-            if name not in self.teachers
         }
 
-    def is_noisy(self, name: str) -> bool:
-        """Whether a good part of a spectrum's error is noise.
+    def noise_share(self, name: str) -> float:
+        """What part of the squared error of a spectrum's training views is noise; 0 before they were trained on.
 
         Args:
             name: One of ``noise``.
         """
         error = _mean_of_seen(self.errors[name])
-        return 0.0 < error <= self.noise[name] / NOISY
+        return self.noise[name] / error if error > 0 else 0.0
 
     def watches(self) -> bool:
         """Whether there is a spectrum that may have to be held yet."""
-        return any(name not in self.held and self.is_noisy(name) for name in self.noise)
+        return any(name not in self.held and self.noise_share(name) >= SOON_NOISY for name in self.noise)
 
     def judge(
         self,
@@ -128,7 +128,8 @@ class NoiseWatch:
         Returns:
             The spectra that are held from now on.
         """
-        watched = [name for name in self.noise if name in psnrs and name not in self.held and self.is_noisy(name)]
+        shares = {name: self.noise_share(name) for name in self.noise if name in psnrs and name not in self.held}
+        watched = [name for name, share in shares.items() if share >= SOON_NOISY]
         better = [name for name in watched if psnrs[name] > self._best.get(name, (-math.inf, 0))[0]]
         now = teacher() if better else None
         for name in better:
@@ -140,7 +141,7 @@ class NoiseWatch:
         found = []
         for name in watched:
             best, best_step = self._best[name]
-            if best - psnrs[name] >= loss and step - best_step >= patience:
+            if best - psnrs[name] >= loss and step - best_step >= patience and shares[name] >= NOISY:
                 self._hold(name)
                 found.append(name)
         return found
