@@ -159,7 +159,8 @@ class Trainer:
 
     def _make_budget(self) -> Budget:
         frames = CorrectedFrames(self.frames, self.state.corrections)
-        return AutoBudget(self.config, self.state, frames, self.schedule, teaches=self._teaches())
+        teaches, say = self._teaches(), lambda line: self.logger.say(line)
+        return AutoBudget(self.config, self.state, frames, self.schedule, teaches=teaches, say=say)
 
     def _teaches(self) -> bool:
         """Whether there is room for scenes as they were: what is offloaded has none on the device."""

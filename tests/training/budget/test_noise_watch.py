@@ -144,8 +144,8 @@ def test_few_views_are_not_withheld_for_long(tmp_path: Path) -> None:
     assert trainer.state.noise_watch.over
 
 
-def test_a_held_spectrum_frees_the_views(tmp_path: Path, worse: None) -> None:
-    """Nothing is watched any more; RGB is fitted no further than when it was best."""
+def test_a_held_spectrum_frees_the_views(tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is watched any more; RGB is fitted no further than when it was best, and the user is told."""
     trainer = noisy_run(tmp_path, watched(spectrum_patience=2), NOISE)
     advance(trainer, 12)
     watch = trainer.state.noise_watch
@@ -155,6 +155,7 @@ def test_a_held_spectrum_frees_the_views(tmp_path: Path, worse: None) -> None:
     assert watch.floors["rgb"].min() >= NOISE - 1e-6
     assert watch.floors["rgb"].max() > NOISE + 1e-3
     assert trainer.state.taught == ("rgb",)
+    assert "Withheld RGB views were best after step 4 (46.00 dB)." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("batch_size", [None, 2])

@@ -15,7 +15,7 @@
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Protocol
 
@@ -25,6 +25,7 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.image_quality.metrics import psnr
 from thermosplat.scene.initial_gaussians import SHARED
+from thermosplat.spectra import label
 from thermosplat.training.budget.contributions import contributions
 from thermosplat.training.budget.feature_channels import reduce_features
 from thermosplat.training.budget.image_change import ImageChange
@@ -74,6 +75,7 @@ class AutoBudget:
         frames: The training frames.
         schedule: Which of them the steps take.
         teaches: Whether held spectra may be trained on what the scene showed when they were best.
+        say: Tells the user something.
     """
 
     def __init__(
@@ -84,12 +86,14 @@ class AutoBudget:
         schedule: SpectrumSchedule,
         *,
         teaches: bool = True,
+        say: Callable[[str], None] = lambda line: None,
     ) -> None:
         self.config = config
         self.state = state
         self.frames = frames
         self.schedule = schedule
         self.teaches = teaches
+        self._say = say
         self.settings = config.auto_budget
         self._having = [
             [index for index, frame in enumerate(frames.frames) if name in frame.views] for name in state.model.spectra
@@ -184,7 +188,13 @@ class AutoBudget:
         means = {name: sum(values) / len(values) for name, values in found.items()}
         if state.noise_watch is not None:
             teacher = partial(self._teacher, sh_degree)
-            state.noise_watch.judge(step, means, settings.spectrum_loss, settings.spectrum_patience, teacher)
+            loss, patience = settings.spectrum_loss, settings.spectrum_patience
+            for name in state.noise_watch.judge(step, means, loss, patience, teacher):
+                best, then = state.noise_watch.best[name]
+                self._say(
+                    f"Withheld {label(name)} views were best after step {then:,} ({best:.2f} dB). Training on the "
+                    f"{label(name)} images would learn their noise from now on: they stay as they were then."
+                )
         if not state.growing:
             self._release()
             return

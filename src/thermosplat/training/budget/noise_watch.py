@@ -39,6 +39,7 @@ class NoiseWatch:
         floors: By spectrum, the squared errors below which the frames are not fitted, [num_frames] float32.
         errors: By spectrum, the squared errors that the frames had when they were last trained on, [num_frames]
             float32; 0 where that was never.
+        best: By spectrum that was watched, the best PSNR of the withheld views [dB] and its step.
         held: The spectra that are held.
         teachers: By spectrum, what those that are held are trained on; of others there is none.
         over: Whether none is watched any more, and no view withheld for it.
@@ -48,7 +49,7 @@ class NoiseWatch:
         self.noise = dict(noise)
         self.floors = {name: torch.full((num_frames,), value, device=device) for name, value in noise.items()}
         self.errors = {name: torch.zeros(num_frames, device=device) for name in noise}
-        self._best: dict[str, tuple[float, int]] = {}
+        self.best: dict[str, tuple[float, int]] = {}
         self._errors_at_best: dict[str, Tensor] = {}
         self._best_teachers: dict[str, Teacher] = {}
         self.held: tuple[str, ...] = ()
@@ -60,7 +61,7 @@ class NoiseWatch:
         for name, floors in self.floors.items():
             floors.fill_(self.noise[name])
             self.errors[name].zero_()
-        self._best, self._errors_at_best, self.held, self.over = {}, {}, (), False
+        self.best, self._errors_at_best, self.held, self.over = {}, {}, (), False
         self.forget_teachers()
 
     def forget_teachers(self) -> None:
@@ -130,17 +131,17 @@ class NoiseWatch:
         """
         shares = {name: self.noise_share(name) for name in self.noise if name in psnrs and name not in self.held}
         watched = [name for name, share in shares.items() if share >= SOON_NOISY]
-        better = [name for name in watched if psnrs[name] > self._best.get(name, (-math.inf, 0))[0]]
+        better = [name for name in watched if psnrs[name] > self.best.get(name, (-math.inf, 0))[0]]
         now = teacher() if better else None
         for name in better:
-            self._best[name] = psnrs[name], step
+            self.best[name] = psnrs[name], step
             self._errors_at_best[name] = self.errors[name].clone()
             self._best_teachers.pop(name, None)
             if now is not None:
                 self._best_teachers[name] = now
         found = []
         for name in watched:
-            best, best_step = self._best[name]
+            best, best_step = self.best[name]
             if best - psnrs[name] >= loss and step - best_step >= patience and shares[name] >= NOISY:
                 self._hold(name)
                 found.append(name)
@@ -166,7 +167,7 @@ class NoiseWatch:
             "noise": self.noise,
             "floors": self.floors,
             "errors": self.errors,
-            "best": self._best,
+            "best": self.best,
             "errors_at_best": self._errors_at_best,
             "held": self.held,
             "over": self.over,
@@ -189,7 +190,7 @@ class NoiseWatch:
         for own, saved in ((self.floors, state["floors"]), (self.errors, state["errors"])):
             for name, tensor in own.items():
                 tensor.copy_(self._of_frames(saved[name]))
-        self._best, self._errors_at_best = best, at_best
+        self.best, self._errors_at_best = best, at_best
         self.held = tuple(name for name in self.noise if name in state["held"])
         self.over = bool(state["over"])
 

@@ -66,7 +66,8 @@ class DividedBudget:
             everything = TrainingState(model, trainer.config, trainer.capture, device)
             everything.load(whole)
             frames = CorrectedFrames(trainer.frames, everything.corrections)
-            work(AutoBudget(trainer.config, everything, frames, trainer.schedule, teaches=False))
+            say = trainer.logger.say
+            work(AutoBudget(trainer.config, everything, frames, trainer.schedule, teaches=False, say=say))
             after = everything.checkpoint(trainer.asked, trainer.sh_degree, trainer.capture.scales, trainer.capture)
             shares.extend(shares_of(after, team.size))
 
