@@ -256,8 +256,8 @@ class AutoBudgetConfig:
     spectrum_patience: int = 1000
     """So many steps it must have been best ago. Open choice."""
     held_change: float = 0.02
-    """Largest change of a held spectrum's images, measured as for ``prune_change`` in each view, that has no gradient: as
-    long as it is less, the other spectra alone shape the scene. Open choice; benchmarks/records/low-light.md."""
+    """Largest change of a held spectrum's images, measured as for ``prune_change`` in each view, that has no gradient:
+    as long as it is less, the other spectra alone shape the scene. Open choice; benchmarks/records/low-light.md."""
 
 
 @dataclass(frozen=True)
