@@ -139,6 +139,7 @@ def main() -> None:
         own, flags = own[: own.index("--")], own[own.index("--") + 1 :]
     options = parser.parse_args(own)
     truth = load_run(str(options.run), device=options.device)
+    truth.model.unscented = True  # pinhole cameras see the truth as lenses and shutters do
     capture = truth.capture(None)
     readouts = Readouts(options.interval * np.arange(options.frames), options.readout)
     taken = np.stack([frame.views[ROLLING].viewmat for frame in capture.train if ROLLING in frame.views])

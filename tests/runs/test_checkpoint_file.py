@@ -26,6 +26,7 @@ def _state() -> dict[str, Any]:
             "gaussian_sets": {"shared": {"means": torch.randn(4, 3)}},
             "decoders": None,
             "color_spaces": {"rgb": "photograph", "thermal": "color"},
+            "unscented": False,
         },
         "scales": {"thermal": {"kind": "color", "range": (10.0, 30.0), "unit": "celsius"}},
         "training": {"seconds": {"train": 1.5}},
@@ -209,3 +210,21 @@ def test_foreign_content_is_explained(tmp_path: Path, content: dict[str, Any], m
     torch.save(content, tmp_path / "x.pt")
     with pytest.raises(UserError, match=message):
         load_checkpoint(tmp_path / "x.pt")
+
+
+@pytest.mark.parametrize(
+    ("lens", "stated", "expected"), [("direct", None, True), ("undistort", None, False), ("undistort", True, True)]
+)
+def test_how_pinholes_see_the_scene(tmp_path: Path, lens: str, stated: bool | None, expected: bool) -> None:
+    """A checkpoint that does not say so is of a scene that was trained through lenses if its configuration is."""
+    state = _state()
+    state["config"]["lens"] = lens
+    state["model"].pop("unscented")
+    if stated is not None:
+        state["model"]["unscented"] = stated
+    save_checkpoint(tmp_path / "step_000007.pt", state)
+    assert load_checkpoint(tmp_path / "step_000007.pt").model.unscented is expected
+    state["model"]["unscented"] = 3
+    save_checkpoint(tmp_path / "damaged.pt", state)
+    with pytest.raises(UserError, match=r"its model.unscented must be a boolean, found 3"):
+        load_checkpoint(tmp_path / "damaged.pt")

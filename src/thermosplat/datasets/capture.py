@@ -154,6 +154,12 @@ class Capture:
         """
         return scene_extent([view for frame in self.train for view in frame.views.values()], self.points)
 
+    @property
+    def unscented(self) -> bool:
+        """Whether a training view is seen through a lens or read line by line, which takes the unscented transform."""
+        views = (view for frame in self.train for view in frame.views.values())
+        return any(view.camera.lens is not None or view.readout is not None for view in views)
+
     def training_frames(self, spectra: Collection[str]) -> list[Frame]:
         """The training frames with the views of some spectra alone; those without any are left out.
 

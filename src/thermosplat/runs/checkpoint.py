@@ -7,7 +7,7 @@
     config         dict, the resolved configuration (``config.files.to_dict``)
     sh_degree      int, highest spherical-harmonics degree in use
     model          {"gaussian_sets": {name: packed state_dict}, "decoders": state_dict | None,
-                    "color_spaces": {spectrum: what its images are}}
+                    "color_spaces": {spectrum: what its images are}, "unscented": bool}
     scales         {spectrum: dict (``PixelScale.state_dict``)}
     training       dict, see ``SavedTraining``
     train_frames   list of the training frames' names; checkpoints of 0.1.0 have none
@@ -45,6 +45,8 @@ class SavedModel:
     """Of the pixel-wise networks; None where there are none."""
     color_spaces: dict[str, Any]
     """What the images of each spectrum are."""
+    unscented: bool = False
+    """Pinhole cameras see it by the unscented transform, since it was trained through lenses or rolling shutters."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,9 @@ class Checkpoint:
                 gaussian_sets=read.entry("model.gaussian_sets", _are_sets, "sets of tensors, at least one"),
                 decoders=read.entry("model.decoders", _or_none(_are_tensors), "tensors or None"),
                 color_spaces=read.entry("model.color_spaces", _is_dict, "a dictionary"),
+                unscented=read.entry(
+                    "model.unscented", lambda value: isinstance(value, bool), "a boolean", config.lens == "direct"
+                ),
             ),
             scales=read.entry("scales", _are_dicts, "dictionaries by spectrum"),
             training=training,

@@ -68,8 +68,8 @@ class SceneModel(nn.Module):
         spectra: What is rendered, in order.
         gaussian_sets: The Gaussians by set name, as ``config.gaussian_sets`` asks for.
         background: RGB background colour in [0, 1].
-        unscented: Pinhole cameras see the Gaussians by the unscented transform, as lenses do. For scenes that were
-            trained through lenses (``--lens direct``): the linearisation shows what training has never seen.
+        unscented: Pinhole cameras see the Gaussians by the unscented transform, as lenses and rolling shutters do. For
+            scenes that are trained through these: the linearisation shows what training has never seen.
     """
 
     background: Tensor
@@ -285,13 +285,6 @@ class SceneModel(nn.Module):
     # ---- making and restoring ----------------------------------------------------------------------------------------
 
     @classmethod
-    def _configured(
-        cls, config: TrainConfig, spectra: Sequence[Spectrum], gaussian_sets: dict[str, Gaussians]
-    ) -> "SceneModel":
-        direct = config.lens == "direct"
-        return cls(config.model, config.decoder, spectra, gaussian_sets, config.background, unscented=direct)
-
-    @classmethod
     def from_capture(cls, config: TrainConfig, capture: "Capture", device: torch.device | str) -> "SceneModel":
         """A model at the start of training; the same for the same seed, whatever was drawn before.
 
@@ -310,7 +303,9 @@ class SceneModel(nn.Module):
         gaussian_sets = initial_gaussians(config, capture, spectra)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            model = cls._configured(config, spectra, gaussian_sets)
+            model = cls(
+                config.model, config.decoder, spectra, gaussian_sets, config.background, unscented=capture.unscented
+            )
         return model.to(device)
 
     def checkpoint_state(self) -> SavedModel:
@@ -319,6 +314,7 @@ class SceneModel(nn.Module):
             gaussian_sets={name: pack(stored_values(self.gaussians(name))) for name in self.gaussian_sets},
             decoders=self.decoders.state_dict() if self.decoders is not None else None,
             color_spaces={name: spectrum.color_space for name, spectrum in self.spectra.items()},
+            unscented=self.unscented,
         )
 
     @classmethod
@@ -341,7 +337,9 @@ class SceneModel(nn.Module):
             }
             if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
                 _check_decoders(saved.decoders, config, spectra)
-            model = cls._configured(config, spectra, gaussian_sets)
+            model = cls(
+                config.model, config.decoder, spectra, gaussian_sets, config.background, unscented=saved.unscented
+            )
             if model.decoders is not None and saved.decoders is not None:
                 model.decoders.load_state_dict(saved.decoders)
         return model.to(device)
