@@ -28,9 +28,9 @@ from torch import Tensor
 from scenes.splat_files import READERS
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run
-from thermosplat.export.fitted_splats import fit_splats
-from thermosplat.export.formats import SPLAT_FORMATS, Described, SplatFormat, write_format
+from thermosplat.export.formats.splat_formats import SPLAT_FORMATS, Described, SplatFormat, write_format
 from thermosplat.export.scene import spectrum_splats
+from thermosplat.export.splat_fit.fitted_splats import fit_splats
 from thermosplat.export.splat_rendering import render_splats
 from thermosplat.export.splats import Splats
 from thermosplat.image_quality.metrics import psnr

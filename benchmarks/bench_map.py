@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from thermosplat.datasets.capture import Capture, View
 from thermosplat.datasets.ground_truth import read_ground_truth
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run
-from thermosplat.export.map_frame import camera_centers, local_frame, map_extent
-from thermosplat.export.orthomosaic import MapGrid, render_map
+from thermosplat.export.maps.map_frame import camera_centers, local_frame, map_extent
+from thermosplat.export.maps.orthomosaic import MapGrid, render_map
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.environment import environment
 from thermosplat.spectra import unit_label

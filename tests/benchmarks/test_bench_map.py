@@ -3,8 +3,8 @@
 import numpy as np
 
 from bench_map import Measured, highest
-from thermosplat.export.map_frame import MapFrame
-from thermosplat.export.orthomosaic import MapGrid
+from thermosplat.export.maps.map_frame import MapFrame
+from thermosplat.export.maps.orthomosaic import MapGrid
 
 
 def test_the_highest_point_of_each_pixel_counts() -> None:

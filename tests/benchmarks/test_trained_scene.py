@@ -9,7 +9,7 @@ import torch
 from scenes.trained_scene import distant_camera, read_ply, trained_scene
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import to_dict
-from thermosplat.export.ply import PROPERTIES, write_splats
+from thermosplat.export.formats.ply import PROPERTIES, write_splats
 from thermosplat.export.splats import Splats
 from thermosplat.runs.checkpoint_file import save_checkpoint
 from thermosplat.scene.gaussians import Gaussians

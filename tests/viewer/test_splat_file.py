@@ -8,7 +8,7 @@ import torch
 
 from splat_scenes import random_splats
 from thermosplat.errors import UserError
-from thermosplat.export.ply import write_splats
+from thermosplat.export.formats.ply import write_splats
 from thermosplat.export.scene import spectrum_splats
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
 from thermosplat.viewer.splat_file import open_splats

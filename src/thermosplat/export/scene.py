@@ -3,7 +3,7 @@
 The model decodes features per pixel, after blending; a PLY holds a colour per Gaussian, before blending. What the file
 carries is therefore an approximation wherever there are decoders: each Gaussian's own features are decoded as if they
 alone filled a pixel (A_f = f). A hybrid photograph adds that decoded colour to the SH colour; other spectra have the
-decoded colour only, seen at their own opacity. Scenes without decoders are exported exactly. ``fitted_splats`` makes
+decoded colour only, seen at their own opacity. Scenes without decoders are exported exactly. ``splat_fit`` makes
 the approximation a better one.
 """
 
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.export.ply import write_splats
+from thermosplat.export.formats.ply import write_splats
 from thermosplat.export.splats import Splats, WrittenSplats
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.model import SceneModel
@@ -47,7 +47,7 @@ def export_scene(
         folder: Folder to write into; made where there is none.
         scales: What pixel values mean, by spectrum.
         spectra: Which files to write. None: every spectrum that is modelled.
-        compact: Leave out spherical harmonics that are zero everywhere (``ply.write_splats``).
+        compact: Leave out spherical harmonics that are zero everywhere (``formats.ply.write_splats``).
 
     Returns:
         What was written, by spectrum.
@@ -83,8 +83,8 @@ def write_scene(
     Args:
         scene: What to write.
         folder: Where.
-        compact: As ``ply.write_splats``.
-        scalars: Further properties by spectrum (``ply.write_splats``).
+        compact: As ``formats.ply.write_splats``.
+        scalars: Further properties by spectrum (``formats.ply.write_splats``).
     """
 
     def write(name: str) -> WrittenSplats:

@@ -24,10 +24,10 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
     """
     import numpy as np
 
-    from thermosplat.export.georeference import georeferenced_frame
-    from thermosplat.export.geotiff import rasterio_module
-    from thermosplat.export.map_frame import camera_centers, local_frame, map_extent
-    from thermosplat.export.orthomosaic import MapGrid, render_map, write_map
+    from thermosplat.export.maps.georeference import georeferenced_frame
+    from thermosplat.export.maps.geotiff import rasterio_module
+    from thermosplat.export.maps.map_frame import camera_centers, local_frame, map_extent
+    from thermosplat.export.maps.orthomosaic import MapGrid, render_map, write_map
 
     rasterio_module()  # to say that it is missing before anything is rendered
     capture = loaded.capture(arguments.data)

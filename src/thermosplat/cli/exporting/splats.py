@@ -27,7 +27,7 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
     Raises:
         UserError: The arguments, the capture or the format do not allow it.
     """
-    from thermosplat.export.formats import SPLAT_FORMATS, Described, write_format
+    from thermosplat.export.formats.splat_formats import SPLAT_FORMATS, Described, write_format
     from thermosplat.export.scene import spectrum_values, write_scene
 
     scene, sources = _scene(arguments, loaded)
@@ -65,8 +65,8 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSpl
         unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors)
         return unfitted, dict.fromkeys(unfitted, slice(None))
     from thermosplat.cli.exporting.fit_progress import shown_steps
-    from thermosplat.export.fitted_splats import fit_splats
     from thermosplat.export.scene import header_comments
+    from thermosplat.export.splat_fit.fitted_splats import fit_splats
     from thermosplat.novel_views.viewpoints import viewpoints
 
     try:

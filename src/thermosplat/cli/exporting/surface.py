@@ -23,10 +23,10 @@ def export_surface(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pa
     Raises:
         UserError: The capture cannot be read, an argument is impossible, or scikit-image is missing.
     """
-    from thermosplat.export.depth_views import depth_points
-    from thermosplat.export.map_frame import scene_bounds
-    from thermosplat.export.ply_tables import write_points
-    from thermosplat.export.tsdf_mesh import tsdf_mesh
+    from thermosplat.export.formats.ply_tables import write_points
+    from thermosplat.export.maps.map_frame import scene_bounds
+    from thermosplat.export.surfaces.depth_views import depth_points
+    from thermosplat.export.surfaces.tsdf_mesh import tsdf_mesh
     from thermosplat.novel_views.viewpoints import viewpoints
 
     capture = loaded.capture(arguments.data)

@@ -7,8 +7,8 @@ import torch
 
 from decoding_scene import cameras, decoding_model
 from thermosplat.errors import UserError
-from thermosplat.export.fitted_splats import fit_splats
 from thermosplat.export.scene import spectrum_splats
+from thermosplat.export.splat_fit.fitted_splats import fit_splats
 from thermosplat.export.splat_rendering import render_splats
 from toy_scene import toy_config, toy_model
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from splat_scenes import random_splats
-from thermosplat.export.ply import write_splats
+from thermosplat.export.formats.ply import write_splats
 
 plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install ".[test]")')
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
-from thermosplat.export.map_frame import MapFrame
+from thermosplat.export.maps.map_frame import MapFrame
 
 TABLE = "frames.csv"
 """The table of images that thermosplat-prepare writes."""
@@ -122,7 +122,7 @@ def utm_coordinates(places: NDArray[np.float64]) -> tuple[str, NDArray[np.float6
     Returns:
         The zone, such as "EPSG:32632", and coordinates [V, 3].
     """
-    from thermosplat.export.geotiff import rasterio_module
+    from thermosplat.export.maps.geotiff import rasterio_module
 
     latitude, longitude = places[:, 0].mean(), places[:, 1].mean()
     zone = min(int((longitude + 180) // 6) + 1, 60)

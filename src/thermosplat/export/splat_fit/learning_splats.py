@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import torch
 
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.exact_images import ExactImages
-from thermosplat.export.seen_harmonics import SeenHarmonics
-from thermosplat.export.splat_relocation import errors_of_splats, moves, relocate
+from thermosplat.export.splat_fit.exact_images import ExactImages
+from thermosplat.export.splat_fit.seen_harmonics import SeenHarmonics
+from thermosplat.export.splat_fit.splat_relocation import errors_of_splats, moves, relocate
 from thermosplat.export.splats import INVISIBLE_OPACITY, Splats
 from thermosplat.fused.adam import WarpAdam
 from thermosplat.scene.rotation import rotate

@@ -10,8 +10,8 @@ import dataclasses
 import torch
 
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.exact_images import ExactImages
-from thermosplat.export.learning_splats import LearningSplats
+from thermosplat.export.splat_fit.exact_images import ExactImages
+from thermosplat.export.splat_fit.learning_splats import LearningSplats
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.torch_bridge.streams import captured_in

@@ -5,10 +5,10 @@ import torch
 
 from decoding_scene import cameras, decoding_model
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.exact_images import ExactImages
-from thermosplat.export.fit_steps import LOOK_EVERY, MEASURED, FitSteps
-from thermosplat.export.learning_splats import LearningSplats
 from thermosplat.export.scene import Colors, spectrum_splats
+from thermosplat.export.splat_fit.exact_images import ExactImages
+from thermosplat.export.splat_fit.fit_steps import LOOK_EVERY, MEASURED, FitSteps
+from thermosplat.export.splat_fit.learning_splats import LearningSplats
 from thermosplat.rasterizer import pair_capacity
 
 

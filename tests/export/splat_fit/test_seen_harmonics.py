@@ -5,7 +5,7 @@ import torch
 
 from splat_scenes import scene_like_splats
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.seen_harmonics import CHANGES, DAMPING, SeenHarmonics
+from thermosplat.export.splat_fit.seen_harmonics import CHANGES, DAMPING, SeenHarmonics
 from thermosplat.export.splats import Splats
 
 

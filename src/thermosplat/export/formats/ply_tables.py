@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.export.ply import comment_lines
+from thermosplat.export.formats.ply import comment_lines
 from thermosplat.runs.atomic_writes import write_bytes
 
 _TYPES = {np.dtype("<f4"): "float", np.dtype("u1"): "uchar"}

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.export.packed_quaternions import smallest_three
-from thermosplat.export.ply import comment_lines
+from thermosplat.export.formats.packed_quaternions import smallest_three
+from thermosplat.export.formats.ply import comment_lines
 from thermosplat.export.splats import SplatArrays, Splats, WrittenSplats, drawable, morton_order
 from thermosplat.runs.atomic_writes import write_bytes
 from thermosplat.scene.gaussians import SH_C0

@@ -12,7 +12,7 @@ import torch
 from scenes.splat_files import READERS
 from splat_scenes import random_splats, scene_like_splats
 from thermosplat.errors import UserError
-from thermosplat.export.formats import HELD_DEGREES, SPLAT_FORMATS, Described, SplatFormat, write_format
+from thermosplat.export.formats.splat_formats import HELD_DEGREES, SPLAT_FORMATS, Described, SplatFormat, write_format
 from thermosplat.export.splats import SplatArrays, Splats, drawable
 
 EXACT = {"means": 1e-6, "angle": 2e-3, "log_scales": 1e-5, "opacities": 1e-5, "sh0": 1e-6, "shN": 1e-6}

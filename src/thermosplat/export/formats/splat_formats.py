@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from thermosplat.errors import UserError
-from thermosplat.export.compressed_ply import write_compressed_ply
-from thermosplat.export.glb import write_glb
-from thermosplat.export.ply import write_splats
-from thermosplat.export.sog import write_sog
+from thermosplat.export.formats.compressed_ply import write_compressed_ply
+from thermosplat.export.formats.glb import write_glb
+from thermosplat.export.formats.ply import write_splats
+from thermosplat.export.formats.sog import write_sog
+from thermosplat.export.formats.spz import write_spz
+from thermosplat.export.formats.usd import write_usd
 from thermosplat.export.splats import Splats, WrittenSplats, used_coefficients
-from thermosplat.export.spz import write_spz
-from thermosplat.export.usd import write_usd
 
 SplatFormat = Literal["ply", "compressed-ply", "spz", "sog", "glb", "usd"]
 SPLAT_FORMATS: tuple[SplatFormat, ...] = get_args(SplatFormat)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
-from thermosplat.export.geotiff import write_geotiff
-from thermosplat.export.map_frame import MapFrame
+from thermosplat.export.maps.geotiff import write_geotiff
+from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.exact_images import ExactImages
+from thermosplat.export.splat_fit.exact_images import ExactImages
 from thermosplat.export.splats import Splats
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.rotation import rotate

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.errors import UserError
-from thermosplat.export.codebooks import value_codebook, vector_codebook
-from thermosplat.export.packed_quaternions import smallest_three
+from thermosplat.export.formats.codebooks import value_codebook, vector_codebook
+from thermosplat.export.formats.packed_quaternions import smallest_three
 from thermosplat.export.splats import SplatArrays, Splats, WrittenSplats, drawable, morton_order
 from thermosplat.runs.atomic_writes import write_bytes
 

@@ -8,7 +8,7 @@ import pytest
 
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
-from thermosplat.export.georeference import aligned_frame, georeferenced_frame, gps_positions, utm_coordinates
+from thermosplat.export.maps.georeference import aligned_frame, georeferenced_frame, gps_positions, utm_coordinates
 from toy_scene import toy_capture
 
 rasterio = pytest.importorskip("rasterio", reason='rasterio is not installed (pip install ".[maps]")')

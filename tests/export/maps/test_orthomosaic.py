@@ -9,8 +9,8 @@ import pytest
 from field_scene import LOW, celsius_at, field_model
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
-from thermosplat.export.map_frame import MapFrame, local_frame, map_extent
-from thermosplat.export.orthomosaic import MapGrid, render_map, write_map
+from thermosplat.export.maps.map_frame import MapFrame, local_frame, map_extent
+from thermosplat.export.maps.orthomosaic import MapGrid, render_map, write_map
 from toy_scene import toy_capture
 
 
@@ -55,7 +55,7 @@ def test_tiles_meet_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
     model, capture = field_model(np.eye(3))
     grid = MapGrid.covering(MapFrame(np.eye(3)), (-2.0, -1.5, 2.0, 1.5), 0.05, top=3.0)
     whole = render_map(model, "rgb", capture.scales["rgb"], grid, sh_degree=0)
-    monkeypatch.setattr("thermosplat.export.orthomosaic._TILE", 33)
+    monkeypatch.setattr("thermosplat.export.maps.orthomosaic._TILE", 33)
     parts = render_map(model, "rgb", capture.scales["rgb"], grid, sh_degree=0)
     assert whole.shape == (3, 60, 80)
     np.testing.assert_allclose(parts, whole, atol=2e-6)

@@ -6,7 +6,7 @@ import torch
 
 from splat_scenes import scene_like_splats
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.splat_relocation import moves, relocate
+from thermosplat.export.splat_fit.splat_relocation import moves, relocate
 from thermosplat.export.splat_rendering import render_splats
 from thermosplat.export.splats import Splats
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
-from thermosplat.export.depth_views import DepthView, PointCloud, depth_view
+from thermosplat.export.surfaces.depth_views import DepthView, PointCloud, depth_view
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
 

@@ -20,12 +20,12 @@ from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
-from thermosplat.export.exact_images import ExactImages
-from thermosplat.export.fit_steps import FitSteps
-from thermosplat.export.learning_splats import LearningSplats
 from thermosplat.export.scene import Colors, spectrum_splats
+from thermosplat.export.splat_fit.exact_images import ExactImages
+from thermosplat.export.splat_fit.fit_steps import FitSteps
+from thermosplat.export.splat_fit.learning_splats import LearningSplats
+from thermosplat.export.splat_fit.views_between import ViewsBetween
 from thermosplat.export.splats import Splats
-from thermosplat.export.views_between import ViewsBetween
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
 

@@ -9,9 +9,9 @@ import torch
 from field_scene import celsius_at, field_model
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
-from thermosplat.export.depth_views import depth_points, depth_view
-from thermosplat.export.ply_tables import write_points
-from thermosplat.export.tsdf_mesh import tsdf_mesh
+from thermosplat.export.formats.ply_tables import write_points
+from thermosplat.export.surfaces.depth_views import depth_points, depth_view
+from thermosplat.export.surfaces.tsdf_mesh import tsdf_mesh
 
 VALUES = "scalar_thermal_celsius"
 

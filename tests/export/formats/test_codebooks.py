@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermosplat.export.codebooks import value_codebook, vector_codebook
+from thermosplat.export.formats.codebooks import value_codebook, vector_codebook
 
 
 def test_few_values_are_kept_exactly() -> None:

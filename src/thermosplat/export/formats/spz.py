@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.errors import UserError
-from thermosplat.export.packed_quaternions import smallest_three
+from thermosplat.export.formats.packed_quaternions import smallest_three
 from thermosplat.export.splats import Splats, WrittenSplats, drawable, morton_order, turned_y_up
 from thermosplat.runs.atomic_writes import write_bytes
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermosplat.export.packed_quaternions import smallest_three
+from thermosplat.export.formats.packed_quaternions import smallest_three
 
 
 def test_the_rotation_comes_back_from_the_three_smallest_components() -> None:

@@ -1,0 +1,1 @@
+"""Orthomosaics: maps of a scene seen from above."""

@@ -1,0 +1,1 @@
+"""Splats that are fitted to the exact render."""

@@ -1,0 +1,1 @@
+"""Surfaces that a spectrum sees: depth, points, meshes."""
