@@ -145,6 +145,8 @@ def write_capture(
 ) -> Film:
     """Film the scene, and write the images with a COLMAP model of their poses at the middle of the readout.
 
+    Images that are there stay.
+
     Args:
         truth: The scene.
         capture: The capture that it was trained on: cameras, and points to start from.
@@ -172,6 +174,8 @@ def write_capture(
     for number, (time, viewmat) in enumerate(zip(readouts.times, viewmats, strict=True)):
         for name, camera in cameras.items():
             file = str(out / "images" / name / f"{number:04d}.png")
+            if Path(file).exists():
+                continue
             if name == ROLLING:
                 image = line_by_line(truth, camera, path, time, readouts.seconds).cpu().numpy()[..., 0]
                 kelvin = low + image.astype(np.float64) * (high - low) - ABSOLUTE_ZERO

@@ -64,7 +64,7 @@ def test_rolling_shutter_benchmark_runs(run: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     rows = json.loads((tmp_path / "out" / "rolling_shutter.json").read_text())["rows"]
     assert [row["told"] for row in rows] == ["at once", "readout"]
-    assert all(math.isfinite(row[name]) for row in rows for name in ("as_read", "at_rest", "slope", "others"))
+    assert all(math.isfinite(row[name]) for row in rows for name in ("as_read", "at_rest", "slopes", "others"))
     assert not (tmp_path / "out" / "capture_at_once" / "shutter.json").exists()
     stated = json.loads((tmp_path / "out" / "capture_readout" / "shutter.json").read_text())
     assert stated["thermal"] == {"readout": pytest.approx(1 / 30), "interval": pytest.approx(0.1)}

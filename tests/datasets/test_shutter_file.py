@@ -10,7 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from capture_folders import RIG_SIZES, write_rgbt_scenes, write_rig
+from capture_folders import RIG_SIZES, rig_image, write_image, write_rgbt_scenes, write_rig
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.cameras import camera_center
 from thermosplat.datasets.capture import Capture, View
@@ -72,6 +72,18 @@ def test_even_frames_move_as_their_neighbours_say(root: Path) -> None:
     assert capture.train[0].shared_cameras == (("rgb",), ("thermal",))
     (note,) = (note for note in capture.notes if "line by line" in note)
     assert "thermal images are read line by line (bottom to top): meanwhile the camera turns by" in note
+
+
+def test_frames_without_a_pose_take_their_time(root: Path) -> None:
+    """Between 0001 and 0002 lies an image that is not in the model: these two are two intervals apart."""
+    write_image(root / "images" / "thermal" / "0001b.png", rig_image("thermal", 1))
+    state(root, {"thermal": {"readout": 0.001, "interval": 0.04}})
+    taken = views(load_capture(root))
+    centers = np.array([camera_center(view.viewmat) for view in taken])
+    before, after = (centers[1] - centers[0]) / 0.04, (centers[2] - centers[1]) / 0.08
+    first, last = poses(taken[1])
+    expected = 0.001 * (0.08 * before + 0.04 * after) / 0.12
+    np.testing.assert_allclose(camera_center(last) - camera_center(first), expected, atol=1e-6)
 
 
 def test_times_of_the_table_of_a_prepared_capture(root: Path) -> None:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from thermosplat.config.values import shown
 from thermosplat.datasets.frame_files import FrameFiles, Shot
+from thermosplat.datasets.images.image_files import list_images
 from thermosplat.datasets.readouts import LineOrder, Readout, motion_of, paces
 from thermosplat.errors import UserError
 from thermosplat.spectra import label
@@ -178,12 +179,13 @@ def _sequences(
     rows = _table(root, spectrum)
     sources = {name: rows.get(_below(shot.path, root, spectrum), {}) for name, shot in shots.items()}
     timed: dict[str, list[tuple[float, str]]] = defaultdict(list)
-    for place, (name, row) in enumerate(sources.items()):
+    places = _places(shots)
+    for name, row in sources.items():
         time, video = None, _FROM_VIDEO.match(row.get("source") or "")
         if interval is not None and video is not None:
             time = interval * int(video[2])
         elif interval is not None:
-            time = interval * place
+            time = interval * places[name]
         else:
             time = _seconds(row.get("time"))
         if time is None:
@@ -205,6 +207,15 @@ def _sequences(
             )
         sequences.append(([name for _, name in found], times))
     return sequences
+
+
+def _places(shots: Mapping[str, Shot]) -> dict[str, int]:
+    """Places of frames in the order of all files' names: files without a pose are frames of the sequence, too."""
+    files = {shot.path.name for shot in shots.values()}
+    for folder in {shot.path.parent for shot in shots.values()}:
+        files |= {path.name for path in list_images(folder)}
+    places = {name: place for place, name in enumerate(sorted(files))}
+    return {name: places[shot.path.name] for name, shot in shots.items()}
 
 
 def _table(root: Path, spectrum: str) -> dict[str, dict[str, str]]:
