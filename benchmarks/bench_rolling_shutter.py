@@ -116,9 +116,10 @@ def right_slopes(found: Tensor, true: Tensor) -> float:
 
 def line(lens: str, told: str, row: dict[str, float]) -> str:
     """A row of the table."""
+    photographs = "-" if np.isnan(row["others"]) else f"{row['others']:.2f}"
     return (
         f"| {lens} | {TOLD[told]} | {row['as_read']:.2f} | {row['at_rest']:.2f} | {100 * row['slopes']:.1f} | "
-        f"{row['others']:.2f} | {row['gaussians']:,.0f} | {row['seconds']:.0f} |"
+        f"{photographs} | {row['gaussians']:,.0f} | {row['seconds']:.0f} |"
     )
 
 
@@ -159,8 +160,8 @@ def main() -> None:
         f"{np.median(turns):.2f} degrees ({focal * np.radians(np.median(turns)):.1f} px) in the median, by "
         f"{max(turns):.2f} at most. {' '.join(flags)}",
         "",
-        "| --lens | shutter.json says | thermal, held out, as read | as a camera at rest sees it | slopes that are right [%] | "
-        "photographs | Gaussians | [s] |",
+        "| --lens | shutter.json says | thermal, held out, as read | as a camera at rest sees it | right slopes [%] "
+        "| photographs | Gaussians | [s] |",
         "|---|---|---|---|---|---|---|---|",
     ]
     print("\n".join(lines), flush=True)
