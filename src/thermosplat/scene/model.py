@@ -182,7 +182,7 @@ class SceneModel(nn.Module):
         Returns:
             The images.
         """
-        views = {name: self._seen(views[name]) for name in self.spectra if name in views}
+        views = {name: self.seen(views[name]) for name in self.spectra if name in views}
         backgrounds = self.background[None] if self._has_background else None
         how = Rendering(
             sh_degree,
@@ -220,8 +220,12 @@ class SceneModel(nn.Module):
                 rendered.bend(name, view.K, view.distortion)
         return rendered
 
-    def _seen(self, view: "ViewTensors") -> "ViewTensors":
-        """The view, projected as the scene was trained."""
+    def seen(self, view: "ViewTensors") -> "ViewTensors":
+        """The view, with the projection that the scene was trained with.
+
+        Args:
+            view: Camera and pose.
+        """
         return replace(view, unscented=True) if self.unscented else view
 
     def _to_render(self, name: str, views: Views, groups: Groups, sh_degree: int) -> Gaussians:
@@ -241,7 +245,7 @@ class SceneModel(nn.Module):
         """
         gaussians = self.gaussians(self.set_of(spectrum))
         how = Rendering(0, False, self.config.rasterize_mode, None, distributed=distributed)
-        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), self._seen(view), how)
+        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), self.seen(view), how)
         if view.distortion is None:
             return depth
         return nearest_distorted(depth, view.K, view.distortion)

@@ -175,7 +175,7 @@ class LayerRenderer:
         offsets = logits - gaussians.logit_opacities
         how = Rendering(0, False, model.config.rasterize_mode, None)
         largest = torch.maximum(logits, gaussians.logit_opacities)
-        image, alpha, _ = render_view(gaussians, offsets[:, None].contiguous(), largest, view, how)
+        image, alpha, _ = render_view(gaussians, offsets[:, None].contiguous(), largest, model.seen(view), how)
         return torch.where(alpha > 1e-3, image / alpha.clamp(min=1e-3), torch.nan)[..., 0]
 
     @cached_property

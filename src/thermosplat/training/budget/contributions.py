@@ -93,7 +93,7 @@ def _weights_of_two(model: SceneModel, second: str, view: ViewTensors, signs: to
         colors,
         features,
         rasterize_mode=model.config.rasterize_mode,
-        **camera_arguments(view),
+        **camera_arguments(model.seen(view)),
         deterministic=True,
     )
     thermal = output.render_thermal_features
@@ -117,7 +117,7 @@ def _weights(model: SceneModel, spectrum: str, view: ViewTensors, signs: torch.G
         colors,
         packed=False,
         rasterize_mode=model.config.rasterize_mode,
-        **camera_arguments(view),
+        **camera_arguments(model.seen(view)),
         deterministic=True,
     )
     return _summed_weights(torch.autograd.grad(_sum(image, signs), colors)[0], squared=signs is not None)

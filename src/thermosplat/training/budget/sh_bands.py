@@ -107,7 +107,7 @@ def _bands(model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int) ->
         gaussians = model.gaussians(name)
         coefficients = gaussians.sh_coeffs_of(spectrum)
         cameras = [
-            replace(frame.views[spectrum], image=None, intensity=None, values=None)
+            replace(model.seen(frame.views[spectrum]), image=None, intensity=None, values=None)
             for frame in frames
             if spectrum in frame.views
         ]
