@@ -115,8 +115,8 @@ def motion_of(
 def paces(viewmats: NDArray[np.float64], times: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """How fast a camera turned and moved at each of its images, from the images before and after.
 
-    Of three poses the parabola through them is differentiated; of the first and the last image, which have one
-    neighbour, the difference is taken.
+    The parabola through three poses one after the other is differentiated, of the first and the last image at its end;
+    of two poses the difference is taken.
 
     Args:
         viewmats: Poses in the order of time, [V, 4, 4], V >= 2.
@@ -132,8 +132,12 @@ def paces(viewmats: NDArray[np.float64], times: NDArray[np.float64]) -> tuple[ND
     steps = rotations[1:] @ rotations[:-1].transpose(0, 2, 1)
     turns = np.stack([cv2.Rodrigues(step)[0][:, 0] for step in steps]) / gaps
     moves = np.diff(centers, axis=0) / gaps
-    found = []
-    for between in (turns, moves):
-        inner = (gaps[1:] * between[:-1] + gaps[:-1] * between[1:]) / (gaps[1:] + gaps[:-1])
-        found.append(np.concatenate([between[:1], inner, between[-1:]]))
-    return found[0], found[1]
+    return _slopes(turns, gaps), _slopes(moves, gaps)
+
+
+def _slopes(between: NDArray[np.float64], gaps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivatives at V times of parabolas whose mean slopes between them are known, [V-1, 3]."""
+    if len(between) == 1:
+        return np.repeat(between, 2, axis=0)
+    inner = (gaps[1:] * between[:-1] + gaps[:-1] * between[1:]) / (gaps[1:] + gaps[:-1])
+    return np.concatenate([2 * between[:1] - inner[:1], inner, 2 * between[-1:] - inner[-1:]])
