@@ -8,7 +8,6 @@ Without "interval" the times are those of ``frames.csv``. "poses" in place of "r
 """
 
 import csv
-import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -33,6 +32,8 @@ SHUTTER_FILE = "shutter.json"
 TABLE = "frames.csv"
 """The table of images that thermosplat-prepare writes, with their times."""
 _KEYS = ("direction", "readout", "interval", "poses")
+_LONGEST = 1e9
+"""Times are at most this, in whatever unit."""
 _LARGEST_TURN = np.radians(90.0)
 """Of a camera during one readout: more is a mistake in the times, or poses of different images."""
 _FROM_VIDEO = re.compile(r"^(.*)#(\d+)$")
@@ -74,7 +75,6 @@ def readouts(root: Path, frames: Sequence[FrameFiles]) -> tuple[dict[tuple[str, 
             of_spectrum = _stated_motions(path, spectrum, statement, shots)
         else:
             of_spectrum = _neighbours_motions(root, spectrum, statement, shots)
-        _check_turns(path, spectrum, of_spectrum)
         found |= {(frame, spectrum): readout for frame, readout in of_spectrum.items()}
         notes.append(_note(spectrum, statement.order, list(of_spectrum.values())))
     return found, notes
@@ -101,8 +101,8 @@ def _positive(where: str, key: str, stated: Mapping[str, Any], *, optional: bool
     value = stated.get(key)
     if optional and value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise UserError(f"{where}: {key} must be a time above 0, found {shown(value)}.", _HINT)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= _LONGEST:
+        raise UserError(f"{where}: {key} must be a time above 0 and at most {_LONGEST:g}, found {shown(value)}.", _HINT)
     return float(value)
 
 
@@ -114,7 +114,7 @@ def _poses(where: str, stated: Any) -> dict[str, NDArray[np.float64]]:
     for name, pair in stated.items():
         try:
             found = np.array(pair, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             found = np.empty(0)
         if found.shape != (2, 4, 4):
             raise UserError(
@@ -146,10 +146,11 @@ def _stated_motions(path: Path, spectrum: str, statement: _Statement, shots: Map
             f"{path}: {spectrum} has no poses of {len(missing)} of {len(shots)} images (first: {missing[0]}).",
             "Give the poses of all images, by the name of the file.",
         )
-    return {
-        name: Readout(statement.order, poses[shot.path.name] @ np.linalg.inv(shot.viewmat))
-        for name, shot in shots.items()
-    }
+    found = {}
+    for name, shot in shots.items():
+        found[name] = Readout(statement.order, poses[shot.path.name] @ np.linalg.inv(shot.viewmat))
+        _check_turn(spectrum, shot.path.name, _turn(found[name]))
+    return found
 
 
 def _neighbours_motions(
@@ -167,6 +168,7 @@ def _neighbours_motions(
             )
         viewmats = np.stack([shots[name].viewmat for name in names])
         for name, turn, move in zip(names, *paces(viewmats, times), strict=True):
+            _check_turn(spectrum, shots[name].path.name, statement.readout * float(np.linalg.norm(turn)))
             motion = motion_of(shots[name].viewmat, statement.readout * turn, statement.readout * move)
             found[name] = Readout(statement.order, motion)
     return found
@@ -245,14 +247,14 @@ def _seconds(text: str | None) -> float | None:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def _check_turns(path: Path, spectrum: str, found: Mapping[str, Readout]) -> None:
-    for name, readout in found.items():
-        if _turn(readout) > _LARGEST_TURN:
-            raise UserError(
-                f"{path}: the {label(spectrum)} camera of {name} would turn by {np.degrees(_turn(readout)):.0f} "
-                "degrees while its lines are read.",
-                "Are readout and interval in one unit, and the poses those of this image?",
-            )
+def _check_turn(spectrum: str, name: str, turn: float) -> None:
+    """Refuse a turn [rad] that no camera makes during a readout."""
+    if not turn <= _LARGEST_TURN:  # also where it is not a number
+        raise UserError(
+            f"By {SHUTTER_FILE} the {label(spectrum)} camera of {name} would turn by {np.degrees(turn):.0f} degrees "
+            "while its lines are read.",
+            "Are readout and interval in one unit, and the poses those of this image?",
+        )
 
 
 def _turn(readout: Readout) -> float:
