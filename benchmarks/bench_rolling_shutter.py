@@ -68,11 +68,11 @@ def capture_with(told: str, film_folder: Path, out: Path, film: Film, readouts: 
     return folder
 
 
-def trained(capture: Path, run: Path, lens: str, film: Film, flags: list[str]) -> Path:
+def trained(capture: Path, run: Path, lens: str, seed: int, film: Film, flags: list[str]) -> Path:
     """The result folder of a training, which is done if it is not."""
     if not (run / "metrics.json").is_file():
         low, high = map(str, film.celsius)
-        command = [sys.executable, "-m", "thermosplat", "train", str(capture), "--lens", lens]
+        command = [sys.executable, "-m", "thermosplat", "train", str(capture), "--lens", lens, "--seed", str(seed)]
         command += [f"--{ROLLING}.source", "raw", f"--{ROLLING}.range", low, high]
         subprocess.run([*command, "--result-dir", str(run), "--overwrite", *flags], check=True)
     return run
@@ -114,12 +114,18 @@ def right_slopes(found: Tensor, true: Tensor) -> float:
     return 1.0 - wrong / sum(float(true.diff(dim=axis).square().sum()) for axis in (0, 1))
 
 
-def line(lens: str, told: str, row: dict[str, float]) -> str:
-    """A row of the table."""
-    photographs = "-" if np.isnan(row["others"]) else f"{row['others']:.2f}"
+def line(lens: str, told: str, rows: list[dict[str, float]]) -> str:
+    """A row of the table: means over the seeds, of decibels with their standard deviation."""
+    means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+    spread = {name: float(np.std([row[name] for row in rows], ddof=1)) if len(rows) > 1 else None for name in rows[0]}
+    shown = [
+        f"{means[name]:.2f}" + ("" if spread[name] is None else f" ± {spread[name]:.2f}")
+        for name in ("as_read", "at_rest")
+    ]
+    photographs = "-" if np.isnan(means["others"]) else f"{means['others']:.2f}"
     return (
-        f"| {lens} | {TOLD[told]} | {row['as_read']:.2f} | {row['at_rest']:.2f} | {100 * row['slopes']:.1f} | "
-        f"{photographs} | {row['gaussians']:,.0f} | {row['seconds']:.0f} |"
+        f"| {lens} | {TOLD[told]} | {shown[0]} | {shown[1]} | {100 * means['slopes']:.1f} | {photographs} | "
+        f"{means['gaussians']:,.0f} | {means['seconds']:.0f} |"
     )
 
 
@@ -136,6 +142,7 @@ def main() -> None:
     parser.add_argument("--radial", type=float, nargs=2, default=(-0.24, 0.07), help="k1 and k2 of the thermal lens")
     parser.add_argument("--lens", nargs="+", choices=get_args(LensUse), default=["direct"], help="of thermosplat-train")
     parser.add_argument("--told", nargs="+", choices=TOLD, default=list(TOLD), help="rows of the table")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="one training of each kind per seed")
     parser.add_argument("--device", default="auto")
     own, flags = sys.argv[1:], []
     if "--" in own:
@@ -169,9 +176,11 @@ def main() -> None:
     for lens in options.lens:
         for told in options.told:
             folder = capture_with(told, options.out / "film", options.out, film, readouts)
-            run = trained(folder, options.out / f"{lens}_{told.replace(' ', '_')}", lens, film, flags)
-            found = judged(truth, run, folder)
-            rows.append({"lens": lens, "told": told, **found})
+            found = []
+            for seed in options.seeds:
+                run = options.out / f"{lens}_{told.replace(' ', '_')}_{seed}"
+                found.append(judged(truth, trained(folder, run, lens, seed, film, flags), folder))
+                rows.append({"lens": lens, "told": told, "seed": seed, **found[-1]})
             lines.append(line(lens, told, found))
             print(lines[-1], flush=True)
             write_text(options.out / "rolling_shutter.json", json.dumps({"command": sys.argv, "rows": rows}, indent=1))
