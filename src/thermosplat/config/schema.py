@@ -252,12 +252,13 @@ class AutoBudgetConfig:
     many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
     spectrum_loss: float = 0.05
     """Fall of the validation views' PSNR in one spectrum [dB] from which on it learns noise, if its images are noisy:
-    it is held where it was best. Open choice."""
+    it is held where it was best, and goes back to it at the last pruning if it is so far below then. Open choice."""
     spectrum_patience: int = 1000
     """So many steps it must have been best ago. Open choice."""
     held_change: float = 0.02
-    """Largest change of a held spectrum's images, measured as for ``prune_change`` in each view, that has no gradient:
-    as long as it is less, the other spectra alone shape the scene. Open choice; benchmarks/records/low-light.md."""
+    """Largest difference of a view from what the scene showed when a spectrum was best, measured as for
+    ``prune_change``, that has no gradient once the spectrum goes back to that: as long as it is less, the other spectra
+    alone shape the scene. Open choice; benchmarks/records/low-light.md."""
 
 
 @dataclass(frozen=True)

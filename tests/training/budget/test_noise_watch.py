@@ -10,9 +10,10 @@ import torch
 
 from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.training.budget.noise_watch import NOISY, SOON_NOISY, NoiseWatch
+from thermosplat.training.budget.teacher import Teacher
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
-from toy_scene import toy_capture
+from toy_scene import toy_capture, toy_config, toy_model
 
 LOSS, PATIENCE = 0.05, 100
 FRAMES = 41  # of which 40 are trained on
@@ -35,8 +36,9 @@ def test_floors_rise_to_the_errors_of_the_best_step() -> None:
     assert watch.judge(200, {"rgb": 19.9}, LOSS, PATIENCE) == ["rgb"]
     assert watch.held == ("rgb",)
     assert watch.floors["rgb"].tolist() == pytest.approx([0.02, 0.014, 0.015, 0.01])
-    assert not watch.watches()
+    watch.errors["rgb"].fill_(0.001)
     assert watch.judge(900, {"rgb": 1.0}, LOSS, PATIENCE) == []
+    assert watch.floors["rgb"].tolist() == pytest.approx([0.02, 0.014, 0.015, 0.01])
 
 
 @pytest.mark.parametrize(
@@ -64,6 +66,29 @@ def test_watches_what_may_become_noisy(share: float, watched: bool) -> None:
     watch.judge(100, {"rgb": 20.0}, LOSS, PATIENCE, lambda: kept.append(1))
     assert watch.watches() == watched
     assert len(kept) == watched
+
+
+@pytest.mark.parametrize(("last", "goes_back"), [(19.95, True), (19.96, False), (20.1, False)])
+def test_a_held_spectrum_goes_back_to_its_best(last: float, goes_back: bool) -> None:
+    """At the end of the watch, if withheld views still miss it: to the best step of all, before or after the fall."""
+    watch = watch_with([0.02, 0.02])
+    model = toy_model(toy_config(), toy_capture())
+    scenes = iter([Teacher.of_now(model, degree) for degree in range(3)])
+    for step, psnr in ((100, 19.0), (200, 18.9), (300, 20.0), (400, last)):
+        watch.judge(step, {"rgb": psnr}, LOSS, PATIENCE, lambda: next(scenes))
+    assert watch.held == ("rgb",)
+    assert watch.end(LOSS) == (["rgb"] if goes_back else [])
+    assert watch.over
+    assert {name: teacher.sh_degree for name, teacher in watch.teachers.items()} == ({"rgb": 1} if goes_back else {})
+
+
+def test_only_held_spectra_go_back() -> None:
+    """A fall that was not one of patience long, or not of noise, sends none back."""
+    watch, teacher = watch_with([0.02, 0.02]), Teacher.of_now(toy_model(toy_config(), toy_capture()), 0)
+    watch.judge(100, {"rgb": 20.0}, LOSS, PATIENCE, lambda: teacher)
+    watch.judge(150, {"rgb": 19.0}, LOSS, PATIENCE, lambda: teacher)
+    assert watch.end(LOSS) == []
+    assert watch.teachers == {}
 
 
 def test_state_goes_on() -> None:
@@ -144,28 +169,34 @@ def test_few_views_are_not_withheld_for_long(tmp_path: Path) -> None:
     assert trainer.state.noise_watch.over
 
 
-def test_a_held_spectrum_frees_the_views(tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nothing is watched any more; RGB is fitted no further than when it was best, and the user is told."""
+def test_a_held_spectrum_goes_back_at_the_last_removal(
+    tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Until then RGB is fitted no further than when it was best; then the scene of then teaches it, as the user is
+    told, and nothing is withheld any more."""
     trainer = noisy_run(tmp_path, watched(spectrum_patience=2), NOISE)
-    advance(trainer, 12)
+    advance(trainer, 19)
     watch = trainer.state.noise_watch
     assert watch is not None
-    assert watch.held == ("rgb",)
-    assert watch.over
+    assert (watch.held, watch.over, trainer.state.taught) == (("rgb",), False, ())
     assert watch.floors["rgb"].min() >= NOISE - 1e-6
     assert watch.floors["rgb"].max() > NOISE + 1e-3
-    assert trainer.state.taught == ("rgb",)
-    assert "Withheld RGB views were best after step 4 (46.00 dB)." in capsys.readouterr().out
+    advance(trainer, 20)
+    assert (watch.over, trainer.state.taught) == (True, ("rgb",))
+    assert "Withheld RGB views were best after step 4: 46.00 dB, and now 30.00." in capsys.readouterr().out
+    assert trainer.budget is not None
+    withheld = {trainer.frames.frames[index].name for index in trainer.budget.validation}  # type: ignore[attr-defined]
+    assert withheld < shown(trainer, 20, 100)
 
 
 @pytest.mark.parametrize("batch_size", [None, 2])
 def test_resumed_run_is_the_same(tmp_path: Path, worse: None, batch_size: int | None) -> None:
-    """Cut before a spectrum is held, and after."""
+    """Cut before a spectrum is held, after that, and when it has gone back to its best."""
     config = dataclasses.replace(watched(spectrum_patience=4), batch_size=batch_size)
     capture = many_frames(toy_capture(), FRAMES)
-    end = 18 if batch_size is None else 9
+    end = 24 if batch_size is None else 12
     whole = advance(noisy_run(tmp_path / "whole", config, NOISE), end)
-    for stop in (5, end - 2):
+    for stop in (5, end - 6, end - 2):
         half = advance(noisy_run(tmp_path / f"half{stop}", config, NOISE), stop)
         half.save()
         resumed = advance(Trainer.resume(config, capture, half.run), end)
@@ -173,4 +204,5 @@ def test_resumed_run_is_the_same(tmp_path: Path, worse: None, batch_size: int | 
         assert resumed.state.noise_watch is not None
         assert whole.state.noise_watch is not None
         assert resumed.state.noise_watch.held == whole.state.noise_watch.held == ("rgb",)
+        assert resumed.state.taught == whole.state.taught == ("rgb",)
         assert torch.equal(resumed.state.noise_watch.floors["rgb"], whole.state.noise_watch.floors["rgb"])

@@ -3,8 +3,8 @@
 - No training view is fitted more closely than its noise (noise_floor.py); that is done by the steps themselves.
 - Some training views are withheld while the number of Gaussians grows; when their PSNR has not risen for a while,
   growth stops and they are trained on like the others. Held-out test views steer nothing.
-- Where images are noisy they stay withheld up to the last removal: a spectrum that they say learns noise is held where
-  it was best (noise_watch.py), and trained on what the scene of then shows (teacher.py).
+- Where images are noisy they stay withheld up to the last removal: a spectrum that they say learns noise is held about
+  where it was best (noise_watch.py), and then taught by the scene of that step (teacher.py).
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
   Nothing is removed while it still grows, which ends with the last share at the latest.
@@ -74,7 +74,7 @@ class AutoBudget:
         state: Model, optimizers and density control.
         frames: The training frames.
         schedule: Which of them the steps take.
-        teaches: Whether held spectra may be trained on what the scene showed when they were best.
+        teaches: Whether spectra may be trained on what the scene showed when they were best.
         say: Tells the user something.
     """
 
@@ -189,12 +189,7 @@ class AutoBudget:
         if state.noise_watch is not None:
             teacher = partial(self._teacher, sh_degree)
             loss, patience = settings.spectrum_loss, settings.spectrum_patience
-            for name in state.noise_watch.judge(step, means, loss, patience, teacher):
-                best, then = state.noise_watch.best[name]
-                self._say(
-                    f"Withheld {label(name)} views were best after step {then:,} ({best:.2f} dB). Training on the "
-                    f"{label(name)} images would learn their noise from now on: they stay as they were then."
-                )
+            state.noise_watch.judge(step, means, loss, patience, teacher)
         if not state.growing:
             self._release()
             return
@@ -226,10 +221,15 @@ class AutoBudget:
             strategy.growing = False
 
     def _release(self) -> None:
-        """Train on the withheld views, too, unless a spectrum may have to be held yet."""
+        """Train on the withheld views, too, unless a spectrum is watched by them."""
         watch, too_many = self.state.noise_watch, _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
         if watch is not None and (too_many or self.state.step >= self._last_removal or not watch.watches()):
-            watch.end()
+            for name in watch.end(self.settings.spectrum_loss):
+                best, then = watch.best[name]
+                self._say(
+                    f"Withheld {label(name)} views were best after step {then:,}: {best:.2f} dB, and now "
+                    f"{watch.last[name]:.2f}. From here on the scene learns its {label(name)} from how it looked then."
+                )
         if not self.withholds():
             self.schedule.withhold(())
 

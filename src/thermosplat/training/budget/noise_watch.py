@@ -2,10 +2,12 @@
 
 Each training view has a floor in each spectrum: the squared error below which it is not fitted (noise_floor.py). At
 first that is the variance of the images' noise. But a model has an error of its own, so it learns noise long before it
-comes so near. Withheld training views show when: from then on they get worse. So the spectrum is held where it was when
-they were best, while others go on: it is trained on what the scene of then shows (teacher.py). Where there is no
-teacher, the floors of the spectrum rise to the errors that its views had then. That holds it less well, since at the
-same error more and more of what is learnt is noise.
+comes so near. Withheld training views show when: from then on they get worse. So the floors of a spectrum rise to the
+errors that its views had when the withheld ones were best, while others go on. At the same error more and more of what
+is learnt is noise, though, so that withheld views may go on to fall, more slowly. If they are still below their best
+when the watch ends, the spectrum goes back to it: the scene as it was then teaches what is left to train (teacher.py).
+That is decided at the end, since two views may be wrong about the first fall.
+
 Only spectra are held whose error is to a good part noise: in images without noise, what withheld views lose by a view
 more or less is not noise that was learnt.
 """
@@ -40,8 +42,9 @@ class NoiseWatch:
         errors: By spectrum, the squared errors that the frames had when they were last trained on, [num_frames]
             float32; 0 where that was never.
         best: By spectrum that was watched, the best PSNR of the withheld views [dB] and its step.
-        held: The spectra that are held.
-        teachers: By spectrum, what those that are held are trained on; of others there is none.
+        last: Likewise the last one [dB].
+        held: The spectra whose floors have risen.
+        teachers: By spectrum, what those that went back to where they were best are trained on.
         over: Whether none is watched any more, and no view withheld for it.
     """
 
@@ -50,6 +53,7 @@ class NoiseWatch:
         self.floors = {name: torch.full((num_frames,), value, device=device) for name, value in noise.items()}
         self.errors = {name: torch.zeros(num_frames, device=device) for name in noise}
         self.best: dict[str, tuple[float, int]] = {}
+        self.last: dict[str, float] = {}
         self._errors_at_best: dict[str, Tensor] = {}
         self._best_teachers: dict[str, Teacher] = {}
         self.held: tuple[str, ...] = ()
@@ -61,16 +65,30 @@ class NoiseWatch:
         for name, floors in self.floors.items():
             floors.fill_(self.noise[name])
             self.errors[name].zero_()
-        self.best, self._errors_at_best, self.held, self.over = {}, {}, (), False
+        self.best, self.last, self._errors_at_best, self.held, self.over = {}, {}, {}, (), False
         self.forget_teachers()
 
     def forget_teachers(self) -> None:
         """Hold spectra by floors alone."""
         self._best_teachers, self.teachers = {}, {}
 
-    def end(self) -> None:
-        """Watch no further spectrum."""
+    def end(self, loss: float = math.inf) -> list[str]:
+        """Watch no further spectrum.
+
+        Args:
+            loss: What withheld views must have lost [dB] for a held spectrum to go back to where it was best.
+
+        Returns:
+            The spectra that go back: they have teachers from now on.
+        """
+        found = [
+            name
+            for name in self.held
+            if name in self._best_teachers and self.best[name][0] - self.last.get(name, math.inf) >= loss
+        ]
+        self.teachers |= {name: self._best_teachers[name] for name in found}
         self.over, self._best_teachers = True, {}
+        return found
 
     @torch.no_grad()
     def note(self, index: Tensor, squared_errors: Mapping[str, Tensor]) -> None:
@@ -106,8 +124,8 @@ class NoiseWatch:
         return self.noise[name] / error if error > 0 else 0.0
 
     def watches(self) -> bool:
-        """Whether there is a spectrum that may have to be held yet."""
-        return any(name not in self.held and self.noise_share(name) >= SOON_NOISY for name in self.noise)
+        """Whether there is a spectrum whose best withheld views may be yet to come, or be lost again."""
+        return any(self.noise_share(name) >= SOON_NOISY for name in self.noise)
 
     def judge(
         self,
@@ -117,7 +135,7 @@ class NoiseWatch:
         patience: int,
         teacher: Callable[[], Teacher | None] = lambda: None,
     ) -> list[str]:
-        """Hold the spectra that withheld views say are fitted too closely.
+        """Raise the floors of spectra that withheld views say are fitted too closely; note who is better than ever.
 
         Args:
             step: The step done.
@@ -129,7 +147,7 @@ class NoiseWatch:
         Returns:
             The spectra that are held from now on.
         """
-        shares = {name: self.noise_share(name) for name in self.noise if name in psnrs and name not in self.held}
+        shares = {name: self.noise_share(name) for name in self.noise if name in psnrs}
         watched = [name for name, share in shares.items() if share >= SOON_NOISY]
         better = [name for name in watched if psnrs[name] > self.best.get(name, (-math.inf, 0))[0]]
         now = teacher() if better else None
@@ -142,7 +160,9 @@ class NoiseWatch:
         found = []
         for name in watched:
             best, best_step = self.best[name]
-            if best - psnrs[name] >= loss and step - best_step >= patience and shares[name] >= NOISY:
+            self.last[name] = psnrs[name]
+            fallen = best - psnrs[name] >= loss and step - best_step >= patience
+            if fallen and shares[name] >= NOISY and name not in self.held:
                 self._hold(name)
                 found.append(name)
         return found
@@ -153,8 +173,6 @@ class NoiseWatch:
         risen = torch.where(errors > 0, errors, mean)  # withheld views were never trained on
         torch.maximum(self.floors[name], risen, out=self.floors[name])
         self.held = (*self.held, name)
-        if name in self._best_teachers:
-            self.teachers[name] = self._best_teachers.pop(name)
 
     def state_dict(self, *, teachers: bool = True) -> dict[str, Any]:
         """Tensors and built-in types.
@@ -168,6 +186,7 @@ class NoiseWatch:
             "floors": self.floors,
             "errors": self.errors,
             "best": self.best,
+            "last": self.last,
             "errors_at_best": self._errors_at_best,
             "held": self.held,
             "over": self.over,
@@ -191,6 +210,7 @@ class NoiseWatch:
             for name, tensor in own.items():
                 tensor.copy_(self._of_frames(saved[name]))
         self.best, self._errors_at_best = best, at_best
+        self.last = {name: float(psnr) for name, psnr in state.get("last", {}).items() if name in self.noise}
         self.held = tuple(name for name in self.noise if name in state["held"])
         self.over = bool(state["over"])
 

@@ -1,8 +1,9 @@
-"""What a held spectrum is trained against: the scene as it was when withheld views were best, in place of photographs.
+"""What a spectrum that has learnt noise is trained on: the scene as it was when withheld views were best.
 
 Its renders have no noise that differs from view to view, so nothing is left in them that one view has alone: a spectrum
-that is trained on them stays where it was best, while the images of others go on to shape the Gaussians. (The scene is
-its own teacher, as in born-again networks: Furlanello et al. 2018, arXiv 1805.04770.)
+that is trained on them goes back to where it was best, within some hundred steps, while the images of others go on to
+shape the Gaussians. (The scene is its own teacher, as in born-again networks: Furlanello et al. 2018, arXiv
+1805.04770.)
 
 The teacher renders the frame of each step anew, with the camera, the lens and the size that the step has. Kept images
 would cost no time, but take as much memory as the capture, and fit neither cameras that are refined nor images that
