@@ -19,15 +19,21 @@ CASES = [
 
 
 @pytest.mark.parametrize(
-    ("kind", "options", "count", "idle", "dtype"),
-    [(*case, torch.float64) for case in CASES] + [(*case, torch.float32) for case in CASES if case[-1]],
+    ("kind", "options", "count", "idle", "dtype", "spare"),
+    [(*case, torch.float64, None) for case in CASES]
+    + [(*case, torch.float32, None) for case in CASES if case[-1]]
+    + [(*case, torch.float64, 1.1) for case in CASES if "channel_chunk" not in case[1]],
 )
 def test_images_and_gradients_equal_one_process(
-    ranks: Ranks, kind: str, options: dict[str, Any], count: int, idle: bool, dtype: torch.dtype
+    ranks: Ranks, kind: str, options: dict[str, Any], count: int, idle: bool, dtype: torch.dtype, spare: float | None
 ) -> None:
-    """Also with a rank that has no camera, several cameras of a rank, absolute gradients and gradients of cameras."""
+    """Also with a rank that has no camera, several cameras of a rank, absolute gradients and gradients of cameras.
+
+    With a room for rows and pairs nothing is read back from the device, and nothing changes.
+    """
     whole = work.undivided(kind, options, dtype)
-    shares = ranks.run(work.divided, count, kind, options, idle, dtype)
+    shares = ranks.run(work.divided, count, kind, options, idle, dtype, spare)
+    assert not any(share["overflow"] or share["is_short"] for share in shares)
     tolerance = 1e-5 if dtype == torch.float32 else 1e-11
     for name, expected in whole["gradients"].items():
         places = "cameras" if name in work.CAMERA else "share"
@@ -51,6 +57,21 @@ def test_images_and_gradients_equal_one_process(
         assert torch.equal(share["radii"], whole["radii"][share["order"]][:, share["share"]])
         assert share["keys"] == sorted([*whole["keys"], "sizes"])
     assert sum(share["num_nonfinite"] for share in shares) == whole["num_nonfinite"] == 1
+
+
+def test_what_finds_no_room_is_told(ranks: Ranks) -> None:
+    """With too little room Gaussians are missing, gradients of the others stay finite, and every rank can tell."""
+    shares = ranks.run(work.divided, 2, "plain", {}, False, torch.float64, 0.5)
+    whole = work.undivided("plain", {}, torch.float64)
+    for share in shares:
+        assert share["overflow"] == 1.0
+        assert share["is_short"]
+        expected = whole["images"][1][share["cameras"]]
+        assert share["images"][1].isfinite().all()
+        assert share["images"][1].sum() < expected.sum()
+        gradient = share["gradients"]["means"]
+        assert gradient.isfinite().all()
+        assert 0 < (gradient != 0).any(dim=1).sum() < len(gradient)
 
 
 def test_every_rank_may_have_images_of_its_own_size(ranks: Ranks) -> None:

@@ -7,7 +7,7 @@ import torch
 
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.training import captured_steps
-from thermosplat.training.captured_steps import CapturedSteps
+from thermosplat.training.captured_steps import CapturedSteps, Work
 from thermosplat.training.frames.shrunk_frames import ShrunkFrames
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.training_step import StepKind
@@ -38,10 +38,10 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> Recorded:
     """What was done; captures are noted instead of made."""
     recorded = Recorded()
 
-    def capture(steps: CapturedSteps, frame: FrameTensors, shape: Any, kind: StepKind) -> Any:
+    def capture(steps: CapturedSteps, frames: tuple[FrameTensors, ...], work: Work) -> Any:
         recorded.done.append("captured")
-        static = steps._frames.setdefault(shape, captured_steps.packed_elsewhere(frame))
-        return captured_steps._Captured(recorded, static, None)  # type: ignore[arg-type]
+        static = steps._frames.setdefault(work.shapes, tuple(map(captured_steps.packed_elsewhere, frames)))
+        return captured_steps.Captured(recorded, static, None)  # type: ignore[arg-type]
 
     monkeypatch.setattr(torch.cuda, "MemPool", lambda: recorded)
     recorded.id = 0  # type: ignore[attr-defined]
@@ -65,7 +65,7 @@ def test_each_size_is_seen_line_by_line_and_then_captured(recorded: Recorded) ->
             pass
         kept.append((len(steps._graphs), len(steps._frames)))
         if recorded.done[-1] == "replayed":
-            (static,) = steps._frames.values()
+            ((static,),) = steps._frames.values()
             assert static.views["rgb"].width == frame.views["rgb"].width
             assert torch.equal(static.views["rgb"].image, frame.views["rgb"].image)
     size = ["line by line"] * 4 + ["captured", "replayed", "replayed", "replayed"]

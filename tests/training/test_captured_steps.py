@@ -106,7 +106,7 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
 
     plain, captured = run("plain", False), run("captured", True)
     assert isinstance(captured.steps, CapturedSteps)
-    assert {kind.depth_spread for _, kind in captured.steps._graphs} == {True}
+    assert {work.kind.depth_spread for work in captured.steps._graphs} == {True}
     assert captured.guard.first_bad() is None
     assert captured.model.num_gaussians == plain.model.num_gaussians > 60
     ours, theirs = captured.state.exposures, plain.state.exposures
@@ -128,7 +128,7 @@ def test_images_that_grow_are_captured_anew(tmp_path: Path) -> None:
             trainer._train_step()
             if isinstance(trainer.steps, CapturedSteps) and trainer.steps._graphs:
                 seen += [
-                    (len(trainer.steps._graphs), held.views["rgb"].width) for held in trainer.steps._frames.values()
+                    (len(trainer.steps._graphs), held.views["rgb"].width) for (held,) in trainer.steps._frames.values()
                 ]
         return trainer, seen
 
@@ -207,7 +207,7 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     captured = trainer.steps
     assert isinstance(captured, CapturedSteps)
     captured.forget()
-    _, kind = next(iter(captured._seen))
+    kind = next(iter(captured._seen)).kind
     capacity = captured.step.capacity
     frame = trainer.frames[0]
     capacity.measure()

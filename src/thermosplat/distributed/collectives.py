@@ -27,14 +27,18 @@ def check_is_joined() -> None:
         )
 
 
-def numbers_of_all(numbers: Sequence[int], device: torch.device) -> list[list[int]]:
-    """Every rank's numbers, by rank. Waits for the device.
+def numbers_of_all(numbers: Sequence[float], device: torch.device) -> list[list[float]]:
+    """Every rank's numbers, by rank.
+
+    They travel from host to host, so that no rank waits for its GPU. A process group without a backend for the CPU
+    takes them over the device, and waits for it.
 
     Args:
-        numbers: This rank's; as many on every rank.
+        numbers: This rank's, exact in float64; as many on every rank.
         device: Where tensors are exchanged.
     """
-    own = torch.tensor(list(numbers), dtype=torch.int64, device=device)
+    hosts_talk = "cpu:" in dist.get_backend_config()
+    own = torch.tensor(list(numbers), dtype=torch.float64, device="cpu" if hosts_talk else device)
     return [numbers_of_rank.tolist() for numbers_of_rank in tensors_of_all(own)]
 
 

@@ -27,7 +27,8 @@ class Route:
     """Which rows go where."""
 
     rows: Tensor
-    """int64 [n], the rows that this rank sends: those that some camera sees, camera by camera."""
+    """int64 [n], the rows that this rank sends: those that some camera sees, camera by camera. With a room, what is
+    left of each camera's is the row after the last: a row of zeros, which no camera sees."""
     sent: list[int]
     """Rows for each rank."""
     received: list[int]
@@ -35,7 +36,9 @@ class Route:
     places: Tensor | None
     """int64 [m], where what arrives goes: camera by camera, each with room for ``seen`` rows. None: as it arrives."""
     seen: int
-    """Most Gaussians that a camera of this rank sees."""
+    """Most Gaussians that a camera of this rank sees, or there is room for."""
+    has_room: bool = False
+    """Whether rows may be missing."""
 
 
 def route_of_seen(visible: Tensor, cameras: Sequence[int]) -> Route:
@@ -62,6 +65,33 @@ def route_of_seen(visible: Tensor, cameras: Sequence[int]) -> Route:
         places = torch.cat(ranges)
     rows = visible.flatten().nonzero().squeeze(1)
     return Route(rows, sent, [sum(of_rank) for of_rank in arriving], places, seen)
+
+
+def route_in_room(visible: Tensor, cameras: Sequence[int], room: int) -> Route:
+    """The route of the Gaussians that cameras see, with so much room whatever they see. The device is not waited for.
+
+    What finds no room is left out: the last ones of this rank.
+
+    Args:
+        visible: bool [C_world, N].
+        cameras: Cameras of each rank.
+        room: Gaussians of a rank before a camera; the same number on every rank.
+    """
+    world, ranks, own = len(visible), len(cameras), cameras[dist.get_rank()]
+    places = visible.cumsum(dim=1) - 1
+    places = torch.where(visible & (places < room), places, room)
+    every = torch.arange(visible.numel(), device=visible.device).view(visible.shape)
+    # what has no place is written behind the room, and cut off
+    rows = torch.full((world, room + 1), visible.numel(), device=visible.device).scatter_(1, places, every)
+    arrived = torch.arange(own * ranks * room, device=visible.device).view(own, ranks, room)
+    return Route(
+        rows[:, :room].flatten(),
+        [room * count for count in cameras],
+        [room * own] * ranks,
+        arrived.transpose(0, 1).flatten() if own > 1 else None,
+        ranks * room,
+        has_room=True,
+    )
 
 
 @dataclass
@@ -96,7 +126,7 @@ class Exchange(torch.autograd.Function):
         ctx.shapes = [tensor.shape for tensor in tensors]
         ctx.num_carried = num_carried
         ctx.set_materialize_grads(False)
-        sent = torch.cat([tensor.index_select(0, route.rows) for tensor in tensors], dim=1)
+        sent = _sent(route, tensors)
         arrived = exchanged_rows(sent, route.sent, route.received)
         if route.places is not None:
             placed = arrived.new_zeros(cameras * route.seen, arrived.shape[1])
@@ -126,7 +156,7 @@ class Exchange(torch.autograd.Function):
         ]
         returned = exchanged_rows(torch.cat(columns, dim=1), route.received, route.sent)
         found = [
-            like.new_zeros(shape).index_copy_(0, route.rows, part)
+            like.new_zeros(shape[0] + route.has_room, shape[1]).index_copy_(0, route.rows, part)[: shape[0]]
             for shape, part in zip(shapes, returned.split([shape[1] for shape in shapes], dim=1), strict=True)
         ]
         if absolute.wanted:
@@ -134,3 +164,14 @@ class Exchange(torch.autograd.Function):
             earlier = getattr(absolute.shown, "absgrad", None)
             absolute.shown.absgrad = total if earlier is None else earlier + total
         return None, None, None, None, *found, *(None for _ in range(ctx.num_carried))
+
+
+def _sent(route: Route, tensors: Sequence[Tensor]) -> Tensor:
+    """The rows that this rank sends, all tensors side by side."""
+    if not route.has_room:
+        return torch.cat([tensor.index_select(0, route.rows) for tensor in tensors], dim=1)
+    count = len(tensors[0])
+    rows = route.rows.clamp(max=max(count - 1, 0))
+    given = tensors if count > 0 else [tensor.new_zeros(1, tensor.shape[1]) for tensor in tensors]
+    sent = torch.cat([tensor.index_select(0, rows) for tensor in given], dim=1)
+    return sent.masked_fill_((route.rows == count)[:, None], 0.0)

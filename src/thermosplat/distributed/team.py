@@ -50,8 +50,8 @@ class Team:
         return self.rank == 0
 
     def numbers(self, numbers: Sequence[int]) -> list[list[int]]:
-        """Every rank's numbers, as many on each."""
-        return numbers_of_all(numbers, self.device)
+        """Every rank's numbers, as many on each. The device is not waited for."""
+        return [[int(number) for number in of_rank] for of_rank in numbers_of_all(numbers, self.device)]
 
     def block_of(self, rows: int) -> slice:
         """This rank's rows of so many."""
@@ -61,16 +61,11 @@ class Team:
 
     def sum_in_place(self, tensors: Sequence[Tensor]) -> None:
         """Replace tensors by their sums over all ranks."""
-        if not tensors:
-            return
-        flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
-        dist.all_reduce(flat)
-        for tensor, total in zip(tensors, flat.split([tensor.numel() for tensor in tensors]), strict=True):
-            tensor.copy_(total.view(tensor.shape))
+        _reduce_in_place(tensors, dist.ReduceOp.SUM)
 
-    def largest_in_place(self, tensor: Tensor) -> None:
-        """Replace a tensor by its largest values over all ranks."""
-        dist.all_reduce(tensor, op=dist.ReduceOp.MAX)
+    def largest_in_place(self, tensors: Sequence[Tensor]) -> None:
+        """Replace tensors by their largest values over all ranks."""
+        _reduce_in_place(tensors, dist.ReduceOp.MAX)
 
     def on_first(self, rows: Tensor, counts: Sequence[int]) -> Tensor | None:
         """Every rank's rows [n, ...], one below the other, on rank 0; None on the others.
@@ -155,6 +150,16 @@ class Team:
         if failure is not None and failed[0] == self.rank:
             raise failure
         raise EndedElsewhere(codes[failed[0]])
+
+
+def _reduce_in_place(tensors: Sequence[Tensor], operation: Any) -> None:
+    """One reduction of all tensors, which have one dtype."""
+    if not tensors:
+        return
+    flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
+    dist.all_reduce(flat, op=operation)
+    for tensor, found in zip(tensors, flat.split([tensor.numel() for tensor in tensors]), strict=True):
+        tensor.copy_(found.view(tensor.shape))
 
 
 def _exit_code(error: BaseException) -> int:

@@ -9,7 +9,7 @@ from typing import cast, get_args
 import torch
 from torch import Tensor
 
-from thermosplat.distributed.collectives import GatheredRows, tensors_of_all
+from thermosplat.distributed.collectives import GatheredRows, numbers_of_all
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.arguments import CameraModel, check_shape
 from thermosplat.rasterizer.lenses import Lenses
@@ -58,6 +58,8 @@ class CamerasOfRanks:
     """Cameras of each rank."""
     kinds: list[CameraKind]
     """Of each camera, [C_world]."""
+    most_gaussians: int
+    """Of the rank that has the most."""
     rows: Tensor
     """View matrix, intrinsics, and where some rank has them lens, motion and second view matrix, [C_world, X]."""
 
@@ -106,14 +108,17 @@ def check_cameras(means: Tensor, viewmats: Tensor, Ks: Tensor) -> None:
     check_shape("Ks", Ks, (own, 3, 3), means, "[C, 3, 3] with C from viewmats")
 
 
-def cameras_of_ranks(viewmats: Tensor, Ks: Tensor, kind: CameraKind, lenses: Lenses | None) -> CamerasOfRanks:
-    """The cameras of all ranks; their gradients reach the rank that gave them. Waits for the device.
+def cameras_of_ranks(
+    viewmats: Tensor, Ks: Tensor, kind: CameraKind, lenses: Lenses | None, num_gaussians: int
+) -> CamerasOfRanks:
+    """The cameras of all ranks; their gradients reach the rank that gave them.
 
     Args:
         viewmats: This rank's, [C, 4, 4].
         Ks: Their intrinsics, [C, 3, 3].
         kind: What they have in common.
         lenses: Their lenses and motions; None where the kind has none.
+        num_gaussians: On this rank.
 
     Raises:
         UserError: No rank has a camera.
@@ -125,15 +130,15 @@ def cameras_of_ranks(viewmats: Tensor, Ks: Tensor, kind: CameraKind, lenses: Len
         if lenses.motions is not None:
             columns += [lenses.motions.reshape(own, MOTION), lenses.viewmats.reshape(own, _POSE)]
     cameras = torch.cat(columns, dim=1)
-    about = [own, int(cameras.requires_grad), cameras.shape[1], *kind.numbers()]
-    said = [of_rank.tolist() for of_rank in tensors_of_all(viewmats.new_tensor(about, dtype=torch.float64))]
+    about = [own, num_gaussians, int(cameras.requires_grad), cameras.shape[1], *kind.numbers()]
+    said = numbers_of_all(about, viewmats.device)
     counts = [int(count) for count, *_ in said]
     if sum(counts) == 0:
         raise UserError("No rank has a camera to render with distributed=True.")
-    widest = max(int(width) for _, _, width, *_ in said)
+    widest = max(int(width) for _, _, _, width, *_ in said)
     cameras = torch.nn.functional.pad(cameras, (0, widest - cameras.shape[1]))
-    if any(wanted for _, wanted, *_ in said) and not cameras.requires_grad:
+    if any(wanted for _, _, wanted, *_ in said) and not cameras.requires_grad:
         cameras = cameras.detach().requires_grad_()  # every rank takes part in what another one's gradient needs
     rows = cast("Tensor", GatheredRows.apply(cameras, counts))
-    kinds = [CameraKind.of_numbers(numbers) for count, _, _, *numbers in said for _ in range(int(count))]
-    return CamerasOfRanks(counts, kinds, rows)
+    kinds = [CameraKind.of_numbers(numbers) for count, _, _, _, *numbers in said for _ in range(int(count))]
+    return CamerasOfRanks(counts, kinds, max(int(number) for _, number, *_ in said), rows)

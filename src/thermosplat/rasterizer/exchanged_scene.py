@@ -13,11 +13,12 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from thermosplat.distributed.exchange import AbsoluteGradients, Exchange, route_of_seen
+from thermosplat.distributed.exchange import AbsoluteGradients, Exchange, route_in_room, route_of_seen
 from thermosplat.rasterizer.blending import BlendedTensors
 from thermosplat.rasterizer.cameras_of_ranks import CameraKind, cameras_of_ranks
 from thermosplat.rasterizer.info import RasterizationInfo, conics
 from thermosplat.rasterizer.lenses import Lenses
+from thermosplat.rasterizer.pair_capacity import active_pair_capacity
 from thermosplat.rasterizer.projected_scene import ProjectedScene
 from thermosplat.rasterizer.projection import ProjectedTensors
 
@@ -26,7 +27,7 @@ MakeScene = Callable[[Tensor, Tensor, CameraKind, Lenses | None, slice], Project
 
 
 def scene_among_ranks(
-    make: MakeScene, viewmats: Tensor, Ks: Tensor, kind: CameraKind, lenses: Lenses | None
+    make: MakeScene, viewmats: Tensor, Ks: Tensor, kind: CameraKind, lenses: Lenses | None, num_gaussians: int
 ) -> ProjectedScene:
     """What this rank's cameras see of the Gaussians of all ranks.
 
@@ -36,14 +37,15 @@ def scene_among_ranks(
         Ks: Their intrinsics, [C, 3, 3], checked.
         kind: What they have in common; other ranks may have others.
         lenses: Their lenses.
+        num_gaussians: On this rank.
 
     Raises:
         UserError: No rank has a camera.
     """
-    cameras = cameras_of_ranks(viewmats, Ks, kind, lenses)
+    cameras = cameras_of_ranks(viewmats, Ks, kind, lenses, num_gaussians)
     parts = [make(*alike) for alike in cameras.by_kind()]
     sizes = [(of_camera.width, of_camera.height) for of_camera in cameras.kinds]
-    return ExchangedScene(parts, cameras.counts, sizes, kind.width, kind.height)
+    return ExchangedScene(parts, cameras.counts, sizes, cameras.most_gaussians, kind.width, kind.height)
 
 
 class ExchangedScene(ProjectedScene):
@@ -53,12 +55,19 @@ class ExchangedScene(ProjectedScene):
         parts: This rank's Gaussians projected to the cameras of all ranks, in the order of ranks.
         counts: Cameras of each rank.
         sizes: Width and height of every camera's image [px].
+        most_gaussians: Of the rank that has the most.
         width: Of this rank's images [px].
         height: Likewise.
     """
 
     def __init__(
-        self, parts: list[ProjectedScene], counts: list[int], sizes: list[tuple[int, int]], width: int, height: int
+        self,
+        parts: list[ProjectedScene],
+        counts: list[int],
+        sizes: list[tuple[int, int]],
+        most_gaussians: int,
+        width: int,
+        height: int,
     ) -> None:
         first = parts[0]
         cameras, num_gaussians = counts[dist.get_rank()], first.settings.num_gaussians
@@ -82,7 +91,17 @@ class ExchangedScene(ProjectedScene):
         self._inputs, self._harmonics, self._cameras = first._inputs, first._harmonics, first._cameras
 
         visible = (self._own_radii > 0).all(dim=-1)
-        route = route_of_seen(visible, counts)
+        capacity = active_pair_capacity()
+        room = None if capacity is None else capacity.room_for_rows()
+        route = (
+            route_of_seen(visible, counts)
+            if room is None
+            else route_in_room(visible, counts, min(room, most_gaussians))
+        )
+        if capacity is not None:
+            capacity.note_rows(visible.sum(dim=1).amax(), most_gaussians)
+            if cameras == 0:
+                capacity.note(visible.new_zeros(1, dtype=torch.int64))  # it has no pairs, and is a call all the same
         self.settings = replace(
             first.settings,
             width=width,

@@ -48,6 +48,9 @@ class PairCapacity:
         most_listed: int64 [CALLS], most Gaussians with pairs; 0 where that was not counted, as there were few.
         overflow: float32 scalar on the device, 1 where a call of the last step (or replay) had more pairs than room.
         spare: as given; the next :meth:`measure` makes room by it.
+        most_rows: int64 [CALLS], most Gaussians of this rank that a camera saw, of calls with ``distributed=True``.
+
+    Where calls are ``distributed=True``, every rank calls :meth:`measure` at the same time.
 
     Example:
         >>> capacity = PairCapacity("cuda")                                    # doctest: +SKIP
@@ -67,9 +70,12 @@ class PairCapacity:
     def __init__(self, device: torch.device | str, spare: float = SPARE) -> None:
         self.most = torch.zeros(CALLS, dtype=torch.int64, device=device)
         self.most_listed = torch.zeros_like(self.most)
+        self.most_rows = torch.zeros_like(self.most)
         self.overflow = torch.zeros((), dtype=torch.float32, device=device)
         self.spare = spare
         self._rooms: list[Room] = []
+        self._rooms_for_rows: list[int] = []
+        self._is_divided = False
         self._calls = 0
         self._fixed = False
 
@@ -98,6 +104,9 @@ class PairCapacity:
 
     def measure(self) -> None:
         """Make room for the most that was seen. Waits for the device."""
+        if self._is_divided:
+            torch.distributed.all_reduce(self.most_rows, op=torch.distributed.ReduceOp.MAX)
+        self._rooms_for_rows = [self._with_spare(rows) for rows in self.most_rows.tolist()]
         most = zip(self.most.tolist(), self.most_listed.tolist(), strict=True)
         # where Gaussians were not counted, there may soon be more: they have no more than pairs
         self._rooms = [
@@ -116,6 +125,7 @@ class PairCapacity:
         for what, most, limits in (
             ("(Gaussian, tile) pairs", self.most, [room.pairs for room in self._rooms]),
             ("Gaussians in the image", self.most_listed, [room.gaussians for room in self._rooms]),
+            ("Gaussians of a rank in an image", self.most_rows, self._rooms_for_rows),
         ):
             for call, (count, limit) in enumerate(zip(most.tolist(), limits)):
                 if count > limit:
@@ -144,6 +154,25 @@ class PairCapacity:
                 f"A step of PairCapacity holds at most {CALLS} rasterizations.", "Render several cameras in one call."
             )
         return self._rooms[self._calls] if self._fixed else None
+
+    def room_for_rows(self) -> int | None:
+        """Gaussians of each rank that a camera of the next call of this step may see; None: they are counted."""
+        return self._rooms_for_rows[self._calls] if self._fixed and self._calls < CALLS else None
+
+    def note_rows(self, rows: Tensor, most: int) -> None:
+        """Note the Gaussians that the next call has of this rank, room for them or not.
+
+        Args:
+            rows: int64 scalar on the device: those that the camera that sees the most sees.
+            most: Gaussians of the rank that has the most.
+        """
+        self._is_divided = True
+        room = self.room_for_rows()
+        if self._calls < CALLS:
+            of_call = self.most_rows[self._calls]
+            of_call.copy_(torch.maximum(of_call, rows))
+        if room is not None and room < most:
+            self.overflow.copy_(torch.maximum(self.overflow, (rows > room).to(self.overflow)))
 
     def note(self, totals: Tensor) -> None:
         """Note the pairs of a call, room for them or not.

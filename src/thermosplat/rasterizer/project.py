@@ -152,7 +152,7 @@ def project(
     width, height = checked_sizes(width=width, height=height)
     lenses = checked_lenses(lens, camera_model, means, covars, viewmats, width, height)
     kind = CameraKind(width, height, camera_model, None if lenses is None else lenses.settings)
-    return scene_among_ranks(seen_by, viewmats, Ks, kind, lenses)
+    return scene_among_ranks(seen_by, viewmats, Ks, kind, lenses, len(means))
 
 
 def _of_cameras(values: Any, degree: int | None, cameras: slice) -> Any:

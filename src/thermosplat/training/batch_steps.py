@@ -3,9 +3,9 @@
 A step's loss is the mean over its frames. Frame k of a step is rendered by rank k mod W, W frames at a time.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -28,6 +28,21 @@ from thermosplat.training.training_step import Differentiated, Part, StepKind, S
 NO_FRAME = FrameTensors("", {}, ())
 
 
+@dataclass(frozen=True)
+class Plan:
+    """What the host decides about the frames of a step, which every rank knows of all of them."""
+
+    penalised: tuple[str, ...]
+    """The sets of Gaussians whose own penalties come with the step."""
+    rounds: tuple[tuple[tuple[Group, ...], ...], ...]
+    """The groups of spectra of every frame, as many frames at a time as there are ranks."""
+
+    @property
+    def frames(self) -> int:
+        """Of all ranks."""
+        return sum(map(len, self.rounds))
+
+
 class BatchSteps:
     """Runs steps of several frames; ``PlainSteps`` has the same methods.
 
@@ -42,8 +57,8 @@ class BatchSteps:
         self, step: TrainingStep, frames: TrainFrames, schedule: SpectrumSchedule, team: Team | None = None
     ) -> None:
         self.step, self.frames, self.schedule, self.team = step, frames, schedule, team
-        rank, ranks = (0, 1) if team is None else (team.rank, team.size)
-        schedule.places = range(rank, step.config.batch_size or 1, ranks)
+        self._rank, self._ranks = (0, 1) if team is None else (team.rank, team.size)
+        schedule.places = range(self._rank, step.config.batch_size or 1, self._ranks)
         betas = adam_betas(step.config.batch_size or 1)
         for optimizers in step.state.optimizers.values():
             set_betas(optimizers, betas)
@@ -56,7 +71,8 @@ class BatchSteps:
             frame: The first of its frames; the others are known.
             kind: What is done with them.
         """
-        done = self._gradients(kind)
+        plan = self.plan()
+        done = self.gradients(plan, self.own_frames(plan, kind), kind, fixed_capacity=False)
         with deferred_interrupts():
             yield self.step.update(kind, done)
 
@@ -66,56 +82,82 @@ class BatchSteps:
     def check_overflow(self) -> None:
         """Every pair has room: rasterizations read back how many there are."""
 
-    def _gradients(self, kind: StepKind) -> Differentiated:
-        state, team = self.step.state, self.team
-        batch = self.schedule.batch(state.step)
+    def plan(self) -> Plan:
+        """Of the step that comes next."""
+        state = self.step.state
         shown = self.schedule.shown(state.step)
-        rank, ranks = (0, 1) if team is None else (team.rank, team.size)
-        rounds = [batch[start : start + ranks] for start in range(0, len(batch), ranks)]
-        penalised = list(
-            dict.fromkeys(
-                state.model.set_of(name)
-                for name in state.model.spectra
-                if any(name in shown and name in self.frames.frames[index].views for index in batch)
-            )
-        )
+        batch = [self.frames.frames[index] for index in self.schedule.batch(state.step)]
+        penalised = [
+            state.model.set_of(name)
+            for name in state.model.spectra
+            if any(name in shown and name in frame.views for frame in batch)
+        ]
+        groups = [tuple(self._groups(frame, shown)) for frame in batch]
+        rounds = (groups[start : start + self._ranks] for start in range(0, len(groups), self._ranks))
+        return Plan(tuple(dict.fromkeys(penalised)), tuple(map(tuple, rounds)))
+
+    def own_frames(self, plan: Plan, kind: StepKind) -> Iterator[FrameTensors]:
+        """The frames that this rank renders in the step that comes next, one for each round.
+
+        Args:
+            plan: The step's.
+            kind: What is done with them.
+        """
+        for number, groups in enumerate(plan.rounds):
+            has_one = self._rank < len(groups)
+            step, factor = self.step.state.step, kind.image_factor
+            yield self.schedule.tensors(step, number, factor=factor) if has_one else NO_FRAME
+
+    def gradients(
+        self, plan: Plan, frames: Iterable[FrameTensors], kind: StepKind, *, fixed_capacity: bool
+    ) -> Differentiated:
+        """Render the frames, compare them with their images, and leave the gradients on the parameters.
+
+        Args:
+            plan: The step's.
+            frames: This rank's, one for each round.
+            kind: What is done with them.
+            fixed_capacity: Render without reading numbers of pairs back.
+        """
+        state, team, capacity = self.step.state, self.team, self.step.capacity
         losses: dict[str, list[Tensor]] = {}
         errors: dict[str, list[Tensor]] = {}
         observed: list[dict[str, list[Any]]] = []
+        overflows: list[Tensor] = []
+        indices: list[Tensor] = []
         done: Differentiated | None = None
-        for number, indices in enumerate(rounds):
-            calls = None if team is None else self._calls(team, indices, shown)
-            part = Part(1.0 / len(batch), penalised if number == 0 else (), calls)
-            own = (
-                self.schedule.tensors(state.step, number, factor=kind.image_factor) if rank < len(indices) else NO_FRAME
-            )
+        for number, (groups, frame) in enumerate(zip(plan.rounds, frames, strict=True)):
+            calls = None if team is None else self._calls(groups)
+            part = Part(1.0 / plan.frames, plan.penalised if number == 0 else (), calls)
             done = None  # what it holds of the frame before is not needed while this one is rendered
-            done = self.step.differentiate(own, kind, part)
+            done = self.step.differentiate(frame, kind, part, fixed_capacity=fixed_capacity)
+            overflows.append(capacity.overflow.clone())
+            indices += [] if frame.index is None else [frame.index.clone()]
             for held, found in ((losses, done.losses), (errors, done.squared_errors)):
                 for name, value in found.items():
                     held.setdefault(name, []).append(value.detach())
-            for camera in range(len(indices)) if kind.densifying else ():
-                groups = None if calls is None else calls.of_ranks[camera]
-                observed.append(infos_of_frame(done.rendered.infos, camera, groups, len(batch)))
+            for camera in range(len(groups)) if kind.densifying else ():
+                rendered = None if calls is None else calls.of_ranks[camera]
+                observed.append(infos_of_frame(done.rendered.infos, camera, rendered, plan.frames))
         if done is None:
             raise ValueError("A step has no frame.")
-        own_frames = max(sum(rank < len(indices) for indices in rounds), 1)
+        own_frames = max(sum(self._rank < len(groups) for groups in plan.rounds), 1)
         # a rank says of all frames what it saw of its own
-        said = {name: torch.stack(values).sum() * (len(batch) / own_frames) for name, values in losses.items()}
+        said = {name: torch.stack(values).sum() * (plan.frames / own_frames) for name, values in losses.items()}
         if team is not None:
             self._add_up_replicated(team)
-            self._tell_errors(team, [indices[rank] for indices in rounds if rank < len(indices)])
+            self._tell_errors(team, indices)
         self.step.guard.observe(state.step_on_device, said, state.gradients_to_watch())
+        capacity.overflow.copy_(torch.stack(overflows).amax())
         if team is not None:
-            team.largest_in_place(self.step.guard.blocked)
+            team.largest_in_place([self.step.guard.blocked, capacity.overflow])
         means = {name: torch.stack(values).mean() for name, values in errors.items()}
         return replace(done, losses=said, squared_errors=means, observed=observed)
 
-    def _calls(self, team: Team, indices: list[int], shown: frozenset[str]) -> Calls:
-        frames = [self._groups(self.frames.frames[index], shown) for index in indices]
-        missing: list[list[Group]] = [[] for _ in range(team.size - len(frames))]
+    def _calls(self, groups: Sequence[Sequence[Group]]) -> Calls:
+        missing: list[Sequence[Group]] = [()] * (self._ranks - len(groups))
         like = next(iter(self.step.state.gaussian_sets.values())).means
-        return calls_of([*frames, *missing], team.rank, like.detach())
+        return calls_of([*groups, *missing], self._rank, like.detach())
 
     def _groups(self, frame: Frame, shown: frozenset[str]) -> list[Group]:
         """The groups in which a rank renders a frame, as every rank finds them."""
@@ -127,15 +169,17 @@ class BatchSteps:
         groups = (tuple(name for name in names if name in group) for group in frame.shared_cameras)
         return [group for group in groups if group]
 
-    def _tell_errors(self, team: Team, own: list[int]) -> None:
-        """Let all ranks know the errors of the frames that this one trained on, by index."""
+    def _tell_errors(self, team: Team, own: Sequence[Tensor]) -> None:
+        """Let all ranks know the errors of the frames that this one trained on, given by their indices."""
         watch = self.step.state.noise_watch
         if watch is None:
             return
         noted = torch.stack(list(watch.errors.values()))
         found = torch.zeros_like(noted)
-        found[:, own] = noted[:, own]
-        team.largest_in_place(found)  # a frame that two ranks have, where an epoch ends, has one error
+        if own:
+            index = torch.stack(list(own))
+            found.index_copy_(1, index, noted.index_select(1, index))
+        team.largest_in_place([found])  # a frame that two ranks have, where an epoch ends, has one error
         for errors, of_spectrum in zip(watch.errors.values(), found, strict=True):
             errors.copy_(torch.where(of_spectrum > 0, of_spectrum, errors))
 

@@ -7,9 +7,11 @@ get another size (``resolution``), or a spectrum a teacher that is rendered too,
 long as it takes to see their pairs.
 """
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
 
 import torch
 
@@ -41,12 +43,30 @@ class _Shape:
 
 
 @dataclass(frozen=True)
-class _Captured:
+class Captured:
     """A recorded step."""
 
     graph: torch.cuda.CUDAGraph
-    frame: FrameTensors
+    frames: tuple[FrameTensors, ...]
     values: StepValues
+
+
+class Work(NamedTuple):
+    """What two steps must share to be recorded once."""
+
+    shapes: tuple[_Shape | None, ...]
+    """Of the frames; None of one without a view."""
+    plan: Hashable
+    """What else the host decides about the frames."""
+    kind: StepKind
+
+
+class Readiness(IntEnum):
+    """What can be done with a step."""
+
+    LINE_BY_LINE = 0
+    CAPTURE = 1
+    REPLAY = 2
 
 
 class CapturedSteps:
@@ -62,9 +82,9 @@ class CapturedSteps:
         self._measured_anew = self._to_measure = min(num_frames, MEASURED)
         self._image_factor = 1.0
         self._taught: tuple[str, ...] = ()
-        self._seen: set[tuple[_Shape, StepKind]] = set()
-        self._frames: dict[_Shape, FrameTensors] = {}
-        self._graphs: dict[tuple[_Shape, StepKind], _Captured] = {}
+        self._seen: set[Work] = set()
+        self._frames: dict[tuple[_Shape | None, ...], tuple[FrameTensors, ...]] = {}
+        self._graphs: dict[Work, Captured] = {}
         self._pool = torch.cuda.MemPool()  # outlives the graphs, which take their memory from it one after the other
 
     @contextmanager
@@ -78,25 +98,42 @@ class CapturedSteps:
             kind: What is done with it.
         """
         with deferred_interrupts():
-            yield self._run(frame, kind)
+            yield self._run((frame,), kind, None)
 
-    def _run(self, frame: FrameTensors, kind: StepKind) -> StepValues:
+    def _run(self, frames: tuple[FrameTensors, ...], kind: StepKind, plan: Hashable) -> StepValues:
         if (kind.image_factor, kind.taught) != (self._image_factor, self._taught):
             self._image_factor, self._taught = kind.image_factor, kind.taught
             self._forget_sizes()
-        shape = _shape(frame)
-        if self._to_measure > 0 or (shape, kind) not in self._seen:
+        work = Work(tuple(map(_shape, frames)), plan, kind)
+        readiness = self._readiness(work)
+        if readiness is Readiness.LINE_BY_LINE:
             # also loads kernels, picks algorithms and makes the optimizers' state, none of which can be captured
             self._to_measure -= 1
-            self._seen.add((shape, kind))
-            return self.step.update(kind, self.step.gradients(frame, kind, fixed_capacity=False))
-        if (shape, kind) not in self._graphs:
-            self._graphs[shape, kind] = self._capture(frame, shape, kind)
-        captured = self._graphs[shape, kind]
-        packed_memory(captured.frame).copy_(packed_memory(frame))
+            self._seen.add(work)
+            return self._do(frames, work, fixed_capacity=False)
+        if readiness is Readiness.CAPTURE:
+            self._graphs[work] = self._capture(frames, work)
+        captured = self._graphs[work]
+        for static, frame in zip(captured.frames, frames, strict=True):
+            if frame.views:
+                packed_memory(static).copy_(packed_memory(frame))
         captured.graph.replay()
         self.step.state.step += 1
         return captured.values
+
+    def _readiness(self, work: Work) -> Readiness:
+        if self._to_measure > 0 or work not in self._seen:
+            return Readiness.LINE_BY_LINE
+        if work in self._graphs:
+            return Readiness.REPLAY
+        if any(other.kind != work.kind for other in self._graphs):
+            self.forget()  # what was done until now is hardly ever done again
+        return Readiness.CAPTURE
+
+    def _do(self, frames: tuple[FrameTensors, ...], work: Work, *, fixed_capacity: bool) -> StepValues:
+        """The step itself."""
+        (frame,) = frames
+        return self.step.update(work.kind, self.step.gradients(frame, work.kind, fixed_capacity=fixed_capacity))
 
     def forget(self, *, kernels: bool = False) -> None:
         """Drop what was captured: the tensors it works on are about to change, or have changed.
@@ -116,17 +153,18 @@ class CapturedSteps:
 
     def check_overflow(self) -> None:
         """See whether all pairs had room; if not, those steps changed nothing, and the next ones get more room."""
-        if self._graphs and self.step.capacity.is_short():
+        if self._is_short():
             self.forget()
 
-    def _capture(self, frame: FrameTensors, shape: _Shape, kind: StepKind) -> _Captured:
-        if shape not in self._frames:
-            self._frames[shape] = packed_elsewhere(frame)
-        static, graph = self._frames[shape], torch.cuda.CUDAGraph()
-        if any(other != kind for _, other in self._graphs):
-            self.forget()  # what was done until now is hardly ever done again
+    def _is_short(self) -> bool:
+        return bool(self._graphs) and self.step.capacity.is_short()
+
+    def _capture(self, frames: tuple[FrameTensors, ...], work: Work) -> Captured:
+        if work.shapes not in self._frames:
+            self._frames[work.shapes] = tuple(packed_elsewhere(frame) if frame.views else frame for frame in frames)
+        static, graph = self._frames[work.shapes], torch.cuda.CUDAGraph()
         if not self._graphs:
-            self.step.capacity.spare = SPARE if kind.densifying else SETTLED_SPARE
+            self.step.capacity.spare = SPARE if work.kind.densifying else SETTLED_SPARE
             self.step.capacity.measure()
         if self.step.state.noise.device.type == "cuda":
             # each replay then draws from where the step starts it
@@ -134,13 +172,15 @@ class CapturedSteps:
         done = self.step.state.step
         try:
             with captured_in(graph, self._pool.id):
-                values = self.step.update(kind, self.step.gradients(static, kind, fixed_capacity=True))
+                values = self._do(static, work, fixed_capacity=True)
         finally:
             self.step.state.step = done  # what is captured is not done
-        return _Captured(graph, static, values)
+        return Captured(graph, static, values)
 
 
-def _shape(frame: FrameTensors) -> _Shape:
+def _shape(frame: FrameTensors) -> _Shape | None:
+    if not frame.views:
+        return None
     tensors = tuple((place_in_frame(frame, tensor), tuple(tensor.shape)) for tensor in frame.packable())
     cameras = tuple((view.fisheye, view.line_order) for view in frame.views.values())
     return _Shape(tensors, len(packed_memory(frame)), frame.shared_cameras, cameras)

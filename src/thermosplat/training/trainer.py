@@ -36,6 +36,7 @@ from thermosplat.training.budget.noise_floor import noise_floors
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.teacher import may_teach
 from thermosplat.training.camera_rounds import CameraRounds, finds_cameras, of_passes
+from thermosplat.training.captured_batches import CapturedBatches
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.fast_decoders import fast_decoders
@@ -171,12 +172,20 @@ class Trainer:
 
     def _make_steps(self) -> "PlainSteps | CapturedSteps | BatchSteps":
         if (self.config.batch_size or 1) > 1:
-            return BatchSteps(self.device_step, self.frames, self.schedule)
-        if self.device.type == "cuda" and self.config.graph and self.offloaded == "nothing":
+            return self._batches(BatchSteps(self.device_step, self.frames, self.schedule))
+        if self._captures:
             return CapturedSteps(self.device_step, len(self.frames))
         if self.rows_on_device:
             return OffloadedSteps(self.device_step, lambda line: self.logger.say(line))
         return PlainSteps(self.device_step)
+
+    @property
+    def _captures(self) -> bool:
+        return self.device.type == "cuda" and self.config.graph and self.offloaded == "nothing"
+
+    def _batches(self, batches: BatchSteps) -> BatchSteps | CapturedBatches:
+        """Steps of several frames, recorded where that is possible."""
+        return CapturedBatches(batches, len(self.frames)) if self._captures else batches
 
     @classmethod
     def resume(

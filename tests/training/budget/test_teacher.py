@@ -234,12 +234,12 @@ def test_captured_steps_train_on_what_a_teacher_shows(tmp_path: Path) -> None:
     while trainer.step < 40:
         trainer._train_step()
     assert isinstance(trainer.steps, CapturedSteps)
-    assert {kind.taught for _, kind in trainer.steps._graphs} == {()}
+    assert {work.kind.taught for work in trainer.steps._graphs} == {()}
     other = taught(tmp_path / "b", config)
     trainer.state.noise_watch = other.state.noise_watch
     near = errors_against(trainer, teacher=True)
     while trainer.step < 120:
         trainer._train_step()
-    assert {kind.taught for _, kind in trainer.steps._graphs} == {("rgb",)}
+    assert {work.kind.taught for work in trainer.steps._graphs} == {("rgb",)}
     assert trainer.guard.first_bad() is None
     assert errors_against(trainer, teacher=True) < 0.5 * near

@@ -5,6 +5,7 @@ one frame may share a camera where those of another do not: a rank whose frame h
 camera that sees nothing.
 """
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -63,7 +64,7 @@ def render_with_others(
     rendered = RenderedFrame()
     for group in calls.groups:
         is_own = group in calls.of_ranks[calls.rank]
-        shown = {name: views[name] if is_own else _blank(calls.like) for name in group}
+        shown = {name: views[name] if is_own else _blank(calls.like.dtype, calls.like.device) for name in group}
         part = render(shown, shared_cameras=[group], distributed=True)
         if is_own:
             for held, found in (
@@ -82,11 +83,13 @@ def render_with_others(
     return rendered
 
 
-def _blank(like: Tensor) -> ViewTensors:
-    viewmat = torch.eye(4, dtype=like.dtype, device=like.device)
+@functools.cache  # numbers of the host have no way into a CUDA graph
+def _blank(dtype: torch.dtype, device: torch.device) -> ViewTensors:
+    viewmat = torch.eye(4, dtype=dtype, device=device)
     viewmat[2, 3] = AWAY
     focal = float(BLANK_SIZE)
-    K = like.new_tensor([[focal, 0.0, focal / 2], [0.0, focal, focal / 2], [0.0, 0.0, 1.0]])
+    numbers = [[focal, 0.0, focal / 2], [0.0, focal, focal / 2], [0.0, 0.0, 1.0]]
+    K = torch.tensor(numbers, dtype=dtype, device=device)
     return ViewTensors(viewmat, K, BLANK_SIZE, BLANK_SIZE)
 
 

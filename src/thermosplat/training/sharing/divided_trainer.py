@@ -29,6 +29,7 @@ from thermosplat.scene.model import SceneModel
 from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import Budget
 from thermosplat.training.camera_rounds import CameraRounds, of_passes
+from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.offloading import refused
 from thermosplat.training.session.checkpoint_writer import going_on_without, naming_the_newest_checkpoint
@@ -116,6 +117,7 @@ class DividedTrainer(Trainer):
         )
 
     def _make_model(self, checkpoint: Checkpoint | None, *, finds_cameras: bool = False) -> SceneModel:
+        self.offloaded = "nothing"
         if checkpoint is None:
             model = SceneModel.from_capture(
                 of_passes(self.config) if finds_cameras else self.config, self.capture, "cpu"
@@ -126,8 +128,8 @@ class DividedTrainer(Trainer):
         self._counts = shared_counts(self.team, model)
         return model
 
-    def _make_steps(self) -> BatchSteps:
-        return BatchSteps(self.device_step, self.frames, self.schedule, self.team)
+    def _make_steps(self) -> BatchSteps | CapturedSteps:
+        return self._batches(BatchSteps(self.device_step, self.frames, self.schedule, self.team))
 
     def _make_budget(self) -> Budget:
         return DividedBudget(self)
@@ -207,6 +209,7 @@ class DividedTrainer(Trainer):
                 raise
             raise self._out_of_memory() from error
         finally:
+            self.steps.forget()  # NCCL does not end as long as there are recordings of its exchanges
             self.frames.close()
             self.logger.close()
             self.checkpoints.wait()
