@@ -28,6 +28,16 @@ def test_same_as_torch(device: torch.device, monkeypatch: pytest.MonkeyPatch, lo
         torch.testing.assert_close(warp.state[ours][key].cpu(), value, rtol=1e-5, atol=1e-12)
 
 
+def test_a_parameter_in_another_order_is_refused(device: torch.device) -> None:
+    """Its numbers would get the gradients of others."""
+    turned = torch.nn.Parameter(torch.ones(2, 3, device=device).mT)
+    turned.grad = torch.ones(3, 2, device=device)
+    optimizer = WarpAdam([turned], lr=torch.full((), 0.1, device=device))
+    optimizer.found_inf = torch.zeros((), device=device)
+    with pytest.raises(ValueError, match="not contiguous"):
+        optimizer.step()
+
+
 def test_blocked_step_leaves_everything(device: torch.device) -> None:
     """NaN gradients behind the flag touch neither parameter, moments nor count."""
     parameter = torch.nn.Parameter(torch.ones(7, device=device))

@@ -17,7 +17,8 @@ from warp_kernels.training.adam import AdamArrays, adam_update
 class WarpAdam(torch.optim.Adam):
     """``torch.optim.Adam`` with the same state and, to rounding, the same update. Never waits for the device.
 
-    Its rate ``lr`` must be a tensor on the parameters' device, so that a captured step sees it change.
+    Its rate ``lr`` must be a tensor on the parameters' device, so that a captured step sees it change. Its parameters
+    must be contiguous.
     """
 
     # Torch's own, without what imports torch's compiler to hide them from it: a second of every start.
@@ -42,6 +43,9 @@ def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
     Args:
         optimizers: Of parameters on one device.
         blocked: float32 scalar on it; not 0: leave everything as it is.
+
+    Raises:
+        ValueError: A parameter is not contiguous.
     """
     tensors: dict[tuple[tuple[float, float], float], list[tuple[Tensor, ...]]] = {}
     for optimizer in optimizers:
@@ -52,6 +56,9 @@ def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
                     continue
                 state = optimizer.state[parameter]
                 if not state:
+                    if not parameter.is_contiguous():
+                        shape, strides = tuple(parameter.shape), parameter.stride()
+                        raise ValueError(f"Adam got a parameter {shape} with the strides {strides}, not contiguous.")
                     state["step"] = torch.zeros((), device=parameter.device)
                     state["exp_avg"] = torch.zeros_like(parameter)
                     state["exp_avg_sq"] = torch.zeros_like(parameter)

@@ -8,7 +8,8 @@ from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.export.scene import Colors, spectrum_splats
 from thermosplat.export.splat_fit.exact_images import ExactImages
 from thermosplat.export.splat_fit.fit_steps import LOOK_EVERY, MEASURED, FitSteps
-from thermosplat.export.splat_fit.learning_splats import LearningSplats
+from thermosplat.export.splat_fit.learning_splats import BETAS, LearningSplats
+from thermosplat.fused.adam import WarpAdam
 from thermosplat.rasterizer import pair_capacity
 
 
@@ -38,6 +39,25 @@ def test_a_step_improves_the_splats(device: torch.device) -> None:
     for step in range(30):
         fit.run(views[step % len(views)], 1.0)
     assert psnr_of(fit, views) > before + 3.0
+
+
+def test_warps_adam_improves_the_splats_as_torchs_does(device: torch.device) -> None:
+    """On CUDA the fit has its own Adam: what it ends at is what torch's ends at on the CPU."""
+    (fit, views), (reference, on_cpu) = started("rgb", "color", device), started("rgb", "color", torch.device("cpu"))
+    fit._captures = False
+    if device.type == "cpu":
+        learning = fit.learning
+        groups = [
+            {"params": group["params"], "lr": rate}
+            for group, rate in zip(learning.adam.param_groups, learning._rates.unbind(), strict=True)
+        ]
+        learning.adam = WarpAdam(groups, betas=BETAS, eps=1e-15)
+    for step in range(40):
+        fit.run(views[step % len(views)], 1.0)
+        reference.run(on_cpu[step % len(views)], 1.0)
+    assert psnr_of(fit, views) == pytest.approx(psnr_of(reference, on_cpu), abs=0.2)
+    for name, values in reference.learning._learnt.items():
+        torch.testing.assert_close(fit.learning._learnt[name].cpu(), values, rtol=0.05, atol=0.02, msg=name)
 
 
 @pytest.mark.cuda

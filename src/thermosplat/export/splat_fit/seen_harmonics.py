@@ -54,7 +54,8 @@ class SeenHarmonics:
 
     def coordinates(self, coefficients: Tensor) -> Tensor:
         """Coordinates [N, K, 3] of SH coefficients [N, K, 3]."""
-        return torch.linalg.solve_triangular(self.from_coordinates, coefficients, upper=True)
+        found = torch.linalg.solve_triangular(self.from_coordinates, coefficients, upper=True)
+        return found.contiguous()  # column by column, as it comes from there
 
 
 @torch.no_grad()
