@@ -12,9 +12,10 @@ from thermosplat.training.frames.shrunk_frames import shrunk_frame
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.training_state import TrainingState
 
-WIDEST = 160
-"""Width [px] that images of the cameras that are found have at most. Wrong by the same angle, a camera is the fewer
-pixels off the smaller its images are. Open choice, measured on rig_desk (benchmarks/records/refinement.md)."""
+WIDEST = (160, 320)
+"""Width [px] that images of the cameras that are found have at most, by the number of the pass. Wrong by the same
+angle, a camera is the fewer pixels off the smaller its images are; the larger they are, the more exactly they tell
+where it is. Open choice, measured on rig_desk (benchmarks/records/refinement.md)."""
 _FASTER = ("means_lr", "means_lr_final", "quats_lr", "scales_lr", "sh0_lr", "shN_lr")
 
 
@@ -70,7 +71,7 @@ class CameraRounds:
         if not self._state.finds_cameras or corrections is None:
             return None
         width = min(corrections.shared[number].camera.width for number in corrections.registered)
-        return max(1.0, width / WIDEST)
+        return max(1.0, width / WIDEST[self._number])
 
     def after_step(self, step: int, sh_degree: int) -> None:
         """Do the round that is due after a step, if one is.
