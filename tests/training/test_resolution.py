@@ -127,15 +127,17 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, capture: Capture, ch
     assert_same_state(state_tensors(second), state_tensors(whole))
 
 
-@pytest.mark.parametrize(("widest", "factor"), [(160, 1.0), (40, 1.2)])
+@pytest.mark.parametrize(
+    ("widest", "factors"), [((160, 160), (1.0, 1.0)), ((40, 40), (1.2, 1.2)), ((40, 160), (1.2, 1.0))]
+)
 def test_cameras_are_found_on_small_images(
     tmp_path: Path,
     compared: list[tuple[int, ...]],
     monkeypatch: pytest.MonkeyPatch,
-    widest: int,
-    factor: float,
+    widest: tuple[int, int],
+    factors: tuple[float, float],
 ) -> None:
-    """No thermal image is wider than passes allow; the scene that is trained with the cameras begins small."""
+    """No thermal image is wider than its pass allows; the scene that is trained with the cameras begins small."""
     seen: list[tuple[int, int]] = []
     sizes = {1.0: ((72, 54), (48, 42)), 1.2: ((60, 45), (40, 35))}
 
@@ -150,9 +152,9 @@ def test_cameras_are_found_on_small_images(
     capture = enlarged(many_frames(toy_capture(aligned=False)), 3)
     config = growing(refine=("rig",), refine_from=1, refine_every=1, refine_first=3)
     toy_trainer(tmp_path, config, capture).train()
-    photographs, thermal = sizes[factor]
-    assert compared[:6] == [photographs] * 6
-    assert seen == [thermal] * 4
+    (first, first_thermal), (second, second_thermal) = (sizes[factor] for factor in factors)
+    assert compared[:6] == [first] * 3 + [second] * 3
+    assert seen == [first_thermal] * 2 + [second_thermal] * 2
     assert compared[6:] == [(48, 36)] * 4 + [(60, 45)] * 4 + [(72, 54)] * 4
 
 
