@@ -92,7 +92,7 @@ class Viewer:
         self.server.on_client_connect(self._enter)
         self.server.on_client_disconnect(self._leave)
         if watch is not None:
-            watch.on_change = self._model_changed
+            watch.on_change, watch.on_progress = self._model_changed, self._training_went_on
             watch.has_viewers = lambda: bool(self.visitors)
 
     def stop(self) -> None:
@@ -137,6 +137,10 @@ class Viewer:
     def _model_changed(self) -> None:
         for visitor in list(self.visitors.values()):
             visitor.model_changed()
+
+    def _training_went_on(self) -> None:
+        for visitor in list(self.visitors.values()):
+            visitor.training_went_on()
 
     # ---- what the page asks ------------------------------------------------------------------------------------------
 

@@ -49,17 +49,26 @@ class TrainingWatch:
         """What became of the last wish."""
         self.on_change: Callable[[], None] = lambda: None
         """Called now and then when the model has changed."""
+        self.on_progress: Callable[[], None] = lambda: None
+        """Called now and then when the training has gone on, and the model that is shown is the same."""
         self.has_viewers: Callable[[], bool] = lambda: False
         """Whether anybody watches."""
+        self.on_wait: Callable[[], None] = lambda: None
+        """Called ten times a second while training waits; may raise KeyboardInterrupt."""
         self._paused = threading.Event()
         self._single_steps = 0
         self._save = self._stop = False
-        self._told = 0.0
+        self._told = self._told_progress = 0.0
 
     @property
     def paused(self) -> bool:
         """Whether training waits."""
         return self._paused.is_set()
+
+    @property
+    def asked(self) -> bool:
+        """Whether a viewer has asked for something that is not done yet: a step, to save, to stop."""
+        return self._save or self._stop or self._single_steps > 0
 
     # ---- what viewers ask --------------------------------------------------------------------------------------------
 
@@ -95,7 +104,7 @@ class TrainingWatch:
             KeyboardInterrupt: A viewer has stopped it.
         """
         self.step, self.scene.sh_degree = trainer.step, trainer.sh_degree
-        if not self.has_viewers() and not self._asked:
+        if not self.has_viewers() and not self.asked:
             return
         now = time.perf_counter()
         if now - self._told >= CHANGE_SECONDS:
@@ -109,13 +118,26 @@ class TrainingWatch:
         while self.paused and not self._single_steps and not self._stop:
             if not self.has_viewers():  # who closed the last tab left nobody to go on
                 self.pause(False)
-            self.turns.take_until(lambda: not self.paused or self._asked or not self.has_viewers())
+            self.turns.take_until(self._waits_no_more)
             self._obey(trainer)
         self._single_steps = max(0, self._single_steps - 1)
 
-    @property
-    def _asked(self) -> bool:
-        return self._save or self._stop or self._single_steps > 0
+    def between_copies(self, trainer: Watched) -> None:
+        """Called after a step that the scene, a copy of the model, does not know of yet; nothing is obeyed.
+
+        Args:
+            trainer: The training.
+        """
+        self.step = trainer.step
+        now = time.perf_counter()
+        if now - self._told_progress >= CHANGE_SECONDS:
+            self._told_progress = now
+            self.on_progress()
+        self.turns.take()
+
+    def _waits_no_more(self) -> bool:
+        self.on_wait()
+        return not self.paused or self.asked or not self.has_viewers()
 
     def _obey(self, trainer: Watched) -> None:
         if self._stop:

@@ -150,6 +150,10 @@ class Visitor:
         """The scene was trained further."""
         self.session.forget_picture()
         self.wake()
+        self.training_went_on()
+
+    def training_went_on(self) -> None:
+        """Show how far the training is."""
         for panel in self._panels:
             if isinstance(panel, TrainingPanel):
                 panel.update()

@@ -109,10 +109,9 @@ class RankOfTraining:
 
     def _train_in(self, team: Team) -> int:
         config = team.asked_of_first(lambda: parse_train_arguments(self.argv))
-        if viewer_flags(self.argv).port is not None:
-            team.asked_of_first(_refuse_viewer)
         capture = team.done_by_all(lambda: _capture(config))
         with importing():
+            from thermosplat.cli.training.watched_training import watched_by_first
             from thermosplat.stop_signals import stopped_by_signals
             from thermosplat.training.session.interruption import TrainingInterrupted
             from thermosplat.training.sharing.same_capture import check_same_capture
@@ -126,7 +125,7 @@ class RankOfTraining:
             self.lifeline.before_end = trainer.finish_writing
             self.lifeline.answer = lambda: str(self._newest_checkpoint() or "")
         try:
-            with stopped_by_signals():
+            with stopped_by_signals(), watched_by_first(trainer, viewer_flags(self.argv)):
                 metrics = trainer.train()
         except TrainingInterrupted as stop:
             self.agreed = True
@@ -198,13 +197,6 @@ def _capture(config: "TrainConfig") -> "Capture":
     if config.resume is not None:
         check_capture_to_go_on_with(config)
     return capture_and_trainer(config)[0]
-
-
-def _refuse_viewer() -> None:
-    raise UserError(
-        "--viewer shows a training of one process, and this one has several.",
-        "Leave --viewer out, and look at a checkpoint with thermosplat-view.",
-    )
 
 
 def _device_asked(argv: list[str]) -> str:

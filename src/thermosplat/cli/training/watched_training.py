@@ -1,13 +1,15 @@
 """A training that is shown in the browser as it goes on."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from thermosplat.cli.viewer_flags import ViewerFlags
 
 if TYPE_CHECKING:
+    from thermosplat.training.sharing.divided_trainer import DividedTrainer
     from thermosplat.training.trainer import Trainer
+    from thermosplat.viewer.training_watch import TrainingWatch
 
 
 @contextmanager
@@ -24,6 +26,40 @@ def watched(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
     if flags.port is None:
         yield
         return
+    with _served(trainer, flags) as watch:
+        trainer.between_steps = watch.between_steps
+        yield
+
+
+@contextmanager
+def watched_by_first(trainer: "DividedTrainer", flags: ViewerFlags) -> Iterator[None]:
+    """Around a training on several ranks: let rank 0 serve the viewer meanwhile, if it is asked for there.
+
+    Args:
+        trainer: This rank's.
+        flags: Where it is shown; what rank 0 has counts.
+
+    Raises:
+        UserError: As of ``watched``, on rank 0.
+        EndedElsewhere: On the other ranks where rank 0 cannot serve it.
+    """
+    from thermosplat.training.sharing.watched_ranks import Follower, Leader
+
+    with ExitStack() as serving:
+
+        def begin() -> bool:
+            if flags.port is not None:
+                Leader(trainer, serving.enter_context(_served(trainer, flags)))
+            return flags.port is not None
+
+        if trainer.team.asked_of_first(begin) and not trainer.team.is_first:
+            Follower(trainer)
+        yield
+
+
+@contextmanager
+def _served(trainer: "Trainer", flags: ViewerFlags) -> "Iterator[TrainingWatch]":
+    """Around a training: the page with the training's scene, and what its visitors ask."""
     from thermosplat.viewer.front_end import Viewer
     from thermosplat.viewer.opening import FOLDER
     from thermosplat.viewer.training_watch import TrainingWatch
@@ -33,11 +69,10 @@ def watched(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
     scales = {name: capture.scales[name] for name in model.spectra}
     scene = ViewedScene(capture.name, model, trainer.sh_degree, scales, trainer.device, capture)
     watch = TrainingWatch(scene, trainer.config.max_steps, trainer.run.metrics_jsonl)
-    viewer = Viewer(scene, trainer.run.path / FOLDER, host=flags.host, port=flags.port, watch=watch)
+    viewer = Viewer(scene, trainer.run.path / FOLDER, host=flags.host, port=flags.port or 0, watch=watch)
     trainer.logger.say(f"The viewer: {viewer.url}")
-    trainer.between_steps = watch.between_steps
     try:
-        yield
+        yield watch
     finally:
         trainer.between_steps = None
         viewer.stop()

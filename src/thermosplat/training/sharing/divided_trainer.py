@@ -74,6 +74,10 @@ class DividedTrainer(Trainer):
         self.team = team
         self._counts: dict[str, list[int]] = {}
         self.wish = StopWish()
+        self.calls: Callable[[], bool] = lambda: False
+        """On rank 0: whether all ranks are to come together after the step."""
+        self.called = False
+        """Whether rank 0 has called all ranks together: ``between_steps`` of all of them is where they meet."""
         self._gathering = threading.Lock()
         self.newest_checkpoint: Callable[[], Path | None] = run.latest_checkpoint
         """Rank 0 knows it, whose host alone may have the folder: whoever lets ranks talk says how it is asked."""
@@ -193,6 +197,8 @@ class DividedTrainer(Trainer):
                         self._evaluate_whole()
                     if self.between_steps is not None:
                         self.between_steps(self)
+                        if self.called:
+                            self._stop_if_wished()
             if self.budget is not None:
                 self.budget.finish(self.sh_degree)
             self._save()
@@ -314,8 +320,10 @@ class DividedTrainer(Trainer):
     # ---- when it goes wrong ------------------------------------------------------------------------------------------
 
     def _stop_if_wished(self) -> None:
-        """Save and stop where a signal was sent to any rank."""
-        numbers = [number for (number,) in self.team.numbers([self.wish.number]) if number]
+        """Save and stop where a signal was sent to any rank; hear whether rank 0 calls all ranks together."""
+        of_ranks = self.team.numbers([self.wish.number, self.team.is_first and self.calls()])
+        self.called = bool(of_ranks[0][1])
+        numbers = [number for number, _ in of_ranks if number]
         if numbers:
             raise TrainingInterrupted(self._save(), self.run.resume_command(), numbers[0])
 
