@@ -55,8 +55,8 @@ class TrainArguments(TrainConfig):
     data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")] = ""
     overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     viewer: Annotated[int | None, tyro.conf.arg(metavar="[PORT]")] = None
-    """Show the training in the browser as it goes on, at this port of this machine, 8080 without a number. None: do
-    not."""
+    """Show the training in the browser as it goes on, at this port of this machine, of several hosts rank 0's; 8080
+    without a number. None: do not."""
     viewer_host: str = LOCAL_HOST
     """Address of the viewer. Others than this machine's own can be reached from elsewhere: the page's address then has
     a random token in it."""
