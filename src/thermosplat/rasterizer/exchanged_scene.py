@@ -99,7 +99,7 @@ class ExchangedScene(ProjectedScene):
             else route_in_room(visible, counts, min(room, most_gaussians))
         )
         if capacity is not None:
-            capacity.note_rows(visible.sum(dim=1).amax(), most_gaussians)
+            capacity.note_rows(visible.sum(dim=1).amax())
             if cameras == 0:
                 capacity.note(visible.new_zeros(1, dtype=torch.int64))  # it has no pairs, and is a call all the same
         self.settings = replace(

@@ -46,7 +46,8 @@ class PairCapacity:
     Attributes:
         most: int64 [CALLS], most pairs of each call of a step so far.
         most_listed: int64 [CALLS], most Gaussians with pairs; 0 where that was not counted, as there were few.
-        overflow: float32 scalar on the device, 1 where a call of the last step (or replay) had more pairs than room.
+        overflow: float32 scalar on the device, 1 where a call of the last step (or replay) had more pairs, or rows for
+            other ranks, than room.
         spare: as given; the next :meth:`measure` makes room by it.
         most_rows: int64 [CALLS], most Gaussians of this rank that a camera saw, of calls with ``distributed=True``.
 
@@ -149,29 +150,34 @@ class PairCapacity:
         Raises:
             UserError: if a step has more than ``CALLS`` calls.
         """
+        self._check_calls()
+        return self._rooms[self._calls] if self._fixed else None
+
+    def room_for_rows(self) -> int | None:
+        """Gaussians of each rank that a camera of the next call of this step may see; None: they are counted.
+
+        Raises:
+            UserError: if a step has more than ``CALLS`` calls.
+        """
+        self._check_calls()
+        return self._rooms_for_rows[self._calls] if self._fixed else None
+
+    def _check_calls(self) -> None:
         if self._calls >= CALLS:
             raise UserError(
                 f"A step of PairCapacity holds at most {CALLS} rasterizations.", "Render several cameras in one call."
             )
-        return self._rooms[self._calls] if self._fixed else None
 
-    def room_for_rows(self) -> int | None:
-        """Gaussians of each rank that a camera of the next call of this step may see; None: they are counted."""
-        return self._rooms_for_rows[self._calls] if self._fixed and self._calls < CALLS else None
-
-    def note_rows(self, rows: Tensor, most: int) -> None:
+    def note_rows(self, rows: Tensor) -> None:
         """Note the Gaussians that the next call has of this rank, room for them or not.
 
         Args:
             rows: int64 scalar on the device: those that the camera that sees the most sees.
-            most: Gaussians of the rank that has the most.
         """
         self._is_divided = True
-        room = self.room_for_rows()
-        if self._calls < CALLS:
-            of_call = self.most_rows[self._calls]
-            of_call.copy_(torch.maximum(of_call, rows))
-        if room is not None and room < most:
+        of_call, room = self.most_rows[self._calls], self.room_for_rows()
+        of_call.copy_(torch.maximum(of_call, rows))
+        if room is not None:
             self.overflow.copy_(torch.maximum(self.overflow, (rows > room).to(self.overflow)))
 
     def note(self, totals: Tensor) -> None:
