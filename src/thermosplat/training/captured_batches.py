@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import cast
 
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.stop_signals import deferred_interrupts
@@ -49,9 +50,8 @@ class CapturedBatches(CapturedSteps):
         return agreed
 
     def _do(self, frames: tuple[FrameTensors, ...], work: Work, *, fixed_capacity: bool) -> StepValues:
-        if not isinstance(work.plan, Plan):
-            raise TypeError("A step of several frames has a plan.")
-        done = self.batches.gradients(work.plan, frames, work.kind, fixed_capacity=fixed_capacity)
+        plan = cast("Plan", work.plan)  # a step of several frames has one
+        done = self.batches.gradients(plan, frames, work.kind, fixed_capacity=fixed_capacity)
         return self.step.update(work.kind, done)
 
     def _is_short(self) -> bool:

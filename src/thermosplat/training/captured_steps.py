@@ -7,7 +7,7 @@ get another size (``resolution``), or a spectrum a teacher that is rendered too,
 long as it takes to see their pairs.
 """
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
@@ -19,6 +19,7 @@ from thermosplat.datasets.frame_tensors import FrameTensors, packed_elsewhere, p
 from thermosplat.rasterizer.pair_capacity import SPARE
 from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.torch_bridge.streams import captured_in
+from thermosplat.training.batch_steps import Plan
 from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
 
 MEASURED = 16
@@ -56,8 +57,8 @@ class Work(NamedTuple):
 
     shapes: tuple[_Shape | None, ...]
     """Of the frames; None of one without a view."""
-    plan: Hashable
-    """What else the host decides about the frames."""
+    plan: Plan | None
+    """What else the host decides about several frames; None: there is one."""
     kind: StepKind
 
 
@@ -100,7 +101,7 @@ class CapturedSteps:
         with deferred_interrupts():
             yield self._run((frame,), kind, None)
 
-    def _run(self, frames: tuple[FrameTensors, ...], kind: StepKind, plan: Hashable) -> StepValues:
+    def _run(self, frames: tuple[FrameTensors, ...], kind: StepKind, plan: Plan | None) -> StepValues:
         if (kind.image_factor, kind.taught) != (self._image_factor, self._taught):
             self._image_factor, self._taught = kind.image_factor, kind.taught
             self._forget_sizes()

@@ -251,7 +251,7 @@ class DividedTrainer(Trainer):
     def _alone_with_whole(self, work: Callable[[SceneModel], Any]) -> Any:
         """Let rank 0 do something with the whole model, which it holds meanwhile."""
         whole = self.gathered(training=False)
-        found = self._alone(lambda: work(SceneModel.from_checkpoint(_given(whole), self.device)))
+        found = self._alone(lambda: work(SceneModel.from_checkpoint(given(whole), self.device)))
         if self.device.type == "cuda":
             torch.cuda.empty_cache()
         return found
@@ -310,7 +310,7 @@ class DividedTrainer(Trainer):
 
         def write() -> Path:
             with naming_the_newest_checkpoint(self.run):
-                return self.checkpoints.write_last(self.run, self._file(), _given(whole).state())
+                return self.checkpoints.write_last(self.run, self._file(), given(whole).state())
 
         return self.team.object_of_first(self._alone(write, to_its_end=True))
 
@@ -354,7 +354,8 @@ class DividedTrainer(Trainer):
         return out_of_memory_error(self.state.step + 1, sum(numbers), size, self.device, where, resume)
 
 
-def _given(checkpoint: Checkpoint | None) -> Checkpoint:
+def given(checkpoint: Checkpoint | None) -> Checkpoint:
+    """What ``gathered`` gave, on rank 0, which alone has it."""
     if checkpoint is None:
         raise RuntimeError("Only rank 0 has the whole checkpoint.")
     return checkpoint

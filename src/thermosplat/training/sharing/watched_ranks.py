@@ -11,7 +11,7 @@ from pathlib import Path
 
 from thermosplat.scene.model import SceneModel
 from thermosplat.stop_signals import Stopped, signal_of
-from thermosplat.training.sharing.divided_trainer import DividedTrainer
+from thermosplat.training.sharing.divided_trainer import DividedTrainer, given
 from thermosplat.viewer.training_watch import TrainingWatch
 from thermosplat.viewer.turns import TRAINING_SHARE
 
@@ -117,8 +117,7 @@ class Leader:
         """Show the scene of now. What the copy costs is paid for by a pause after it."""
         trainer, scene, started = self._trainer, self._watch.scene, time.perf_counter()
         self._say(Word.COPY)
-        whole = trainer.gathered(training=False)
-        assert whole is not None  # noqa: S101  this is rank 0
+        whole = given(trainer.gathered(training=False))
         scene.model = SceneModel.from_checkpoint(whole, "cpu")  # the last copy leaves the device before
         scene.model.to(trainer.device)
         self._has_copy, now = True, time.perf_counter()
