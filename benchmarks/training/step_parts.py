@@ -19,8 +19,9 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
         ),
     ),
     ("projection", ("project_", "activate_", "affine_cameras", "lens_limits", "make_motions", "Project")),
-    ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint")),
-    ("SH", ("sh_colors", "camera_positions")),
+    # small products: SH from the coordinates that the fit of splats learns
+    ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "small_product_transposed")),
+    ("SH", ("sh_colors", "camera_positions", "small_product")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "BlendBackward")),
     ("blending", ("blend_", "join_segments", "contributors_", "Blend")),
     (

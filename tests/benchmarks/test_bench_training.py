@@ -220,13 +220,11 @@ def test_frozen_steps_repeat_the_same_work(tmp_path: Path) -> None:
 
 
 def test_every_kernel_of_the_step_has_a_part() -> None:
-    """The names in warp_kernels/ are known, but for the products that only exports take; a stranger's is the rest."""
+    """The names in warp_kernels/ are known; a stranger's kernel is the rest."""
     from training.step_parts import part_of
 
     names: list[str] = []
-    for path in set((REPOSITORY / "warp_kernels").rglob("*.py")) - {
-        REPOSITORY / "warp_kernels/training/small_products.py"
-    }:
+    for path in (REPOSITORY / "warp_kernels").rglob("*.py"):
         names += re.findall(r'name\s*=\s*f?"([a-z_]+)', path.read_text())
     names.append("tile_ranges_kernel")
     assert len(names) > 15
