@@ -1,6 +1,5 @@
 """A training in a process of its own, stopped from outside: nothing is lost, and it says how to go on."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -9,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.usefixtures("stoppable")
+from training_processes import environment
 
-SOURCE = Path(__file__).parents[2] / "src"
+pytestmark = pytest.mark.usefixtures("stoppable")
 
 
 def _terminate(process: "subprocess.Popen[str]") -> None:
@@ -42,7 +41,6 @@ def test_stopped_training_is_saved(tmp_path: Path, stop: Callable[["subprocess.P
     """A checkpoint, a sentence with the command that goes on, the shell's code; no stack of pycolmap's."""
     run = tmp_path / "run"
     words = "sample --data-factor 4 --device cpu --no-tensorboard --log-every 1 --max-steps 10000 --result-dir"
-    path = os.pathsep.join([str(SOURCE), str(SOURCE.parent), os.environ.get("PYTHONPATH", "")])
     with subprocess.Popen(
         [
             sys.executable,
@@ -54,7 +52,7 @@ def test_stopped_training_is_saved(tmp_path: Path, stop: Callable[["subprocess.P
         stdout=subprocess.PIPE,
         stderr=(tmp_path / "stderr").open("w"),
         text=True,
-        env={**os.environ, "PYTHONPATH": path},
+        env=environment(),
     ) as process:
         assert process.stdout is not None
         next(line for line in process.stdout if line.startswith("step 3"))

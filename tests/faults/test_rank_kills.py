@@ -10,7 +10,6 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -20,12 +19,12 @@ import pytest
 
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
+from training_processes import training_process
 
 KILLS = int(os.environ.get("THERMOSPLAT_KILLS", "8"))
 RANKS = 2
 LONGEST = 60.0
 """Until all have ended [s]; those that had not met yet are ended by their parent."""
-SOURCE = Path(__file__).parents[2] / "src"
 PHASES = ("", "The Gaussians are divided", "step 1/", "step 4/", "held-out views", "step 8/", "step 15/", "step 16/")
 """What the output has said when a rank is killed, some time later."""
 WORDS = (
@@ -34,17 +33,6 @@ WORDS = (
 )
 
 pytestmark = pytest.mark.slow
-
-
-def _begin(*words: str) -> "subprocess.Popen[str]":
-    path = os.pathsep.join([str(SOURCE), str(SOURCE.parent), os.environ.get("PYTHONPATH", "")])
-    return subprocess.Popen(
-        [sys.executable, "-m", "thermosplat", "train", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        env={**os.environ, "PYTHONPATH": path},
-    )
 
 
 def _children(parent: int) -> list[int]:
@@ -78,7 +66,7 @@ def test_ranks_end_together_whenever_one_is_killed(tmp_path: Path) -> None:
         phase, folder = PHASES[number % len(PHASES)], tmp_path / f"run{number // len(PHASES)}"
         known = folder.is_dir() and RunDirectory(folder).holds_a_run() and RunDirectory(folder).latest_checkpoint()
         new = ["sample", *WORDS.split(), "--result-dir", str(folder), "--overwrite"]
-        process = _begin(*(["--resume", str(folder)] if known else new), "--devices", str(RANKS))
+        process = training_process(*(["--resume", str(folder)] if known else new), "--devices", str(RANKS))
         ranks = _killed(process, phase, chance)
         killed_at = time.monotonic()
         ended = threading.Timer(2 * LONGEST, process.kill)  # a failure, rather than a test that hangs
@@ -98,7 +86,7 @@ def test_ranks_end_together_whenever_one_is_killed(tmp_path: Path) -> None:
     for folder in tmp_path.iterdir():
         known = folder.is_dir() and RunDirectory(folder).latest_checkpoint()
         if known:
-            last = _begin("--resume", str(folder))
+            last = training_process("--resume", str(folder))
             output, _ = last.communicate(timeout=600)
             assert last.returncode == 0, output
             newest = RunDirectory(folder).latest_checkpoint()

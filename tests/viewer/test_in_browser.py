@@ -2,11 +2,9 @@
 
 import dataclasses
 import gc
-import shutil
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +13,14 @@ import numpy as np
 import pytest
 import torch
 
+import headless_browser
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.viewer.front_end import Viewer
 from thermosplat.viewer.visitor import Visitor
 from viewed_toy import viewed_toy
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-MISSING = [name for name in ("viser", "playwright") if find_spec(name) is None] + ([] if CHROMIUM else ["chromium"])
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}"),
-]
+pytestmark = headless_browser.MARKS
 SIZE = {"width": 900, "height": 600}
 CLEAR = slice(170, 430), slice(20, 540)
 """Rows and columns of the window that no control lies over."""
@@ -36,13 +29,8 @@ PATIENCE = 60.0  # s, on a busy machine
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-        running = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+    with headless_browser.browser() as running:
         yield running
-        running.close()
 
 
 @pytest.fixture

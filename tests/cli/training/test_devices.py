@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +11,7 @@ import pytest
 from thermosplat.cli.training import devices
 from thermosplat.cli.training.devices import check_devices, devices_asked
 from thermosplat.errors import UserError
-
-SOURCE = Path(__file__).parents[2] / "src"
+from training_processes import training_process
 
 
 def test_a_number_of_devices_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,14 +93,7 @@ def test_ranks_end_together(tmp_path: Path, stop: Callable[[int], None], code: i
         "sample --devices 2 --device cpu --data-factor 4 --max-steps 20000 --save-steps 10 --eval-steps 20000 "
         "--log-every 1 --no-tensorboard --result-dir"
     )
-    path = os.pathsep.join([str(SOURCE), str(SOURCE.parent), os.environ.get("PYTHONPATH", "")])
-    with subprocess.Popen(
-        [sys.executable, "-m", "thermosplat", "train", *words.split(), tmp_path / "run"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        env={**os.environ, "PYTHONPATH": path},
-    ) as process:
+    with training_process(*words.split(), tmp_path / "run") as process:
         assert process.stdout is not None
         next(line for line in process.stdout if line.startswith("step 12"))
         ranks = _ranks(process.pid)
