@@ -9,7 +9,16 @@ import time
 
 import pytest
 
-from thermosplat.stop_signals import Stopped, deferred_interrupts, raise_lost_stop, signal_of, stopped_by_signals
+from thermosplat.stop_signals import (
+    STOP_SIGNALS,
+    Stopped,
+    deferred_interrupts,
+    handled_signals,
+    held_stop_signals,
+    raise_lost_stop,
+    signal_of,
+    stopped_by_signals,
+)
 
 pytestmark = pytest.mark.usefixtures("stoppable")
 
@@ -132,3 +141,27 @@ def test_signals_that_errors_stand_for() -> None:
     assert signal_of(OSError(errno.EIO, "Input/output error")) == signal.SIGPIPE
     assert signal_of(OSError(errno.ENOSPC, "No space left on device")) is None
     assert signal_of(ZeroDivisionError()) is None
+
+
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_held_signals_come_afterwards(number: signal.Signals) -> None:
+    """To this thread; the block itself is left alone, and so are blocks around it."""
+    heard: list[int] = []
+    with handled_signals(lambda number, _: heard.append(number)):
+        with held_stop_signals():
+            with held_stop_signals():
+                signal.raise_signal(number)
+            assert not heard
+        assert heard == [number]
+
+
+def test_a_forked_process_decides_before_it_hears() -> None:
+    """A signal that comes before it has chosen is judged by what it chooses."""
+    with handled_signals(signal.SIG_DFL), held_stop_signals():
+        pid = os.fork()
+        if pid == 0:
+            os.kill(os.getpid(), signal.SIGHUP)  # as somebody else may, at once
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+            os._exit(7)
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 7

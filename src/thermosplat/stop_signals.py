@@ -118,3 +118,17 @@ def deferred_interrupts(redeliver: bool = True) -> Iterator[None]:
             signal.signal(number, handler)
     if pending and redeliver:
         signal.raise_signal(pending[0])  # to whoever listened before: an exception, or the block around this
+
+
+@contextmanager
+def held_stop_signals() -> Iterator[None]:
+    """Hold the stop signals back from this thread, and from the processes that it forks in the block.
+
+    This thread hears afterwards what came meanwhile. A forked process hears what came once it unblocks
+    ``STOP_SIGNALS``, so no handler that it has inherited runs before it has set its own.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -18,7 +18,7 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.stored_pixels import ImageLostError, StoredPixels
 from thermosplat.errors import UserError
-from thermosplat.training.frames import frame_loader
+from thermosplat.training.frames import frame_loader, reading_processes
 from thermosplat.training.frames.frame_loader import (
     SPARE_SLOTS,
     FrameLoader,
@@ -232,13 +232,21 @@ def test_a_mistake_of_the_program(loader: FrameLoader, monkeypatch: pytest.Monke
         loader.at(0, ORDER.__getitem__, len(ORDER))
 
 
-def test_signals_leave_them_alone(loader: FrameLoader) -> None:
-    """Ctrl-C goes to all processes of a terminal; the one that trains decides."""
-    loader.release(loader.at(0, ORDER.__getitem__, len(ORDER)))
+@pytest.mark.parametrize("begins_after", [0.0, 0.2])
+def test_signals_leave_them_alone(loader: FrameLoader, begins_after: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C goes to all processes of a terminal, also to one that was just forked; the one that trains decides."""
+    run = reading_processes._Work.run
+
+    def late(work: object) -> None:
+        time.sleep(begins_after)
+        run(work)
+
+    monkeypatch.setattr(reading_processes._Work, "run", late)
+    loader._begin(0, ORDER.__getitem__, len(ORDER))
     for process in loader._reading._processes:
         os.kill(process.pid, signal.SIGINT)
         os.kill(process.pid, signal.SIGHUP)
-    go_through(loader, ORDER, start=1)
+    go_through(loader, ORDER, start=0)
     assert all(process.is_alive() for process in loader._reading._processes)
 
 

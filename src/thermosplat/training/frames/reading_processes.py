@@ -22,6 +22,7 @@ import cv2
 from thermosplat.datasets.images.jpeg_warnings import decode_alone
 from thermosplat.datasets.lens import rectification
 from thermosplat.datasets.stored_pixels import ImageLostError, StoredPixels
+from thermosplat.stop_signals import STOP_SIGNALS, held_stop_signals
 from thermosplat.training.frames.frame_slots import FrameSlots, places_in_slot
 
 _LONGEST_MESSAGE = 1 << 16
@@ -79,8 +80,9 @@ class ReadingProcesses:
         work = _Work(frames, slots, self._asked, self._answering, ours, os.getpid(), keep_maps)
         context = get_context("fork")  # what the frames and the lenses need is there, and shared
         self._processes = [context.Process(target=work.run, daemon=True) for _ in range(count)]
-        for process in self._processes:
-            process.start()
+        with held_stop_signals():  # until each has decided what they are to it
+            for process in self._processes:
+                process.start()
         self._asked.setblocking(False)
 
     def ask(self, slot: int, index: int) -> None:
@@ -155,6 +157,7 @@ class _Work:
         for number in (signal.SIGINT, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)  # they are for the process that trains, which ends this one
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Python's end of it
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
         for end in self._of_parent:
             end.close()
         cv2.setNumThreads(0)  # threads of OpenCV were not copied with the process
