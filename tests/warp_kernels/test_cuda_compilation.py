@@ -108,6 +108,15 @@ def test_lenses_compile_for_cuda(model: LensModel, arch: int, tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("arch", [arch for arch in ARCHITECTURES if arch not in (75, 90)])
+def test_lenses_compile_for_every_architecture(arch: int, tmp_path: Path) -> None:
+    """What does the most: a rolling shutter, gradients to cameras. The rest is compiled for two architectures above."""
+    for model in get_args(LensModel):
+        adjoint = affine_camera_adjoint_kernel(wp.float32, model, True, True)
+        compile_all([affine_camera_kernel(wp.float32, model, True), adjoint], arch, tmp_path / model)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("arch", [arch for arch in ARCHITECTURES if arch >= 80])
 def test_decoders_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     """All sizes, with and without a modulation, with a warp or two for 16 pixels."""
