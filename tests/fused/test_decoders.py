@@ -1,6 +1,7 @@
 """Fused kernels give the images and gradients of the decoders they stand for."""
 
 import copy
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -8,6 +9,7 @@ import torch
 import warp as wp
 
 from thermosplat.config import DecoderConfig
+from thermosplat.fused import decoders as fused_decoders
 from thermosplat.fused.decoders import teams_within
 from thermosplat.scene.decoders import Decoders
 from thermosplat.spectra import Spectrum
@@ -130,6 +132,16 @@ def test_there_are_none_on_the_cpu() -> None:
 def test_warps_share_pixels_where_memory_is_short(shared_memory: int, hidden: int, fitting: tuple[int, ...]) -> None:
     """KiB of shared memory a block: compute capability 7.5, then 8.6, 8.9 and 12.0, then 8.0, then 9.0."""
     assert teams_within(hidden, shared_memory * 1024) == fitting
+
+
+@pytest.mark.parametrize(("compiled_for", "fitting"), [(75, ()), (80, (2,)), (89, (2,))])
+def test_there_are_none_where_warp_compiles_for_older_gpus(
+    compiled_for: int, fitting: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A consumer GPU beside one of compute capability 7.5 gets code for that, which has no such matrix products."""
+    device = SimpleNamespace(max_shared_memory_per_block=99 * 1024, get_cuda_compile_arch=lambda: compiled_for)
+    monkeypatch.setattr(fused_decoders, "warp_device_of", lambda _: device)
+    assert fused_decoders.teams(torch.device("cuda"), 64, 8) == fitting
 
 
 @pytest.mark.cuda

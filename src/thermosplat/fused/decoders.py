@@ -27,8 +27,8 @@ from warp_kernels.machinery.launching import launch_again
 RESERVED = 2048
 """Bytes of a block's shared memory that Warp takes for itself and CUDA adds."""
 
-OLDEST = (8, 0)
-"""Compute capability from which there are the matrix products the kernels use."""
+OLDEST = 80
+"""Compute capability (8.0) from which there are the matrix products the kernels use."""
 
 
 def teams(device: torch.device, hidden: int, features: int) -> tuple[int, ...]:
@@ -41,13 +41,15 @@ def teams(device: torch.device, hidden: int, features: int) -> tuple[int, ...]:
 
     Returns:
         Of ``TEAMS`` those for which the device allows a block enough shared memory, the quickest first; none where the
-        device is too old or the kernels are written for other shapes.
+        device, or the one that Warp compiles for, is too old or the kernels are written for other shapes.
     """
-    if device.type != "cuda" or torch.cuda.get_device_capability(device) < OLDEST:
+    if device.type != "cuda" or hidden not in HIDDEN or features >= NARROW:
         return ()
-    if hidden not in HIDDEN or features >= NARROW:
+    on = warp_device_of(device)
+    # beside an older GPU, and for one that it does not know yet, Warp may write PTX of a lower capability
+    if on.get_cuda_compile_arch() < OLDEST:
         return ()
-    return teams_within(hidden, warp_device_of(device).max_shared_memory_per_block)
+    return teams_within(hidden, on.max_shared_memory_per_block)
 
 
 def teams_within(hidden: int, shared_memory: int) -> tuple[int, ...]:
