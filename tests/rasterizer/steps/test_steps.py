@@ -133,7 +133,7 @@ def test_chosen_tiles_are_drawn_and_others_show_the_background(device: torch.dev
     torch.testing.assert_close(alphas, torch.where(pixels, whole_alphas, 0.0))
     image.square().sum().backward()
     torch.where(pixels, whole, background).square().sum().backward()
-    for name in ("means", "opacities", "colors", "backgrounds", "viewmats"):
+    for name in ("means", "quats", "scales", "opacities", "colors", "backgrounds", "viewmats", "Ks"):
         torch.testing.assert_close(some[name].grad, all_[name].grad)
 
 
@@ -191,6 +191,29 @@ def test_covariances_as_upper_triangles(device: torch.device) -> None:
     assert (radii[drawn] >= info["radii"][drawn]).all()  # without opacities they are no smaller
     torch.testing.assert_close(means2d[drawn], info["means2d"][drawn])
     torch.testing.assert_close(conics[drawn], info["conics"][drawn])
+
+
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho"])
+@pytest.mark.parametrize("with_covars", [False, True])
+def test_gradients_of_a_projection_are_differences(device: torch.device, with_covars: bool, camera_model: str) -> None:
+    """Of positions, depths, conics and compensations to all that is projected, upper triangles too."""
+    scene = leaves(random_scene(n=3, with_covars=with_covars), device, torch.float64)
+    drawn = ["covars"] if with_covars else ["quats", "scales"]
+    if with_covars:
+        scene["covars"] = scene["covars"].detach()[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].requires_grad_()
+    inputs = [scene[name] for name in ("means", *drawn, "viewmats", "Ks")]
+
+    def projected(means: Tensor, *others: Tensor) -> tuple[Tensor, ...]:
+        *shapes, viewmats, Ks = others
+        given = (*shapes, None, None) if with_covars else (None, *shapes)
+        radii, *found = fully_fused_projection(
+            means, *given, viewmats, Ks, scene["width"], scene["height"], calc_compensations=True,
+            camera_model=camera_model,
+        )  # fmt: skip
+        assert (radii > 0).any()
+        return tuple(found)
+
+    assert torch.autograd.gradcheck(projected, inputs, eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
 def test_absgrad_is_where_gsplat_has_it(device: torch.device) -> None:
@@ -257,6 +280,20 @@ def test_harmonics_seen_from_cameras(device: torch.device) -> None:
     half_way = 0.5 * (centres + torch.linalg.inv(later)[:, :3, 3])
     rolling = spherical_harmonics(3, means=means, viewmats=viewmats, coeffs=coeffs, viewmats_rs=later)
     torch.testing.assert_close(rolling, spherical_harmonics(3, means - half_way[:, None], coeffs.expand(2, -1, -1, -1)))
+
+
+@pytest.mark.parametrize("rolling", [False, True])
+def test_gradients_of_harmonics_seen_from_cameras_are_differences(device: torch.device, rolling: bool) -> None:
+    """To means, poses, coefficients and, with a rolling shutter, the later poses."""
+    scene = leaves(random_scene(n=4, cameras=2, sh_degree=4), device, torch.float64)
+    inputs = [scene[name] for name in ("means", "viewmats", "colors")]
+    if rolling:
+        inputs.append((scene["viewmats"].detach() + 0.01).requires_grad_())
+
+    def summed(means: Tensor, viewmats: Tensor, coeffs: Tensor, later: Tensor | None = None) -> Tensor:
+        return spherical_harmonics(4, means=means, viewmats=viewmats, coeffs=coeffs, viewmats_rs=later)
+
+    assert torch.autograd.gradcheck(summed, inputs, eps=1e-6, atol=1e-6, rtol=1e-5)
 
 
 def test_nothing_in_nothing_out(device: torch.device) -> None:
