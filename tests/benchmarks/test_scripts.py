@@ -149,6 +149,17 @@ def test_memory_estimate_counts_the_tensors_of_a_training() -> None:
     assert on == [15 * 16 + 44, 15 * 24, 56 * 12, 56 * 24]
 
 
+def test_states_of_segments_are_counted() -> None:
+    """Room for a state of 33 numbers a pixel is reserved for all pairs, and used where lists are long."""
+    few, many = (run_script("estimate_states.py", "--count", count, "--sizes", "32x32") for count in ("300", "60000"))
+    assert few.returncode == many.returncode == 0, few.stdout + few.stderr + many.stderr
+    short, long = ([cell.strip() for cell in done.stdout.splitlines()[-1].split("|")[2:6]] for done in (few, many))
+    assert float(short[3]) == 0.0 < float(short[2])  # no list is longer than three segments
+    pairs, segment, reserved, used = (float(cell.replace(",", "")) for cell in long)
+    assert abs(reserved - (1000 * pairs // segment + 1) * 33 * 256 * 4 / 2**20) < 0.1
+    assert 0.8 * reserved < used <= reserved
+
+
 def test_offload_benchmark_runs(tmp_path: Path) -> None:
     """Each kind of offloading is timed, and those that fetch Gaussians in view say how many and how long."""
     report = tmp_path / "report.json"
