@@ -27,23 +27,27 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 }
 """Arguments of which there are few, and what they may be."""
 
-SUPPORTED = "pinhole, ortho, fisheye and f-theta cameras"
+IN_PLACE = {
+    "lidar_coeffs": "cameras are pinhole, ortho, fisheye or ftheta",
+    "external_distortion_coeffs": "lenses distort: radial_coeffs, tangential_coeffs, thin_prism_coeffs, ftheta_coeffs",
+    "ut_params": "the unscented transform has gsplat's default, alpha = 0.1",
+    "renderer_config": "rays are blended in one way, and gsplat's renderers differ in speed alone",
+}
+"""Arguments of gsplat that only have their default here, and what there is."""
 
 
 def refuse_unsupported(**arguments: Any) -> None:
-    """Raises for arguments of gsplat that only have their default here.
+    """Raises for arguments of ``IN_PLACE`` that were given.
 
     Args:
-        **arguments: by name; anything but None, False or a global shutter is refused.
+        **arguments: By name.
 
     Raises:
-        UserError: naming the argument and what is supported.
+        UserError: naming the argument and what there is.
     """
     for name, value in arguments.items():
-        is_global_shutter = name == "rolling_shutter" and getattr(value, "name", None) == "GLOBAL"
-        if value is None or value is False or is_global_shutter:
-            continue
-        raise UserError(f"rasterization() does not support {name}; supported: {SUPPORTED}.", f"Leave {name} out.")
+        if value is not None:
+            raise UserError(f"rasterization() does not support {name}: {IN_PLACE[name]}.", f"Leave {name} out.")
 
 
 def check_choice(name: str, value: Any) -> None:
