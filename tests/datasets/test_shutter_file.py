@@ -215,6 +215,9 @@ def test_images_of_one_time_and_lone_ones_are_explained(root: Path) -> None:
     state(root, {"thermal": {"readout": 0.01, "interval": 1}})
     with pytest.raises(UserError, match=r"0000.png has no image before or after it in time"):
         load_capture(root)
+    table(root, [(f"b.mp4#{'9' * 400}", "")] + [(f"b.mp4#{number}", "") for number in range(5)])
+    with pytest.raises(UserError, match=r"0000.png has no image before or after it in time"):
+        load_capture(root)
 
 
 def test_a_file_that_is_no_json(root: Path) -> None:

@@ -36,8 +36,8 @@ _LONGEST = 1e9
 """Times are at most this, in whatever unit."""
 _LARGEST_TURN = np.radians(90.0)
 """Of a camera during one readout: more is a mistake in the times, or poses of different images."""
-_FROM_VIDEO = re.compile(r"^(.*)#(\d+)$")
-"""The source of a frame of a video in the table."""
+_FROM_VIDEO = re.compile(r"^(.*)#(\d{1,9})$")
+"""The source of a frame of a video in the table; no video has frames of longer numbers."""
 _HINT = "docs/data-layouts.md describes it; remove the file if all lines are read at once."
 
 
