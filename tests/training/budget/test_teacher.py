@@ -16,6 +16,7 @@ from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.teacher import Teacher, may_teach
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.frames.shrunk_frames import area_averages, shrunk_frame
+from thermosplat.training.sharing.shares import shares_of
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
 from toy_run import enlarged, many_frames, state_tensors, through, toy_run_config, toy_trainer
@@ -232,6 +233,15 @@ def test_where_there_is_no_room_floors_hold(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(Trainer, "_teaches", lambda self: False)
     resumed = Trainer.resume(still(6), trainer.capture, trainer.run)
     assert resumed.state.taught == ()
+
+
+def test_shares_of_ranks_have_no_teacher(tmp_path: Path) -> None:
+    """Ranks hold spectra by floors: none gets a whole scene that it would forget at once."""
+    trainer = taught(tmp_path, still(6))
+    for share in shares_of(load_checkpoint(trainer.save()), 2):
+        assert share.training.noise_watch is not None
+        assert share.training.noise_watch["held"] == ("rgb",)
+        assert share.training.noise_watch["teachers"] == {}
 
 
 def test_as_many_renders_as_fit_into_a_step() -> None:
