@@ -92,6 +92,17 @@ def test_frames_without_a_pose_take_their_time(root: Path) -> None:
     np.testing.assert_allclose(moved(taken[1]), 0.001 * expected, atol=1e-9)
 
 
+def test_folders_that_share_names_are_sequences(tmp_path: Path) -> None:
+    """As of two flights; the last frame of one is no neighbour of the first of the other."""
+    write_rig(tmp_path, COUNT, thermal_name=lambda number: f"thermal/{'ab'[number // 3]}/{number % 3:04d}.png")
+    state(tmp_path, {"thermal": {"readout": 0.01, "interval": 1.0}})
+    taken = views(load_capture(tmp_path))
+    for start in (0, 3):
+        for at in range(3):
+            expected = velocity([0.0, 1.0, 2.0], taken[start : start + 3], at)
+            np.testing.assert_allclose(moved(taken[start + at]), 0.01 * expected, atol=1e-9)
+
+
 def test_times_of_the_table_of_a_prepared_capture(root: Path) -> None:
     """Uneven times, and images that were not taken in the order of their names."""
     seconds = [10.0, 11.0, 9.5, 12.5, 13.0, 14.5]
@@ -213,6 +224,9 @@ def test_images_of_one_time_and_lone_ones_are_explained(root: Path) -> None:
         load_capture(root)
     table(root, [("a.mp4#1", "")] + [(f"b.mp4#{number}", "") for number in range(5)])
     state(root, {"thermal": {"readout": 0.01, "interval": 1}})
+    with pytest.raises(UserError, match=r"0000.png has no image before or after it in time"):
+        load_capture(root)
+    table(root, [(f"b.mp4#{'9' * 400}", "")] + [(f"b.mp4#{number}", "") for number in range(5)])
     with pytest.raises(UserError, match=r"0000.png has no image before or after it in time"):
         load_capture(root)
 

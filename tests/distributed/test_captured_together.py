@@ -11,9 +11,9 @@ from ranks import Ranks
 STEPS = 30
 
 
-@pytest.mark.parametrize("kind", ["still", "default"])
+@pytest.mark.parametrize("kind", ["still", "default", "mcmc", "withheld"])
 def test_replayed_steps_are_those_of_lines(ranks: Ranks, tmp_path: Path, kind: str) -> None:
-    """Where Gaussians come and go, too: recordings are forgotten then, by all ranks."""
+    """Where Gaussians come and go, or are divided anew, too: recordings are forgotten then, by all ranks."""
     lines = ranks.run(work.steps_taken, 2, str(tmp_path / "lines"), kind, STEPS, False)
     replays = ranks.run(work.steps_taken, 2, str(tmp_path / "replays"), kind, STEPS, True)
     for line_by_line, replayed in zip(lines, replays, strict=True):

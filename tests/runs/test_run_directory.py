@@ -212,6 +212,7 @@ def test_environment_names_versions_and_no_paths(tmp_path: Path) -> None:
 def test_resume_command_can_be_pasted() -> None:
     """A path with a blank is quoted."""
     assert RunDirectory("my runs/shed").resume_command() == "thermosplat-train --resume 'my runs/shed'"
+    assert RunDirectory("shed", devices=4).resume_command() == "thermosplat-train --resume shed --devices 4"
 
 
 @pytest.mark.parametrize(

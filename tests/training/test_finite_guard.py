@@ -35,6 +35,15 @@ def test_first_bad_loss_is_named(bad: float) -> None:
     assert guard.blocked == 1
 
 
+def test_what_another_rank_found_is_not_this_ones() -> None:
+    """Ranks share whether updates are made; a rank whose own values are finite, or that has none, names nothing."""
+    guard = FiniteGuard("cpu")
+    guard.observe(torch.tensor(1), {}, {"means": []})
+    guard.observe(torch.tensor(2), _losses(rgb=0.3), {})
+    guard.blocked.fill_(1.0)
+    assert guard.first_bad() is None
+
+
 def test_bad_gradient_is_named() -> None:
     """A finite loss with a NaN in one gradient of several tensors is noticed."""
     guard = FiniteGuard("cpu")

@@ -36,8 +36,8 @@ _LONGEST = 1e9
 """Times are at most this, in whatever unit."""
 _LARGEST_TURN = np.radians(90.0)
 """Of a camera during one readout: more is a mistake in the times, or poses of different images."""
-_FROM_VIDEO = re.compile(r"^(.*)#(\d+)$")
-"""The source of a frame of a video in the table."""
+_FROM_VIDEO = re.compile(r"^(.*)#(\d{1,9})$")
+"""The source of a frame of a video in the table; no video has frames of longer numbers."""
 _HINT = "docs/data-layouts.md describes it; remove the file if all lines are read at once."
 
 
@@ -177,17 +177,20 @@ def _neighbours_motions(
 def _sequences(
     root: Path, spectrum: str, interval: float | None, shots: Mapping[str, Shot]
 ) -> list[tuple[list[str], NDArray[np.float64]]]:
-    """Frames that were taken one after the other, with their times: a sequence a video, or one of all."""
+    """Frames that were taken one after the other, with their times: a sequence a video, a folder, or one of all."""
     rows = _table(root, spectrum)
     sources = {name: rows.get(_below(shot.path, root, spectrum), {}) for name, shot in shots.items()}
     timed: dict[str, list[tuple[float, str]]] = defaultdict(list)
     places = _places(shots)
     for name, row in sources.items():
-        time, video = None, _FROM_VIDEO.match(row.get("source") or "")
+        time, video, sequence = None, _FROM_VIDEO.match(row.get("source") or ""), ""
+        if video is not None:
+            sequence = video[1]
         if interval is not None and video is not None:
             time = interval * int(video[2])
         elif interval is not None:
-            time = interval * places[name]
+            sequence, place = places[name]
+            time = interval * place
         else:
             time = _seconds(row.get("time"))
         if time is None:
@@ -195,7 +198,7 @@ def _sequences(
                 f"When {shots[name].path.name} was taken is not known: {TABLE} has no time of it.",
                 f'State the time between frames in {SHUTTER_FILE} ("interval"), in the unit of "readout".',
             )
-        timed[video[1] if video is not None else ""].append((time, name))
+        timed[sequence].append((time, name))
     sequences = []
     for found in timed.values():
         found.sort()
@@ -211,13 +214,21 @@ def _sequences(
     return sequences
 
 
-def _places(shots: Mapping[str, Shot]) -> dict[str, int]:
-    """Places of frames in the order of all files' names: files without a pose are frames of the sequence, too."""
-    files = {shot.path.name for shot in shots.values()}
+def _places(shots: Mapping[str, Shot]) -> dict[str, tuple[str, int]]:
+    """The sequence of each frame, and its place there in the order of the files' names.
+
+    Files without a pose are frames of the sequence, too. Folders are one sequence, as those of training and test images
+    are, unless they share names: then each numbers its own.
+    """
+    apart = len({shot.path.name for shot in shots.values()}) < len(shots)
+    sequences = {name: str(shot.path.parent) if apart else "" for name, shot in shots.items()}
+    files: dict[str, set[str]] = defaultdict(set)
     for folder in {shot.path.parent for shot in shots.values()}:
-        files |= {path.name for path in list_images(folder)}
-    places = {name: place for place, name in enumerate(sorted(files))}
-    return {name: places[shot.path.name] for name, shot in shots.items()}
+        files[str(folder) if apart else ""] |= {path.name for path in list_images(folder)}
+    for name, sequence in sequences.items():
+        files[sequence].add(shots[name].path.name)
+    places = {sequence: {file: place for place, file in enumerate(sorted(found))} for sequence, found in files.items()}
+    return {name: (sequence, places[sequence][shots[name].path.name]) for name, sequence in sequences.items()}
 
 
 def _table(root: Path, spectrum: str) -> dict[str, dict[str, str]]:

@@ -52,9 +52,11 @@ class RunDirectory:
 
     Args:
         path: The result folder, as the user gave it.
+        devices: How many ``resume_command`` asks for.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, devices: int = 1) -> None:
+        self.devices = devices
         self.path = Path(os.path.expanduser(path))  # as a shell leaves it in --result-dir=~/run, and YAML
         self._opened: int | None = None
         """The locked folder, by whatever name."""
@@ -262,7 +264,8 @@ class RunDirectory:
 
     def resume_command(self) -> str:
         """The command line that goes on with this run."""
-        return f"thermosplat-train --resume {shlex.quote(str(self.path))}"
+        devices = f" --devices {self.devices}" if self.devices > 1 else ""
+        return f"thermosplat-train --resume {shlex.quote(str(self.path))}{devices}"
 
     def read_config(self) -> "TrainConfig":
         """The configuration of the run: its config.yaml, or what its newest checkpoint says where that is gone.

@@ -33,13 +33,18 @@ class FiniteGuard:
         named = {name: [loss.detach()] for name, loss in losses.items()}
         named |= {f"gradient of {name}": tensors for name, tensors in gradients.items() if tensors}
         names = tuple(named)
+        if not names:  # of a rank that has neither a frame nor Gaussians
+            return
         if names not in self._first_bad_step:
             self._first_bad_step[names] = torch.zeros(len(names), dtype=torch.int64, device=step.device)
         note = note_by_warp if step.is_cuda else note_by_torch
         note(list(named.values()), step, self._first_bad_step[names], self.blocked)
 
     def first_bad(self) -> tuple[int, str] | None:
-        """Step and name of the first value that was not finite, or None. Waits for the device."""
+        """Step and name of the first value that was not finite, or None. Waits for the device.
+
+        Ranks share ``blocked``: where another rank found something, this one may have nothing to name.
+        """
         if not bool(self.blocked):
             return None
         found = [
@@ -48,7 +53,8 @@ class FiniteGuard:
             for step, name in zip(first.tolist(), names)
             if step > 0
         ]
-        return min(found, key=lambda entry: entry[0])  # of one step, the first named: losses come before gradients
+        # of one step, the first named: losses come before gradients
+        return min(found, key=lambda entry: entry[0], default=None)
 
 
 def note_by_torch(named: list[list[Tensor]], step: Tensor, first_bad_step: Tensor, blocked: Tensor) -> None:

@@ -104,4 +104,5 @@ def test_ranks_end_together(tmp_path: Path, stop: Callable[[int], None], code: i
     words_of_text = " ".join(text.replace("│", " ").split())
     assert words_of_text.count(said) == 1
     assert "--resume" in words_of_text
+    assert "run --devices 2" in words_of_text
     assert ".pt" in words_of_text

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from thermosplat.config import AutoBudgetConfig, DensificationConfig, TrainConfig
+from thermosplat.datasets.cameras import LensCoefficients
 from thermosplat.datasets.capture import Capture
 from thermosplat.rasterizer.pair_capacity import CALLS
 from thermosplat.runs.checkpoint_file import load_checkpoint
@@ -15,9 +16,10 @@ from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.teacher import Teacher, may_teach
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.frames.shrunk_frames import area_averages, shrunk_frame
+from thermosplat.training.sharing.shares import shares_of
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
-from toy_run import enlarged, many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_run import enlarged, many_frames, state_tensors, through, toy_run_config, toy_trainer
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model
 
 TAUGHT = StepKind(0, densifying=False, taught=("rgb",))
@@ -203,6 +205,21 @@ def test_state_goes_on(tmp_path: Path) -> None:
     assert further.state.noise_watch.held == ("rgb",)
 
 
+def test_a_resumed_teacher_sees_as_the_scene_does(tmp_path: Path) -> None:
+    """Of a scene that is trained through a lens: its pinhole views, too, by the unscented transform."""
+    barrel = LensCoefficients("pinhole", (-0.25, 0.05, 0.0, 0.0, 0.0, 0.0), (0.01, -0.01))
+    capture = through(many_frames(toy_capture(aligned=False)), {"thermal": barrel})
+    trainer = taught(tmp_path, still(6), capture)
+    trainer.save()
+    resumed = Trainer.resume(still(6), capture, trainer.run)
+    shown = []
+    for watch in (trainer.state.noise_watch, resumed.state.noise_watch):
+        assert watch is not None
+        shown.append(watch.teachers["rgb"].targets("rgb", trainer.frames[0], None).views["rgb"].image)
+    assert shown[0] is not None
+    assert torch.equal(shown[0], shown[1])
+
+
 def test_where_there_is_no_room_floors_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that has no teacher, or may no longer have one, is held by floors alone."""
     watch = NoiseWatch({"rgb": 0.01}, 2, torch.device("cpu"))
@@ -216,6 +233,15 @@ def test_where_there_is_no_room_floors_hold(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(Trainer, "_teaches", lambda self: False)
     resumed = Trainer.resume(still(6), trainer.capture, trainer.run)
     assert resumed.state.taught == ()
+
+
+def test_shares_of_ranks_have_no_teacher(tmp_path: Path) -> None:
+    """Ranks hold spectra by floors: none gets a whole scene that it would forget at once."""
+    trainer = taught(tmp_path, still(6))
+    for share in shares_of(load_checkpoint(trainer.save()), 2):
+        assert share.training.noise_watch is not None
+        assert share.training.noise_watch["held"] == ("rgb",)
+        assert share.training.noise_watch["teachers"] == {}
 
 
 def test_as_many_renders_as_fit_into_a_step() -> None:

@@ -47,6 +47,13 @@ def _strategy(gaussians: Gaussians, **config: Any) -> DefaultStrategy:
     return DefaultStrategy(DensificationConfig(**config), EXTENT, len(gaussians), "cpu")
 
 
+def test_a_share_without_gaussians_notes_nothing() -> None:
+    """Of a rank where there are fewer Gaussians than ranks."""
+    strategy = DefaultStrategy(DensificationConfig(), EXTENT, 0, "cpu")
+    strategy.observe([_info(torch.zeros(1, 0, 2), torch.zeros(1, 0, dtype=torch.bool))], FINE)
+    assert strategy.grad_norm_sum.shape == strategy.observations.shape == (0,)
+
+
 @pytest.mark.parametrize("step", [600, 3100])
 def test_same_gaussians_as_gsplat(step: int) -> None:
     """The same gradients over four frames clone, split and prune the same Gaussians as gsplat's DefaultStrategy.

@@ -17,6 +17,8 @@ from thermosplat.errors import UserError
 from thermosplat.stop_signals import STOP_SIGNALS, handled_signals
 
 FLAG = "--devices"
+PARENT = "THERMOSPLAT_PARENT"
+"""The environment of the processes that ``--devices`` starts names their parent by it."""
 GRACE = 20.0
 """Time that the other processes have to end after the first one that failed [s]: a checkpoint may be under way."""
 TELLING = 3.0
@@ -89,7 +91,7 @@ def train_on_devices(devices: int, argv: list[str]) -> int:
         "MASTER_ADDR": "127.0.0.1",
         "MASTER_PORT": str(_free_port()),
         "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", threads),
-        "THERMOSPLAT_PARENT": str(os.getpid()),
+        PARENT: str(os.getpid()),
     }
     command = [sys.executable, "-m", "thermosplat", "train", *argv]
     processes: list[subprocess.Popen[bytes]] = []

@@ -20,7 +20,7 @@ from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import print_error, print_last, run_command
 from thermosplat.cli.host_settings import importing, prepare_host
 from thermosplat.cli.training.beginning import capture_and_trainer, check_capture_to_go_on_with
-from thermosplat.cli.training.devices import GRACE
+from thermosplat.cli.training.devices import GRACE, PARENT
 from thermosplat.cli.training.ending import say_what_and_where
 from thermosplat.cli.viewer_flags import viewer_flags
 from thermosplat.config.files import data_from_anywhere
@@ -142,8 +142,9 @@ class RankOfTraining:
         from thermosplat.runs.run_directory import RunDirectory
         from thermosplat.training.sharing.divided_trainer import DividedTrainer
 
+        devices = team.size if PARENT in os.environ else 1  # of torchrun nobody knows how it was started
         if config.resume is not None:
-            run = RunDirectory(config.resume)
+            run = RunDirectory(config.resume, devices)
             # a run of one process from before there were batches has steps of one frame
             kept = replace(config, data=data_from_anywhere(config.data), resume=None, batch_size=config.batch_size or 1)
             return DividedTrainer.resume_divided(kept, capture, run, team)
@@ -155,7 +156,7 @@ class RankOfTraining:
             overwrite=False,
             batch_size=config.batch_size or team.size,
         )
-        trainer = DividedTrainer(kept, capture, RunDirectory(folder), team)
+        trainer = DividedTrainer(kept, capture, RunDirectory(folder, devices), team)
 
         def create() -> None:  # last, as it may delete here
             RunDirectory.create(folder, overwrite=config.overwrite)
@@ -211,7 +212,7 @@ def _device_asked(argv: list[str]) -> str:
 
 def _end_with_the_parent() -> None:
     """Of a process that ``--devices`` started: stop where that one is killed."""
-    parent = os.environ.get("THERMOSPLAT_PARENT")
+    parent = os.environ.get(PARENT)
     if parent is None:
         return
 

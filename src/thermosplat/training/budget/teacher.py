@@ -20,7 +20,7 @@ from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.rasterizer.pair_capacity import CALLS
-from thermosplat.runs.checkpoint import Checkpoint, SavedModel
+from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.exposures import Exposures
 
@@ -92,7 +92,7 @@ class Teacher:
             KeyError: An entry is missing.
             UserError: It does not fit the model.
         """
-        saved = replace(checkpoint, model=SavedModel(**state["model"]))
+        saved = replace(checkpoint, model=replace(checkpoint.model, **state["model"]))
         return cls(SceneModel.from_checkpoint(saved, device), int(state["sh_degree"]))
 
 

@@ -175,8 +175,8 @@ class DefaultStrategy:
             if gradient is None:
                 continue
             half_width, half_height = _half_size(info)
-            norm = torch.hypot(gradient[..., 0] * half_width, gradient[..., 1] * half_height).reshape(-1, len(norms))
-            seen = (info["radii"] > 0).all(dim=-1).reshape(-1, len(norms))  # [C, N]
+            norm = torch.hypot(gradient[..., 0] * half_width, gradient[..., 1] * half_height).flatten(end_dim=-2)
+            seen = (info["radii"] > 0).all(dim=-1).flatten(end_dim=-2)  # [C, N]
             norms += torch.where(seen, norm, 0.0).sum(dim=0)
             visible = torch.maximum(visible, seen.sum(dim=0).to(visible.dtype))
         finite = blocked == 0

@@ -56,6 +56,7 @@ class DividedBudget:
     def _done_whole(self, work: Callable[[AutoBudget], None]) -> None:
         trainer = self.trainer
         team, state, device = trainer.team, trainer.state, trainer.device
+        trainer.steps.forget()  # every rank gets its share anew
         whole = trainer.gathered(training=True)
         shares: list[Checkpoint] = []
 

@@ -156,6 +156,7 @@ class DividedTrainer(Trainer):
         self.tell_blocks()
 
     def _refine(self, name: str, step: int) -> None:
+        self.steps.forget()  # ranks divide all rows anew, also where one process would change them in place
         random = random_stream(self.config.seed, "split", step)
         refine_divided(self.team, self.state, name, self.config.densification, step, random)
         self.tell_blocks()

@@ -24,6 +24,9 @@ from thermosplat.training.training_state import TrainingState
 _SECOND_DIMENSION = ("gradient_sums",)
 """What density control keeps by Gaussian in the second dimension; anything else in the first."""
 
+_NO_TEACHERS: dict[str, Any] = {"teachers": {}, "best_teachers": {}}
+"""Of what ranks hold noisy spectra by: whole scenes would have to be rendered by all ranks together."""
+
 
 def keep_share(model: SceneModel, team: Team) -> dict[str, list[int]]:
     """Leave a whole model this rank's share of the Gaussians.
@@ -99,6 +102,7 @@ def _share(checkpoint: Checkpoint, sets: Mapping[str, Gaussians], cut: Mapping[s
             strategies=strategies,
             exposures=on_host(training.exposures),
             corrections=on_host(training.corrections),
+            noise_watch=None if training.noise_watch is None else training.noise_watch | _NO_TEACHERS,
         ),
     )
 
