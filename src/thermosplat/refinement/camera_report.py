@@ -24,8 +24,8 @@ from thermosplat.runs.atomic_writes import write_text
 from thermosplat.spectra import label
 
 _BELIEVED = 1.25
-"""Factor of a focal length up to which a camera is believed. Cameras that were 5% off were found to about 1%, or were lost
-with a factor of 4.8 (benchmarks/records/refinement.md)."""
+"""Factor of a focal length up to which a camera is believed. Cameras that were 5% off were found to about 1%, or were
+lost with a factor of 4.8 (benchmarks/records/refinement.md)."""
 
 
 def correction_summary(corrections: CameraCorrections) -> dict[str, Any]:
