@@ -49,7 +49,8 @@ def settings(arguments: argparse.Namespace, refine: tuple[Refined, ...]) -> Trai
     """The configuration of one training."""
     config = load_config("demo" if arguments.small else arguments.config)
     thermal = replace(config.spectra["thermal"], source="raw")
-    config = replace(config, refine=refine, lens=arguments.lens, spectra={**config.spectra, "thermal": thermal})
+    spectra = {**config.spectra, "thermal": thermal}
+    config = replace(config, refine=refine, lens=arguments.lens, spectra=spectra, seed=arguments.seed)
     if arguments.small:
         density = replace(config.densification, max_gaussians=4000)
         config = replace(config, densification=density, decoder=replace(config.decoder, hidden_dim=16))
@@ -129,6 +130,7 @@ def main() -> None:
     parser.add_argument("--small", action="store_true", help="small images and the preset demo, for a CPU")
     parser.add_argument("--config", default="thermosplat", help="preset at full size")
     parser.add_argument("--max-steps", type=int, help="in place of the preset's")
+    parser.add_argument("--seed", type=int, default=42, help="of the trainings")
     parser.add_argument("--wrong", nargs="+", choices=WRONG, default=["rig"], help="what is disturbed")
     parser.add_argument("--refine", nargs="+", choices=get_args(Refined), help="in place of what is disturbed")
     parser.add_argument("--lens", choices=get_args(LensUse), default="undistort", help="as of thermosplat-train")

@@ -31,6 +31,13 @@ def test_the_summary_has_degrees_and_world_units() -> None:
     ]
 
 
+@pytest.mark.parametrize(("factor", "lost"), [(0.96, False), (1.2, False), (0.7, True), (4.8, True)])
+def test_a_camera_that_was_lost_is_said(factor: float, lost: bool) -> None:
+    """Where its focal length changed by more than calibrations are off."""
+    said = " ".join(correction_sentences({"focal_factors": {"thermal": [factor]}}))
+    assert ("The camera of thermal was probably not found" in said) == lost
+
+
 def test_poses_are_told_by_their_medians() -> None:
     """What all frames have in common does not count."""
     capture = many_frames(toy_capture())

@@ -23,6 +23,10 @@ from thermosplat.refinement.camera_corrections import (
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.spectra import label
 
+_BELIEVED = 1.25
+"""Factor of a focal length up to which a camera is believed. Cameras that were 5% off were found to about 1%, or were
+lost with a factor of 4.8 (benchmarks/records/refinement.md)."""
+
 
 def correction_summary(corrections: CameraCorrections) -> dict[str, Any]:
     """How far the cameras moved.
@@ -85,6 +89,11 @@ def correction_sentences(summary: dict[str, Any]) -> list[str]:
     for name, factors in summary.get("focal_factors", {}).items():
         if factors:
             lines.append(f"Focal lengths of {label(name)}: times {', '.join(f'{factor:.4f}' for factor in factors)}.")
+        if any(abs(np.log(factor)) > np.log(_BELIEVED) for factor in factors):
+            lines.append(
+                f"The camera of {label(name)} was probably not found: no calibration is so far off. "
+                "Train with another --seed, or find it with thermosplat-prepare."
+            )
     for name, found in summary.get(DISTORTION, {}).items():
         if found:
             listed = ", ".join(f"k1 {k1:+.4f} k2 {k2:+.4f}" for k1, k2 in found)

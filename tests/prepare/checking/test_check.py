@@ -12,6 +12,7 @@ from camera_folders import centikelvin, scene, write_photograph, write_two_camer
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder
+from thermosplat.prepare.checking import check as module
 from thermosplat.prepare.checking.check import PAGE, SHEET, check, estimate_of, recommend
 from thermosplat.prepare.checking.findings import (
     Finding,
@@ -21,6 +22,7 @@ from thermosplat.prepare.checking.findings import (
     texture_findings,
     thermal_findings,
 )
+from thermosplat.prepare.checking.sensor_orientation import Orientation
 from thermosplat.prepare.importing.import_files import import_files
 from thermosplat.prepare.pairing.pairing import pair_frames
 from thermosplat.runs.atomic_writes import write_bytes
@@ -161,6 +163,21 @@ def test_edges_of_the_photographs_in_thermal_pictures_are_told() -> None:
     ]
     assert "MSX is probably on" in warnings(msx_findings(engraved))
     assert msx_findings([(photograph, flat) for photograph in photographs]) == []
+
+
+def test_a_registered_camera_may_be_turned_and_not_mirrored(
+    capture: CaptureFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A turned sensor is a warning before it is registered and a fact afterwards; a mirrored one stays a warning."""
+    pair_frames(capture)
+    monkeypatch.setattr(module, "find_orientation", lambda _: Orientation(180, False))
+    assert any(said.startswith("! ") and "again with --turn 180" in said for said in check(capture).sentences)
+    write_bytes(capture.marker("register"), b"{}")
+    (said,) = [one for one in check(capture).sentences if "--turn 180" in one]
+    assert said.startswith("Thermal images are turned against the photographs, and so is the registered camera")
+    capture.marker("check").unlink()
+    monkeypatch.setattr(module, "find_orientation", lambda _: Orientation(0, True))
+    assert any(said.startswith("! ") and "again with --mirror" in said for said in check(capture).sentences)
 
 
 def test_recommendations(capture: CaptureFolder) -> None:

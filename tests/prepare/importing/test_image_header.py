@@ -24,10 +24,10 @@ from thermosplat.prepare.importing.image_header import ImageHeader, read_header
     ],
 )
 def test_headers_of_all_formats(tmp_path: Path, ending: str, dtype: type, channels: int) -> None:
-    """Width, height, channels and bits of what OpenCV writes; alpha counts in a header alone."""
+    """Width, height, channels without alpha, and bits of what OpenCV writes."""
     path = tmp_path / f"a.{ending}"
     assert cv2.imwrite(str(path), np.zeros((6, 8) if channels == 1 else (6, 8, channels), dtype))
-    assert read_header(path) == ImageHeader(8, 6, channels, 8 * np.dtype(dtype).itemsize)
+    assert read_header(path) == ImageHeader(8, 6, min(channels, 3), 8 * np.dtype(dtype).itemsize)
     assert read_header(path).is_radiometric == (dtype != np.uint8)
 
 

@@ -246,11 +246,41 @@ def test_unreadable_file_in_the_middle(tmp_path: Path, capture: CaptureFolder) -
     path = tmp_path / "in" / "visible" / "VIS_0003.jpg"
     path.write_bytes(path.read_bytes()[:-200])
     refused(tmp_path / "in", capture, r"1 of 14 images in .* cannot be read \(first: .*VIS_0003.jpg: it is cut off\)")
-    thermal = tmp_path / "in" / "thermal" / "IR_0004.tiff"
-    thermal.write_bytes(b"II*\0nonsense")
+    changed = bytearray((tmp_path / "in" / "visible" / "VIS_0006.jpg").read_bytes())
+    changed[-300:-100] = bytes(200)
+    (tmp_path / "in" / "visible" / "VIS_0006.jpg").write_bytes(changed)
+    thermal = tmp_path / "in" / "thermal"
+    (thermal / "IR_0004.tiff").write_bytes(b"II*\0nonsense")
+    cut = write_values(thermal / "IR_0005.png", centikelvin(5))
+    cut.write_bytes(cut.read_bytes()[:-200])
+    (thermal / "IR_0005.tiff").unlink()
+    refused(
+        tmp_path / "in",
+        capture,
+        r"4 of 14 images .* \(first: .*IR_0004.tiff: it is damaged or not an image \(\d+ bytes\)\)",
+    )
     options = ImportOptions(skip_unreadable=True)
-    assert "2 of 14 images" in " ".join(import_files(tmp_path / "in", capture, options).sentences)
-    assert (len(names(capture, "rgb")), len(names(capture, "thermal"))) == (6, 6)
+    said = " ".join(import_files(tmp_path / "in", capture, options).sentences)
+    assert "4 of 14 images" in said
+    assert (len(names(capture, "rgb")), len(names(capture, "thermal"))) == (5, 5)
+
+
+def test_a_picture_of_wrong_pixels_is_unreadable(tmp_path: Path, capture: CaptureFolder) -> None:
+    """A JPEG whose decoder fills what it lacks is refused here, and not only by the training."""
+    path = write_two_cameras(tmp_path / "in", 7) / "visible" / "VIS_0002.jpg"
+    content = bytearray(path.read_bytes())
+    content[-300:-100] = bytes(200)
+    path.write_bytes(content)
+    refused(tmp_path / "in", capture, r"1 of 14 images .* cannot be read \(first: .*VIS_0002.jpg: .*Corrupt JPEG data")
+
+
+def test_a_folder_of_a_third_camera_is_asked_about(tmp_path: Path, capture: CaptureFolder) -> None:
+    """Grey or 16-bit images beside photographs and thermal files belong to neither without being asked for."""
+    folder = write_two_cameras(tmp_path / "in")
+    for number in range(1, 7):
+        write_values(folder / "near_infrared" / f"{number}.png", centikelvin(number))
+    refused(folder, capture, r"The folder near_infrared/ has 6 images, and nothing says .*near_infrared/1\.png")
+    assert not capture.root.exists()
 
 
 def test_foreign_folder_is_not_written_to(tmp_path: Path) -> None:

@@ -47,14 +47,26 @@ def check_jpegs(paths: Sequence[Path]) -> None:
     wanted = [path for path, stamp in stamps.items() if stamp not in _whole]
     if not wanted:
         return
-    parts = max(1, min(-(-len(wanted) // _FILES_PER_PROCESS), os.cpu_count() or 1))
-    with ThreadPoolExecutor(parts) as pool:
-        found = pool.map(_warnings, (wanted[part::parts] for part in range(parts)))
-        warned = {path: said for part in found for path, said in part.items()}
+    warned = damaged_jpegs(wanted)
     for path in wanted:
         if path in warned:
             raise _damaged(path, warned[path])
         _whole.add(stamps[path])
+
+
+def damaged_jpegs(paths: Sequence[Path]) -> dict[Path, str]:
+    """What libjpeg says of each of these JPEG files that it warns of.
+
+    Args:
+        paths: JPEG files, whatever their ending.
+
+    Raises:
+        UserError: A file ended the process that decodes.
+    """
+    parts = max(1, min(-(-len(paths) // _FILES_PER_PROCESS), os.cpu_count() or 1))
+    with ThreadPoolExecutor(parts) as pool:
+        found = pool.map(_warnings, (paths[part::parts] for part in range(parts)))
+        return {path: said for part in found for path, said in part.items()}
 
 
 def decode_alone() -> None:

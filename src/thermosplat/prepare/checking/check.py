@@ -15,10 +15,10 @@ from thermosplat.prepare.checking.check_page import check_page
 from thermosplat.prepare.checking.contact_sheet import row, sheet, shown_thermal
 from thermosplat.prepare.checking.findings import Finding, msx_findings, texture_findings, thermal_findings
 from thermosplat.prepare.checking.plane_warp import PlaneWarp, read_warps
-from thermosplat.prepare.checking.sensor_orientation import find_orientation
+from thermosplat.prepare.checking.sensor_orientation import Orientation, find_orientation
 from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.progress import tracked
-from thermosplat.prepare.steps import StepReport, require_step, run_step
+from thermosplat.prepare.steps import StepReport, read_marker, require_step, run_step
 from thermosplat.prepare.whole_files import write_png
 from thermosplat.runs.atomic_writes import write_bytes
 from thermosplat.spectra import COUNTS, label
@@ -170,17 +170,25 @@ def _pair_findings(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[Fin
     images = [(_photograph(capture, one.rgb), read_image(capture.images(OTHER) / one.thermal)) for one in chosen]
     found = []
     if (orientation := find_orientation(images)) is not None and not orientation.upright:
-        found.append(
-            Finding(
-                "warning",
-                "Thermal images look turned or mirrored against the photographs. Import them again with "
-                f"{orientation.flags}.",
-            )
-        )
+        found.append(_turned(capture, orientation))
     measured = capture.units_json.exists() and read_statement(capture.units_json, OTHER).unit != COUNTS
     if not measured:  # MSX is drawn into pictures, not into temperatures
         found += msx_findings([(photograph, shown_thermal(thermal)) for photograph, thermal in images])
     return found
+
+
+def _turned(capture: CaptureFolder, orientation: Orientation) -> Finding:
+    """Thermal images that are not upright; a registered camera may be turned, and cannot be mirrored."""
+    if read_marker(capture, "register") is not None and not orientation.mirror:
+        return Finding(
+            "fact",
+            "Thermal images are turned against the photographs, and so is the registered camera: nothing has to be "
+            f"done. For upright pictures import them with {orientation.flags}.",
+        )
+    return Finding(
+        "warning",
+        f"Thermal images look turned or mirrored against the photographs. Import them again with {orientation.flags}.",
+    )
 
 
 def _pictures(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[tuple[str, NDArray[np.uint8]]]:

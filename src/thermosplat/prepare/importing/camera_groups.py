@@ -32,6 +32,8 @@ _WORDS = {
     "zoom": frozenset({"zoom"}),
 }
 """Words in names of files and folders that say what an image is."""
+_NEAR_INFRARED = re.compile("near[ _-]?(infrared|ir)", re.IGNORECASE)
+"""A further spectrum, which is not thermal."""
 _LETTERS = {LEADING: "wv", OTHER: "tr", "zoom": "z"}
 """The same as single letters at the end of a name: DJI's wide, visible, thermal, radiometric and zoom cameras."""
 _PALETTE_LIMIT = 25.0
@@ -60,8 +62,9 @@ def group_files(files: Sequence[SourceFile]) -> Groups:
         Files of "rgb" and "thermal", each perhaps none.
 
     Raises:
-        UserError: Nothing tells them apart.
+        UserError: A further folder has images of which nothing says what they are.
     """
+    _refuse_further_folders(files)
     roles: dict[str, list[SourceFile]] = {LEADING: [], OTHER: [], "msx": [], "zoom": [], "": []}
     for file in files:
         role = named_role(file.name)
@@ -87,6 +90,7 @@ def named_role(name: str) -> str:
     """What a file's path says that it is: "rgb", "thermal", "msx", "zoom" or "" for nothing."""
     path = PurePosixPath(name)
     for place, part in enumerate([path.stem, *reversed(path.parts[:-1])]):
+        part = _NEAR_INFRARED.sub("nir", part)
         words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", part)]
         for word in reversed(words):
             for role, known in _WORDS.items():
@@ -97,6 +101,28 @@ def named_role(name: str) -> str:
                 if words[-1] in letters:
                     return role
     return ""
+
+
+def _refuse_further_folders(files: Sequence[SourceFile]) -> None:
+    """Refuse images in a folder of their own that no name tells, beside named photographs and thermal files.
+
+    Raises:
+        UserError: There are some: images of a further spectrum, or what does not belong to the capture.
+    """
+    named: dict[str, set[PurePosixPath]] = {}
+    for file in files:
+        named.setdefault(named_role(file.name), set()).add(PurePosixPath(file.name).parent)
+    told = {folder for role, folders in named.items() if role for folder in folders}
+    further = sorted(named.get("", set()) - told)
+    if not (LEADING in named and OTHER in named and further):
+        return
+    inside = [file for file in files if PurePosixPath(file.name).parent == further[0]]
+    raise UserError(
+        f"The folder {further[0]}/ has {counted(len(inside), 'image')}, and nothing says whether they are photographs "
+        f"or thermal images (first: {inside[0].name}).",
+        "Name the folders: --rgb DIR --thermal DIR, and --further nir=DIR for another spectrum that shows the "
+        "photographs' view. Or take the folder away.",
+    )
 
 
 def _add_unnamed(roles: dict[str, list[SourceFile]]) -> None:

@@ -41,7 +41,7 @@ class ImageHeader:
 
 
 def read_header(path: Path) -> ImageHeader:
-    """The header of an image file; pixels are decoded only for formats other than JPEG and PNG.
+    """The header of an image file. Pixels are decoded for formats other than JPEG, so that a damaged file is found.
 
     Raises:
         UserError: The file cannot be read or is no image.
@@ -49,7 +49,7 @@ def read_header(path: Path) -> ImageHeader:
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
-            found = _png(head) or _jpeg(head)
+            found = _jpeg(head)
             if found is None and head.startswith(b"\xff\xd8"):
                 found = _jpeg(head + file.read())
     except OSError as error:
@@ -67,14 +67,6 @@ def is_whole_jpeg(content: bytes) -> bool:
     while at + 4 <= len(content) and content[at] == 0xFF and content[at + 1] != 0xDA:
         at += 1 if content[at + 1] == 0xFF else 2 + int.from_bytes(content[at + 2 : at + 4], "big")
     return content.find(b"\xff\xd9", at) >= 0
-
-
-def _png(content: bytes) -> ImageHeader | None:
-    if not content.startswith(b"\x89PNG\r\n\x1a\n") or len(content) < 26:
-        return None
-    width, height, bits, color = struct.unpack_from(">IIBB", content, 16)
-    channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}.get(color)
-    return None if channels is None else ImageHeader(width, height, channels, bits)
 
 
 def _jpeg(content: bytes) -> ImageHeader | None:

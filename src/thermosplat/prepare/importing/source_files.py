@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.images.image_bytes import read_regular_file
 from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES, list_images, read_image
+from thermosplat.datasets.images.jpeg_warnings import damaged_jpegs
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import Exif, FrameRow
 from thermosplat.prepare.importing.dji_files import is_dji_thermal
@@ -23,6 +24,7 @@ from thermosplat.prepare.importing.image_header import is_whole_jpeg, read_heade
 from thermosplat.prepare.importing.video_frames import VIDEO_SUFFIXES, describe_video, moment, read_video_frame
 
 Kind = Literal["color", "grey", "values", "flir", "dji"]
+_JPEG = (".jpg", ".jpeg")
 _BOARD_FOLDERS = ("calib", "board", "checker", "charuco")
 """Folders whose names begin like this hold pictures of a board, for ``calibrate``."""
 
@@ -128,6 +130,10 @@ def read_folder(
                 unreadable.append((path, found))
             else:
                 files.append(found)
+    jpegs = [file.path for file in files if file.path.suffix.lower() in _JPEG]
+    damaged = damaged_jpegs(jpegs) if jpegs else {}
+    files = [file for file in files if file.path not in damaged]
+    unreadable += damaged.items()
     for path in videos:
         try:
             files += _video_frames(path, folder, every)
@@ -154,7 +160,7 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
     try:
         header = read_header(path)
         kind: Kind = "values" if header.is_radiometric else "grey" if header.channels == 1 else "color"
-        if path.suffix.lower() in (".jpg", ".jpeg"):
+        if path.suffix.lower() in _JPEG:
             content = read_regular_file(path)
             exif = parse_exif(content)
             if not is_whole_jpeg(content):
@@ -163,7 +169,7 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
         else:
             exif = read_exif(path)
     except UserError as error:
-        return error.message
+        return error.message.replace(str(path), "it", 1).rstrip(".")
     except OSError as error:
         return str(error.strerror or error)
     return SourceFile(path, name, kind, header.width, header.height, exif)

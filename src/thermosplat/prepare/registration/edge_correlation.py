@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.prepare.registration import thermal_edges
 from thermosplat.prepare.registration.rig_camera import Array, RigCamera
 from thermosplat.prepare.registration.stereo_edges import EdgePoints
 
@@ -93,7 +94,7 @@ def _spread(frames: NDArray[np.int64], most: int) -> list[int]:
 def _edge_field(slopes: NDArray[np.float32], mirrored: bool) -> NDArray[np.complex64]:
     """[h, w] edges at the working size: strength, and twice the angle of the normal."""
     if mirrored:
-        slopes = slopes[:, ::-1] * np.array([-1, 1], np.float32)
+        slopes = thermal_edges.mirrored(slopes)
     strength = np.hypot(slopes[..., 0], slopes[..., 1])
     unit = (slopes[..., 0] + 1j * slopes[..., 1]) / np.maximum(strength, 1e-9)
     field = unit**2 * (strength**2 / (strength**2 + _SATURATION**2))

@@ -25,7 +25,7 @@ from thermosplat.prepare.registration.edge_correlation import correlate
 from thermosplat.prepare.registration.rig_camera import RigCamera
 from thermosplat.prepare.registration.rig_model import is_photograph, with_thermal
 from thermosplat.prepare.registration.stereo_edges import EdgePoints, photograph_edges
-from thermosplat.prepare.registration.thermal_edges import slopes
+from thermosplat.prepare.registration.thermal_edges import mirrored, slopes
 from thermosplat.prepare.steps import StepReport, require_step, run_step
 from thermosplat.prepare.structure.sfm import write_model
 from thermosplat.prepare.structure.unregistered import some
@@ -105,7 +105,7 @@ def _register(capture: CaptureFolder) -> list[str]:
     fields = [slopes(image) for image in thermal]
     calibration = read_calibration(capture.calibration_json)
     if calibration is None:
-        found = _from_the_scene(edges, fields, width, height)
+        found = _from_the_scene(capture, edges, fields)
         said: list[str] = []
     else:
         found, scale = _from_a_board(calibration, edges, fields, width, height)
@@ -115,7 +115,7 @@ def _register(capture: CaptureFolder) -> list[str]:
         found_in_metres = RigCamera(pose[:3, :3], pose[:3, 3], found.camera.lens, width, height)
         found = Alignment(found_in_metres, found.deviations, found.frames)
         edges = EdgePoints(edges.frame, edges.points / scale, edges.along / scale)
-    if found.near < ABOVE_CHANCE * found.by_chance or not found.frames:
+    if not _fits(found):
         raise UserError(
             f"The thermal images of {capture.root} do not fit the photographs: {found.near:.0%} of the photographs' "
             f"edges meet a thermal edge, and {found.by_chance:.0%} would by chance.",
@@ -150,13 +150,20 @@ def _thermal_images(capture: CaptureFolder, names: Sequence[str]) -> list[NDArra
     return read
 
 
-def _from_the_scene(edges: EdgePoints, fields: Sequence[NDArray[np.float32]], width: int, height: int) -> Alignment:
-    best, *_ = correlate(edges, fields)
-    if best.mirrored:
-        raise UserError(
-            "The thermal images fit the photographs when they are mirrored.",
-            "Import them again, mirrored: thermosplat-prepare import FOLDER --mirror --out CAPTURE",
-        )
+def _fits(found: Alignment) -> bool:
+    """Whether clearly more edges meet than by chance."""
+    return bool(found.frames) and found.near >= ABOVE_CHANCE * found.by_chance
+
+
+def _from_the_scene(capture: CaptureFolder, edges: EdgePoints, fields: Sequence[NDArray[np.float32]]) -> Alignment:
+    best, other = correlate(edges, fields)
+    if best.mirrored:  # noise may look so, too, until it is aligned
+        if _fits(align(best.camera, edges, [mirrored(field) for field in fields])):
+            raise UserError(
+                "The thermal images fit the photographs when they are mirrored.",
+                f"Mirror them by the same command: thermosplat-prepare FOLDER --mirror --out {capture.root}",
+            )
+        best = other
     found = align(best.camera, edges, fields)
     if not found.frames or _parallax(found.camera, edges) > _NO_PARALLAX:
         return found

@@ -15,6 +15,11 @@ _MAD = 0.6745
 """Median absolute value of a normal distribution with standard deviation 1."""
 
 
+def mirrored(field: Field) -> Field:
+    """The slopes of the mirrored image, left and right."""
+    return np.ascontiguousarray(field[:, ::-1] * np.array([-1, 1], np.float32))
+
+
 def slopes(image: NDArray[np.generic]) -> Field:
     """Slopes [H, W, 2] of the locally normalised image [contrasts per pixel].
 
