@@ -12,7 +12,6 @@ from thermosplat.spectra import (
     ColorSpace,
     Spectrum,
     SpectrumConfig,
-    ascii_unit,
     folder_names,
     label,
     latent_channels,
@@ -115,8 +114,6 @@ def test_lists_of_labels() -> None:
     assert listed(["rgb", "nir"], "or") == "RGB or NIR"
 
 
-def test_units_for_people_and_for_fonts() -> None:
-    """Temperatures have a sign, which OpenCV's fonts lack; other units are their name."""
-    assert (unit_label("celsius"), ascii_unit("celsius")) == ("°C", "C")
-    assert (unit_label("reflectance"), ascii_unit("reflectance")) == ("reflectance", "reflectance")
-    assert ascii_unit("celsius").isascii()
+def test_units_for_people() -> None:
+    """Temperatures have a sign; other units are their name."""
+    assert (unit_label("celsius"), unit_label("reflectance")) == ("°C", "reflectance")

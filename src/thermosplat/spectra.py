@@ -194,8 +194,3 @@ def listed(names: Sequence[str], conjunction: str = "and") -> str:
 def unit_label(unit: str) -> str:
     """A unit for people: "°C", "reflectance"."""
     return "°C" if unit == CELSIUS else unit
-
-
-def ascii_unit(unit: str) -> str:
-    """A unit in the letters that OpenCV's fonts have: "C", "reflectance"."""
-    return "C" if unit == CELSIUS else unit

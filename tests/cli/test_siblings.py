@@ -13,6 +13,8 @@ import pytest
 
 from sample_runs import QUICK, STEPS, Run
 from thermosplat.cli import evaluate, export, render, train
+from thermosplat.datasets import load_capture
+from thermosplat.export.maps.map_frame import MapFrame, local_frame
 from thermosplat.novel_views.bookmarks import Bookmark, write_bookmarks
 
 
@@ -244,6 +246,47 @@ def test_export_of_maps(run: Run, finished: Path, tmp_path: Path) -> None:
     code, printed = run(export.main, finished, "--gsd", 0.05)
     assert code == 2
     assert "--gsd is a setting of maps, not of ply." in printed
+
+
+def test_maps_of_a_capture_with_gps(run: Run, finished: Path, tmp_path: Path) -> None:
+    """The GeoTIFF has the zone of the GPS positions and metres in it, and the picture of the map in local units."""
+    rasterio = pytest.importorskip("rasterio", reason='rasterio is not installed (pip install ".[maps]")')
+    warp = pytest.importorskip("rasterio.warp")
+    capture, metres, middle = load_capture("sample"), 3.0, np.array([518_000.0, 5_260_000.0, 400.0])
+    moved = tmp_path / "capture"
+    shutil.copytree(capture.root, moved)
+    local = local_frame(capture, "rgb")
+    flown = MapFrame(local.rotation, metres, middle)  # a unit of the scene is 3 m
+    rows = ["spectrum,file,source,width,height,time,latitude,longitude,altitude"]
+    for frame in (*capture.train, *capture.test):
+        view = frame.views["rgb"]
+        east, north, up = flown.to_map(np.linalg.inv(view.viewmat)[:3, 3])
+        (longitude,), (latitude,) = warp.transform("EPSG:32632", "EPSG:4326", [east], [north])
+        rows.append(f"rgb,{view.path.name},x.jpg,200,150,,{latitude:.10f},{longitude:.10f},{up:.4f}")
+    (moved / "frames.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+    def map_of(folder: str, *words: object) -> tuple[np.ndarray, str]:
+        words = ("--format", "orthomosaic", "--spectra", "rgb", "--output", tmp_path / folder, *words)
+        code, printed = run(export.main, finished, *words)
+        assert code == 0
+        with rasterio.open(tmp_path / folder / "orthomosaic_rgb.tif") as file:
+            found.append(file.profile | {"bounds": file.bounds})
+            return file.read(1), printed
+
+    found: list[dict] = []
+    west, south = middle[:2] - metres
+    expected, _ = map_of("local", "--gsd", 0.05, "--extent", -1, -1, 1, 1)
+    seen, printed = map_of("flown", "--gsd", 0.15, "--extent", west, south, west + 6, south + 6, "--data", moved)
+    assert "The map is georeferenced." in printed
+    assert found[0]["crs"] is None
+    assert found[1]["crs"].to_epsg() == 32632
+    assert found[1]["crs"].linear_units == "metre"
+    np.testing.assert_allclose(found[1]["bounds"], (west, south, west + 6, south + 6), atol=1e-6)
+    there = np.isfinite(expected) & np.isfinite(seen)
+    assert there.sum() > 50  # a scene of a few steps covers little
+    assert np.isfinite(expected).sum() - there.sum() < 5
+    assert expected[there].std() > 0.05
+    np.testing.assert_allclose(seen[there], expected[there], atol=0.01)
 
 
 def test_render_layouts_and_bookmarks(run: Run, finished: Path, tmp_path: Path) -> None:

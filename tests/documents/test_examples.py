@@ -41,7 +41,7 @@ def test_the_readme_has_the_example_of_the_renderer() -> None:
 
 
 def test_the_readme_has_the_example_of_a_trained_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the result folder of `thermosplat-train sample` to images of both spectra; here after one small step."""
+    """From the result folder of `thermosplat-train sample` to images, numbers, videos and files; after a small step."""
     (example,) = [code for name, code in EXAMPLES if name == "README.md" and "load_run(" in code]
     monkeypatch.chdir(tmp_path)
     quick = ["--data-factor", "4", "--max-steps", "1", "--device", "cpu", "--no-tensorboard"]
@@ -55,6 +55,14 @@ def test_the_readme_has_the_example_of_a_trained_scene(tmp_path: Path, monkeypat
     (viewing,) = [code for name, code in EXAMPLES if name == "docs/viewer.md" and "load_run(" in code]
     exec(viewing, names)
     assert names["image"].unit == "°C"  # type: ignore[attr-defined]
+    assert names["area"].minimum < names["area"].maximum  # type: ignore[attr-defined]
+    assert Path("results/measured.csv").is_file()
+    exports = [code for name, code in EXAMPLES if name == "docs/exports.md" and "load_run(" in code]
+    for exporting in exports:
+        exec(exporting, names)
+    assert names["video"].stat().st_size > 0  # type: ignore[attr-defined]
+    assert names["fit"].after >= names["fit"].before  # type: ignore[attr-defined]
+    assert {file.path.suffix for file in names["files"]} == {".spz", ".sog", ".usd"}  # type: ignore[attr-defined]
     (measuring,) = [code for name, code in EXAMPLES if name == "docs/api/trained-scenes.md"]
     exec(measuring, names)
     assert names["celsius"].shape == names["depth"].shape == (38, 50)  # type: ignore[attr-defined]

@@ -17,6 +17,7 @@ import headless_browser
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.viewer.front_end import Viewer
+from thermosplat.viewer.view_panel import ViewPanel
 from thermosplat.viewer.visitor import Visitor
 from viewed_toy import viewed_toy
 
@@ -313,3 +314,43 @@ def test_from_elsewhere_the_token_opens_the_page(browser: Any, tmp_path: Path) -
         assert len(viewer.visitors) == 1
     finally:
         viewer.stop()
+
+
+def test_a_click_on_a_frame_flies_there(browser: Any, viewer: Viewer) -> None:
+    """A frustum is clicked where the projection has its frame; the camera ends at that frame's pose."""
+    tab = Tab(browser, viewer)
+    visitor = tab.visitor
+    start = visitor.view()
+    back = dataclasses.replace(start, viewmat=start.viewmat.copy())
+    back.viewmat[2, 3] += 4.0  # all frames are before the camera then
+    visitor.fly_to(back)
+    tab.page.get_by_role("tab", name="Cameras").click()
+    tab.page.locator("input[type=checkbox]:visible").first.check(force=True)
+    tab.rest()
+    clicked = visitor.scene.frames[1]
+    view = clicked.views["rgb"]
+    x, y, z = visitor.view().viewmat[:3] @ np.linalg.inv(view.viewmat)[:, 3]
+    focal = SIZE["height"] / 2 / np.tan(np.radians(visitor.view().fov_y) / 2)
+    place = SIZE["width"] / 2 + focal * x / z, SIZE["height"] / 2 + focal * y / z
+    tab.page.mouse.move(*place)
+    tab.page.wait_for_timeout(500)
+    tab.page.mouse.click(*place, delay=150)
+    wait_for(lambda: np.allclose(visitor.view().viewmat, view.viewmat, atol=1e-3), tab.page)
+
+
+def test_the_ends_of_the_range_are_those_of_the_picture(browser: Any, viewer: Viewer) -> None:
+    """Of depth, whose range nothing but the picture says, "Lowest" and "Highest" show what the colour bar has."""
+    tab = Tab(browser, viewer)
+    tab.choose("RGB", "depth, RGB")
+    wait_for(lambda: tab.visitor.session.wish.first.kind == "depth", tab.page)
+    tab.rest()
+    shown = tab.visitor.session.shown
+    assert shown is not None
+    depths = shown.layers[shown.wish.first].field
+    low, high = np.nanpercentile(depths, (1, 99))
+    panel = next(panel for panel in tab.visitor._panels if isinstance(panel, ViewPanel))
+    assert panel.low.value == pytest.approx(low, abs=0.02)
+    assert panel.high.value == pytest.approx(high, abs=0.02)
+    written = tab.page.locator("input:visible").evaluate_all("inputs => inputs.map(input => input.value)")
+    numbers = [float(text) for text in written if text.replace(".", "").isdigit()]
+    assert sum(abs(number - high) < 0.02 for number in numbers) == 2  # and the threshold's

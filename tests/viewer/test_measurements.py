@@ -10,6 +10,7 @@ import pytest
 
 from thermosplat.thermal.radiometry import FLIR_IRON
 from thermosplat.viewer.layers import Layer, LayerImage
+from thermosplat.viewer.measure_panel import spot_cross
 from thermosplat.viewer.measurements import covered_values, marked_picture, measure, save_measurements, value_at
 from thermosplat.viewer.session import ViewSession, Wish
 from viewed_toy import moved, toy_session, viewed_toy
@@ -79,6 +80,31 @@ def test_files_hold_all_digits_and_the_marks(tmp_path: Path) -> None:
     assert written.shape[1] > 100
     assert (written[12:36, 20:50] > 200).any()
     assert not picture.any()
+
+
+def test_labels_do_not_lie_over_each_other() -> None:
+    """Two spots side by side have their labels apart: as many pixels are darkened as by both alone."""
+    made = measure(layer(), "spot", [(0.5, 0.5)], "S1")
+    assert made is not None
+    picture = np.full((400, 600, 3), 200, np.uint8)
+
+    def covered(*places: tuple[float, float]) -> int:
+        return int((marked_picture(picture, [(made, [place]) for place in places]) < 100).sum())
+
+    left, right = (0.5, 0.5), (0.54, 0.5)
+    assert covered(left) > 500
+    assert covered(left, right) == pytest.approx(covered(left) + covered(right), rel=0.05)
+
+
+def test_the_cross_of_a_spot_is_upright_where_it_was_measured() -> None:
+    """Its arms are level and plumb in that picture, 3% of the height long, whatever the distance."""
+    start = viewed_toy().start()
+    pose = np.linalg.inv(start.viewmat)
+    for depth in (1.0, 7.0):
+        point = pose[:3, :3] @ np.array([0.1, -0.2, depth]) + pose[:3, 3]
+        seen = spot_cross(point, start) @ start.viewmat[:3, :3].T + start.viewmat[:3, 3]
+        flat = seen[..., :2] / seen[..., 2:] / (2 * np.tan(np.radians(start.fov_y) / 2))  # in picture heights
+        np.testing.assert_allclose(flat[:, 1] - flat[:, 0], 0.03 * np.eye(2), atol=1e-6)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from thermosplat.pictures.image_display import spectrum_bytes, write_png
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.background_writes import background_writes
 from thermosplat.scene.model import SceneModel
-from thermosplat.spectra import MAE, ascii_unit, label
+from thermosplat.spectra import MAE, label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 
@@ -183,7 +183,7 @@ def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
     low, high = result.scale.range
     missed = (result.scale.value(result.intensity) - result.values).abs().nan_to_num()  # unmeasured: no error
     largest = LARGEST_MEASURED_ERROR * (high - low)
-    return Comparison(called, score, *shown, missed.cpu().numpy(), largest, unit=ascii_unit(unit))
+    return Comparison(called, score, *shown, missed.cpu().numpy(), largest, unit=unit_label(unit))
 
 
 def _means(rows: list[dict[str, Any]], spectrum: str) -> dict[str, float | None] | None:

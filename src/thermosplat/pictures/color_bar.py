@@ -83,7 +83,7 @@ def color_bar(palette: Palette, low: float, high: float, unit: str, height: int)
     return picture
 
 
-def write_text(picture: Image8, text: str, x: int, y: int, size: float, stroke: int) -> None:
+def write_text(picture: Image8, text: str, x: int, y: int, size: float, stroke: int) -> int:
     """Write white text into a picture; OpenCV's fonts have no degree sign, so a small ring is drawn for it.
 
     Args:
@@ -93,6 +93,9 @@ def write_text(picture: Image8, text: str, x: int, y: int, size: float, stroke: 
         y: Its base line [px].
         size: Size of OpenCV's font.
         stroke: Width of its lines [px].
+
+    Returns:
+        Where it ends [px].
     """
     color = (255, 255, 255)
     for index, part in enumerate(text.split("°")):
@@ -102,3 +105,4 @@ def write_text(picture: Image8, text: str, x: int, y: int, size: float, stroke: 
             x += 3 * radius
         cv2.putText(picture, part, (x, y), _FONT, size, color, stroke, cv2.LINE_AA)
         x += cv2.getTextSize(part, _FONT, size, stroke)[0][0]
+    return x

@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.pictures.color_bar import write_text
 from thermosplat.pictures.image_display import Image8, error_bytes, resized
 
 HEADER_HEIGHT = 20  # [px], room for one line of text
 GAP = 4  # [px] between panels and rows
 LEAST_PANEL_WIDTH = 240  # [px]; smaller images are enlarged so that the titles fit
-FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
+FONT_SCALE = 0.42
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Comparison:
     largest_error: float
     """Error at the bright end of the error map's palette."""
     unit: str = ""
-    """Unit of the error, e.g. "C"; ASCII, as OpenCV's fonts have no more."""
+    """Unit of the error, e.g. "°C"."""
 
 
 def comparison_strip(comparisons: list[Comparison]) -> Image8:
@@ -64,7 +64,7 @@ def titled(title: str, image: Image8, width: int, palette_end: str | None = None
     """An image under its title.
 
     Args:
-        title: One line, ASCII.
+        title: One line, ASCII and "°".
         image: 8-bit RGB, shape [H, W, 3].
         width: Width of the result [px].
         palette_end: For an error map: what stands at the bright end of its palette, which is drawn beside the title.
@@ -84,6 +84,4 @@ def titled(title: str, image: Image8, width: int, palette_end: str | None = None
 
 def _write(header: Image8, text: str, x: int) -> int:
     """Write a line of text; returns the x [px] where it ends."""
-    baseline = HEADER_HEIGHT - 6
-    cv2.putText(header, text, (x, baseline), FONT, FONT_SCALE, (255, 255, 255), 1, cv2.LINE_AA)
-    return x + cv2.getTextSize(text, FONT, FONT_SCALE, 1)[0][0]
+    return write_text(header, text, x, HEADER_HEIGHT - 6, FONT_SCALE, 1)

@@ -1,12 +1,15 @@
 """Controls of measuring: a tool for the mouse, the list of what was measured, and the files it is saved to."""
 
 import html
+import math
 import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermosplat.errors import UserError
+from thermosplat.novel_views.bookmarks import Bookmark
 from thermosplat.viewer.measurements import Measurement, Pixel, covered_values, save_measurements
 
 if TYPE_CHECKING:
@@ -19,7 +22,7 @@ _HINTS = {
     "line": "Click both ends of a line.",
     "area": "Drag a rectangle over the picture.",
 }
-_COLORS = {"spot": (255, 255, 255), "line": (255, 210, 60), "area": (90, 220, 255)}
+_COLORS = {"spot": (60, 230, 110), "line": (255, 210, 60), "area": (90, 220, 255)}
 
 
 class MeasurePanel:
@@ -77,29 +80,33 @@ class MeasurePanel:
         if made is None or shown is None:
             self.visitor.tell("Nothing to measure there", "Choose a layer of values, and wait until the picture rests.")
             return
-        self._mark(made)
+        self._mark(made, shown.view)
         self._list()
         image = shown.layers[session.layer_at(places[0][0])]
         if shape == "line" and image.field is not None:
             self._draw_profile(made, covered_values(image.field, "line", places))
 
-    def _mark(self, made: Measurement) -> None:
+    def _mark(self, made: Measurement, view: Bookmark) -> None:
         """Put a mark on the object that was measured."""
         if not made.points:
             return
         scene, name = self.visitor.client.scene, f"/measured/{made.name}"
         points = np.array(made.points)
-        parts: list[Any] = [scene.add_label(name, f"{made.name}  {made.text.partition(' (')[0]}", position=points[0])]
-        if made.shape != "spot":
+        if made.shape == "spot":
+            segments = spot_cross(points[0], view)
+        else:
             corners = points if made.shape == "line" else np.concatenate([points, points[:1]])
             segments = np.stack([corners[:-1], corners[1:]], axis=1)
-            color = _COLORS[made.shape]
-            parts.append(
-                scene.add_line_segments(f"{name}/lines", segments - points[0], colors=color, thickness=2.5,
-                                        thickness_units="screen")
-            )  # fmt: skip
-            parts[-1].position = (0.0, 0.0, 0.0)
-        self._marks[made.name] = parts
+        self._marks[made.name] = [
+            scene.add_label(name, f"{made.name}  {made.mean_text}", position=points[0], anchor="bottom-left"),
+            scene.add_line_segments(
+                f"{name}/lines",
+                segments - points[0],
+                colors=_COLORS[made.shape],
+                thickness=2.5,
+                thickness_units="screen",
+            ),
+        ]
 
     def _list(self) -> None:
         rows = "".join(
@@ -157,3 +164,18 @@ class MeasurePanel:
             self.visitor.tell("Not saved", error.message)
             return
         self.visitor.tell("Saved", f"{table} and {image.name}")
+
+
+def spot_cross(point: NDArray[np.floating], view: Bookmark) -> NDArray[np.float64]:
+    """A cross on a point of the scene, upright in the view in which it was measured.
+
+    Args:
+        point: The point, shape [3] [world units].
+        view: From where it was measured.
+
+    Returns:
+        Two segments in the world, shape [2, 2, 3]; each is as long as 3% of the picture's height.
+    """
+    axes, depth = view.viewmat[:2, :3], view.viewmat[2, :3] @ point + view.viewmat[2, 3]
+    arms = 0.03 * depth * math.tan(math.radians(view.fov_y) / 2) * axes
+    return np.stack([point - arms, point + arms], axis=1)

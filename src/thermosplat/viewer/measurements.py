@@ -64,9 +64,14 @@ class Measurement:
     def text(self) -> str:
         """The number for people: "23.41 °C", or the mean with its span."""
         if self.shape == "spot":
-            return with_unit(self.mean, self.unit, self.decimals)
+            return self.mean_text
         span = f"{self.minimum:.{self.decimals}f} to {self.maximum:.{self.decimals}f}"
-        return f"{with_unit(self.mean, self.unit, self.decimals)} ({span}, std {self.std:.{self.decimals}f})"
+        return f"{self.mean_text} ({span}, std {self.std:.{self.decimals}f})"
+
+    @property
+    def mean_text(self) -> str:
+        """The mean alone, for a label beside the mark."""
+        return with_unit(self.mean, self.unit, self.decimals)
 
 
 def with_unit(value: float, unit: str, decimals: int) -> str:
@@ -183,6 +188,7 @@ def marked_picture(
     marked = np.ascontiguousarray(picture.copy())
     height, width = marked.shape[:2]
     size, stroke = max(0.4, height / 1000), max(1, round(height / 500))
+    labels: list[tuple[str, tuple[int, int]]] = []
     for measurement, places in marks:
         pixels = [(round(x * width), round(y * height)) for x, y in places]
         for color, thickness in (((0, 0, 0), stroke + 2), ((255, 255, 255), stroke)):
@@ -192,22 +198,36 @@ def marked_picture(
                 cv2.line(marked, pixels[0], pixels[1], color, thickness, cv2.LINE_AA)
             else:
                 cv2.polylines(marked, [np.array(pixels, np.int32)], True, color, thickness, cv2.LINE_AA)
-        x, y = pixels[0]
-        text = f"{measurement.name} {with_unit(measurement.mean, measurement.unit, measurement.decimals)}"
-        x, y = min(x + round(12 * size), width - 10), max(y - round(12 * size), round(30 * size))
-        _shadowed(marked, text, x, y, size, stroke)
+        labels.append((f"{measurement.name} {measurement.mean_text}", pixels[0]))
+    _write_labels(marked, labels, size, stroke)
     if legend is None:
         return marked
     palette, low, high, unit = legend
     return np.concatenate([marked, color_bar(palette, low, high, unit, max(height, 60))[:height]], axis=1)
 
 
-def _shadowed(picture: Image8, text: str, x: int, y: int, size: float, stroke: int) -> None:
-    """White text on a darkened patch."""
-    (width, height), below = cv2.getTextSize(text.replace("°", "o"), cv2.FONT_HERSHEY_SIMPLEX, size, stroke)
-    patch = picture[max(0, y - height - 4) : y + below + 2, max(0, x - 4) : x + width + 4]
-    patch[:] = patch // 3
-    write_text(picture, text, x, y, size, stroke)
+def _write_labels(picture: Image8, labels: Sequence[tuple[str, tuple[int, int]]], size: float, stroke: int) -> None:
+    """White texts on darkened patches beside their points, none over another one where there is room."""
+    taken: list[tuple[int, int, int, int]] = []
+    gap = round(12 * size)
+    for text, (x, y) in labels:
+        (width, height), below = cv2.getTextSize(text.replace("°", "o"), cv2.FONT_HERSHEY_SIMPLEX, size, stroke)
+        width, height = width + 8, height + below + 6
+        last_x, last_y = max(picture.shape[1] - width, 0), max(picture.shape[0] - height, 0)
+        columns, rows = (x + gap, x - gap - width), [y - gap - height, y + gap, *(y + k * height for k in range(-4, 5))]
+        places = [(min(max(a, 0), last_x), min(max(b, 0), last_y)) for b in rows for a in columns]
+        left, top = next(
+            ((a, b) for a, b in places if all(not _overlap((a, b, width, height), other) for other in taken)), places[0]
+        )
+        taken.append((left, top, width, height))
+        patch = picture[top : top + height, left : left + width]
+        patch[:] = patch // 3
+        write_text(picture, text, left + 4, top + height - below - 2, size, stroke)
+
+
+def _overlap(one: tuple[int, int, int, int], other: tuple[int, int, int, int]) -> bool:
+    """Whether two boxes (left, top, width, height) have pixels in common."""
+    return all(one[k] < other[k] + other[k + 2] and other[k] < one[k] + one[k + 2] for k in (0, 1))
 
 
 def save_measurements(

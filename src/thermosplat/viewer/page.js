@@ -14,7 +14,8 @@
       font: 600 13px/1.35 system-ui, sans-serif; color: #fff; background: rgba(16,18,24,.82); white-space: nowrap;
       box-shadow: 0 1px 6px rgba(0,0,0,.35); font-variant-numeric: tabular-nums; }
     #ts-legend { position: fixed; z-index: 4; pointer-events: none; color: #fff; font: 12px/1.3 system-ui, sans-serif;
-      text-shadow: 0 0 3px #000, 0 0 2px #000; font-variant-numeric: tabular-nums; }
+      padding: 8px 12px; border-radius: 6px; background: rgba(16,18,24,.7); font-variant-numeric: tabular-nums; }
+    #ts-legend:empty { display: none; }
     #ts-wipe { position: fixed; z-index: 4; width: 28px; margin-left: -14px; cursor: ew-resize; display: none;
       touch-action: none; }
     #ts-wipe::before { content: ""; position: absolute; left: 13px; top: 0; bottom: 0; width: 2px;
@@ -115,8 +116,8 @@
   function update() {
     const said = state(), box = canvas()?.getBoundingClientRect();
     if (!said || !box) { legend.innerHTML = ""; wipe.style.display = "none"; return; }
-    legend.style.left = `${box.left + 18}px`;
-    legend.style.bottom = `${window.innerHeight - box.bottom + 22}px`;
+    legend.style.left = `${box.left + 12}px`;
+    legend.style.bottom = `${window.innerHeight - box.bottom + 14}px`;
     if (said.dataset.version !== version) {
       version = said.dataset.version;
       legend.innerHTML = said.innerHTML;

@@ -224,6 +224,10 @@ class Visitor:
             self._state.content = self._state_html(shown)
         self.client.flush()
         self.pictures += 1
+        if shown.full:
+            for panel in self._panels:
+                if isinstance(panel, ViewPanel):
+                    panel.show_range()
         if (width, height) != full and not live:
             self.pace.took(width, height, time.perf_counter() - started)
 
