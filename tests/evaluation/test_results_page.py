@@ -40,7 +40,7 @@ def finished(folder: Path) -> RunDirectory:
         image = np.full((20, 60, 3), (0, 0, 255), np.uint8)
         (folder / "renders" / f"{name}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
     (folder / "videos").mkdir(exist_ok=True)
-    (folder / "videos" / "ellipse_rgb_000300.mp4").write_bytes(b"\0" * 64)
+    (folder / "videos" / "ellipse_rgb_000300.mp4").write_bytes(b"\0" * 1500)
     return RunDirectory(folder)
 
 
@@ -55,6 +55,7 @@ def test_the_page_has_numbers_plots_strips_and_videos(tmp_path: Path) -> None:
     assert page.count("<polyline") == 3
     assert 'src="renders/a%20view.png"' in page
     assert '<video controls preload="metadata" src="videos/ellipse_rgb_000300.mp4">' in page
+    assert ">videos/ellipse_rgb_000300.mp4</a>, 1.5 kB<" in page
 
 
 def test_names_of_a_capture_are_text_and_nothing_else(tmp_path: Path) -> None:

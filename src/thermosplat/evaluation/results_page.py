@@ -165,10 +165,15 @@ def _files(root: Path) -> str:
     found += [path for name in ("metrics.json", "regions.json", "config.yaml") if (path := root / name).is_file()]
     items = (
         f'<li><a href="{_link(root, path)}">{html.escape(path.relative_to(root).as_posix())}</a>, '
-        f"{path.stat().st_size / 1e6:.1f} MB</li>"
+        f"{_size(path.stat().st_size)}</li>"
         for path in found
     )
     return f"<ul>{''.join(items)}</ul>" if found else ""
+
+
+def _size(number: int) -> str:
+    """Bytes for people."""
+    return f"{number / 1e6:.1f} MB" if number >= 100_000 else f"{max(number, 100) / 1e3:.1f} kB"
 
 
 def _inside(root: Path, folder: str, pattern: str) -> list[Path]:
