@@ -26,6 +26,7 @@ def test_schedules_count_images_and_rates_follow_the_root() -> None:
     assert scaled.refine_from == 125
     assert scaled.refine_every == 2
     assert scaled.refine_first == 150
+    assert scaled.refine_rounds_from == 21
     assert scaled.auto_budget.patience == 750
     assert scaled.log_every == config.log_every
     for field in dataclasses.fields(config.optimizer):

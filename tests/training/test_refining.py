@@ -168,10 +168,10 @@ def test_a_rig_needs_two_cameras() -> None:
 
 def test_passes_need_a_round() -> None:
     """A run that is too short to find cameras says so, and not one that refines poses alone, or starts with them."""
-    with pytest.raises(UserError, match=r"in passes of 500 steps \(--max-steps\), and would begin at step 508"):
-        check_config(toy_run_config(500, refine=("rig",)))
-    with pytest.raises(UserError, match=r"in passes of 100 steps \(--refine-first\), and would begin at step 508"):
-        check_config(toy_run_config(1000, refine=("rig",), refine_first=100))
-    check_config(toy_run_config(500, refine=("poses",)))
-    check_config(toy_run_config(500, refine=("rig",), refine_first=0))
-    check_config(toy_run_config(500, refine=("distortion",), without=("thermal",)))
+    with pytest.raises(UserError, match=r"in passes of 90 steps \(--max-steps\), and would begin at step 92"):
+        check_config(toy_run_config(90, refine=("rig",)))
+    with pytest.raises(UserError, match=r"in passes of 80 steps \(--refine-first\), and would begin at step 92"):
+        check_config(toy_run_config(1000, refine=("rig",), refine_first=80))
+    check_config(toy_run_config(90, refine=("poses",)))
+    check_config(toy_run_config(90, refine=("rig",), refine_first=0))
+    check_config(toy_run_config(90, refine=("distortion",), without=("thermal",)))

@@ -13,7 +13,14 @@ from thermosplat.config.schema import TrainConfig
 
 ADAM_BETAS = (0.9, 0.999)
 """Decay of Adam's moments in a step of one frame. 3DGS: torch's defaults."""
-_NUMBERS_OF_STEPS = ("max_steps", "sh_degree_interval", "refine_from", "refine_every", "refine_first")
+_NUMBERS_OF_STEPS = (
+    "max_steps",
+    "sh_degree_interval",
+    "refine_from",
+    "refine_every",
+    "refine_first",
+    "refine_rounds_from",
+)
 _OF_DENSIFICATION = ("start_step", "stop_step", "every", "prune_large_from", "reset_every")
 _OF_BUDGET = ("validate_every", "patience", "spectrum_patience")
 

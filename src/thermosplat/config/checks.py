@@ -21,6 +21,7 @@ _AT_LEAST: dict[str, float] = {
     "sh_degree_interval": 1,
     "log_every": 1,
     "refine_from": 0,
+    "refine_rounds_from": 0,
     "refine_every": 1,
     "refine_first": 0,
     "seed": 0,
@@ -150,23 +151,18 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
 
 
-def first_round_after(config: TrainConfig) -> int:
-    """Steps of a pass that finds cameras before its first round: with higher rates a scene is there sooner."""
-    return math.ceil(config.refine_from / config.refine_rates)
-
-
 def _check_camera_passes(config: TrainConfig, name: Any) -> None:
     """Passes that find cameras must be long enough for a round."""
     between_cameras = [kind for kind in config.refine if kind != "poses"]
     steps = min(config.refine_first, config.max_steps)
-    begin = first_round_after(config) + config.refine_every
+    begin = config.refine_rounds_from + config.refine_every
     if not between_cameras or len(config.modelled) < 2 or not 0 < steps < begin:
         return
     limit = name("refine_first" if steps == config.refine_first else "max_steps")
     raise UserError(
         f"{name('refine')} {' '.join(between_cameras)} finds cameras in passes of {steps:,} steps ({limit}), and would "
         f"begin at step {begin:,}.",
-        f"Lower {name('refine_from')} and {name('refine_every')}, or raise {limit}.",
+        f"Lower {name('refine_rounds_from')} and {name('refine_every')}, or raise {limit}.",
     )
 
 

@@ -345,7 +345,8 @@ class TrainConfig:
     over what all have in common; their poses are found on the finished scene. "intrinsics" goes with --lens direct:
     images that were undistorted with a wrong focal length stay wrong towards the corners."""
     refine_from: int = 500
-    """Steps before cameras are corrected: as long as there is no scene, images say little of them. Open choice."""
+    """Steps before poses, and the first spectrum's camera, are corrected: as long as there is no scene, images say
+    little of them. Open choice."""
     refine_every: int = 8
     """Steps between two rounds that register the cameras of the other spectra to the scene (rig, focal lengths,
     distortion). Open choice."""
@@ -353,10 +354,12 @@ class TrainConfig:
     """Where rig, focal lengths or distortion are corrected: two passes of so many steps come first, of ``max_steps`` if
     that is less. They find these cameras on a scene that the first spectrum alone shapes. Then it starts anew with
     them. 0: without passes. Open choice, measured (benchmarks/records/refinement.md): a pass then has 64 rounds."""
+    refine_rounds_from: int = 84
+    """Steps of such a pass before its first round: a scene that is too young may send a camera away. Open choice,
+    measured: from 40 on, one of three trainings lost it; from 84 on, none (benchmarks/records/refinement.md)."""
     refine_rates: float = 6.0
     """What the learning rates of means, quaternions, scales and colours are multiplied by in these passes, which are
-    short trainings; their rounds begin after so many times fewer steps than ``refine_from``. Open choice: the preset
-    demo's rates are about as many times thermosplat's."""
+    short trainings. Open choice: the preset demo's rates are about as many times thermosplat's."""
     without: tuple[str, ...] = ()
     """Spectra that are left out: --without thermal trains on the others alone."""
     spectra: dict[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 from thermosplat.config import ModelConfig, TrainConfig
-from thermosplat.config.checks import first_round_after
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.distributed.team import Team
 from thermosplat.refinement.camera_corrections import POSES
@@ -61,7 +60,7 @@ class CameraRounds:
         self._config, self._state, self._frames, self._team = config, state, frames, team
         self.steps = min(config.refine_first, config.max_steps)
         """Steps of a pass."""
-        self.start = first_round_after(config)
+        self.start = config.refine_rounds_from
         """Steps of a pass before its first round."""
 
     @property
