@@ -150,7 +150,7 @@ def test_memory_estimate_counts_the_tensors_of_a_training() -> None:
 
 
 def test_states_of_segments_are_counted() -> None:
-    """Room for a state of 33 numbers a pixel is reserved for all pairs, and used where lists are long."""
+    """Room for a state of 33 numbers per pixel is reserved for all pairs, and used where lists are long."""
     few, many = (run_script("estimate_states.py", "--count", count, "--sizes", "32x32") for count in ("300", "60000"))
     assert few.returncode == many.returncode == 0, few.stdout + few.stderr + many.stderr
     short, long = ([cell.strip() for cell in done.stdout.splitlines()[-1].split("|")[2:6]] for done in (few, many))

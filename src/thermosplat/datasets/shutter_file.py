@@ -177,7 +177,7 @@ def _neighbours_motions(
 def _sequences(
     root: Path, spectrum: str, interval: float | None, shots: Mapping[str, Shot]
 ) -> list[tuple[list[str], NDArray[np.float64]]]:
-    """Frames that were taken one after the other, with their times: a sequence a video, a folder, or one of all."""
+    """Frames that were taken one after the other, with their times: one sequence per video or folder, or one of all."""
     rows = _table(root, spectrum)
     sources = {name: rows.get(_below(shot.path, root, spectrum), {}) for name, shot in shots.items()}
     timed: dict[str, list[tuple[float, str]]] = defaultdict(list)
