@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 import torch
 import torch.distributed as dist
-import torch.multiprocessing as processes
 
 from measuring.exchanged_bytes import Exchanged, counted_bytes
+from measuring.ranks import on_ranks
 from thermosplat.config import DensificationConfig, TrainConfig
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame, View
@@ -147,7 +147,7 @@ def wait(device: torch.device) -> None:
 def row(options: argparse.Namespace, count: int, ranks: int) -> dict[str, Any]:
     """What so many ranks reach with so many Gaussians."""
     with TemporaryDirectory() as folder:
-        processes.spawn(measured, (ranks, options, count, folder), nprocs=ranks)
+        on_ranks(ranks, measured, ranks, options, count, folder)
         every = json.loads((Path(folder) / "row.json").read_text())
     slowest = max(of_rank["seconds"] for of_rank in every)
     sent = [of_rank["bytes"] / options.steps for of_rank in every]
