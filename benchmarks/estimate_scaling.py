@@ -15,6 +15,7 @@ are divided by W, which is not counted.)
 """
 
 import argparse
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +24,7 @@ import torch
 import torch.distributed as dist
 
 from measuring.exchanged_bytes import counted_bytes
+from measuring.ranks import on_ranks
 from thermosplat import rasterization_rgbt
 
 FEATURES = 8
@@ -55,34 +57,40 @@ CLUSTERS = (
 def bytes_per_row() -> tuple[float, float]:
     """Bytes that a Gaussian seen by a camera takes to its rank, and its gradients take back: counted in a call."""
     with TemporaryDirectory() as folder:
-        dist.init_process_group("gloo", store=dist.FileStore(str(Path(folder) / "store"), 1), rank=0, world_size=1)
-        try:
-            n = 1000
-            generator = torch.Generator().manual_seed(0)
-            means = torch.rand(n, 3, generator=generator) + torch.tensor([-0.5, -0.5, 3.0])
-            means.requires_grad_()
-            with counted_bytes() as forward:
-                out = rasterization_rgbt(
-                    means,
-                    torch.rand(n, 4, generator=generator),
-                    torch.full((n, 3), 0.02),
-                    torch.full((n,), 0.5),
-                    torch.full((n,), 0.5),
-                    torch.rand(n, 1, 3, generator=generator),
-                    torch.rand(n, FEATURES, generator=generator),
-                    torch.eye(4)[None],
-                    torch.tensor([[[64.0, 0.0, 32.0], [0.0, 64.0, 32.0], [0.0, 0.0, 1.0]]]),
-                    64,
-                    64,
-                    sh_degree=0,
-                    distributed=True,
-                )
-            with counted_bytes() as backward:
-                out.render_colors.sum().backward()
-            rows = int((out.info["radii"] > 0).all(-1).sum())
-            return forward.bytes / rows, backward.bytes / rows
-        finally:
-            dist.destroy_process_group()
+        on_ranks(2, count_bytes, folder)
+        forward, backward = json.loads((Path(folder) / "bytes.json").read_text())
+    return forward, backward
+
+
+def count_bytes(rank: int, folder: str) -> None:
+    """One of two ranks, whose Gaussians both cameras see."""
+    dist.init_process_group("gloo", store=dist.FileStore(f"{folder}/store", 2), rank=rank, world_size=2)
+    n = 1000
+    generator = torch.Generator().manual_seed(0)
+    means = torch.rand(n, 3, generator=generator) + torch.tensor([-0.5, -0.5, 3.0])
+    means.requires_grad_()
+    with counted_bytes() as forward:
+        out = rasterization_rgbt(
+            means,
+            torch.rand(n, 4, generator=generator),
+            torch.full((n, 3), 0.02),
+            torch.full((n,), 0.5),
+            torch.full((n,), 0.5),
+            torch.rand(n, 1, 3, generator=generator),
+            torch.rand(n, FEATURES, generator=generator),
+            torch.eye(4)[None],
+            torch.tensor([[[64.0, 0.0, 32.0], [0.0, 64.0, 32.0], [0.0, 0.0, 1.0]]]),
+            64,
+            64,
+            sh_degree=0,
+            distributed=True,
+        )
+    with counted_bytes() as backward:
+        out.render_colors.sum().backward()
+    rows = int((out.info["radii"][1 - rank] > 0).all(-1).sum())
+    if rank == 0:
+        (Path(folder) / "bytes.json").write_text(json.dumps([forward.bytes / rows, backward.bytes / rows]))
+    dist.barrier()
 
 
 def main() -> None:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from thermosplat.distributed import collectives, exchange
+from thermosplat.distributed import collectives
+from thermosplat.rasterizer import exchange
 
 
 @dataclass
@@ -16,7 +17,7 @@ class Exchanged:
     """What was exchanged in a block."""
 
     bytes: int = 0
-    """Of projected Gaussians and of their gradients, to all ranks with this one."""
+    """Of projected Gaussians and of their gradients, to the other ranks."""
     seconds: float = 0.0
     """In the exchange, waiting for late ranks included."""
 

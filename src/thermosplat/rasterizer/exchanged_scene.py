@@ -1,6 +1,6 @@
 """A scene whose Gaussians are divided over ranks, as one of them blends it for its own cameras.
 
-Every rank projects its Gaussians to the cameras of all; ``distributed.exchange`` brings what a rank's cameras see to
+Every rank projects its Gaussians to the cameras of all; ``rasterizer.exchange`` brings what a rank's cameras see to
 it, where it is binned and blended like any other scene.
 """
 
@@ -13,14 +13,15 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from thermosplat.distributed.exchange import AbsoluteGradients, Exchange, route_in_room, route_of_seen
 from thermosplat.rasterizer.blending import BlendedTensors
 from thermosplat.rasterizer.cameras_of_ranks import CameraKind, cameras_of_ranks
+from thermosplat.rasterizer.exchange import AbsoluteGradients, Exchange
 from thermosplat.rasterizer.info import RasterizationInfo, conics
 from thermosplat.rasterizer.lenses import Lenses
 from thermosplat.rasterizer.pair_capacity import active_pair_capacity
 from thermosplat.rasterizer.projected_scene import ProjectedScene
 from thermosplat.rasterizer.projection import ProjectedTensors
+from thermosplat.rasterizer.row_routes import route_in_room, route_of_seen
 
 MakeScene = Callable[[Tensor, Tensor, CameraKind, Lenses | None, slice], ProjectedScene]
 """Projects this rank's Gaussians to cameras: view matrices, intrinsics, of what kind, their lenses, which of all."""

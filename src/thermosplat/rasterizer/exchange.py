@@ -1,0 +1,172 @@
+"""Projected Gaussians on their way to the ranks that blend them, and their gradients on the way back.
+
+Every rank projects its own Gaussians to the cameras of all ranks. Those that a camera sees go to the camera's rank by
+one all-to-all, the scheme of Grendel (Zhao et al. 2024, "On Scaling Up 3D Gaussian Splatting Training", section 3) and
+of gsplat's ``distributed=True``. So a rank holds the projections of what its own cameras see, and of the other
+Gaussians nothing.
+
+What travels from a rank to a camera is one block, in which one tensor's rows follow another's. So rows are gathered
+straight into what is sent, and what arrives is copied whole. Rows for this rank's own cameras do not travel.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from thermosplat.distributed.collectives import exchanged_rows
+from thermosplat.rasterizer.row_routes import Route
+from thermosplat.torch_bridge.arrays import kinds_of, view
+from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.projection.row_copies import gather_rows, scatter_rows
+
+
+@dataclass
+class AbsoluteGradients:
+    """Sums of absolute gradients, which no autograd graph carries: they travel beside the gradients."""
+
+    shown: Tensor
+    """The owner's tensor, [C_world, N, 2], whose ``absgrad`` they become."""
+    received: Tensor = field(default_factory=lambda: torch.empty(0))
+    """Stands for the received positions: what blends them sets its ``absgrad``."""
+    wanted: bool = False
+
+
+class Exchange(torch.autograd.Function):
+    """Sends rows to the ranks that need them; gradients go the same way back."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, route: Route, cameras: int, absolute: AbsoluteGradients, num_carried: int, *tensors: Tensor
+    ) -> tuple[Tensor, ...]:
+        """What arrives, each [C · seen, width]; rows that nothing arrives for are zero.
+
+        Args:
+            ctx: What the backward pass reads.
+            route: Which rows go where.
+            cameras: C.
+            absolute: Sums that travel back with the gradients.
+            num_carried: The last tensors, so many, get no gradient.
+            *tensors: [C_world · N, width] each, of one dtype.
+        """
+        ctx.route, ctx.absolute = route, absolute
+        ctx.shapes = [tensor.shape for tensor in tensors]
+        ctx.num_carried = num_carried
+        ctx.set_materialize_grads(False)
+        make = tensors[0].new_empty if route.is_full else tensors[0].new_zeros
+        parts = [make((cameras * route.seen, tensor.shape[1])) for tensor in tensors]
+        own = [[part[places] for part in parts] for rank, places in route.arrivals() if rank == route.rank]
+        widths = [tensor.shape[1] for tensor in tensors]
+        outgoing = parts[0].new_empty(sum(_numbers_of(route.sent, route.rank, widths)))
+        leaving = _Blocks(outgoing, widths)
+        here = iter(own)
+        for rank, numbers in route.departures():
+            _gather(numbers, tensors, next(here) if rank == route.rank else leaving.next(len(numbers)))
+        arriving = _Blocks(_exchanged(outgoing, route.sent, route.received, route.rank, widths), widths)
+        for rank, places in route.arrivals():
+            if rank != route.rank:
+                _copy([part[places] for part in parts], arriving.next(places.stop - places.start))
+        ctx.mark_non_differentiable(*parts[len(parts) - num_carried :])
+        return tuple(parts)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Any, ...]:
+        """Gradients to the rows, where they came from."""
+        route, absolute = ctx.route, ctx.absolute
+        shapes, given = ctx.shapes[: -ctx.num_carried or None], list(gradients[: -ctx.num_carried or None])
+        like = absolute.shown
+        if absolute.wanted:
+            shapes = [*shapes, (absolute.shown.numel() // 2, 2)]
+            of_positions = getattr(absolute.received, "absgrad", None)
+            given.append(None if of_positions is None else of_positions.reshape(-1, 2))
+            if of_positions is not None:
+                del absolute.received.absgrad  # sent; another backward pass through the same graph adds its own
+        widths = [shape[1] for shape in shapes]
+        outgoing = like.new_zeros(sum(_numbers_of(route.received, route.rank, widths)))
+        leaving = _Blocks(outgoing, widths)
+        for rank, places in route.arrivals():
+            if rank != route.rank:
+                block = leaving.next(places.stop - places.start)
+                known = [(part, one[places]) for part, one in zip(block, given, strict=True) if one is not None]
+                _copy([part for part, _ in known], [one for _, one in known])
+        arriving = _Blocks(_exchanged(outgoing, route.received, route.sent, route.rank, widths), widths)
+        found = [like.new_zeros(shape) for shape in shapes]
+        here = (places for rank, places in route.arrivals() if rank == route.rank)
+        for rank, numbers in route.departures():
+            if rank != route.rank:
+                _scatter(numbers, arriving.next(len(numbers)), found)
+                continue
+            places = next(here)
+            known = [(one[places], table) for one, table in zip(given, found, strict=True) if one is not None]
+            _scatter(numbers, [one for one, _ in known], [table for _, table in known])
+        if absolute.wanted:
+            total = found.pop().reshape(absolute.shown.shape)
+            earlier = getattr(absolute.shown, "absgrad", None)
+            absolute.shown.absgrad = total if earlier is None else earlier + total
+        return None, None, None, None, *found, *(None for _ in range(ctx.num_carried))
+
+
+class _Blocks:
+    """The blocks of a buffer, from its beginning on.
+
+    Args:
+        buffer: [numbers].
+        widths: Numbers in a row of each tensor.
+    """
+
+    def __init__(self, buffer: Tensor, widths: Sequence[int]) -> None:
+        self._buffer, self._widths, self._start = buffer, widths, 0
+
+    def next(self, rows: int) -> list[Tensor]:
+        """The next block: [rows, width] of each tensor."""
+        return list(self._parts(rows))
+
+    def _parts(self, rows: int) -> Iterator[Tensor]:
+        for width in self._widths:
+            beyond = self._start + rows * width
+            yield self._buffer[self._start : beyond].view(rows, width)
+            self._start = beyond
+
+
+def _numbers_of(rows: Sequence[Sequence[int]], own: int, widths: Sequence[int]) -> list[int]:
+    """Numbers that travel to or from each rank; none of this one."""
+    return [0 if rank == own else sum(of_rank) * sum(widths) for rank, of_rank in enumerate(rows)]
+
+
+def _exchanged(
+    outgoing: Tensor, sent: Sequence[Sequence[int]], received: Sequence[Sequence[int]], own: int, widths: Sequence[int]
+) -> Tensor:
+    """What the other ranks send this one, [numbers]."""
+    if len(sent) == 1:
+        return outgoing
+    return exchanged_rows(outgoing, _numbers_of(sent, own, widths), _numbers_of(received, own, widths))
+
+
+def _copy(targets: list[Tensor], sources: list[Tensor]) -> None:
+    if targets:
+        torch._foreach_copy_(targets, sources)
+
+
+def _gather(numbers: Tensor, tables: Sequence[Tensor], targets: Sequence[Tensor]) -> None:
+    """Write rows of tables, [n, width] of each."""
+    kind = kinds_of(tables[0].dtype).scalar
+    with launches_on_torch_stream(numbers.device):
+        for table, target in zip(tables, targets, strict=True):
+            table = table.detach().contiguous()
+            gather_rows(view(numbers, wp.int64), view(table, kind, *table.shape), view(target, kind, *target.shape))
+
+
+def _scatter(numbers: Tensor, sources: Sequence[Tensor], tables: Sequence[Tensor]) -> None:
+    """Write rows, [n, width] each, to their places in tables."""
+    if not tables:
+        return
+    kind = kinds_of(tables[0].dtype).scalar
+    with launches_on_torch_stream(numbers.device):
+        for source, table in zip(sources, tables, strict=True):
+            source = source.contiguous()
+            scatter_rows(view(numbers, wp.int64), view(source, kind, *source.shape), view(table, kind, *table.shape))
