@@ -5,12 +5,15 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from statistics import median_low
 from typing import Any, Protocol, TypeVar
 
 Result = TypeVar("Result")
 TRAINING_SHARE = 0.03
 """Share of the time of training that renders for viewers may take. What a viewer costs in all is more, such as the wait
 for steps that a GPU has in its queue: with 0.05 about 8% (benchmarks/records/viewer.md)."""
+REMEMBERED = 5
+"""Turns whose median says how long one takes."""
 
 
 class Turns(Protocol):
@@ -46,7 +49,9 @@ class OneAtATime:
 class BetweenSteps:
     """Turns at a model that is trained: the thread that trains takes them between its steps.
 
-    They take at most a share of the time that passes. A long one is paid for by a pause after it.
+    They take at most a share of the time that passes: each is paid for by a pause after it. A turn that takes much
+    longer than those around it loads kernels, as the first one of a layer does, and nobody should see the same picture
+    for half a minute because of that. So a pause is as long as the median of the last turns asks for.
 
     Args:
         share: Of the time, for all turns together; 1 where nothing waits for them.
@@ -58,6 +63,8 @@ class BetweenSteps:
         self._arrived = threading.Condition()
         self._ended = False
         self._next = 0.0
+        self._lasted = deque([0.0] * (REMEMBERED // 2), maxlen=REMEMBERED)
+        """The last turns [s]."""
 
     def run(self, work: Callable[[], Result]) -> Result:
         """Let the thread that trains do the work."""
@@ -113,4 +120,5 @@ class BetweenSteps:
             raise
         finally:
             now = time.perf_counter()
-            self._next = now + (now - started) * (1 / self.share - 1)
+            self._lasted.append(now - started)
+            self._next = now + median_low(self._lasted) * (1 / self.share - 1)
