@@ -84,7 +84,9 @@ def cells(options: argparse.Namespace) -> Iterator[Cell]:
         for steps in options.grid_steps
         for count in options.grid_gaussians
     ]
-    lights = [LIGHT, *(f"{electrons:g}" for electrons in options.electrons)]
+    lights = [f"{electrons:g}" for electrons in options.electrons]
+    if not options.dark_only:
+        lights.insert(0, LIGHT)
     for light in lights:
         for data in options.data:
             for seed in options.seeds:
@@ -193,6 +195,7 @@ def parse(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="+", help="folders of captures")
     parser.add_argument("--electrons", type=float, nargs="*", default=[30.0, 140.0, 600.0], help="at white")
+    parser.add_argument("--dark-only", action="store_true", help="do not train on the captures as they are")
     parser.add_argument("--shrink", type=int, default=1, help="divide images by this before they are darkened")
     parser.add_argument("--settings", nargs="*", default=list(SETTINGS), help="presets, each with flags behind it")
     parser.add_argument("--grid", nargs="*", default=[], metavar="PRESET", help="presets to train with fixed choices")

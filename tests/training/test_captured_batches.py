@@ -66,22 +66,30 @@ def test_gaussians_come_and_go_between_captured_batches(tmp_path: Path) -> None:
     assert trainer.guard.first_bad() is None
 
 
-def test_exchanges_are_captured(tmp_path: Path) -> None:
-    """One rank of NCCL's, which exchanges with itself: what two GPUs do together, as far as one can tell."""
-    processes.spawn(_divided, (str(tmp_path),), nprocs=1)
-    plain, captured = (torch.load(tmp_path / f"{graph}.pt") for graph in (False, True))
-    _assert_alike(captured, plain)
+@pytest.mark.parametrize(("ranks", "batch"), [(1, 2), (2, 2), (2, 4)])
+def test_exchanges_are_captured(tmp_path: Path, ranks: int, batch: int) -> None:
+    """Those of NCCL, among one rank (which tells itself its gradients) and two, with one frame of each rank and two."""
+    if torch.cuda.device_count() < ranks:
+        pytest.skip(f"needs {ranks} CUDA devices")
+    processes.spawn(_divided, (ranks, batch, str(tmp_path)), nprocs=ranks)
+    for rank in range(ranks):
+        plain, captured = (torch.load(tmp_path / f"{graph}-{rank}.pt") for graph in (False, True))
+        _assert_alike(captured, plain)
 
 
-def _divided(rank: int, folder: str) -> None:
-    store = dist.FileStore(f"{folder}/store", 1)
-    dist.init_process_group("cpu:gloo,cuda:nccl", store=store, rank=rank, world_size=1)
+def _divided(rank: int, ranks: int, batch: int, folder: str) -> None:
+    store = dist.FileStore(f"{folder}/store", ranks)
+    device = torch.device("cuda", rank)
+    torch.cuda.set_device(device)
+    dist.init_process_group("cpu:gloo,cuda:nccl", store=store, rank=rank, world_size=ranks)
     capture = many_frames(toy_capture())
     for graph in (False, True):
-        run = RunDirectory.create(Path(folder) / f"run{graph}")
-        trainer = _taken(DividedTrainer(_config(graph), capture, run, Team(0, 1, torch.device("cuda", 0))))
+        path = Path(folder) / f"run{graph}"
+        run = RunDirectory.create(path) if rank == 0 else RunDirectory(path)
+        config = _config(graph, batch_size=batch)
+        trainer = _taken(DividedTrainer(config, capture, run, Team(rank, ranks, device)))
         assert isinstance(trainer.steps, CapturedBatches if graph else BatchSteps)
         assert not graph or trainer.steps._graphs
-        torch.save(state_tensors(trainer), f"{folder}/{graph}.pt")
+        torch.save(state_tensors(trainer), f"{folder}/{graph}-{rank}.pt")
         trainer.steps.forget()  # NCCL does not end as long as there are recordings of its exchanges
     dist.destroy_process_group()
