@@ -73,6 +73,7 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
         masks: wp.array(dtype=wp.uint8),  # [pairs]; read on CUDA alone
         tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
+        cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; [0]: no list is cut
         # outputs
         render: wp.array2d(dtype=kinds.vecC),  # [images · height, width]
         transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
@@ -82,11 +83,11 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
         thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
         thermal_last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
         thermal_alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
-        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
+        states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
     ):
         block, thread = wp.tid()
         block = block + first_block
-        tile, first_pair, end, cut = list_of_block(block, tile_offsets, segment)
+        tile, first_pair, end, cut, to_row = list_of_block(block, tile_offsets, segment, cuts)
         if first_pair > end:
             return
         i = int(first_pair)
@@ -131,14 +132,14 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                 if cut and inside:
                     place = p * threads + thread
                     for boundary in range(tile_offsets[tile] // segment + 1, first_pair // segment + 1):
-                        T[p] = T[p] * states[boundary, 0, place]
+                        T[p] = T[p] * states[boundary + to_row, 0, place]
                         if wp.static(dual):
-                            Tt[p] = Tt[p] * states[boundary, 1, place]
+                            Tt[p] = Tt[p] * states[boundary + to_row, 1, place]
                     if not is_last:
-                        if T[p] * states[end // segment, 0, place] > transmittance_min:
+                        if T[p] * states[end // segment + to_row, 0, place] > transmittance_min:
                             stop_at[p] = minus_one
                         if wp.static(dual):
-                            if Tt[p] * states[end // segment, 1, place] > transmittance_min:
+                            if Tt[p] * states[end // segment + to_row, 1, place] > transmittance_min:
                                 stop_at_t[p] = minus_one
                     if T[p] <= transmittance_min:
                         T[p] = minus_one
@@ -263,7 +264,7 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                         render[line, x] = v
                     else:
                         for c in range(C):
-                            states[first_pair // segment, first_behind + c, place] = acc[c, p]
+                            states[first_pair // segment + to_row, first_behind + c, place] = acc[c, p]
                     # Of a cut list one segment alone: the one that the pixel enters and may stop in.
                     if T[p] != minus_one and stop_at[p] > zero:
                         transmittance[line, x] = wp.abs(T[p])
@@ -278,7 +279,7 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                             thermal_render[line, x] = vt
                         else:
                             for c in range(D):
-                                states[first_pair // segment, first_behind_t + c, place] = acc_t[c, p]
+                                states[first_pair // segment + to_row, first_behind_t + c, place] = acc_t[c, p]
                         if Tt[p] != minus_one and stop_at_t[p] > zero:
                             thermal_transmittance[line, x] = wp.abs(Tt[p])
                             thermal_last_pairs[line, x] = wp.where(

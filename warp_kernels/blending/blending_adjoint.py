@@ -102,7 +102,8 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         slots: wp.array(dtype=wp.int32),  # [pairs]; read with by_slot
         tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
-        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
+        cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; [0]: no list is cut
+        states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
         transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
         last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
         thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
@@ -120,7 +121,7 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     ):
         block, thread = wp.tid()
         block = block + first_block
-        tile, begin, end, _ = list_of_block(block, tile_offsets, segment)
+        tile, begin, end, _, to_row = list_of_block(block, tile_offsets, segment, cuts)
         if begin >= end:
             return
 
@@ -179,9 +180,9 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                     place = p * threads + thread
                     # where the pixel was not finished at the boundary, it left a state there
                     if last[p] >= end:
-                        T[p] = states[end // segment, 0, place]
+                        T[p] = states[end // segment + to_row, 0, place]
                         for c in range(C):
-                            S[p] += states[end // segment, first_behind + c, place] * v_pixel[c, p]
+                            S[p] += states[end // segment + to_row, first_behind + c, place] * v_pixel[c, p]
                     if wp.static(dual):
                         Tt[p] = thermal_transmittance[line, x]
                         if v_thermal_transmittance.shape[0] > 0:
@@ -193,9 +194,9 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                             for c in range(D):
                                 v_pixel_t[c, p] = vt[c]
                         if last_t[p] >= end:
-                            Tt[p] = states[end // segment, 1, place]
+                            Tt[p] = states[end // segment + to_row, 1, place]
                             for c in range(D):
-                                St[p] += states[end // segment, first_behind_t + c, place] * v_pixel_t[c, p]
+                                St[p] += states[end // segment + to_row, first_behind_t + c, place] * v_pixel_t[c, p]
 
         i = wp.min(int(warp_max(newest)), end - 1)
         # The next up to 32 to be walked; on CUDA each lane has one

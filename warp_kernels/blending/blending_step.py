@@ -1,6 +1,7 @@
 """The step that blends each tile's Gaussians front to back: its launches, and its adjoint."""
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,15 +13,19 @@ from warp_kernels.blending.blend_variant import BlendVariant, blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.blending.gradient_records import distribute_kernel, kept_channels, record_length
-from warp_kernels.blending.list_segments import join_segments_kernel
+from warp_kernels.blending.list_segments import deal_states_kernel, join_segments_kernel
 from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.constants import CHANNELS_MAX
-from warp_kernels.machinery.array_views import ArrayView, empty, nothing, zeros
+from warp_kernels.machinery.array_views import ArrayView, empty, memory, nothing, zeros
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch, launch_again, launch_tiles
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
+
+WORTH_A_WAIT = 2**24
+"""Bytes of states from which on the host waits to hear how many are needed. Waiting takes it 10 to 20 µs; frames whose
+states need more bytes than that take a millisecond or more."""
 
 
 @dataclass
@@ -54,10 +59,12 @@ class BlendWalk:
 
     Attributes:
         variant: of the kernels.
-        states: [boundaries, state_length, pixels of a tile] what each segment of a cut list left; see list_segments.
+        cuts: which lists are cut, and whose rows in ``states`` are; see list_segments. Empty where none is.
+        states: [rows, state_length, pixels of a tile] what each segment of a cut list left.
     """
 
     variant: BlendVariant
+    cuts: wp.array
     states: wp.array
 
 
@@ -107,15 +114,13 @@ def blend(
         layout = default_layout(device, bins.tile_size, channels, thermal_channels, dtype, *of_frame)
     variant = blend_variant(channels, thermal_channels, dtype, layout, features.dtype._length_)
     segment = layout.segment
-    num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
-    size_of_state = (variant.state_length, bins.tile_size**2)
-    states = empty((num_states, *size_of_state), dtype, device) if num_states > 0 else nothing(dtype, 3, device)
-
     thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
     size, geometry = _read(projected, opacities, thermal_opacities, features, rest, bins, settings)
-    blocks = num_tiles + num_states
-    lists = [*geometry, bins.tile_offsets, segment]
-    if segment > 0:
+    walk = _cut_lists(variant, bins, num_tiles)
+    cuts, states = walk.cuts, walk.states
+    blocks = num_tiles + states.shape[0]
+    lists = [*geometry, bins.tile_offsets, segment, cuts]
+    if states.shape[0] > 0:
         launch_tiles(segment_light_kernel(variant), blocks, layout.threads, [*lists, states], device)
     launch_tiles(
         blend_kernel(variant),
@@ -135,14 +140,13 @@ def blend(
         ],
         device,
     )
-    if segment > 0:
+    if states.shape[0] > 0:
         launch(
             join_segments_kernel(variant),
             num_tiles * variant.state_length * bins.tile_size**2,
-            [*size, bins.tile_offsets, segment, blended.render, blended.thermal_render, states],
+            [*size, bins.tile_offsets, segment, cuts, blended.render, blended.thermal_render, states],
             device,
         )
-    walk = BlendWalk(variant, states)
     if tape is not None:
         step = (projected, opacities, thermal_opacities, features, bins, settings, blended, walk)
         inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
@@ -152,6 +156,24 @@ def blend(
         adjoint = functools.partial(blend_adjoint, *step, rest=rest, absolute=absolute)
         record_adjoint(tape, adjoint, *inputs, *images)
     return walk
+
+
+def _cut_lists(variant: BlendVariant, bins: TileBins, num_tiles: int) -> BlendWalk:
+    """Finds the lists that are cut, and makes room for their states.
+
+    No more boundaries lie in lists than segments in all pairs. Where room for so many is large, it is made for those
+    that are needed, unless nothing may be read back.
+    """
+    device, dtype, segment = bins.tile_offsets.device, variant.dtype, variant.layout.segment
+    rows = bins.num_pairs // segment if segment > 0 else 0
+    if rows == 0:
+        return BlendWalk(variant, nothing(wp.int32, 1, device), nothing(dtype, 3, device))
+    cuts = zeros(num_tiles + rows + 1, wp.int32, device)
+    launch_again(deal_states_kernel, num_tiles, [bins.tile_offsets, segment, cuts], device)
+    size_of_state = (variant.state_length, bins.tile_size**2)
+    if not bins.has_room and rows * math.prod(size_of_state) * wp.types.type_size_in_bytes(dtype) >= WORTH_A_WAIT:
+        rows = memory.source.last(cuts)
+    return BlendWalk(variant, cuts, empty((rows, *size_of_state), dtype, device))
 
 
 def blend_adjoint(
@@ -207,6 +229,7 @@ def blend_adjoint(
             bins.slots if by_slot else bins.gaussian_ids,
             bins.tile_offsets,
             layout.segment,
+            walk.cuts,
             walk.states,
             blended.transmittance,
             blended.last_pairs,

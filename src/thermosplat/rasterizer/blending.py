@@ -137,8 +137,8 @@ class Blend(torch.autograd.Function):
             ctx.settings, ctx.shown_means2d, ctx.turns = settings, inputs.shown_means2d, inputs.turns
             tensors = (means2d, inputs.packed_roots, opacities, thermal_opacities, features, rest)  # as BlendSaved
             # Of the images only those that are read, so that users may change the renders in place.
-            read = [blended.transmittance, blended.last_pairs, walk.states]
-            memory = [first.transmittance, first.last_pairs, walk.states.release()]
+            read = [blended.transmittance, blended.last_pairs, walk.cuts, walk.states]
+            memory = [first.transmittance, first.last_pairs, walk.cuts.release(), walk.states.release()]
             if second is not None:
                 read += [blended.thermal_transmittance, blended.thermal_last_pairs]
                 memory += [second.transmittance, second.last_pairs]
