@@ -40,16 +40,40 @@ def test_same_gradients_as_without(device: torch.device, tile_size: int) -> None
         assert (gradient - plain[name]).norm() < 1e-5 * gradient.norm(), name
 
 
-def test_one_opacity(device: torch.device) -> None:
-    """The plain rasterization takes the argument too."""
-    scene = random_rgbt_scene(n=200, channels=5)
+@pytest.mark.parametrize("absgrad", [False, True])
+@pytest.mark.parametrize("channels", [5, 32])
+def test_one_opacity(device: torch.device, channels: int, absgrad: bool) -> None:
+    """The plain rasterization takes the argument too, also where its sums lie where gradients do, for two cameras."""
+    scene = random_rgbt_scene(n=200, cameras=2, channels=channels)
     for name in ("features", "thermal_opacities"):
         del scene[name]
     results = []
     for deterministic in (True, True, False):
         inputs = leaves(scene, device, torch.float32)
-        image, _, _ = rasterization(**inputs, absgrad=True, deterministic=deterministic)
-        image.square().sum().backward()
-        results.append(inputs["means"].grad)
-    assert torch.equal(results[0], results[1])
-    assert (results[0] - results[2]).norm() < 1e-5 * results[2].norm()
+        image, alphas, info = rasterization(**inputs, absgrad=absgrad, deterministic=deterministic)
+        info["means2d"].retain_grad()
+        (image.square().sum() + alphas.square().sum()).backward()
+        gradients = {name: one.grad for name, one in inputs.items() if isinstance(one, Tensor) and one.requires_grad}
+        results.append(gradients | {"means2d": info["means2d"].grad})
+    assert {"means", "quats", "scales", "opacities", "colors", "means2d"} <= results[0].keys()
+    for name, gradient in results[0].items():
+        assert gradient.norm() > 0
+        assert torch.equal(gradient, results[1][name]), name
+        assert (gradient - results[2][name]).norm() < 1e-5 * gradient.norm(), name
+
+
+def test_two_opacities_without_a_record(device: torch.device) -> None:
+    """Many channels of both kinds leave nothing for a record of sums; gradients are those of stored records."""
+    scene = random_rgbt_scene(n=200, cameras=2, channels=6)
+    results = []
+    for deterministic in (True, False):
+        inputs = leaves(scene, device, torch.float32)
+        render = rasterization_rgbt(**inputs, deterministic=deterministic)
+        images = [render.render_colors, render.render_features, render.render_thermal_features]
+        torch.autograd.backward(images, [torch.ones_like(image) for image in images])
+        results.append({name: one.grad for name, one in inputs.items() if isinstance(one, Tensor)})
+    assert {"opacities", "thermal_opacities", "features"} <= results[0].keys()
+    for name, gradient in results[0].items():
+        if gradient is not None:
+            assert gradient.norm() > 0
+            assert (gradient - results[1][name]).norm() < 1e-5 * gradient.norm(), name

@@ -54,7 +54,9 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     first_feature_t = first_feature + C - D
     summed = wp.types.vector(length, dtype)
     record = wp.types.vector(length - C + sum(kept_channels(C, A, by_slot)), dtype)
-    records_type, rows_a, rows_b = (wp.array(dtype=kind) for kind in (record, kinds.vecA, kinds.vecB))
+    records_type, rows_a, rows_b, rows_2, rows_3, rows_1 = (
+        wp.array(dtype=kind) for kind in (record, kinds.vecA, kinds.vecB, kinds.vec2, kinds.vec3, dtype)
+    )
     # A lane sums a Gaussian's record over its pixels: on CUDA in registers, on the CPU, where a vector holds a row of
     # pixels, column by column, since a sum over a vector costs more than all else that is done with it.
     spread = 0 if cuda else 1
@@ -65,8 +67,13 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
-    @wp.func_native(accumulate_snippet(length, dtype, apart=ranges_apart(C, A, first_feature, by_slot)))
-    def accumulate(dst: records_type, features: rows_a, rest: rows_b, index: int, lane: int, v: summed): ...
+    apart = ranges_apart(C, A, variant.thermal_channels, by_slot, absgrad)
+
+    @wp.func_native(accumulate_snippet(length, dtype, apart=apart))
+    def accumulate(
+        dst: records_type, means2d: rows_2, roots: rows_3, opacities: rows_1, thermal_opacities: rows_1,
+        features: rows_a, rest: rows_b, index: int, lane: int, v: summed,
+    ): ...  # fmt: skip
 
     @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")
     def store_column_sums(out: records_type, index: int, m: matLS): ...
@@ -115,7 +122,11 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         v_thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]
         v_thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
         # outputs
-        records: records_type,  # [pairs · warps] with by_slot, [images · N] without
+        records: records_type,  # [pairs · warps] with by_slot, [images · N] without; [0] with sums_apart
+        first_moments: rows_2,  # [images · N]; these four are written with sums_apart alone
+        second_moments: rows_3,  # [images · N]
+        v_opacities: rows_1,  # [images · N]
+        v_thermal_opacities: rows_1,  # [images · N]
         v_features: rows_a,  # [images · N]
         v_rest: rows_b,  # [images · N]; [0]: there are no other channels
     ):
@@ -333,7 +344,10 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                         G = summed()
                         for k in range(length):
                             G[k] = part[k, 0]
-                        accumulate(records, v_features, v_rest, destination, lane, G)
+                        accumulate(
+                            records, first_moments, second_moments, v_opacities, v_thermal_opacities,
+                            v_features, v_rest, destination, lane, G,
+                        )  # fmt: skip
                     else:
                         store_column_sums(records, destination, part)
             if wp.static(not cuda):

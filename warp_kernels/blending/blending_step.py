@@ -12,7 +12,13 @@ from warp_kernels.blending.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending.blend_variant import BlendVariant, blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
-from warp_kernels.blending.gradient_records import distribute_kernel, kept_channels, record_length
+from warp_kernels.blending.gradient_records import (
+    distribute_kernel,
+    finish_moments_kernel,
+    kept_channels,
+    record_length,
+    sums_apart,
+)
 from warp_kernels.blending.list_segments import deal_states_kernel, join_segments_kernel
 from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.constants import CHANNELS_MAX
@@ -209,13 +215,23 @@ def blend_adjoint(
         v_alphas: the transmittances' gradients are those to 1 - T.
         absolute: as in ``blend``.
         store: without ``bins.slots``, gradients of means2d, roots, opacities and few features (``features_apart``) are
-            not initialised, and written; else they are added to, as those of many features are.
+            not initialised, and written; else they are added to, as those of many features are. Where there are no
+            records (``sums_apart``), gradients of means2d, roots and opacities are zeros at first.
     """
     device, variant = opacities.device, walk.variant
     layout, by_slot, absgrad = variant.layout, bins.slots is not None, absolute is not None
+    apart = sums_apart(variant.channels, variant.first_channels, by_slot, absgrad)
     blend_kernel_back, distribute, record = _adjoint_kernels(variant, absgrad, by_slot)
     gaussians = features.shape[0]
-    records = zeros(bins.num_pairs * layout.warps if by_slot else gaussians, record, device)
+    v_means2d, v_roots = gradient_of(projected.means2d), gradient_of(projected.roots)
+    v_opacities, v_thermal_opacities = gradient_of(opacities), gradient_of(thermal_opacities)
+    records, first_moments, second_moments = None, None, None
+    if not apart:
+        records = zeros(bins.num_pairs * layout.warps if by_slot else gaussians, record, device)
+    elif store:
+        first_moments, second_moments = v_means2d, v_roots
+    else:
+        first_moments, second_moments = (zeros(gaussians, one.dtype, device) for one in (v_means2d, v_roots))
     v_features = gradient_of(features)
     v_rest = None if rest is None else gradient_of(rest)
     v_render, v_render_rest = _parts(blended.render.grad, features, rest) if v_images is None else v_images
@@ -242,11 +258,19 @@ def blend_adjoint(
             None if blended.thermal_render is None else blended.thermal_render.grad,
             thermal_transmittance.grad,
             records,
+            first_moments,
+            second_moments,
+            v_opacities if apart else None,
+            v_thermal_opacities if apart else None,
             v_features,
             v_rest,
         ],
         device,
     )
+    if apart:
+        moments = [projected.roots, first_moments, second_moments, store, v_means2d, v_roots]
+        launch_again(finish_moments_kernel(variant.dtype), whole_warps(gaussians, device), moments, device)
+        return
     ranked = [bins.order, bins.pair_ends] if by_slot else [None, None]
     launch_again(
         distribute,
@@ -257,10 +281,10 @@ def blend_adjoint(
             records,
             projected.roots,
             store and not by_slot,
-            gradient_of(projected.means2d),
-            gradient_of(projected.roots),
-            gradient_of(opacities),
-            gradient_of(thermal_opacities),
+            v_means2d,
+            v_roots,
+            v_opacities,
+            v_thermal_opacities,
             v_features,
             v_rest,
             absolute if absolute is not None else projected.means2d,

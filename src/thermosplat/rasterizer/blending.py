@@ -26,7 +26,7 @@ from thermosplat.torch_bridge.arrays import (
 )
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.blending import blending_step
-from warp_kernels.blending.gradient_records import features_apart
+from warp_kernels.blending.gradient_records import features_apart, sums_apart
 from warp_kernels.machinery.array_views import ArrayView
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
 
@@ -145,7 +145,7 @@ class Blend(torch.autograd.Function):
             if not means2d.is_cuda:  # only a row of pixels asks for them
                 read.append(projected.extents)
                 memory.append(inputs.extents)
-            of_lists, memory_of_lists = lists.read_by_adjoint()
+            of_lists, memory_of_lists = lists.read_by_adjoint(counts=not _sums_apart(ctx))
             keep(ctx, (*arrays, *read, *of_lists), (*tensors, *memory, *memory_of_lists))
         render, render_rest = first.render, None
         if rest is not None:
@@ -162,10 +162,11 @@ class Blend(torch.autograd.Function):
         means2d, features, rest, thermal_opacities = saved.means2d, saved.features, saved.rest, saved.thermal_opacities
         projected, blended, settings, shown_means2d = ctx.projected, ctx.blended, ctx.settings, ctx.shown_means2d
         projected.roots.place(projected.packed_roots.ptr)
-        # Stored where a thread has a Gaussian and not a rank; many features' gradients are always added to.
+        # Stored where a thread has a Gaussian and not a rank, and there is a record; else added to.
         by_slot = ctx.bins.slots is not None
-        like = torch.zeros_like if by_slot else torch.empty_like
-        new = means2d.new_zeros if by_slot else means2d.new_empty
+        added = by_slot or _sums_apart(ctx)
+        like = torch.zeros_like if added else torch.empty_like
+        new = means2d.new_zeros if added else means2d.new_empty
         found = BlendGradients(
             like(means2d),
             new(*saved.packed_roots.shape[:-1], 3),
@@ -200,6 +201,12 @@ class Blend(torch.autograd.Function):
             earlier = getattr(shown_means2d, "absgrad", None)
             shown_means2d.absgrad = absolute if earlier is None else earlier + absolute
         return found
+
+
+def _sums_apart(ctx: Any) -> bool:
+    """Whether the adjoint adds all of a Gaussian's sums where gradients lie."""
+    variant, by_slot = ctx.walk.variant, ctx.bins.slots is not None
+    return sums_apart(variant.channels, variant.first_channels, by_slot, ctx.shown_means2d is not None)
 
 
 def _gradient_of_features(features: Tensor, by_slot: bool) -> Tensor:
