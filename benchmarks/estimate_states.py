@@ -62,8 +62,8 @@ def peak_bytes(frame: Counts, channels: int, states: int) -> int:
     image = (channels + 1) * FLOAT * frame.pixels
     # roots and radii; gradients to features, positions, roots and opacities
     in_both = (16 + 8 + FLOAT * channels + 24) * frame.gaussians
-    # positions; transmittances and last pairs; Gaussians and masks of the list
-    in_blending = 8 * frame.gaussians + 8 * frame.pixels + 5 * frame.pairs + states
+    # positions; last pairs; Gaussians and masks of the list
+    in_blending = 8 * frame.gaussians + 4 * frame.pixels + 5 * frame.pairs + states
     # gradients to means and quaternions; those to scales are made where those to the roots lie
     in_projection = 28 * frame.gaussians
     return image + in_both + max(in_blending, in_projection)

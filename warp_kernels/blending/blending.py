@@ -15,6 +15,7 @@ import warp as wp
 
 from warp_kernels.blending.blend_variant import BlendVariant
 from warp_kernels.blending.list_segments import list_of_block
+from warp_kernels.blending.pixel_ends import end_functions
 from warp_kernels.blending.survivors import HEADER
 from warp_kernels.constants import TRANSMITTANCE_MIN
 from warp_kernels.machinery.lanes import lane_functions, warp_any
@@ -47,6 +48,7 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
     staged = variant.stages_features
     kinds, response, attenuate = variant.types, variant.response, lane_functions(dtype)[1]
     survivors, waiting = variant.records(staged=staged), variant.queue(backwards=False)
+    pack_end, _ = end_functions(dtype)
 
     @wp.kernel(
         name=variant.name("blend"),
@@ -74,14 +76,15 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
         tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
         cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; [0]: no list is cut
+        bits: int,
         # outputs
         render: wp.array2d(dtype=kinds.vecC),  # [images · height, width]
         transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
         alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
         thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]; [0, 0]: one opacity
         thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        thermal_last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        thermal_ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
         thermal_alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
         states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
     ):
@@ -267,10 +270,12 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                             states[first_pair // segment + to_row, first_behind + c, place] = acc[c, p]
                     # Of a cut list one segment alone: the one that the pixel enters and may stop in.
                     if T[p] != minus_one and stop_at[p] > zero:
+                        alpha = one - wp.abs(T[p])
+                        last_pair = wp.where(last[p] < 0 and not is_first, first_pair - 1, last[p])
                         transmittance[line, x] = wp.abs(T[p])
-                        last_pairs[line, x] = wp.where(last[p] < 0 and not is_first, first_pair - 1, last[p])
+                        ends[line, x] = pack_end(last_pair, wp.abs(T[p]), alpha, bits)
                         if alphas.shape[0] > 0:
-                            alphas[line, x] = one - wp.abs(T[p])
+                            alphas[line, x] = alpha
                     if wp.static(dual):
                         if is_first:
                             vt = kinds.vecD()
@@ -281,11 +286,11 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                             for c in range(D):
                                 states[first_pair // segment + to_row, first_behind_t + c, place] = acc_t[c, p]
                         if Tt[p] != minus_one and stop_at_t[p] > zero:
+                            alpha = one - wp.abs(Tt[p])
+                            last_pair = wp.where(last_t[p] < 0 and not is_first, first_pair - 1, last_t[p])
                             thermal_transmittance[line, x] = wp.abs(Tt[p])
-                            thermal_last_pairs[line, x] = wp.where(
-                                last_t[p] < 0 and not is_first, first_pair - 1, last_t[p]
-                            )
+                            thermal_ends[line, x] = pack_end(last_pair, wp.abs(Tt[p]), alpha, bits)
                             if thermal_alphas.shape[0] > 0:
-                                thermal_alphas[line, x] = one - wp.abs(Tt[p])
+                                thermal_alphas[line, x] = alpha
 
     return blend_tiles_kernel

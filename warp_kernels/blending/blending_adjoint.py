@@ -15,6 +15,7 @@ from warp_kernels.blending.blend_variant import BlendVariant
 from warp_kernels.blending.blending import BATCH
 from warp_kernels.blending.gradient_records import feature_offset, kept_channels, ranges_apart, record_length
 from warp_kernels.blending.list_segments import list_of_block
+from warp_kernels.blending.pixel_ends import end_functions
 from warp_kernels.blending.survivors import HEADER
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.machinery.lane_sums import accumulate_snippet, column_sums_snippet
@@ -49,6 +50,7 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     staged = variant.stages_features
     kinds, response, reciprocal = variant.types, variant.response, lane_functions(dtype)[2]
     survivors, waiting = variant.records(staged=staged), variant.queue(backwards=True)
+    _, unpack_end = end_functions(dtype)
     length = record_length(C, variant.thermal_channels, absgrad)
     first_feature = feature_offset(variant.thermal_channels)
     first_feature_t = first_feature + C - D
@@ -111,10 +113,13 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         segment: int,
         cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; [0]: no list is cut
         states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
-        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
-        thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        thermal_last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        bits: int,
+        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]; read where there are no alphas
+        alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: there are none
+        ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]; as transmittance
+        thermal_alphas: wp.array2d(dtype=dtype),  # [images · height, width]; as alphas
+        thermal_ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
         v_render: wp.array2d(dtype=kinds.vecA),  # [images · height, width]; [0, 0]: zeros, as in those below
         v_render_rest: wp.array2d(dtype=kinds.vecB),  # [images · height, width]
         sign: dtype,
@@ -173,11 +178,17 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                 last_t[p] = -1
                 if x < width and y < height:
                     line = image * height + y
-                    T[p] = transmittance[line, x]
+                    alpha = zero
+                    if alphas.shape[0] > 0:
+                        alpha = alphas[line, x]
+                    last_pair, light = unpack_end(ends[line, x], alpha, bits)
+                    if alphas.shape[0] == 0:
+                        light = transmittance[line, x]
+                    T[p] = light
                     # gradients that are not given are zero
                     if v_transmittance.shape[0] > 0:
                         S[p] = sign * v_transmittance[line, x] * T[p]
-                    last[p] = last_pairs[line, x]
+                    last[p] = last_pair
                     newest = wp.max(newest, last[p])
                     if v_render.shape[0] > 0:
                         v = v_render[line, x]
@@ -195,10 +206,16 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                         for c in range(C):
                             S[p] += states[end // segment + to_row, first_behind + c, place] * v_pixel[c, p]
                     if wp.static(dual):
-                        Tt[p] = thermal_transmittance[line, x]
+                        alpha_t = zero
+                        if thermal_alphas.shape[0] > 0:
+                            alpha_t = thermal_alphas[line, x]
+                        last_pair_t, light_t = unpack_end(thermal_ends[line, x], alpha_t, bits)
+                        if thermal_alphas.shape[0] == 0:
+                            light_t = thermal_transmittance[line, x]
+                        Tt[p] = light_t
                         if v_thermal_transmittance.shape[0] > 0:
                             St[p] = sign * v_thermal_transmittance[line, x] * Tt[p]
-                        last_t[p] = thermal_last_pairs[line, x]
+                        last_t[p] = last_pair_t
                         newest = wp.max(newest, last_t[p])
                         if v_thermal_render.shape[0] > 0:
                             vt = v_thermal_render[line, x]

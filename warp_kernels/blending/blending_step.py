@@ -20,6 +20,7 @@ from warp_kernels.blending.gradient_records import (
     sums_apart,
 )
 from warp_kernels.blending.list_segments import deal_states_kernel, join_segments_kernel
+from warp_kernels.blending.pixel_ends import pair_bits
 from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.constants import CHANNELS_MAX
 from warp_kernels.machinery.array_views import ArrayView, empty, memory, nothing, zeros
@@ -40,22 +41,22 @@ class BlendedArrays:
 
     Attributes:
         render: vecC [images · height, width].
-        transmittance: [images · height, width]; 1 - alpha.
-        last_pairs: int32 [images · height, width]; last sorted pair drawn, -1 where none.
+        transmittance: [images · height, width]; 1 - alpha. The adjoint reads it where there are no alphas.
+        ends: int32 [images · height, width]; last sorted pair drawn, and what rounding took from alpha; see pixel_ends.
         alphas: [images · height, width]; None: not wanted.
         thermal_render: vecD [images · height, width]; None with one opacity.
         thermal_transmittance: as ``transmittance``, of the second opacity.
-        thermal_last_pairs: as ``last_pairs``, of the second opacity.
+        thermal_ends: as ``ends``, of the second opacity.
         thermal_alphas: as ``alphas``, of the second opacity.
     """
 
     render: wp.array
     transmittance: wp.array
-    last_pairs: wp.array
+    ends: wp.array
     alphas: wp.array | None = None
     thermal_render: wp.array | None = None
     thermal_transmittance: wp.array | None = None
-    thermal_last_pairs: wp.array | None = None
+    thermal_ends: wp.array | None = None
     thermal_alphas: wp.array | None = None
 
 
@@ -120,7 +121,7 @@ def blend(
         layout = default_layout(device, bins.tile_size, channels, thermal_channels, dtype, *of_frame)
     variant = blend_variant(channels, thermal_channels, dtype, layout, features.dtype._length_)
     segment = layout.segment
-    thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
+    thermal_transmittance, _, thermal_ends = _thermal_images(blended)
     size, geometry = _read(projected, opacities, thermal_opacities, features, rest, bins, settings)
     walk = _cut_lists(variant, bins, num_tiles)
     cuts, states = walk.cuts, walk.states
@@ -134,13 +135,14 @@ def blend(
         layout.threads,
         [
             *lists,
+            pair_bits(bins.num_pairs),
             blended.render,
             blended.transmittance,
-            blended.last_pairs,
+            blended.ends,
             blended.alphas,
             blended.thermal_render,
             thermal_transmittance,
-            thermal_last_pairs,
+            thermal_ends,
             blended.thermal_alphas,
             states,
         ],
@@ -235,7 +237,7 @@ def blend_adjoint(
     v_features = gradient_of(features)
     v_rest = None if rest is None else gradient_of(rest)
     v_render, v_render_rest = _parts(blended.render.grad, features, rest) if v_images is None else v_images
-    thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
+    thermal_transmittance, thermal_alphas, thermal_ends = _thermal_images(blended)
     launch_tiles(
         blend_kernel_back,
         bins.tile_offsets.shape[0] - 1 + walk.states.shape[0],
@@ -247,10 +249,13 @@ def blend_adjoint(
             layout.segment,
             walk.cuts,
             walk.states,
+            pair_bits(bins.num_pairs),
             blended.transmittance,
-            blended.last_pairs,
+            blended.alphas,
+            blended.ends,
             thermal_transmittance,
-            thermal_last_pairs,
+            thermal_alphas,
+            thermal_ends,
             v_render,
             v_render_rest,
             -1.0 if v_alphas else 1.0,
@@ -330,11 +335,11 @@ def _parts(
     return images, ArrayView(behind, image.shape, rest.dtype, device, image, image.strides)
 
 
-def _thermal_images(blended: BlendedArrays) -> tuple[wp.array, wp.array]:
-    """Transmittance and last pairs of the second opacity, or of the only one."""
+def _thermal_images(blended: BlendedArrays) -> tuple[wp.array, wp.array | None, wp.array]:
+    """Transmittance, alphas and ends of the second opacity, or of the only one."""
     if blended.thermal_render is not None:
-        return blended.thermal_transmittance, blended.thermal_last_pairs
-    return blended.transmittance, blended.last_pairs
+        return blended.thermal_transmittance, blended.thermal_alphas, blended.thermal_ends
+    return blended.transmittance, blended.alphas, blended.ends
 
 
 def _read(

@@ -92,7 +92,7 @@ class ImageTensors(NamedTuple):
 
     render: Tensor
     transmittance: Tensor
-    last_pairs: Tensor
+    ends: Tensor
     alphas: Tensor
 
 
@@ -136,12 +136,13 @@ class Blend(torch.autograd.Function):
             ctx.projected, ctx.read, ctx.bins, ctx.blended, ctx.walk = projected, arrays, lists.bins, blended, walk
             ctx.settings, ctx.shown_means2d, ctx.turns = settings, inputs.shown_means2d, inputs.turns
             tensors = (means2d, inputs.packed_roots, opacities, thermal_opacities, features, rest)  # as BlendSaved
-            # Of the images only those that are read, so that users may change the renders in place.
-            read = [blended.transmittance, blended.last_pairs, walk.cuts, walk.states]
-            memory = [first.transmittance, first.last_pairs, walk.cuts.release(), walk.states.release()]
+            # Of the images only those that are read, so that users may change the renders in place. With the alphas
+            # that the caller has, nobody has to keep the transmittances.
+            read = [blended.alphas, blended.ends, walk.cuts, walk.states]
+            memory = [first.alphas, first.ends, walk.cuts.release(), walk.states.release()]
             if second is not None:
-                read += [blended.thermal_transmittance, blended.thermal_last_pairs]
-                memory += [second.transmittance, second.last_pairs]
+                read += [blended.thermal_alphas, blended.thermal_ends]
+                memory += [second.alphas, second.ends]
             if not means2d.is_cuda:  # only a row of pixels asks for them
                 read.append(projected.extents)
                 memory.append(inputs.extents)
@@ -187,7 +188,7 @@ class Blend(torch.autograd.Function):
             lend(blended.transmittance, v_alphas)
             lend(blended.thermal_render, v.thermal_render)
             lend(blended.thermal_transmittance, v.thermal_alphas)
-            size = blended.last_pairs.shape
+            size = blended.ends.shape
             v_images = (
                 None if v.render is None else given_view(v.render, arrays.features.dtype, *size),
                 None if v.rest is None else given_view(v.rest, arrays.rest.dtype, *size),
@@ -232,6 +233,6 @@ def _make_images(
     return images, (
         view(images.render, vector_of(channels, dtype), *rows),
         view(images.transmittance, scalar, *rows),
-        view(images.last_pairs, wp.int32, *rows),
+        view(images.ends, wp.int32, *rows),
         view(images.alphas, scalar, *rows),
     )

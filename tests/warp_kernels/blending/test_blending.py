@@ -50,7 +50,7 @@ def blended(
     if thermal_channels:
         result.thermal_render = image(wp.types.vector(thermal_channels, dtype))
         result.thermal_transmittance = image(dtype)
-        result.thermal_last_pairs = image(wp.int32, False)
+        result.thermal_ends = image(wp.int32, False)
         result.thermal_alphas = image(dtype, False)
         outputs += [result.thermal_render, result.thermal_transmittance]
     tape = wp.Tape()
