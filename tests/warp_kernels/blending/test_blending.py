@@ -177,14 +177,17 @@ def test_states_have_the_room_that_is_needed(segment: int, has_room: bool, monke
         assert cuts[-1] == rows
 
 
-def test_images_of_lists_without_numbered_pairs() -> None:
+@pytest.mark.parametrize("channels", [3, 6])
+def test_images_of_lists_without_numbered_pairs(channels: int) -> None:
     """As CUDA makes them by default: what belongs to the numbers is None in all launches, and images are the same.
+
+    Six channels leave nothing for a record, and then that is None, too.
 
     Their gradients are added atomically, by code for CUDA alone; ``deterministic`` is compared there.
     """
     images = []
     for by_slot in (True, False):
-        scene = warp_scene(n=60, width=45, height=35, channels=3, requires_grad=True)
+        scene = warp_scene(n=60, width=45, height=35, channels=channels, requires_grad=True)
         images.append(blended(scene, BlendLayout(16, 16, 16, 1), 2, by_slot=by_slot)[0])
     assert all((one == other).all() for one, other in zip(*images, strict=True))
     assert all(np.linalg.norm(image) > 0 for image in images[0])
