@@ -31,8 +31,8 @@ from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
 
 WORTH_A_WAIT = 2**24
-"""Bytes of states from which on the host waits to hear how many are needed. Waiting takes it 10 to 20 µs; frames whose
-states need more bytes than that take a millisecond or more."""
+"""Bytes of room for states from which on the host waits to hear how many are needed. Frames with so many pairs and
+channels take more than a millisecond; what the wait costs was not measured yet."""
 
 
 @dataclass
