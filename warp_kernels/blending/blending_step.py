@@ -127,7 +127,8 @@ def blend(
     cuts, states = walk.cuts, walk.states
     blocks = num_tiles + states.shape[0]
     lists = [*geometry, bins.tile_offsets, segment, cuts]
-    if states.shape[0] > 0:
+    # Where no list turns out to be cut, too: a call that is captured must find these kernels loaded.
+    if segment > 0:
         launch_tiles(segment_light_kernel(variant), blocks, layout.threads, [*lists, states], device)
     launch_tiles(
         blend_kernel(variant),
@@ -148,7 +149,7 @@ def blend(
         ],
         device,
     )
-    if states.shape[0] > 0:
+    if segment > 0:
         launch(
             join_segments_kernel(variant),
             num_tiles * variant.state_length * bins.tile_size**2,
@@ -173,9 +174,9 @@ def _cut_lists(variant: BlendVariant, bins: TileBins, num_tiles: int) -> BlendWa
     that are needed, unless nothing may be read back.
     """
     device, dtype, segment = bins.tile_offsets.device, variant.dtype, variant.layout.segment
-    rows = bins.num_pairs // segment if segment > 0 else 0
-    if rows == 0:
+    if segment == 0:
         return BlendWalk(variant, nothing(wp.int32, 1, device), nothing(dtype, 3, device))
+    rows = bins.num_pairs // segment
     cuts = zeros(num_tiles + rows + 1, wp.int32, device)
     launch_again(deal_states_kernel, num_tiles, [bins.tile_offsets, segment, cuts], device)
     size_of_state = (variant.state_length, bins.tile_size**2)
