@@ -73,7 +73,7 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
                     blended = BlendedArrays(image(vec), image(wp.float32), image(wp.int32))
                     if thermal_channels:
                         blended.thermal_render, blended.thermal_transmittance = image(vec_t), image(wp.float32)
-                        blended.thermal_last_pairs = image(wp.int32)
+                        blended.thermal_ends = image(wp.int32)
                     tape = wp.Tape()
                     inputs = (
                         arrays, wp.from_torch(opacities), wp.from_torch(thermal), wp.from_torch(features, vec), bins,

@@ -106,7 +106,7 @@ def rasterize(
     blended = BlendedArrays(image(features.dtype), image(dtype), image(wp.int32))
     if thermal_channels:
         blended.thermal_render = image(wp.types.vector(thermal_channels, dtype))
-        blended.thermal_transmittance, blended.thermal_last_pairs = image(dtype), image(wp.int32)
+        blended.thermal_transmittance, blended.thermal_ends = image(dtype), image(wp.int32)
     opacities, thermal_opacities = gaussians.opacities, gaussians.thermal_opacities
     by_slot = not device.is_cuda
     bins = bin_tiles(

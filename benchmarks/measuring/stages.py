@@ -105,7 +105,7 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
     blended = BlendedArrays(image(vector(channels, dtype)), image(dtype), image(wp.int32, False))
     if dual:
         blended.thermal_render = image(vector(thermal_channels, dtype))
-        blended.thermal_transmittance, blended.thermal_last_pairs = image(dtype), image(wp.int32, False)
+        blended.thermal_transmittance, blended.thermal_ends = image(dtype), image(wp.int32, False)
 
     def binning():
         return bin_tiles(projected, opacities, thermal, scalar_view(features), settings, 16, by_slot=not device.is_cuda)

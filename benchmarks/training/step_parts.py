@@ -22,8 +22,8 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     # small products: SH from the coordinates that the fit of splats learns
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "small_product_transposed")),
     ("SH", ("sh_colors", "camera_positions", "small_product")),
-    ("blending adjoint", ("blend_adjoint", "distribute_", "BlendBackward")),
-    ("blending", ("blend_", "join_segments", "contributors_", "Blend")),
+    ("blending adjoint", ("blend_adjoint", "distribute_", "finish_moments", "BlendBackward")),
+    ("blending", ("blend_", "deal_states", "segment_light", "join_segments", "contributors_", "Blend")),
     (
         "binning",
         ("count_tiles", "compact_gaussians", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan"),

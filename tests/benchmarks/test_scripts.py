@@ -153,11 +153,16 @@ def test_states_of_segments_are_counted() -> None:
     """Room for a state of 33 numbers per pixel is reserved for all pairs, and used where lists are long."""
     few, many = (run_script("estimate_states.py", "--count", count, "--sizes", "32x32") for count in ("300", "60000"))
     assert few.returncode == many.returncode == 0, few.stdout + few.stderr + many.stderr
-    short, long = ([cell.strip() for cell in done.stdout.splitlines()[-1].split("|")[2:6]] for done in (few, many))
-    assert float(short[3]) == 0.0 < float(short[2])  # no list is longer than three segments
-    pairs, segment, reserved, used = (float(cell.replace(",", "")) for cell in long)
-    assert abs(reserved - (1000 * pairs // segment + 1) * 33 * 256 * 4 / 2**20) < 0.1
+    rows = [[cell.strip().replace(",", "") for cell in done.stdout.splitlines()[-1].split("|")] for done in (few, many)]
+    short, long = ([float(cell) for cell in row[2:-1]] for row in rows)
+    assert short[3] == 0.0 <= short[2]  # no list is longer than three segments
+    pairs, segment, reserved, used, peak, captured = long
+    assert abs(reserved - 1000 * pairs // segment * 33 * 256 * 4 / 2**20) < 0.1
     assert 0.8 * reserved < used <= reserved
+    of_blending = 184 * 60000 + 136 * 32**2 + 5000 * pairs + reserved * 2**20
+    assert abs(captured - max(of_blending, 204 * 60000 + 132 * 32**2) / 2**20) < 0.1
+    waits = reserved >= 16.0
+    assert abs(captured - peak - (reserved - used) * waits) < 0.11
 
 
 def test_offload_benchmark_runs(tmp_path: Path) -> None:

@@ -86,6 +86,25 @@ def test_all_models_in_double_precision(device: torch.device, name: str) -> None
     compare(lens_scene(name, cameras=2), device, torch.float64)
 
 
+@pytest.mark.parametrize("rolling", [False, True])
+def test_terms_of_zero_change_nothing(device: torch.device, rolling: bool) -> None:
+    """A radial lens has kernels without the other terms; those with them give its image and gradients."""
+    scene, results = lens_scene("radial", cameras=2, backgrounds=False), []
+    if rolling:
+        end = scene["viewmats"].clone()
+        end[..., 0, 3] += 0.1
+        scene |= {"viewmats_rs": end, "rolling_shutter": "ROLLING_TOP_TO_BOTTOM"}
+    for zeros in ({}, {"tangential_coeffs": torch.zeros(2, 2), "thin_prism_coeffs": torch.zeros(2, 4)}):
+        inputs = leaves(scene | zeros, device, torch.float64)
+        image, _, info = rasterization(**inputs)
+        image.square().sum().backward()
+        names = ("means", "quats", "scales", "viewmats", "Ks", "radial_coeffs")
+        results.append([image.detach(), info["means2d"].detach(), *[inputs[name].grad for name in names]])
+    for one, other in zip(*results, strict=True):
+        assert one.norm() > 0
+        assert (one - other).norm() < 1e-10 * one.norm()
+
+
 @pytest.mark.parametrize("name", ["radial", pytest.param("fisheye", marks=pytest.mark.slow)])
 def test_single_precision(device: torch.device, name: str) -> None:
     """Spherical harmonics, antialiasing and depth in float32."""

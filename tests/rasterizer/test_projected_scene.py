@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
+from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 import reference_rasterizer
@@ -118,8 +119,31 @@ def test_opacities_retain_their_gradients(device: torch.device) -> None:
 
 
 def test_renders_may_be_changed_in_place(device: torch.device) -> None:
-    """The adjoint reads no rendered colour, so that torch lets users change them."""
+    """The adjoint reads no rendered colour, so that torch lets users change them. It reads the alphas."""
     plain, changed = (leaves(random_scene(backgrounds=False), device, torch.float64) for _ in range(2))
     rasterization(**plain)[0].clamp(max=0.3).sum().backward()
     rasterization(**changed)[0].clamp_(max=0.3).sum().backward()
     assert relative_error(changed["means"].grad, plain["means"].grad) < 1e-12
+    image, alphas, _ = rasterization(**changed)
+    alphas.clamp_(max=0.3)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.sum().backward()
+
+
+def test_no_image_is_kept_but_what_the_caller_has(device: torch.device) -> None:
+    """Beside the alphas a float32 pass keeps one number of 32 bits for each pixel and opacity."""
+    scene = leaves(random_rgbt_scene(backgrounds=False), device, torch.float32)
+    kept: list[Tensor] = []
+
+    def keep(tensor: Tensor) -> Tensor:
+        kept.append(tensor)
+        return tensor
+
+    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        result = rasterization_rgbt(**scene)
+    pixels = result.render_alphas.numel()
+    images = [one for one in kept if one.numel() == pixels]
+    shown = {one.data_ptr() for one in (result.render_alphas, result.render_thermal_alphas)}
+    others = [one for one in images if one.data_ptr() not in shown]
+    assert shown <= {one.data_ptr() for one in images}
+    assert [one.dtype for one in others] == [torch.int32, torch.int32]

@@ -1,13 +1,17 @@
 """deterministic=True: the same bits on every run, and the same gradients as without."""
 
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from gaussian_scenes import leaves, random_rgbt_scene
+from gaussian_scenes import leaves, random_rgbt_scene, random_scene
 from thermosplat import rasterization, rasterization_rgbt
+from warp_kernels.blending import blending_step
+from warp_kernels.blending.blend_layout import BlendLayout, default_layout
 
 
 def _gradients(device: torch.device, tile_size: int, **how: Any) -> dict[str, Tensor]:
@@ -40,16 +44,69 @@ def test_same_gradients_as_without(device: torch.device, tile_size: int) -> None
         assert (gradient - plain[name]).norm() < 1e-5 * gradient.norm(), name
 
 
-def test_one_opacity(device: torch.device) -> None:
-    """The plain rasterization takes the argument too."""
-    scene = random_rgbt_scene(n=200, channels=5)
+@pytest.mark.parametrize("absgrad", [False, True])
+@pytest.mark.parametrize("channels", [5, 32])
+def test_one_opacity(device: torch.device, channels: int, absgrad: bool) -> None:
+    """The plain rasterization takes the argument too, also where its sums lie where gradients do, for two cameras."""
+    scene = random_rgbt_scene(n=200, cameras=2, channels=channels)
     for name in ("features", "thermal_opacities"):
         del scene[name]
     results = []
     for deterministic in (True, True, False):
         inputs = leaves(scene, device, torch.float32)
-        image, _, _ = rasterization(**inputs, absgrad=True, deterministic=deterministic)
-        image.square().sum().backward()
-        results.append(inputs["means"].grad)
-    assert torch.equal(results[0], results[1])
-    assert (results[0] - results[2]).norm() < 1e-5 * results[2].norm()
+        image, alphas, info = rasterization(**inputs, absgrad=absgrad, deterministic=deterministic)
+        info["means2d"].retain_grad()
+        (image.square().sum() + alphas.square().sum()).backward()
+        gradients = {name: one.grad for name, one in inputs.items() if isinstance(one, Tensor) and one.requires_grad}
+        results.append(gradients | {"means2d": info["means2d"].grad})
+    assert {"means", "quats", "scales", "opacities", "colors", "means2d"} <= results[0].keys()
+    for name, gradient in results[0].items():
+        assert gradient.norm() > 0
+        assert torch.equal(gradient, results[1][name]), name
+        assert (gradient - results[2][name]).norm() < 1e-5 * gradient.norm(), name
+
+
+@pytest.mark.parametrize("worth_a_wait", [0, 2**40])
+@pytest.mark.parametrize("channels", [3, 32])
+def test_long_lists_are_cut(
+    device: torch.device, channels: int, worth_a_wait: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On CUDA lists of a thousand pairs are; results are those of whole lists, whatever room states have."""
+    monkeypatch.setattr(blending_step, "WORTH_A_WAIT", worth_a_wait)
+    dealt, results = [], []
+
+    def layout(*frame: Any, cut: bool) -> BlendLayout:
+        found = default_layout(*frame)
+        dealt.append(found.segment)
+        return found if cut else replace(found, segment=0)
+
+    for cut in (True, False):
+        monkeypatch.setattr(blending_step, "default_layout", partial(layout, cut=cut))
+        scene = random_scene(n=4000, width=64, height=48, channels=channels, backgrounds=False)
+        inputs = leaves(scene, device, torch.float32)
+        image, alphas, _ = rasterization(**inputs)
+        (image.square().sum() + alphas.square().sum()).backward()
+        results.append({name: inputs[name].grad for name in ("means", "quats", "scales", "opacities", "colors")})
+        results[-1]["image"] = image.detach()
+    assert all(segment > 0 for segment in dealt) == (device.type == "cuda")
+    assert (results[0]["image"] - results[1]["image"]).abs().max() < 2e-6
+    for name, gradient in results[0].items():
+        assert gradient.norm() > 0
+        assert (gradient - results[1][name]).norm() < 1e-5 * gradient.norm(), name
+
+
+def test_two_opacities_without_a_record(device: torch.device) -> None:
+    """Many channels of both kinds leave nothing for a record of sums; gradients are those of stored records."""
+    scene = random_rgbt_scene(n=200, cameras=2, channels=6)
+    results = []
+    for deterministic in (True, False):
+        inputs = leaves(scene, device, torch.float32)
+        render = rasterization_rgbt(**inputs, deterministic=deterministic)
+        images = [render.render_colors, render.render_features, render.render_thermal_features]
+        torch.autograd.backward(images, [torch.ones_like(image) for image in images])
+        results.append({name: one.grad for name, one in inputs.items() if isinstance(one, Tensor)})
+    assert {"opacities", "thermal_opacities", "features"} <= results[0].keys()
+    for name, gradient in results[0].items():
+        if gradient is not None:
+            assert gradient.norm() > 0
+            assert (gradient - results[1][name]).norm() < 1e-5 * gradient.norm(), name

@@ -15,8 +15,8 @@ from warp_kernels.blending.blend_variant import blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.blending.contributors import contributors_kernel
-from warp_kernels.blending.gradient_records import distribute_kernel
-from warp_kernels.blending.list_segments import join_segments_kernel
+from warp_kernels.blending.gradient_records import distribute_kernel, finish_moments_kernel
+from warp_kernels.blending.list_segments import deal_states_kernel, join_segments_kernel
 from warp_kernels.blending.ray_blending import RayVariant, ray_blend_adjoint_kernel, ray_blend_kernel
 from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.color.camera_positions import camera_position_kernels
@@ -57,7 +57,8 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for antialiased in (False, True)
     ]
     kernels += [projection_adjoint_kernel(dtype, "pinhole", False, posed, False, True) for posed in (False, True)]
-    kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, camera_finish_kernel(dtype)]
+    kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, deal_states_kernel, camera_finish_kernel(dtype)]
+    kernels.append(finish_moments_kernel(dtype))
     kernels += activation_kernels(dtype)
     kernels += [strand_sum_kernel(dtype, 3), strand_sum_kernel(wp.float64, CAMERA_RECORD)]
     kernels.append(contributors_kernel(dtype))

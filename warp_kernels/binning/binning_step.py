@@ -252,6 +252,7 @@ def _list_pairs(
         slots=values if by_slot else None,
         num_pairs=num_pairs,
         expected_pairs=num_pairs if room is None else room.expected_pairs,
+        has_room=room is not None,
         tile_size=grid.tile_size,
         tiles_x=grid.tiles_x,
         tiles_y=grid.tiles_y,

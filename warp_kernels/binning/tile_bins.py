@@ -37,6 +37,7 @@ class TileBins:
         slots: [pairs] unsorted position of each sorted pair; None unless the adjoint writes one record per pair.
         num_pairs: number of pairs, or those there is room for; ``tile_offsets`` ends with the pairs there are.
         expected_pairs: number of pairs, or what was expected where there was room for so many.
+        has_room: there was room, so that nothing is read back.
         tile_size: edge of a tile [px].
         tiles_x: tiles across the image.
         tiles_y: tiles down the image.
@@ -52,6 +53,7 @@ class TileBins:
     slots: wp.array | None
     num_pairs: int
     expected_pairs: int
+    has_room: bool
     tile_size: int
     tiles_x: int
     tiles_y: int

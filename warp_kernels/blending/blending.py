@@ -15,6 +15,7 @@ import warp as wp
 
 from warp_kernels.blending.blend_variant import BlendVariant
 from warp_kernels.blending.list_segments import list_of_block
+from warp_kernels.blending.pixel_ends import end_functions
 from warp_kernels.blending.survivors import HEADER
 from warp_kernels.constants import TRANSMITTANCE_MIN
 from warp_kernels.machinery.lanes import lane_functions, warp_any
@@ -47,6 +48,7 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
     staged = variant.stages_features
     kinds, response, attenuate = variant.types, variant.response, lane_functions(dtype)[1]
     survivors, waiting = variant.records(staged=staged), variant.queue(backwards=False)
+    pack_end, _ = end_functions(dtype)
 
     @wp.kernel(
         name=variant.name("blend"),
@@ -73,20 +75,22 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
         masks: wp.array(dtype=wp.uint8),  # [pairs]; read on CUDA alone
         tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
+        cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; [0]: no list is cut
+        bits: int,
         # outputs
         render: wp.array2d(dtype=kinds.vecC),  # [images · height, width]
         transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
         alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
         thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]; [0, 0]: one opacity
         thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        thermal_last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        thermal_ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
         thermal_alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
-        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
+        states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
     ):
         block, thread = wp.tid()
         block = block + first_block
-        tile, first_pair, end, cut = list_of_block(block, tile_offsets, segment)
+        tile, first_pair, end, cut, to_row = list_of_block(block, tile_offsets, segment, cuts)
         if first_pair > end:
             return
         i = int(first_pair)
@@ -131,14 +135,14 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                 if cut and inside:
                     place = p * threads + thread
                     for boundary in range(tile_offsets[tile] // segment + 1, first_pair // segment + 1):
-                        T[p] = T[p] * states[boundary, 0, place]
+                        T[p] = T[p] * states[boundary + to_row, 0, place]
                         if wp.static(dual):
-                            Tt[p] = Tt[p] * states[boundary, 1, place]
+                            Tt[p] = Tt[p] * states[boundary + to_row, 1, place]
                     if not is_last:
-                        if T[p] * states[end // segment, 0, place] > transmittance_min:
+                        if T[p] * states[end // segment + to_row, 0, place] > transmittance_min:
                             stop_at[p] = minus_one
                         if wp.static(dual):
-                            if Tt[p] * states[end // segment, 1, place] > transmittance_min:
+                            if Tt[p] * states[end // segment + to_row, 1, place] > transmittance_min:
                                 stop_at_t[p] = minus_one
                     if T[p] <= transmittance_min:
                         T[p] = minus_one
@@ -263,13 +267,15 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                         render[line, x] = v
                     else:
                         for c in range(C):
-                            states[first_pair // segment, first_behind + c, place] = acc[c, p]
+                            states[first_pair // segment + to_row, first_behind + c, place] = acc[c, p]
                     # Of a cut list one segment alone: the one that the pixel enters and may stop in.
                     if T[p] != minus_one and stop_at[p] > zero:
+                        alpha = one - wp.abs(T[p])
+                        last_pair = wp.where(last[p] < 0 and not is_first, first_pair - 1, last[p])
                         transmittance[line, x] = wp.abs(T[p])
-                        last_pairs[line, x] = wp.where(last[p] < 0 and not is_first, first_pair - 1, last[p])
+                        ends[line, x] = pack_end(last_pair, wp.abs(T[p]), alpha, bits)
                         if alphas.shape[0] > 0:
-                            alphas[line, x] = one - wp.abs(T[p])
+                            alphas[line, x] = alpha
                     if wp.static(dual):
                         if is_first:
                             vt = kinds.vecD()
@@ -278,13 +284,13 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                             thermal_render[line, x] = vt
                         else:
                             for c in range(D):
-                                states[first_pair // segment, first_behind_t + c, place] = acc_t[c, p]
+                                states[first_pair // segment + to_row, first_behind_t + c, place] = acc_t[c, p]
                         if Tt[p] != minus_one and stop_at_t[p] > zero:
+                            alpha = one - wp.abs(Tt[p])
+                            last_pair = wp.where(last_t[p] < 0 and not is_first, first_pair - 1, last_t[p])
                             thermal_transmittance[line, x] = wp.abs(Tt[p])
-                            thermal_last_pairs[line, x] = wp.where(
-                                last_t[p] < 0 and not is_first, first_pair - 1, last_t[p]
-                            )
+                            thermal_ends[line, x] = pack_end(last_pair, wp.abs(Tt[p]), alpha, bits)
                             if thermal_alphas.shape[0] > 0:
-                                thermal_alphas[line, x] = one - wp.abs(Tt[p])
+                                thermal_alphas[line, x] = alpha
 
     return blend_tiles_kernel

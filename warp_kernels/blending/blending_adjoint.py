@@ -15,6 +15,7 @@ from warp_kernels.blending.blend_variant import BlendVariant
 from warp_kernels.blending.blending import BATCH
 from warp_kernels.blending.gradient_records import feature_offset, kept_channels, ranges_apart, record_length
 from warp_kernels.blending.list_segments import list_of_block
+from warp_kernels.blending.pixel_ends import end_functions
 from warp_kernels.blending.survivors import HEADER
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.machinery.lane_sums import accumulate_snippet, column_sums_snippet
@@ -49,12 +50,15 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     staged = variant.stages_features
     kinds, response, reciprocal = variant.types, variant.response, lane_functions(dtype)[2]
     survivors, waiting = variant.records(staged=staged), variant.queue(backwards=True)
+    _, unpack_end = end_functions(dtype)
     length = record_length(C, variant.thermal_channels, absgrad)
     first_feature = feature_offset(variant.thermal_channels)
     first_feature_t = first_feature + C - D
     summed = wp.types.vector(length, dtype)
     record = wp.types.vector(length - C + sum(kept_channels(C, A, by_slot)), dtype)
-    records_type, rows_a, rows_b = (wp.array(dtype=kind) for kind in (record, kinds.vecA, kinds.vecB))
+    records_type, rows_a, rows_b, rows_2, rows_3, rows_1 = (
+        wp.array(dtype=kind) for kind in (record, kinds.vecA, kinds.vecB, kinds.vec2, kinds.vec3, dtype)
+    )
     # A lane sums a Gaussian's record over its pixels: on CUDA in registers, on the CPU, where a vector holds a row of
     # pixels, column by column, since a sum over a vector costs more than all else that is done with it.
     spread = 0 if cuda else 1
@@ -65,8 +69,13 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
-    @wp.func_native(accumulate_snippet(length, dtype, apart=ranges_apart(C, A, first_feature, by_slot)))
-    def accumulate(dst: records_type, features: rows_a, rest: rows_b, index: int, lane: int, v: summed): ...
+    apart = ranges_apart(C, A, variant.thermal_channels, by_slot, absgrad)
+
+    @wp.func_native(accumulate_snippet(length, dtype, apart=apart))
+    def accumulate(
+        dst: records_type, means2d: rows_2, roots: rows_3, opacities: rows_1, thermal_opacities: rows_1,
+        features: rows_a, rest: rows_b, index: int, lane: int, v: summed,
+    ): ...  # fmt: skip
 
     @wp.func_native(column_sums_snippet(length, columns, dtype) if by_slot else "")
     def store_column_sums(out: records_type, index: int, m: matLS): ...
@@ -102,11 +111,15 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         slots: wp.array(dtype=wp.int32),  # [pairs]; read with by_slot
         tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
-        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
-        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
-        thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        thermal_last_pairs: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; [0]: no list is cut
+        states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
+        bits: int,
+        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]; read where there are no alphas
+        alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: there are none
+        ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]; as transmittance
+        thermal_alphas: wp.array2d(dtype=dtype),  # [images · height, width]; as alphas
+        thermal_ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
         v_render: wp.array2d(dtype=kinds.vecA),  # [images · height, width]; [0, 0]: zeros, as in those below
         v_render_rest: wp.array2d(dtype=kinds.vecB),  # [images · height, width]
         sign: dtype,
@@ -114,13 +127,17 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         v_thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]
         v_thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
         # outputs
-        records: records_type,  # [pairs · warps] with by_slot, [images · N] without
+        records: records_type,  # [pairs · warps] with by_slot, [images · N] without; [0] with sums_apart
+        first_moments: rows_2,  # [images · N]; these four are written with sums_apart alone
+        second_moments: rows_3,  # [images · N]
+        v_opacities: rows_1,  # [images · N]
+        v_thermal_opacities: rows_1,  # [images · N]
         v_features: rows_a,  # [images · N]
         v_rest: rows_b,  # [images · N]; [0]: there are no other channels
     ):
         block, thread = wp.tid()
         block = block + first_block
-        tile, begin, end, _ = list_of_block(block, tile_offsets, segment)
+        tile, begin, end, _, to_row = list_of_block(block, tile_offsets, segment, cuts)
         if begin >= end:
             return
 
@@ -161,11 +178,17 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                 last_t[p] = -1
                 if x < width and y < height:
                     line = image * height + y
-                    T[p] = transmittance[line, x]
+                    alpha = zero
+                    if alphas.shape[0] > 0:
+                        alpha = alphas[line, x]
+                    last_pair, light = unpack_end(ends[line, x], alpha, bits)
+                    if alphas.shape[0] == 0:
+                        light = transmittance[line, x]
+                    T[p] = light
                     # gradients that are not given are zero
                     if v_transmittance.shape[0] > 0:
                         S[p] = sign * v_transmittance[line, x] * T[p]
-                    last[p] = last_pairs[line, x]
+                    last[p] = last_pair
                     newest = wp.max(newest, last[p])
                     if v_render.shape[0] > 0:
                         v = v_render[line, x]
@@ -179,23 +202,29 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                     place = p * threads + thread
                     # where the pixel was not finished at the boundary, it left a state there
                     if last[p] >= end:
-                        T[p] = states[end // segment, 0, place]
+                        T[p] = states[end // segment + to_row, 0, place]
                         for c in range(C):
-                            S[p] += states[end // segment, first_behind + c, place] * v_pixel[c, p]
+                            S[p] += states[end // segment + to_row, first_behind + c, place] * v_pixel[c, p]
                     if wp.static(dual):
-                        Tt[p] = thermal_transmittance[line, x]
+                        alpha_t = zero
+                        if thermal_alphas.shape[0] > 0:
+                            alpha_t = thermal_alphas[line, x]
+                        last_pair_t, light_t = unpack_end(thermal_ends[line, x], alpha_t, bits)
+                        if thermal_alphas.shape[0] == 0:
+                            light_t = thermal_transmittance[line, x]
+                        Tt[p] = light_t
                         if v_thermal_transmittance.shape[0] > 0:
                             St[p] = sign * v_thermal_transmittance[line, x] * Tt[p]
-                        last_t[p] = thermal_last_pairs[line, x]
+                        last_t[p] = last_pair_t
                         newest = wp.max(newest, last_t[p])
                         if v_thermal_render.shape[0] > 0:
                             vt = v_thermal_render[line, x]
                             for c in range(D):
                                 v_pixel_t[c, p] = vt[c]
                         if last_t[p] >= end:
-                            Tt[p] = states[end // segment, 1, place]
+                            Tt[p] = states[end // segment + to_row, 1, place]
                             for c in range(D):
-                                St[p] += states[end // segment, first_behind_t + c, place] * v_pixel_t[c, p]
+                                St[p] += states[end // segment + to_row, first_behind_t + c, place] * v_pixel_t[c, p]
 
         i = wp.min(int(warp_max(newest)), end - 1)
         # The next up to 32 to be walked; on CUDA each lane has one
@@ -332,7 +361,10 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                         G = summed()
                         for k in range(length):
                             G[k] = part[k, 0]
-                        accumulate(records, v_features, v_rest, destination, lane, G)
+                        accumulate(
+                            records, first_moments, second_moments, v_opacities, v_thermal_opacities,
+                            v_features, v_rest, destination, lane, G,
+                        )  # fmt: skip
                     else:
                         store_column_sums(records, destination, part)
             if wp.static(not cuda):

@@ -1,6 +1,7 @@
 """The step that blends each tile's Gaussians front to back: its launches, and its adjoint."""
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,16 +12,27 @@ from warp_kernels.blending.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending.blend_variant import BlendVariant, blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
-from warp_kernels.blending.gradient_records import distribute_kernel, kept_channels, record_length
-from warp_kernels.blending.list_segments import join_segments_kernel
+from warp_kernels.blending.gradient_records import (
+    distribute_kernel,
+    finish_moments_kernel,
+    kept_channels,
+    record_length,
+    sums_apart,
+)
+from warp_kernels.blending.list_segments import deal_states_kernel, join_segments_kernel
+from warp_kernels.blending.pixel_ends import pair_bits
 from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.constants import CHANNELS_MAX
-from warp_kernels.machinery.array_views import ArrayView, empty, nothing, zeros
+from warp_kernels.machinery.array_views import ArrayView, empty, memory, nothing, zeros
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch, launch_again, launch_tiles
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
+
+WORTH_A_WAIT = 2**24
+"""Bytes of room for states from which on the host waits to hear how many are needed. Frames with so many pairs and
+channels take more than a millisecond; what the wait costs was not measured yet."""
 
 
 @dataclass
@@ -29,22 +41,22 @@ class BlendedArrays:
 
     Attributes:
         render: vecC [images · height, width].
-        transmittance: [images · height, width]; 1 - alpha.
-        last_pairs: int32 [images · height, width]; last sorted pair drawn, -1 where none.
+        transmittance: [images · height, width]; 1 - alpha. The adjoint reads it where there are no alphas.
+        ends: int32 [images · height, width]; last sorted pair drawn, and what rounding took from alpha; see pixel_ends.
         alphas: [images · height, width]; None: not wanted.
         thermal_render: vecD [images · height, width]; None with one opacity.
         thermal_transmittance: as ``transmittance``, of the second opacity.
-        thermal_last_pairs: as ``last_pairs``, of the second opacity.
+        thermal_ends: as ``ends``, of the second opacity.
         thermal_alphas: as ``alphas``, of the second opacity.
     """
 
     render: wp.array
     transmittance: wp.array
-    last_pairs: wp.array
+    ends: wp.array
     alphas: wp.array | None = None
     thermal_render: wp.array | None = None
     thermal_transmittance: wp.array | None = None
-    thermal_last_pairs: wp.array | None = None
+    thermal_ends: wp.array | None = None
     thermal_alphas: wp.array | None = None
 
 
@@ -54,10 +66,12 @@ class BlendWalk:
 
     Attributes:
         variant: of the kernels.
-        states: [boundaries, state_length, pixels of a tile] what each segment of a cut list left; see list_segments.
+        cuts: which lists are cut, and whose rows in ``states`` are; see list_segments. Empty where none is.
+        states: [rows, state_length, pixels of a tile] what each segment of a cut list left.
     """
 
     variant: BlendVariant
+    cuts: wp.array
     states: wp.array
 
 
@@ -107,14 +121,13 @@ def blend(
         layout = default_layout(device, bins.tile_size, channels, thermal_channels, dtype, *of_frame)
     variant = blend_variant(channels, thermal_channels, dtype, layout, features.dtype._length_)
     segment = layout.segment
-    num_states = bins.num_pairs // segment + 1 if segment > 0 else 0
-    size_of_state = (variant.state_length, bins.tile_size**2)
-    states = empty((num_states, *size_of_state), dtype, device) if num_states > 0 else nothing(dtype, 3, device)
-
-    thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
+    thermal_transmittance, _, thermal_ends = _thermal_images(blended)
     size, geometry = _read(projected, opacities, thermal_opacities, features, rest, bins, settings)
-    blocks = num_tiles + num_states
-    lists = [*geometry, bins.tile_offsets, segment]
+    walk = _cut_lists(variant, bins, num_tiles)
+    cuts, states = walk.cuts, walk.states
+    blocks = num_tiles + states.shape[0]
+    lists = [*geometry, bins.tile_offsets, segment, cuts]
+    # Where no list turns out to be cut, too: a call that is captured must find these kernels loaded.
     if segment > 0:
         launch_tiles(segment_light_kernel(variant), blocks, layout.threads, [*lists, states], device)
     launch_tiles(
@@ -123,13 +136,14 @@ def blend(
         layout.threads,
         [
             *lists,
+            pair_bits(bins.num_pairs),
             blended.render,
             blended.transmittance,
-            blended.last_pairs,
+            blended.ends,
             blended.alphas,
             blended.thermal_render,
             thermal_transmittance,
-            thermal_last_pairs,
+            thermal_ends,
             blended.thermal_alphas,
             states,
         ],
@@ -139,10 +153,9 @@ def blend(
         launch(
             join_segments_kernel(variant),
             num_tiles * variant.state_length * bins.tile_size**2,
-            [*size, bins.tile_offsets, segment, blended.render, blended.thermal_render, states],
+            [*size, bins.tile_offsets, segment, cuts, blended.render, blended.thermal_render, states],
             device,
         )
-    walk = BlendWalk(variant, states)
     if tape is not None:
         step = (projected, opacities, thermal_opacities, features, bins, settings, blended, walk)
         inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
@@ -152,6 +165,24 @@ def blend(
         adjoint = functools.partial(blend_adjoint, *step, rest=rest, absolute=absolute)
         record_adjoint(tape, adjoint, *inputs, *images)
     return walk
+
+
+def _cut_lists(variant: BlendVariant, bins: TileBins, num_tiles: int) -> BlendWalk:
+    """Finds the lists that are cut, and makes room for their states.
+
+    No more boundaries lie in lists than segments in all pairs. Where room for so many is large, it is made for those
+    that are needed, unless nothing may be read back.
+    """
+    device, dtype, segment = bins.tile_offsets.device, variant.dtype, variant.layout.segment
+    if segment == 0:
+        return BlendWalk(variant, nothing(wp.int32, 1, device), nothing(dtype, 3, device))
+    rows = bins.num_pairs // segment
+    cuts = zeros(num_tiles + rows + 1, wp.int32, device)
+    launch_again(deal_states_kernel, num_tiles, [bins.tile_offsets, segment, cuts], device)
+    size_of_state = (variant.state_length, bins.tile_size**2)
+    if not bins.has_room and rows * math.prod(size_of_state) * wp.types.type_size_in_bytes(dtype) >= WORTH_A_WAIT:
+        rows = memory.source.last(cuts)
+    return BlendWalk(variant, cuts, empty((rows, *size_of_state), dtype, device))
 
 
 def blend_adjoint(
@@ -187,17 +218,27 @@ def blend_adjoint(
         v_alphas: the transmittances' gradients are those to 1 - T.
         absolute: as in ``blend``.
         store: without ``bins.slots``, gradients of means2d, roots, opacities and few features (``features_apart``) are
-            not initialised, and written; else they are added to, as those of many features are.
+            not initialised, and written; else they are added to, as those of many features are. Where there are no
+            records (``sums_apart``), gradients of means2d, roots and opacities are zeros at first.
     """
     device, variant = opacities.device, walk.variant
     layout, by_slot, absgrad = variant.layout, bins.slots is not None, absolute is not None
+    apart = sums_apart(variant.channels, variant.first_channels, by_slot, absgrad)
     blend_kernel_back, distribute, record = _adjoint_kernels(variant, absgrad, by_slot)
     gaussians = features.shape[0]
-    records = zeros(bins.num_pairs * layout.warps if by_slot else gaussians, record, device)
+    v_means2d, v_roots = gradient_of(projected.means2d), gradient_of(projected.roots)
+    v_opacities, v_thermal_opacities = gradient_of(opacities), gradient_of(thermal_opacities)
+    records, first_moments, second_moments = None, None, None
+    if not apart:
+        records = zeros(bins.num_pairs * layout.warps if by_slot else gaussians, record, device)
+    elif store:
+        first_moments, second_moments = v_means2d, v_roots
+    else:
+        first_moments, second_moments = (zeros(gaussians, one.dtype, device) for one in (v_means2d, v_roots))
     v_features = gradient_of(features)
     v_rest = None if rest is None else gradient_of(rest)
     v_render, v_render_rest = _parts(blended.render.grad, features, rest) if v_images is None else v_images
-    thermal_transmittance, thermal_last_pairs = _thermal_images(blended)
+    thermal_transmittance, thermal_alphas, thermal_ends = _thermal_images(blended)
     launch_tiles(
         blend_kernel_back,
         bins.tile_offsets.shape[0] - 1 + walk.states.shape[0],
@@ -207,11 +248,15 @@ def blend_adjoint(
             bins.slots if by_slot else bins.gaussian_ids,
             bins.tile_offsets,
             layout.segment,
+            walk.cuts,
             walk.states,
+            pair_bits(bins.num_pairs),
             blended.transmittance,
-            blended.last_pairs,
+            blended.alphas,
+            blended.ends,
             thermal_transmittance,
-            thermal_last_pairs,
+            thermal_alphas,
+            thermal_ends,
             v_render,
             v_render_rest,
             -1.0 if v_alphas else 1.0,
@@ -219,11 +264,19 @@ def blend_adjoint(
             None if blended.thermal_render is None else blended.thermal_render.grad,
             thermal_transmittance.grad,
             records,
+            first_moments,
+            second_moments,
+            v_opacities if apart else None,
+            v_thermal_opacities if apart else None,
             v_features,
             v_rest,
         ],
         device,
     )
+    if apart:
+        moments = [projected.roots, first_moments, second_moments, store, v_means2d, v_roots]
+        launch_again(finish_moments_kernel(variant.dtype), whole_warps(gaussians, device), moments, device)
+        return
     ranked = [bins.order, bins.pair_ends] if by_slot else [None, None]
     launch_again(
         distribute,
@@ -234,10 +287,10 @@ def blend_adjoint(
             records,
             projected.roots,
             store and not by_slot,
-            gradient_of(projected.means2d),
-            gradient_of(projected.roots),
-            gradient_of(opacities),
-            gradient_of(thermal_opacities),
+            v_means2d,
+            v_roots,
+            v_opacities,
+            v_thermal_opacities,
             v_features,
             v_rest,
             absolute if absolute is not None else projected.means2d,
@@ -283,11 +336,11 @@ def _parts(
     return images, ArrayView(behind, image.shape, rest.dtype, device, image, image.strides)
 
 
-def _thermal_images(blended: BlendedArrays) -> tuple[wp.array, wp.array]:
-    """Transmittance and last pairs of the second opacity, or of the only one."""
+def _thermal_images(blended: BlendedArrays) -> tuple[wp.array, wp.array | None, wp.array]:
+    """Transmittance, alphas and ends of the second opacity, or of the only one."""
     if blended.thermal_render is not None:
-        return blended.thermal_transmittance, blended.thermal_last_pairs
-    return blended.transmittance, blended.last_pairs
+        return blended.thermal_transmittance, blended.thermal_alphas, blended.thermal_ends
+    return blended.transmittance, blended.alphas, blended.ends
 
 
 def _read(

@@ -4,7 +4,8 @@ A record holds sums over the pixels of a warp for one Gaussian: p z (2) and p z 
 -σ and z the pixel's offset from the Gaussian, in ``alpha.UNIT`` standard deviations; then the gradients to opacity,
 [thermal opacity], features (C), [|mean2d| gradients (2), over UNIT²]. What the first five mean for mean2d and root is
 worked out once a Gaussian. Sums are added atomically per Gaussian, those to many features, which most of a record would
-be, where their gradient lies and not in the record; or records are stored one a (Gaussian, tile) pair and warp and
+be, where their gradient lies and not in the record. Where no features are left in it, the other sums are added where
+their gradients lie, too, and become them in place. Or records are stored one a (Gaussian, tile) pair and warp and
 summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
 """
 
@@ -48,25 +49,47 @@ def kept_channels(channels: int, first_channels: int, by_pair: bool) -> tuple[in
     return first, others
 
 
+def sums_apart(channels: int, first_channels: int, by_pair: bool, absgrad: bool) -> bool:
+    """Whether there are no records: all sums are added where gradients lie.
+
+    Args:
+        channels: as in ``kept_channels``.
+        first_channels: as in ``kept_channels``.
+        by_pair: as in ``kept_channels``.
+        absgrad: sums of absolute mean2d gradients are wanted; they stay in records.
+
+    Returns:
+        Whether that is so.
+    """
+    return not by_pair and not absgrad and sum(kept_channels(channels, first_channels, by_pair)) == 0
+
+
 def ranges_apart(
-    channels: int, first_channels: int, first_feature: int, by_pair: bool
+    channels: int, first_channels: int, thermal_channels: int, by_pair: bool, absgrad: bool = False
 ) -> list[tuple[str, int, int]] | None:
     """Components of a Gaussian's sums that are not in its record, for ``accumulate_snippet``.
 
     Args:
         channels: as in ``kept_channels``.
         first_channels: as in ``kept_channels``.
-        first_feature: where the features begin.
+        thermal_channels: channels blended a second time; 0 for one opacity.
         by_pair: as in ``kept_channels``.
+        absgrad: as in ``sums_apart``.
 
     Returns:
-        The half-open ranges by what takes them, "features" or "rest"; None where records have all and are stored.
+        The half-open ranges by what takes them, "features" or "rest", and without records also "means2d", "roots",
+        "opacities" and "thermal_opacities"; None where records have all and are stored.
     """
     if by_pair:
         return None
+    apart = []
+    if sums_apart(channels, first_channels, by_pair, absgrad):
+        apart = [("means2d", 0, 2), ("roots", 2, 5), ("opacities", 5, 6)]
+        apart += [("thermal_opacities", 6, 7)] if thermal_channels else []
     kept, kept_rest = kept_channels(channels, first_channels, by_pair)
+    first_feature = feature_offset(thermal_channels)
     middle, end = first_feature + first_channels, first_feature + channels
-    apart = [("features", first_feature, middle)] if kept < first_channels else []
+    apart += [("features", first_feature, middle)] if kept < first_channels else []
     return apart + ([("rest", middle, end)] if kept_rest < channels - first_channels else [])
 
 
@@ -94,6 +117,70 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
         The length.
     """
     return feature_offset(thermal_channels) + channels + (2 if absgrad else 0)
+
+
+@made_once
+def _moment_function(dtype: type):
+    """What a Gaussian's moments, sums of p z and p z zᵀ over pixels, mean for its mean2d and its root."""
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    unit = dtype(UNIT)
+
+    @wp.func
+    def from_moments(root: vec3, first: vec2, second: vec3):
+        # -σ = -½ |U d|² with U = [u, u k; 0, v], and sums of U d / unit
+        u = root[0]
+        k = root[1]
+        v = root[2]
+        v_mean2d = -unit * vec2(u * first[0], u * k * first[0] + v * first[1])
+        v_root = -unit * unit * vec3(second[0] / u, second[1] * u / v, second[2] / v)
+        return v_mean2d, v_root
+
+    return from_moments
+
+
+@made_once
+def finish_moments_kernel(dtype: type) -> wp.Kernel:
+    """Makes gradients of the moments of Gaussians without records, one thread a Gaussian.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        The Warp kernel, launched over ``whole_warps``.
+    """
+    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
+    store2, store3, _ = store_functions(dtype)
+    from_moments = _moment_function(dtype)
+
+    @wp.kernel(name=f"finish_moments_{dtype.__name__}", enable_backward=False, module="unique")
+    def finish_moments_kernel(
+        roots: wp.array(dtype=vec3),  # [images · N]
+        first_moments: wp.array(dtype=vec2),  # [images · N]; may be v_means2d
+        second_moments: wp.array(dtype=vec3),  # [images · N]; may be v_roots
+        store: bool,
+        # outputs
+        v_means2d: wp.array(dtype=vec2),  # [images · N]
+        v_roots: wp.array(dtype=vec3),  # [images · N]
+    ):
+        g = wp.tid()
+        written = int(-1)
+        v_mean2d = vec2()
+        v_root = vec3()
+        if g < roots.shape[0]:
+            first = first_moments[g]
+            second = second_moments[g]
+            # Zeros stay: a Gaussian that is not drawn has them, and its root may be anything.
+            if not (first == vec2() and second == vec3()):
+                written = g
+                v_mean2d, v_root = from_moments(roots[g], first, second)
+                if not store:
+                    v_mean2d = v_mean2d + v_means2d[g]
+                    v_root = v_root + v_roots[g]
+        if written >= 0:
+            store2(v_means2d, written, v_mean2d)
+        store3(v_roots, written, v_root)
+
+    return finish_moments_kernel
 
 
 @made_once
@@ -129,6 +216,7 @@ def distribute_kernel(
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     vecA, vecB = wp.types.vector(A, dtype), wp.types.vector(max(C - A, 1), dtype)
     store2, store3, _ = store_functions(dtype)
+    from_moments = _moment_function(dtype)
     zero, unit = dtype(0.0), dtype(UNIT)
 
     @wp.kernel(
@@ -175,12 +263,7 @@ def distribute_kernel(
                     total = total + records[slot]
             else:
                 total = records[g]
-            # -σ = -½ |U d|² with U = [u, u k; 0, v], and sums of U d / unit
-            u = roots[g][0]
-            k = roots[g][1]
-            v = roots[g][2]
-            v_mean2d = -unit * vec2(u * total[0], u * k * total[0] + v * total[1])
-            v_root = -unit * unit * vec3(total[2] / u, total[3] * u / v, total[4] / v)
+            v_mean2d, v_root = from_moments(roots[g], vec2(total[0], total[1]), vec3(total[2], total[3], total[4]))
             v_opacity = total[5]
             if not store:
                 v_mean2d = v_mean2d + v_means2d[g]

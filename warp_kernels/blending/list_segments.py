@@ -6,8 +6,11 @@ enters it; a second blends every segment from the transmittance in front of it, 
 ``join_segments`` adds up their colours. What it leaves at each boundary, T there and the colours behind, is where the
 adjoint of a segment begins.
 
-The first blocks of threads have a tile each: all of its list, or the first segment. Those behind have a boundary each,
-and walk from there to the next where it lies within a long list.
+The first blocks of threads have a tile each: all of its list, or the first segment. Those behind have a boundary each
+of the cut lists, and walk from there to the next. Boundaries have rows in the states, those of a list one after the
+other: ``deal_states_kernel`` deals them once the lists are sorted, and counts them. An array tells of both, the *cuts*,
+int32 [tiles + rows + 1]: for a tile, what takes one of its boundaries to its row; for a row, its tile + 1, or 0 where
+there is none; and the number of rows that were dealt. It is zero at first.
 """
 
 import warp as wp
@@ -22,43 +25,61 @@ CHUNK = 8
 """Boundaries whose states a thread asks for at once; one after the other, each would wait for memory."""
 
 
+@wp.kernel(enable_backward=False, module="unique")
+def deal_states_kernel(
+    tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
+    segment: int,
+    # outputs
+    cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]
+):
+    """Gives every boundary of the lists that are cut a row of the states, one thread a tile."""
+    tile = wp.tid()
+    begin = tile_offsets[tile]
+    end = tile_offsets[tile + 1]
+    if end - begin <= wp.static(LONG_LIST) * segment:
+        return
+    before = begin // segment
+    count = (end - 1) // segment - before
+    row = wp.atomic_add(cuts, cuts.shape[0] - 1, count)
+    cuts[tile] = row - before - 1
+    first = tile_offsets.shape[0] - 1 + row
+    for k in range(first, first + count):
+        cuts[k] = tile + 1
+
+
 @wp.func
 def list_of_block(
     block: int,
     tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
     segment: int,
+    cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; not read where there are no more blocks than tiles
 ):
     """What a block of threads walks.
 
     Returns:
-        The tile, the first pair, the pair after the last, and whether the list is cut. Where there is nothing to do
-        for the block, the first pair is beyond the one after the last.
+        The tile, the first pair, the pair after the last, whether the list is cut, and then what takes a boundary to
+        its row. Where there is nothing to do for the block, the first pair is beyond the one after the last.
     """
     num_tiles = tile_offsets.shape[0] - 1
     tile = int(block)
-    first = int(0)  # pair at which a later segment begins
     if block >= num_tiles:
-        first = (block - num_tiles) * segment
-        tile = int(0)
-        upper = num_tiles - 1
-        while tile < upper:
-            middle = (tile + upper + 1) // 2
-            if tile_offsets[middle] <= first:
-                tile = middle
+        tile = cuts[block] - 1
+    begin = int(0)
+    end = int(-1)
+    cut = bool(False)
+    to_row = int(0)
+    if tile >= 0:
+        begin = tile_offsets[tile]
+        end = tile_offsets[tile + 1]
+        cut = segment > 0 and end - begin > wp.static(LONG_LIST) * segment
+        if cut:
+            to_row = cuts[tile]
+            if block >= num_tiles:
+                begin = (block - num_tiles - to_row) * segment
+                end = begin + wp.min(end - begin, segment)
             else:
-                upper = middle - 1
-    begin = int(tile_offsets[tile])
-    end = int(tile_offsets[tile + 1])
-    cut = segment > 0 and end - begin > wp.static(LONG_LIST) * segment
-    if block >= num_tiles:
-        if cut and first > begin and first < end:
-            begin = first
-            end = first + wp.min(end - first, segment)
-        else:
-            begin = end + 1
-    elif cut:
-        end = (begin // segment + 1) * segment
-    return tile, begin, end, cut
+                end = (begin // segment + 1) * segment
+    return tile, begin, end, cut, to_row
 
 
 @made_once
@@ -102,10 +123,11 @@ def join_segments_kernel(variant: BlendVariant) -> wp.Kernel:
         height: int,
         tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
+        cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]
         # outputs
         render: wp.array2d(dtype=kinds.vecC),  # [images · height, width]
         thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]; [0, 0]: one opacity
-        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
+        states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
     ):
         index = wp.tid() + first
         place = index % (tile_size * tile_size)
@@ -125,22 +147,22 @@ def join_segments_kernel(variant: BlendVariant) -> wp.Kernel:
             return
 
         # From the front the light that is left, from behind the colours.
-        oldest = begin // segment + 1
-        newest = (end - 1) // segment
+        oldest = begin // segment + 1 + cuts[tile]
+        newest = (end - 1) // segment + cuts[tile]
         is_light = number < first_behind
         value = wp.where(is_light, one, zero)
         done = int(0)
         while done <= newest - oldest:
             chunk = vec_chunk()
             for k in range(wp.static(CHUNK)):
-                boundary = wp.where(is_light, oldest + done + k, newest - done - k)
-                if boundary >= oldest and boundary <= newest:
-                    chunk[k] = states[boundary, number, place]
+                row = wp.where(is_light, oldest + done + k, newest - done - k)
+                if row >= oldest and row <= newest:
+                    chunk[k] = states[row, number, place]
             for k in range(wp.static(CHUNK)):
-                boundary = wp.where(is_light, oldest + done + k, newest - done - k)
-                if boundary >= oldest and boundary <= newest:
+                row = wp.where(is_light, oldest + done + k, newest - done - k)
+                if row >= oldest and row <= newest:
                     value = wp.where(is_light, value * chunk[k], value + chunk[k])
-                    states[boundary, number, place] = value
+                    states[row, number, place] = value
             done += wp.static(CHUNK)
         line = (tile // (tiles_x * tiles_y)) * height + y
         if number >= first_behind_t:

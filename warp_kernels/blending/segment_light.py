@@ -59,12 +59,13 @@ def segment_light_kernel(variant: BlendVariant) -> wp.Kernel:
         masks: wp.array(dtype=wp.uint8),  # [pairs]; read on CUDA alone
         tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         segment: int,
+        cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]
         # outputs
-        states: wp.array3d(dtype=dtype),  # [boundaries, state_length, pixels of a tile]
+        states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
     ):
         block, thread = wp.tid()
         block = block + first_block
-        tile, first_pair, end, cut = list_of_block(block, tile_offsets, segment)
+        tile, first_pair, end, cut, to_row = list_of_block(block, tile_offsets, segment, cuts)
         if first_pair > end:
             return
         i = int(first_pair)
@@ -173,8 +174,8 @@ def segment_light_kernel(variant: BlendVariant) -> wp.Kernel:
 
         for p in range(pixels):
             place = p * threads + thread
-            states[end // segment, 0, place] = wp.max(T[p], zero)
+            states[end // segment + to_row, 0, place] = wp.max(T[p], zero)
             if wp.static(dual):
-                states[end // segment, 1, place] = wp.max(Tt[p], zero)
+                states[end // segment + to_row, 1, place] = wp.max(Tt[p], zero)
 
     return segment_light_kernel

@@ -65,15 +65,15 @@ def accumulate_snippet(length: int, dtype: type, *, apart: Sequence[tuple[str, i
         and ``v``.
     """
     scalar = scalar_name(dtype)
-    lines = [f"{scalar}* p = ({scalar}*)(dst.data + index);"]
-    pieces, removed, behind = [], 0, 0
+    lines, places = [], []
+    if apart is None or sum(end - begin for _, begin, end in apart) < length:
+        lines.append(f"{scalar}* p = ({scalar}*)(dst.data + index);")
+    removed, behind = 0, 0
     for array, begin, end in apart or ():
         lines.append(f"{scalar}* of_{array} = ({scalar}*)({array}.data + index) - {begin};")
-        pieces += [(begin, f"p + k - {removed}")] * (begin > behind) + [(end, f"of_{array} + k")]
+        places += [(behind, begin, f"p + k - {removed}"), (begin, end, f"of_{array} + k")]
         removed, behind = removed + end - begin, end
-    at = f"p + k - {removed}"
-    for end, place in reversed(pieces):
-        at = f"k < {end} ? {place} : {at}"
+    places.append((behind, length, f"p + k - {removed}"))
     for start in range(0, length, 32):
         end, first = min(start + 32, length), start
         lines.append(f"{{ {scalar} total = ({scalar})0;")
@@ -81,6 +81,9 @@ def accumulate_snippet(length: int, dtype: type, *, apart: Sequence[tuple[str, i
             lines += _butterfly(width, first, end, scalar)
             lines.append(f"if (lane >= {first - start}) total = r[0]; }}")
             first += width
+        *others, (*_, at) = [place for place in places if max(place[0], start) < min(place[1], end)]
+        for _, place_end, place in reversed(others):
+            at = f"k < {place_end} ? {place} : {at}"
         write = "p[k] = total;" if apart is None else f"atomicAdd(({at}), total);"
         lines.append(f"const int k = {start} + lane; if (lane < {end - start}) {write} }}")
     return "\n#if defined(__CUDA_ARCH__)\n" + "\n".join(lines) + "\n#endif\n"

@@ -47,7 +47,7 @@ def set_num_threads(count: int) -> None:
     _num_threads = count
 
 
-def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device) -> None:
+def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device, block: int | None = None) -> None:
     """Launches ``kernel`` once per index, without recording it on a tape.
 
     Args:
@@ -55,9 +55,10 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device) 
         count: number of indices.
         inputs: arguments after the first.
         device: where to run.
+        block: threads a block on CUDA; None for Warp's default.
     """
     if count < 2 * MIN_CHUNK or _num_threads == 1 or device.is_cuda:
-        launch_again(kernel, count, [0, *inputs], device)
+        launch_again(kernel, count, [0, *inputs], device, block if device.is_cuda else None)
     else:
         _spread(kernel, count, count // MIN_CHUNK, None, inputs, device)
 

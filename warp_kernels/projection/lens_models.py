@@ -9,6 +9,7 @@ A lens has ``LENS_COEFFS`` numbers, zero where its model has fewer:
 - pinhole: k1 to k6, p1, p2, s1 to s4. With x, y = X / Z, Y / Z, r² = x² + y² and
   c = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶),
   x' = c x + 2 p1 x y + p2 (r² + 2 x²) + s1 r² + s2 r⁴ and y' = c y + p1 (r² + 2 y²) + 2 p2 x y + s3 r² + s4 r⁴.
+- radial: k1 to k6 of a pinhole lens, whose other numbers are zero; that takes half the operations.
 - ortho: none; x', y' = X, Y.
 - fisheye: k1 to k4. At the angle θ to the axis, r' = θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹.
 - ftheta: six coefficients of the distance from the principal point [px] as a polynomial of θ; six that are not used; c,
@@ -29,7 +30,10 @@ from warp_kernels.machinery.lanes import count_bits, lanes_of, warp_ballot
 from warp_kernels.machinery.launching import launch_again
 from warp_kernels.machinery.loading import made_once
 
-LensModel = Literal["pinhole", "ortho", "fisheye", "ftheta", "ftheta_inverse"]
+LensModel = Literal["pinhole", "radial", "ortho", "fisheye", "ftheta", "ftheta_inverse"]
+
+RATIONAL = ("pinhole", "radial")
+"""Models whose radial part is a fraction."""
 
 LENS_COEFFS = 16
 """Numbers of a lens."""
@@ -60,9 +64,9 @@ def lens_functions(model: LensModel):
     Returns:
         ``(bend, coefficient_gradient, radial_slope)``, Warp functions in float64.
     """
-    if model in ("pinhole", "ortho"):
-        return _rational() if model == "pinhole" else _parallel()
-    return _angular(model)
+    if model == "ortho":
+        return _parallel()
+    return _rational(centred=model == "radial") if model in RATIONAL else _angular(model)
 
 
 def _parallel():
@@ -83,7 +87,8 @@ def _parallel():
     return bend, coefficient_gradient, radial_slope
 
 
-def _rational():
+def _rational(*, centred: bool):
+    """``centred``: without tangential and thin-prism terms."""
     zero, one, two, three, six = (wp.float64(x) for x in (0.0, 1.0, 2.0, 3.0, 6.0))
 
     @wp.func
@@ -104,19 +109,25 @@ def _rational():
         x, y = p[0] * rz, p[1] * rz
         square = x * x + y * y
         c, slope, below = radial(square, k)
-        bent = wp.vec2d(
-            c * x + two * k[6] * x * y + k[7] * (square + two * x * x) + square * (k[8] + square * k[9]),
-            c * y + k[6] * (square + two * y * y) + two * k[7] * x * y + square * (k[10] + square * k[11]),
-        )
-        prism_x = two * (k[8] + two * square * k[9])
-        prism_y = two * (k[10] + two * square * k[11])
-        mixed = two * (x * y * slope + k[6] * x + k[7] * y)
-        xx = c + two * x * x * slope + two * k[6] * y + six * k[7] * x + prism_x * x
-        xy = mixed + prism_x * y
-        yx = mixed + prism_y * x
-        yy = c + two * y * y * slope + six * k[6] * y + two * k[7] * x + prism_y * y
+        bent = wp.vec2d(c * x, c * y)
+        steep = two * slope
+        xx, xy, yx, yy = c + x * x * steep, x * y * steep, x * y * steep, c + y * y * steep
+        turned = c * (c + square * steep)
+        if wp.static(not centred):
+            bent = bent + wp.vec2d(
+                two * k[6] * x * y + k[7] * (square + two * x * x) + square * (k[8] + square * k[9]),
+                k[6] * (square + two * y * y) + two * k[7] * x * y + square * (k[10] + square * k[11]),
+            )
+            prism_x = two * (k[8] + two * square * k[9])
+            prism_y = two * (k[10] + two * square * k[11])
+            mixed = two * (k[6] * x + k[7] * y)
+            xx = xx + two * k[6] * y + six * k[7] * x + prism_x * x
+            xy = xy + mixed + prism_x * y
+            yx = yx + mixed + prism_y * x
+            yy = yy + six * k[6] * y + two * k[7] * x + prism_y * y
+            turned = xx * yy - xy * yx
         # Written so that NaN is not seen.
-        seen = p[2] > zero and square <= limit and below > zero and xx * yy - xy * yx > zero
+        seen = p[2] > zero and square <= limit and below > zero and turned > zero
         J = mat23d(xx * rz, xy * rz, -rz * (xx * x + xy * y), yx * rz, yy * rz, -rz * (yx * x + yy * y))
         return seen, bent, J
 
@@ -133,12 +144,13 @@ def _rational():
             g[i] = share
             g[3 + i] = -c * share
             share = share * square
-        g[6] = two * v[0] * x * y + v[1] * (square + two * y * y)
-        g[7] = v[0] * (square + two * x * x) + two * v[1] * x * y
-        g[8] = v[0] * square
-        g[9] = v[0] * square * square
-        g[10] = v[1] * square
-        g[11] = v[1] * square * square
+        if wp.static(not centred):
+            g[6] = two * v[0] * x * y + v[1] * (square + two * y * y)
+            g[7] = v[0] * (square + two * x * x) + two * v[1] * x * y
+            g[8] = v[0] * square
+            g[9] = v[0] * square * square
+            g[10] = v[1] * square
+            g[11] = v[1] * square * square
         return g
 
     @wp.func
@@ -313,7 +325,7 @@ def lens_limit_kernel(dtype: type, model: LensModel) -> wp.Kernel:
             limit = last
         if folds:
             limit = inner
-            if wp.static(model == "pinhole"):
+            if wp.static(model in RATIONAL):
                 limit = wp.tan(inner) * wp.tan(inner)
         if lane == 0:
             limits[image] = limit

@@ -14,7 +14,7 @@ from warp_kernels.machinery.launching import launch, launch_again
 from warp_kernels.machinery.strand_sums import image_sums
 from warp_kernels.machinery.tape_recording import gradient_of
 from warp_kernels.projection.affine_camera_adjoint import affine_camera_adjoint_kernel
-from warp_kernels.projection.affine_cameras import affine_camera_kernel
+from warp_kernels.projection.affine_cameras import affine_camera_kernel, block_threads
 from warp_kernels.projection.camera_gradients import ROLLING_RECORD, STILL_RECORD, WarpRows, lens_finish_kernel
 from warp_kernels.projection.lens_models import LensModel, lens_limits
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
@@ -76,10 +76,10 @@ def project_through_lenses(
         settings: image size, planes and mode; its camera model is not used.
         projected: outputs, one entry an (image, Gaussian) pair.
     """
-    device, dtype = gaussians.means.device, gaussians.opacities.dtype
+    device, dtype, rolling = gaussians.means.device, gaussians.opacities.dtype, lens.shutter is not None
     lenses.limits = lens_limits(lenses.coefficients, lens.model)
     launch(
-        affine_camera_kernel(dtype, lens.model, lens.shutter is not None),
+        affine_camera_kernel(dtype, lens.model, rolling),
         settings.num_images * settings.num_gaussians,
         [
             *_sights(gaussians, lenses, lens, settings),
@@ -91,6 +91,7 @@ def project_through_lenses(
             lenses.leads,
         ],
         device,
+        block_threads(dtype, rolling),
     )
 
 

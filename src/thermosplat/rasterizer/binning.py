@@ -21,16 +21,22 @@ class TileLists(NamedTuple):
     tensors: dict[str, Tensor]
     """By the name of the array in it."""
 
-    def read_by_adjoint(self) -> tuple[list[Any], list[Tensor]]:
-        """Arrays that the blending's adjoint reads, and the tensors they lie in."""
+    def read_by_adjoint(self, *, counts: bool) -> tuple[list[Any], list[Tensor]]:
+        """Arrays that the blending's adjoint reads, and the tensors they lie in.
+
+        Args:
+            counts: the tiles of each Gaussian are among them.
+        """
         bins, tensors = self
         names = _READ if bins.slots is None else _READ_BY_SLOT
+        if counts:
+            names = (*names, "tiles_per_gaussian")
         if bins.masks.shape[0] > 0:
             names = (*names, "masks")
         return [getattr(bins, name) for name in names], [tensors[name] for name in names]
 
 
-_READ = ("gaussian_ids", "tile_offsets", "tiles_per_gaussian")
+_READ = ("gaussian_ids", "tile_offsets")
 _READ_BY_SLOT = (*_READ, "slots", "order", "pair_ends")
 
 

@@ -26,7 +26,7 @@ from thermosplat.torch_bridge.arrays import (
 )
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.blending import blending_step
-from warp_kernels.blending.gradient_records import features_apart
+from warp_kernels.blending.gradient_records import features_apart, sums_apart
 from warp_kernels.machinery.array_views import ArrayView
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
 
@@ -92,7 +92,7 @@ class ImageTensors(NamedTuple):
 
     render: Tensor
     transmittance: Tensor
-    last_pairs: Tensor
+    ends: Tensor
     alphas: Tensor
 
 
@@ -136,16 +136,17 @@ class Blend(torch.autograd.Function):
             ctx.projected, ctx.read, ctx.bins, ctx.blended, ctx.walk = projected, arrays, lists.bins, blended, walk
             ctx.settings, ctx.shown_means2d, ctx.turns = settings, inputs.shown_means2d, inputs.turns
             tensors = (means2d, inputs.packed_roots, opacities, thermal_opacities, features, rest)  # as BlendSaved
-            # Of the images only those that are read, so that users may change the renders in place.
-            read = [blended.transmittance, blended.last_pairs, walk.states]
-            memory = [first.transmittance, first.last_pairs, walk.states.release()]
+            # Of the images only those that are read, so that users may change the renders in place. With the alphas
+            # that the caller has, nobody has to keep the transmittances.
+            read = [blended.alphas, blended.ends, walk.cuts, walk.states]
+            memory = [first.alphas, first.ends, walk.cuts.release(), walk.states.release()]
             if second is not None:
-                read += [blended.thermal_transmittance, blended.thermal_last_pairs]
-                memory += [second.transmittance, second.last_pairs]
+                read += [blended.thermal_alphas, blended.thermal_ends]
+                memory += [second.alphas, second.ends]
             if not means2d.is_cuda:  # only a row of pixels asks for them
                 read.append(projected.extents)
                 memory.append(inputs.extents)
-            of_lists, memory_of_lists = lists.read_by_adjoint()
+            of_lists, memory_of_lists = lists.read_by_adjoint(counts=not _sums_apart(ctx))
             keep(ctx, (*arrays, *read, *of_lists), (*tensors, *memory, *memory_of_lists))
         render, render_rest = first.render, None
         if rest is not None:
@@ -162,10 +163,11 @@ class Blend(torch.autograd.Function):
         means2d, features, rest, thermal_opacities = saved.means2d, saved.features, saved.rest, saved.thermal_opacities
         projected, blended, settings, shown_means2d = ctx.projected, ctx.blended, ctx.settings, ctx.shown_means2d
         projected.roots.place(projected.packed_roots.ptr)
-        # Stored where a thread has a Gaussian and not a rank; many features' gradients are always added to.
+        # Stored where a thread has a Gaussian and not a rank, and there is a record; else added to.
         by_slot = ctx.bins.slots is not None
-        like = torch.zeros_like if by_slot else torch.empty_like
-        new = means2d.new_zeros if by_slot else means2d.new_empty
+        added = by_slot or _sums_apart(ctx)
+        like = torch.zeros_like if added else torch.empty_like
+        new = means2d.new_zeros if added else means2d.new_empty
         found = BlendGradients(
             like(means2d),
             new(*saved.packed_roots.shape[:-1], 3),
@@ -186,7 +188,7 @@ class Blend(torch.autograd.Function):
             lend(blended.transmittance, v_alphas)
             lend(blended.thermal_render, v.thermal_render)
             lend(blended.thermal_transmittance, v.thermal_alphas)
-            size = blended.last_pairs.shape
+            size = blended.ends.shape
             v_images = (
                 None if v.render is None else given_view(v.render, arrays.features.dtype, *size),
                 None if v.rest is None else given_view(v.rest, arrays.rest.dtype, *size),
@@ -200,6 +202,12 @@ class Blend(torch.autograd.Function):
             earlier = getattr(shown_means2d, "absgrad", None)
             shown_means2d.absgrad = absolute if earlier is None else earlier + absolute
         return found
+
+
+def _sums_apart(ctx: Any) -> bool:
+    """Whether the adjoint adds all of a Gaussian's sums where gradients lie."""
+    variant, by_slot = ctx.walk.variant, ctx.bins.slots is not None
+    return sums_apart(variant.channels, variant.first_channels, by_slot, ctx.shown_means2d is not None)
 
 
 def _gradient_of_features(features: Tensor, by_slot: bool) -> Tensor:
@@ -225,6 +233,6 @@ def _make_images(
     return images, (
         view(images.render, vector_of(channels, dtype), *rows),
         view(images.transmittance, scalar, *rows),
-        view(images.last_pairs, wp.int32, *rows),
+        view(images.ends, wp.int32, *rows),
         view(images.alphas, scalar, *rows),
     )

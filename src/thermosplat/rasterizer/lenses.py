@@ -198,7 +198,9 @@ def _packed(camera_model: str, given: dict[str, Any], lead: tuple[int, ...], mea
             missing, width = 0, width - part.shape[-1]
         missing += width
     parts.append(means.new_zeros((*lead, missing + LENS_COEFFS - sum(widths.values()))))
-    return cast("LensModel", camera_model), torch.cat(parts, -1)
+    beyond = [given[name] for name in ("tangential_coeffs", "thin_prism_coeffs")]
+    centred = camera_model == "pinhole" and all(one is None for one in beyond)
+    return cast("LensModel", "radial" if centred else camera_model), torch.cat(parts, -1)
 
 
 def _packed_ftheta(lens: Any, lead: tuple[int, ...], means: Tensor) -> tuple[LensModel, Tensor]:

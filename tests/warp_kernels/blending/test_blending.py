@@ -1,10 +1,17 @@
 """Blending with other deals of pixels to lanes and threads: the same image and the same gradients."""
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
 
 from warp_kernels.binning.binning_step import bin_tiles
+from warp_kernels.binning.tile_bins import TileBins
+from warp_kernels.blending import blending_step
 from warp_kernels.blending.blend_layout import BlendLayout
 from warp_kernels.blending.blending_step import BlendedArrays, blend
 from warp_kernels.blending.list_segments import LONG_LIST
@@ -46,7 +53,7 @@ def blended(
     if thermal_channels:
         result.thermal_render = image(wp.types.vector(thermal_channels, dtype))
         result.thermal_transmittance = image(dtype)
-        result.thermal_last_pairs = image(wp.int32, False)
+        result.thermal_ends = image(wp.int32, False)
         result.thermal_alphas = image(dtype, False)
         outputs += [result.thermal_render, result.thermal_transmittance]
     tape = wp.Tape()
@@ -110,12 +117,16 @@ def test_tile_sizes_agree(tile_size: int, thermal_channels: int) -> None:
 
 @pytest.mark.parametrize("thermal_channels", [0, 2])
 @pytest.mark.parametrize("segment", [32, 64])
-@pytest.mark.parametrize("block", [16, 8])
-def test_lists_may_be_cut(segment: int, block: int, thermal_channels: int) -> None:
+@pytest.mark.parametrize(("block", "worth_a_wait"), [(16, 2**30), (8, 2**30), (8, 0)])
+def test_lists_may_be_cut(
+    segment: int, block: int, worth_a_wait: int, thermal_channels: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Segments blended side by side, also with several warps a tile, give the images and gradients of whole lists.
 
-    Opacities up to 1 let some pixels finish in an early segment, their neighbours later or never.
+    Opacities up to 1 let some pixels finish in an early segment, their neighbours later or never. States have room for
+    all pairs, or what is needed.
     """
+    monkeypatch.setattr(blending_step, "WORTH_A_WAIT", worth_a_wait)
     arguments = {"n": CROWD, "width": 45, "height": 35, "cameras": 2, "channels": 3, "requires_grad": True}
     whole = blended(warp_scene(wp.float64, **arguments), BlendLayout(16, 16, 16, 1), thermal_channels)
     cut = blended(warp_scene(wp.float64, **arguments), BlendLayout(16, block, block, 1, segment), thermal_channels)
@@ -124,24 +135,71 @@ def test_lists_may_be_cut(segment: int, block: int, thermal_channels: int) -> No
         assert np.linalg.norm(one - other) < 1e-12 * np.linalg.norm(one)
 
 
-def test_a_cut_list_is_several_segments_long() -> None:
-    """The scene of the test above has lists that are long for the longer segment, and some that are not."""
-    scene = warp_scene(wp.float64, n=CROWD, width=45, height=35, cameras=2, channels=3)
+def crowd_bins(scene: WarpScene) -> tuple[wp.array, TileBins]:
+    """Opacities, and the lists of the test above."""
     opacities = image_opacities(scene, scene.gaussians.opacities)
     features = scalar_view(scene.features)
-    bins = bin_tiles(projected(scene), opacities, opacities, features, scene.settings, 16, by_slot=True)
+    return opacities, bin_tiles(projected(scene), opacities, opacities, features, scene.settings, 16, by_slot=True)
+
+
+def test_a_cut_list_is_several_segments_long() -> None:
+    """The scene of the test above has lists that are long for the longer segment, and some that are not."""
+    _, bins = crowd_bins(warp_scene(wp.float64, n=CROWD, width=45, height=35, cameras=2, channels=3))
     lengths = np.diff(bins.tile_offsets.numpy())
     assert lengths.max() > LONG_LIST * 64 > lengths.min()
 
 
-def test_images_of_lists_without_numbered_pairs() -> None:
+@pytest.mark.parametrize(("segment", "has_room"), [(64, False), (64, True), (4096, False)])
+def test_states_have_the_room_that_is_needed(segment: int, has_room: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row for each boundary in a long list, none where there is no such list; where nothing may be read back, a row
+    for each segment in all pairs. Every row that is needed has a boundary, and no two have the same."""
+    monkeypatch.setattr(blending_step, "WORTH_A_WAIT", 0)
+    scene = warp_scene(n=CROWD, width=45, height=35, cameras=2, channels=3)
+    opacities, bins = crowd_bins(scene)
+    offsets = bins.tile_offsets.numpy()
+    begin, end = offsets[:-1], offsets[1:]
+    cut = end - begin > LONG_LIST * segment
+    inside = [np.arange(a // segment + 1, (b - 1) // segment + 1) for a, b in zip(begin[cut], end[cut], strict=True)]
+    rows = sum(map(len, inside))
+    images = [
+        wp.zeros((scene.settings.num_images * scene.settings.height, scene.settings.width), dtype=kind, device="cpu")
+        for kind in (scene.features.dtype, wp.float32, wp.int32)
+    ]
+    bins = replace(bins, has_room=has_room)
+    layout, launched = BlendLayout(16, 16, 16, 1, segment), set()
+
+    def told(launch: Callable[..., None], kernel: wp.Kernel, *rest: Any) -> None:
+        launched.add(kernel.key.split("_3_0_")[0])
+        launch(kernel, *rest)
+
+    for name in ("launch", "launch_again", "launch_tiles"):
+        monkeypatch.setattr(blending_step, name, partial(told, getattr(blending_step, name)))
+    arrays = (projected(scene), opacities, opacities, scene.features, bins, scene.settings)
+    walk = blending_step.blend(*arrays, blending_step.BlendedArrays(*images), layout=layout)
+    # all that a call in a graph may launch, which cannot be loaded there
+    assert launched == {"deal_states_kernel", "segment_light", "blend", "join_segments"}
+    assert (rows > 0) == (segment == 64)
+    assert walk.states.shape[0] == (bins.num_pairs // segment if has_room else rows)
+    if rows > 0:
+        cuts, tiles = walk.cuts.numpy(), len(offsets) - 1
+        dealt = [boundaries + cuts[tile] for tile, boundaries in zip(np.flatnonzero(cut), inside, strict=True)]
+        assert sorted(np.concatenate(dealt)) == list(range(rows))
+        assert all((cuts[tiles + one] == tile + 1).all() for tile, one in zip(np.flatnonzero(cut), dealt, strict=True))
+        assert not cuts[tiles + rows : -1].any()
+        assert cuts[-1] == rows
+
+
+@pytest.mark.parametrize("channels", [3, 6])
+def test_images_of_lists_without_numbered_pairs(channels: int) -> None:
     """As CUDA makes them by default: what belongs to the numbers is None in all launches, and images are the same.
+
+    Six channels leave nothing for a record, and then that is None, too.
 
     Their gradients are added atomically, by code for CUDA alone; ``deterministic`` is compared there.
     """
     images = []
     for by_slot in (True, False):
-        scene = warp_scene(n=60, width=45, height=35, channels=3, requires_grad=True)
+        scene = warp_scene(n=60, width=45, height=35, channels=channels, requires_grad=True)
         images.append(blended(scene, BlendLayout(16, 16, 16, 1), 2, by_slot=by_slot)[0])
     assert all((one == other).all() for one, other in zip(*images, strict=True))
     assert all(np.linalg.norm(image) > 0 for image in images[0])

@@ -8,9 +8,11 @@ from warp_kernels.blending.alpha import UNIT
 from warp_kernels.blending.gradient_records import (
     distribute_kernel,
     feature_offset,
+    finish_moments_kernel,
     kept_channels,
     ranges_apart,
     record_length,
+    sums_apart,
 )
 
 
@@ -79,8 +81,55 @@ def test_records_reach_the_gradients(
 def test_few_features_stay_in_the_record() -> None:
     """Of colours and many features the colours do; stored records have all."""
     assert kept_channels(11, 3, False) == (3, 0)
-    assert ranges_apart(11, 3, 7, False) == [("rest", 10, 18)]
-    assert ranges_apart(11, 11, 6, False) == [("features", 6, 17)]
-    assert ranges_apart(3, 3, 6, False) == []
+    assert ranges_apart(11, 3, 8, False) == [("rest", 10, 18)]
+    assert ranges_apart(11, 11, 0, False, absgrad=True) == [("features", 6, 17)]
+    assert ranges_apart(3, 3, 0, False) == []
     assert kept_channels(11, 3, True) == (3, 8)
-    assert ranges_apart(11, 3, 7, True) is None
+    assert ranges_apart(11, 3, 8, True) is None
+
+
+@pytest.mark.parametrize("thermal_channels", [0, 8])
+def test_no_record_where_all_features_are_many(thermal_channels: int) -> None:
+    """Then every sum is added where its gradient lies; not so with absolute sums, and where records are stored."""
+    apart = ranges_apart(11, 5, thermal_channels, False)
+    assert apart is not None
+    assert [name for name, _, _ in apart[:3]] == ["means2d", "roots", "opacities"]
+    assert [name for name, _, _ in apart[3:-2]] == ["thermal_opacities"] * (thermal_channels > 0)
+    ends = [end for _, _, end in apart]
+    assert [begin for _, begin, _ in apart] == [0, *ends[:-1]]
+    assert ends[-1] == record_length(11, thermal_channels, False)
+    assert sums_apart(11, 5, False, False)
+    assert not any([sums_apart(11, 5, False, True), sums_apart(11, 5, True, False), sums_apart(11, 3, False, False)])
+
+
+@pytest.mark.parametrize("in_place", [False, True])
+def test_moments_become_gradients(in_place: bool) -> None:
+    """In place, or added to what gradients hold, as they do from records. Nothing is read of what has no moments."""
+    rng = np.random.default_rng(1)
+    roots, sums = rng.uniform(0.5, 2.0, size=(40, 3)), rng.normal(size=(40, 6))
+    roots[3], sums[3], sums[7] = np.nan, 0.0, np.nan
+    vec2, vec3, record = (wp.types.vector(k, wp.float64) for k in (2, 3, 6))
+
+    def arrays(first: np.ndarray, second: np.ndarray) -> list[wp.array]:
+        return [wp.array(first.copy(), dtype=vec2, device="cpu"), wp.array(second.copy(), dtype=vec3, device="cpu")]
+
+    before = rng.normal(size=(40, 5)) * (not in_place)
+    given, expected = wp.array(roots, dtype=vec3, device="cpu"), arrays(before[:, :2], before[:, 2:])
+    of_opacities, of_features = (
+        wp.zeros(40, wp.float64, device="cpu"),
+        wp.zeros(40, wp.types.vector(5, wp.float64), "cpu"),
+    )
+    records = wp.array(sums, dtype=record, device="cpu")
+    tiles = wp.array((np.arange(40) != 3).astype(np.int32), dtype=wp.int32, device="cpu")
+    distribute = distribute_kernel(5, 0, wp.float64, False, 0)
+    ranked = [wp.empty(0, wp.int32, device="cpu"), wp.empty(0, wp.int64, device="cpu"), tiles, records, given, False]
+    outputs = [*expected, of_opacities, of_opacities, of_features, None, None]
+    wp.launch(distribute, dim=40, inputs=[*ranked, *outputs], device="cpu")
+
+    moments = arrays(sums[:, :2], sums[:, 2:5])
+    found = moments if in_place else arrays(before[:, :2], before[:, 2:])
+    wp.launch(finish_moments_kernel(wp.float64), dim=40, inputs=[given, *moments, in_place, *found], device="cpu")
+    for one, other in zip(found, expected, strict=True):
+        assert np.array_equal(one.numpy(), other.numpy(), equal_nan=True)
+        assert np.isnan(one.numpy()[7]).all()
+        assert np.isfinite(one.numpy()[3]).all()

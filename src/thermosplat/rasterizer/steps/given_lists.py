@@ -139,6 +139,7 @@ def _tile_lists(isect_offsets: Tensor, flatten_ids: Tensor, rows: int, tile_size
         totals=None,
         num_pairs=pairs,
         expected_pairs=pairs,
+        has_room=False,
         tile_size=tile_size,
         tiles_x=tiles_x,
         tiles_y=tiles_y,
