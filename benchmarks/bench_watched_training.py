@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from itertools import cycle
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -51,6 +52,8 @@ class EnoughMeasured(Exception):
 class Windows:
     """Steps in windows of each kind by turns, and how long they took.
 
+    Before the first window pictures are taken whenever one is asked for, which loads their kernels.
+
     Args:
         watch: What a viewer's hook does.
         device: Where the training is.
@@ -62,7 +65,8 @@ class Windows:
     def __init__(self, watch: TrainingWatch, device: torch.device, window: int, first: int, rounds: int) -> None:
         self.watch, self.device, self.window, self.first, self.rounds = watch, device, window, first, rounds
         self.seconds: dict[str, list[float]] = {kind: [] for kind in KINDS}
-        self.kind = KINDS[0]
+        self.kind = KINDS[2]
+        self._share, watch.turns.share = watch.turns.share, 1.0
         self._since = 0.0
 
     def between_steps(self, trainer: Trainer) -> None:
@@ -77,6 +81,7 @@ class Windows:
         now = time.perf_counter()
         if done:
             self.seconds[self.kind].append(now - self._since)
+        self.watch.turns.share = self._share
         if all(len(found) == self.rounds for found in self.seconds.values()):
             raise EnoughMeasured
         turn, place = divmod(done // self.window, len(KINDS))
@@ -87,9 +92,12 @@ class Windows:
 def keep_looking(
     session: ViewSession, scene: ViewedScene, size: tuple[int, int], windows: Windows
 ) -> Callable[[], int]:
-    """Ask for pictures of a moving camera in windows that are watched. What is returned says how many there were."""
+    """Ask for pictures of a moving camera in windows that are watched. What is returned says how many there were.
+
+    Those before the first window are not among them.
+    """
     name = next(iter(scene.model.spectra))
-    views = [frame_bookmark(frame, name) for frame in scene.frames if name in frame.views]
+    views = cycle([frame_bookmark(frame, name) for frame in scene.frames if name in frame.views])
     count = 0
 
     def look() -> None:
@@ -99,11 +107,11 @@ def keep_looking(
                 time.sleep(0.002)
                 continue
             try:
-                shown = session.render(views[count % len(views)], *size, full=False)
+                shown = session.render(next(views), *size, full=False)
             except ViewingEnded:
                 return
             cv2.imencode(".jpg", shown.picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, MOVING_QUALITY])
-            count += 1
+            count += bool(windows.seconds[KINDS[0]])  # the first timed window is one of those alone
 
     threading.Thread(target=look, daemon=True).start()
     return lambda: count

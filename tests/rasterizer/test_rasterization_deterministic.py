@@ -97,7 +97,7 @@ def test_long_lists_are_cut(
 
 def test_two_opacities_without_a_record(device: torch.device) -> None:
     """Many channels of both kinds leave nothing for a record of sums; gradients are those of stored records."""
-    scene = random_rgbt_scene(n=200, cameras=2, channels=6)
+    scene = random_rgbt_scene(n=200, cameras=2, channels=16)
     results = []
     for deterministic in (True, False):
         inputs = leaves(scene, device, torch.float32)

@@ -18,6 +18,10 @@ from warp_kernels.machinery.loading import made_once
 FEW = 4
 """So many features stay in the record: added to in two places, RGB is 3% slower and takes 7% less memory."""
 
+WIDE = 24
+"""Channels from which on there may be no records. With 32, a pass both ways takes 28 bytes less for each Gaussian and
+5% more time (benchmarks/records/rasterizer-speed.md). With fewer channels, the saving is not worth that."""
+
 
 def features_apart(channels: int, by_pair: bool) -> bool:
     """Whether features' gradients are summed where they lie, and records have none.
@@ -61,7 +65,8 @@ def sums_apart(channels: int, first_channels: int, by_pair: bool, absgrad: bool)
     Returns:
         Whether that is so.
     """
-    return not by_pair and not absgrad and sum(kept_channels(channels, first_channels, by_pair)) == 0
+    many = channels >= WIDE and sum(kept_channels(channels, first_channels, by_pair)) == 0
+    return many and not by_pair and not absgrad
 
 
 def ranges_apart(

@@ -9,9 +9,9 @@ from statistics import median_low
 from typing import Any, Protocol, TypeVar
 
 Result = TypeVar("Result")
-TRAINING_SHARE = 0.03
+TRAINING_SHARE = 0.02
 """Share of the time of training that renders for viewers may take. What a viewer costs in all is more, such as the wait
-for steps that a GPU has in its queue: with 0.05 about 8% (benchmarks/records/viewer.md)."""
+for steps that a GPU has in its queue: with 0.05 about 8%. At most 5% are to be lost (benchmarks/records/viewer.md)."""
 REMEMBERED = 5
 """Turns whose median says how long one takes."""
 

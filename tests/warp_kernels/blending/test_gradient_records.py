@@ -91,15 +91,16 @@ def test_few_features_stay_in_the_record() -> None:
 @pytest.mark.parametrize("thermal_channels", [0, 8])
 def test_no_record_where_all_features_are_many(thermal_channels: int) -> None:
     """Then every sum is added where its gradient lies; not so with absolute sums, and where records are stored."""
-    apart = ranges_apart(11, 5, thermal_channels, False)
+    apart = ranges_apart(27, 5, thermal_channels, False)
     assert apart is not None
     assert [name for name, _, _ in apart[:3]] == ["means2d", "roots", "opacities"]
     assert [name for name, _, _ in apart[3:-2]] == ["thermal_opacities"] * (thermal_channels > 0)
     ends = [end for _, _, end in apart]
     assert [begin for _, begin, _ in apart] == [0, *ends[:-1]]
-    assert ends[-1] == record_length(11, thermal_channels, False)
-    assert sums_apart(11, 5, False, False)
-    assert not any([sums_apart(11, 5, False, True), sums_apart(11, 5, True, False), sums_apart(11, 3, False, False)])
+    assert ends[-1] == record_length(27, thermal_channels, False)
+    assert sums_apart(27, 5, False, False)
+    assert not any([sums_apart(27, 5, False, True), sums_apart(27, 5, True, False), sums_apart(27, 3, False, False)])
+    assert not sums_apart(11, 11, False, False)
 
 
 @pytest.mark.parametrize("in_place", [False, True])
