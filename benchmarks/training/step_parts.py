@@ -28,6 +28,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
         "binning",
         ("count_tiles", "compact_gaussians", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan"),
     ),
+    ("exchange", ("gather_rows", "scatter_rows", "nccl", "Exchange")),  # of several ranks
     ("optimizer", ("adam", "Adam", "row_fetch")),
     ("bookkeeping", ("note_bad", "note_density", "note_pairs")),
     ("penalties, noise", ("gaussian_means", "join_moments", "take_spreads", "add_position_noise")),
@@ -86,7 +87,7 @@ def profiled(work: Callable[[], object], count: int, device: torch.device) -> li
 def part_times(kernels: list[dict[str, Any]]) -> dict[str, float]:
     """Milliseconds a step of each part, in the order of a step as far as kernels have one."""
     names = ["projection", "SH", "binning", "blending", "decoders", "image losses"]
-    names += ["blending adjoint", "SH adjoint", "projection adjoint", "optimizer"]
+    names += ["blending adjoint", "SH adjoint", "projection adjoint", "exchange", "optimizer"]
     names += ["bookkeeping", "penalties, noise", REST]
     times = dict.fromkeys(names, 0.0)
     for kernel in kernels:

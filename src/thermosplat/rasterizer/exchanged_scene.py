@@ -124,6 +124,8 @@ class ExchangedScene(ProjectedScene):
         self._absolute = AbsoluteGradients(self._own_means2d)
         self.shown_means2d = self._absolute.received
         received = list(Exchange.apply(route, cameras, self._absolute, len(carried), *rows))
+        for part in parts:
+            part.features = []  # they were sent, and nothing reads them here again
         shape = (cameras, route.seen)
         means2d, depths, roots, opacities = received[:4]
         self.thermal_opacities = None if self._own_thermal is None else received[4].reshape(shape)
