@@ -41,14 +41,13 @@ class Exchange(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, route: Route, cameras: int, absolute: AbsoluteGradients, num_carried: int, *tensors: Tensor
+        ctx: Any, route: Route, absolute: AbsoluteGradients, num_carried: int, *tensors: Tensor
     ) -> tuple[Tensor, ...]:
         """What arrives, each [C · seen, width]; rows that nothing arrives for are zero.
 
         Args:
             ctx: What the backward pass reads.
             route: Which rows go where.
-            cameras: C.
             absolute: Sums that travel back with the gradients.
             num_carried: The last tensors, so many, get no gradient.
             *tensors: [C_world · N, width] each, of one dtype.
@@ -58,18 +57,18 @@ class Exchange(torch.autograd.Function):
         ctx.num_carried = num_carried
         ctx.set_materialize_grads(False)
         make = tensors[0].new_empty if route.is_full else tensors[0].new_zeros
-        parts = [make((cameras * route.seen, tensor.shape[1])) for tensor in tensors]
-        own = [[part[places] for part in parts] for rank, places in route.arrivals() if rank == route.rank]
         widths = [tensor.shape[1] for tensor in tensors]
+        parts = [make((route.num_places, width)) for width in widths]
         outgoing = parts[0].new_empty(sum(_numbers_of(route.sent, route.rank, widths)))
         leaving = _Blocks(outgoing, widths)
-        here = iter(own)
+        here = (places for rank, places in route.arrivals() if rank == route.rank)
         for rank, numbers in route.departures():
-            _gather(numbers, tensors, next(here) if rank == route.rank else leaving.next(len(numbers)))
+            block = _rows(parts, next(here)) if rank == route.rank else leaving.next(len(numbers))
+            _gather(numbers, tensors, block)
         arriving = _Blocks(_exchanged(outgoing, route.sent, route.received, route.rank, widths), widths)
         for rank, places in route.arrivals():
             if rank != route.rank:
-                _copy([part[places] for part in parts], arriving.next(places.stop - places.start))
+                torch._foreach_copy_(_rows(parts, places), arriving.next(places.stop - places.start))
         ctx.mark_non_differentiable(*parts[len(parts) - num_carried :])
         return tuple(parts)
 
@@ -87,28 +86,26 @@ class Exchange(torch.autograd.Function):
             if of_positions is not None:
                 del absolute.received.absgrad  # sent; another backward pass through the same graph adds its own
         widths = [shape[1] for shape in shapes]
-        outgoing = like.new_zeros(sum(_numbers_of(route.received, route.rank, widths)))
+        v_parts = [
+            like.new_zeros(route.num_places, width) if gradient is None else gradient
+            for gradient, width in zip(given, widths, strict=True)
+        ]
+        outgoing = like.new_empty(sum(_numbers_of(route.received, route.rank, widths)))
         leaving = _Blocks(outgoing, widths)
         for rank, places in route.arrivals():
             if rank != route.rank:
-                block = leaving.next(places.stop - places.start)
-                known = [(part, one[places]) for part, one in zip(block, given, strict=True) if one is not None]
-                _copy([part for part, _ in known], [one for _, one in known])
+                torch._foreach_copy_(leaving.next(places.stop - places.start), _rows(v_parts, places))
         arriving = _Blocks(_exchanged(outgoing, route.received, route.sent, route.rank, widths), widths)
         found = [like.new_zeros(shape) for shape in shapes]
         here = (places for rank, places in route.arrivals() if rank == route.rank)
         for rank, numbers in route.departures():
-            if rank != route.rank:
-                _scatter(numbers, arriving.next(len(numbers)), found)
-                continue
-            places = next(here)
-            known = [(one[places], table) for one, table in zip(given, found, strict=True) if one is not None]
-            _scatter(numbers, [one for one, _ in known], [table for _, table in known])
+            block = _rows(v_parts, next(here)) if rank == route.rank else arriving.next(len(numbers))
+            _scatter(numbers, block, found)
         if absolute.wanted:
             total = found.pop().reshape(absolute.shown.shape)
             earlier = getattr(absolute.shown, "absgrad", None)
             absolute.shown.absgrad = total if earlier is None else earlier + total
-        return None, None, None, None, *found, *(None for _ in range(ctx.num_carried))
+        return None, None, None, *found, *(None for _ in range(ctx.num_carried))
 
 
 class _Blocks:
@@ -147,9 +144,9 @@ def _exchanged(
     return exchanged_rows(outgoing, _numbers_of(sent, own, widths), _numbers_of(received, own, widths))
 
 
-def _copy(targets: list[Tensor], sources: list[Tensor]) -> None:
-    if targets:
-        torch._foreach_copy_(targets, sources)
+def _rows(tensors: Sequence[Tensor], places: slice) -> list[Tensor]:
+    """These rows of each tensor."""
+    return [tensor[places] for tensor in tensors]
 
 
 def _gather(numbers: Tensor, tables: Sequence[Tensor], targets: Sequence[Tensor]) -> None:
@@ -163,8 +160,6 @@ def _gather(numbers: Tensor, tables: Sequence[Tensor], targets: Sequence[Tensor]
 
 def _scatter(numbers: Tensor, sources: Sequence[Tensor], tables: Sequence[Tensor]) -> None:
     """Write rows, [n, width] each, to their places in tables."""
-    if not tables:
-        return
     kind = kinds_of(tables[0].dtype).scalar
     with launches_on_torch_stream(numbers.device):
         for source, table in zip(sources, tables, strict=True):

@@ -123,7 +123,7 @@ class ExchangedScene(ProjectedScene):
         rows = [_rows(tensor, num_gaussians * len(sizes)) for tensor in (*differentiable, *features, *carried)]
         self._absolute = AbsoluteGradients(self._own_means2d)
         self.shown_means2d = self._absolute.received
-        received = list(Exchange.apply(route, cameras, self._absolute, len(carried), *rows))
+        received = list(Exchange.apply(route, self._absolute, len(carried), *rows))
         for part in parts:
             part.features = []  # they were sent, and nothing reads them here again
         shape = (cameras, route.seen)

@@ -66,9 +66,14 @@ class Route:
                 filled[camera] += count
 
     @property
+    def num_places(self) -> int:
+        """C · ``seen``."""
+        return len(self.received[self.rank]) * self.seen
+
+    @property
     def is_full(self) -> bool:
         """Whether a row arrives for every place."""
-        return sum(map(sum, self.received)) == len(self.received[self.rank]) * self.seen
+        return sum(map(sum, self.received)) == self.num_places
 
 
 def route_of_seen(visible: Tensor, cameras: Sequence[int]) -> Route:
