@@ -69,6 +69,24 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         """T before a layer from T behind it, T / (1 - a); for a faint layer by an increment, which hardly rounds."""
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
+    @wp.func
+    def end_of_pixel(
+        ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: there are none
+        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]; read where there are no alphas
+        line: int,
+        x: int,
+        bits: int,
+    ):
+        """The last pair and the light that is left."""
+        alpha = zero
+        if alphas.shape[0] > 0:
+            alpha = alphas[line, x]
+        last_pair, light = unpack_end(ends[line, x], alpha, bits)
+        if alphas.shape[0] == 0:
+            light = transmittance[line, x]
+        return last_pair, light
+
     apart = ranges_apart(C, A, variant.thermal_channels, by_slot, absgrad)
 
     @wp.func_native(accumulate_snippet(length, dtype, apart=apart))
@@ -178,12 +196,7 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                 last_t[p] = -1
                 if x < width and y < height:
                     line = image * height + y
-                    alpha = zero
-                    if alphas.shape[0] > 0:
-                        alpha = alphas[line, x]
-                    last_pair, light = unpack_end(ends[line, x], alpha, bits)
-                    if alphas.shape[0] == 0:
-                        light = transmittance[line, x]
+                    last_pair, light = end_of_pixel(ends, alphas, transmittance, line, x, bits)
                     T[p] = light
                     # gradients that are not given are zero
                     if v_transmittance.shape[0] > 0:
@@ -206,16 +219,13 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                         for c in range(C):
                             S[p] += states[end // segment + to_row, first_behind + c, place] * v_pixel[c, p]
                     if wp.static(dual):
-                        alpha_t = zero
-                        if thermal_alphas.shape[0] > 0:
-                            alpha_t = thermal_alphas[line, x]
-                        last_pair_t, light_t = unpack_end(thermal_ends[line, x], alpha_t, bits)
-                        if thermal_alphas.shape[0] == 0:
-                            light_t = thermal_transmittance[line, x]
-                        Tt[p] = light_t
+                        last_pair, light = end_of_pixel(
+                            thermal_ends, thermal_alphas, thermal_transmittance, line, x, bits
+                        )
+                        Tt[p] = light
                         if v_thermal_transmittance.shape[0] > 0:
                             St[p] = sign * v_thermal_transmittance[line, x] * Tt[p]
-                        last_t[p] = last_pair_t
+                        last_t[p] = last_pair
                         newest = wp.max(newest, last_t[p])
                         if v_thermal_render.shape[0] > 0:
                             vt = v_thermal_render[line, x]

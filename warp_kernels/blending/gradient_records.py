@@ -3,10 +3,10 @@
 A record holds sums over the pixels of a warp for one Gaussian: p z (2) and p z zᵀ (xx, xy, yy), p being the gradient to
 -σ and z the pixel's offset from the Gaussian, in ``alpha.UNIT`` standard deviations; then the gradients to opacity,
 [thermal opacity], features (C), [|mean2d| gradients (2), over UNIT²]. What the first five mean for mean2d and root is
-worked out once a Gaussian. Sums are added atomically per Gaussian, those to many features, which most of a record would
-be, where their gradient lies and not in the record. Where no features are left in it, the other sums are added where
-their gradients lie, too, and become them in place. Or records are stored one a (Gaussian, tile) pair and warp and
-summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
+worked out once per Gaussian. Sums are added atomically per Gaussian, those to many features, which most of a record
+would be, where their gradient lies and not in the record. Where no features are left in it, the other sums are added
+where their gradients lie, too, and become them in place. Or records are stored, one per (Gaussian, tile) pair and warp,
+and summed per Gaussian afterwards, which is deterministic and lets CPU threads work on disjoint memory.
 """
 
 import warp as wp
@@ -145,7 +145,7 @@ def _moment_function(dtype: type):
 
 @made_once
 def finish_moments_kernel(dtype: type) -> wp.Kernel:
-    """Makes gradients of the moments of Gaussians without records, one thread a Gaussian.
+    """Makes gradients of the moments of Gaussians without records, one thread per Gaussian.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.

@@ -32,7 +32,7 @@ def deal_states_kernel(
     # outputs
     cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]
 ):
-    """Gives every boundary of the lists that are cut a row of the states, one thread a tile."""
+    """Gives every boundary of the lists that are cut a row of the states, one thread per tile."""
     tile = wp.tid()
     begin = tile_offsets[tile]
     end = tile_offsets[tile + 1]
