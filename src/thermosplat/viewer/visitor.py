@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from thermosplat.viewer.front_end import Shared
 
+Panel = TypeVar("Panel")
 REST_SECONDS, LONG_REST_SECONDS = 0.25, 1.0
 """Without a new place of the camera for that long, it rests; the second where a picture at rest takes long, for which
 nobody who goes on moving wants to wait."""
@@ -108,6 +109,10 @@ class Visitor:
         """The scene."""
         return self.shared.scene
 
+    def _panels_of(self, kind: type[Panel]) -> list[Panel]:
+        """The tab's panels of a kind; none before it began, and after it was closed."""
+        return [panel for panel in self._panels if isinstance(panel, kind)]
+
     def view(self, name: str = "") -> Bookmark:
         """Where the tab's camera is."""
         camera = self.client.camera
@@ -131,9 +136,8 @@ class Visitor:
     def set_share(self, share: float) -> None:
         """Move the edge of the wipe, or change the blend."""
         self.wish(share=share)
-        for panel in self._panels:
-            if isinstance(panel, ViewPanel):
-                panel.show_share(share)
+        for panel in self._panels_of(ViewPanel):
+            panel.show_share(share)
 
     def lay_photograph(self, on: bool) -> None:
         """Lay the nearest photograph over the picture, or take it off."""
@@ -154,9 +158,8 @@ class Visitor:
 
     def training_went_on(self) -> None:
         """Show how far the training is."""
-        for panel in self._panels:
-            if isinstance(panel, TrainingPanel):
-                panel.update()
+        for panel in self._panels_of(TrainingPanel):
+            panel.update()
 
     def fly_to(self, target: Bookmark) -> None:
         """Move the camera to a view, along a smooth path."""
@@ -225,9 +228,8 @@ class Visitor:
         self.client.flush()
         self.pictures += 1
         if shown.full:
-            for panel in self._panels:
-                if isinstance(panel, ViewPanel):
-                    panel.show_range()
+            for panel in self._panels_of(ViewPanel):
+                panel.show_range()
         if (width, height) != full and not live:
             self.pace.took(width, height, time.perf_counter() - started)
 
