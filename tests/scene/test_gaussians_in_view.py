@@ -12,11 +12,13 @@ from thermosplat.scene import gaussians_in_view as subject
 from thermosplat.scene.gaussians_in_view import GaussiansInView, indices_in_view
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import OffloadedParameter, offload, stored_values
+from thermosplat.scene.pixel_filter import PixelFilter
 from toy_scene import toy_capture, toy_config, toy_model
 
 MODELS: dict[str, dict[str, Any]] = {
     "offsets": {},
     "antialiased": {"rasterize_mode": "antialiased"},
+    "narrow footprints": {"eps2d": 0.05},
     "own opacity": {"spectra": {"thermal": {"opacity": "own"}}},
     "no features": {"feature_dim": 0},
     "separate": {"gaussian_sets": "separate", "feature_dim": 0},
@@ -101,8 +103,8 @@ def test_in_view_of_any_camera(device: torch.device) -> None:
         turn = [[math.cos(angle), 0.0, math.sin(angle)], [0.0, 1.0, 0.0], [-math.sin(angle), 0.0, math.cos(angle)]]
         viewmat[:3] = torch.tensor(turn, device=device) @ viewmat[:3]
         turned.append(dataclasses.replace(view, viewmat=viewmat))
-    one, two = (indices_in_view(gaussians, [camera], "classic") for camera in turned)
-    both = indices_in_view(gaussians, turned, "classic")
+    one, two = (indices_in_view(gaussians, [camera], PixelFilter()) for camera in turned)
+    both = indices_in_view(gaussians, turned, PixelFilter())
     assert both.tolist() == sorted({*one.tolist(), *two.tolist()})
     assert min(len(one), len(two)) < len(both) < len(gaussians)
     assert not (both % 3 == 0).any()

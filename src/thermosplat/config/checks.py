@@ -27,6 +27,7 @@ _AT_LEAST: dict[str, float] = {
     "seed": 0,
     "model.feature_dim": 0,
     "model.feature_noise": 0,
+    "model.eps2d": 0,
     "decoder.hidden_dim": 1,
     "decoder.hidden_layers": 1,
     "densification.every": 1,

@@ -52,6 +52,9 @@ class ModelConfig:
     shared set then holds those of every spectrum (ThermalGaussian OMMG, MMOne)."""
     rasterize_mode: Literal["classic", "antialiased"] = "classic"
     """As gsplat's rasterization. ThermoSplat and 3DGS use classic; antialiased is Mip-Splatting's 2D filter."""
+    eps2d: float = 0.3
+    """Added to the variances of a Gaussian's footprint along both axes of the image [px²]: 0.3 blurs by a deviation of
+    0.55 px. 3DGS and gsplat."""
     feature_noise: float = 0.2
     """Standard deviation of the initial features that have no colour to start from. Open choice: MS-Splatting 0.2."""
     init_opacity: float = 0.1

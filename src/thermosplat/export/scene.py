@@ -18,6 +18,7 @@ from torch import Tensor
 
 from thermosplat.errors import UserError
 from thermosplat.export.formats.ply import write_splats
+from thermosplat.export.splat_rendering import OTHERS
 from thermosplat.export.splats import Splats, WrittenSplats
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.model import SceneModel
@@ -211,4 +212,7 @@ def header_comments(model: SceneModel, name: str, scale: PixelScale, *, colors: 
             comments.append(f"{name}_range unknown")
     if model.config.rasterize_mode == "antialiased":
         comments.append("trained with antialiased rasterization: view it with mip-splatting's filter")
+    eps2d = model.config.eps2d
+    if eps2d != OTHERS.eps2d:
+        comments.append(f"trained with eps2d {eps2d:g} px²: viewers with more blur small images")
     return comments

@@ -1,26 +1,26 @@
 """Splats rendered as a third-party viewer would: spherical harmonics alone, at one opacity, by our rasterizer."""
 
-from typing import Literal
-
 import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.export.splats import Splats
 from thermosplat.rasterizer import rasterization
+from thermosplat.scene.pixel_filter import PixelFilter
 
-RasterizeMode = Literal["classic", "antialiased"]
+OTHERS = PixelFilter()
+"""What most other viewers do."""
 
 
 def render_splats(
-    splats: Splats, view: ViewTensors, *, rasterize_mode: RasterizeMode = "classic", background: Tensor | None = None
+    splats: Splats, view: ViewTensors, *, pixel_filter: PixelFilter = OTHERS, background: Tensor | None = None
 ) -> Tensor:
     """An image of splats by a pinhole camera.
 
     Args:
         splats: The Gaussians; gradients flow into all of them.
         view: Camera and pose; a distortion of its lens is left out.
-        rasterize_mode: As the rasterizer's.
+        pixel_filter: How footprints are widened.
         background: Colour behind them, [3]; None: black.
 
     Returns:
@@ -39,7 +39,7 @@ def render_splats(
         view.height,
         sh_degree=degree,
         packed=False,
-        rasterize_mode=rasterize_mode,
+        **pixel_filter._asdict(),
         backgrounds=None if background is None else background[None],
     )
     return image.squeeze(0)

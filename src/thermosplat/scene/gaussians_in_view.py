@@ -1,7 +1,7 @@
 """The Gaussians that some views see, fetched from a set of which most lies in the host's memory."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +11,7 @@ from thermosplat.rasterizer import project
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.offloaded import OffloadedParameter, some_offloaded
 from thermosplat.scene.packed_parameters import is_band
+from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.views import projection_arguments
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def gaussians_in_view(
     gaussians: Gaussians,
     views: Sequence["ViewTensors"],
     sh_degree: int,
-    rasterize_mode: Literal["classic", "antialiased"],
+    pixel_filter: PixelFilter,
 ) -> Gaussians:
     """What there is to render for some views: the set, or where some of it is offloaded, its Gaussians in view.
 
@@ -64,23 +65,21 @@ def gaussians_in_view(
         gaussians: The set.
         views: The cameras; none: the set is not rendered.
         sh_degree: Highest degree of the spherical harmonics in use.
-        rasterize_mode: As gsplat's.
+        pixel_filter: How footprints are widened.
     """
     if not views or not some_offloaded(gaussians):
         return gaussians
-    return GaussiansInView(gaussians, indices_in_view(gaussians, views, rasterize_mode), sh_degree)
+    return GaussiansInView(gaussians, indices_in_view(gaussians, views, pixel_filter), sh_degree)
 
 
 @torch.no_grad()
-def indices_in_view(
-    gaussians: Gaussians, views: Sequence["ViewTensors"], rasterize_mode: Literal["classic", "antialiased"]
-) -> Tensor:
+def indices_in_view(gaussians: Gaussians, views: Sequence["ViewTensors"], pixel_filter: PixelFilter) -> Tensor:
     """Gaussians that the renderer draws for one of the views at least, in some spectrum; int64, ascending, [n].
 
     Args:
         gaussians: The set.
         views: The cameras.
-        rasterize_mode: As gsplat's.
+        pixel_filter: How footprints are widened.
     """
     seen = torch.zeros(len(gaussians), dtype=torch.bool, device=gaussians.means.device)
     opacities = gaussians.largest_opacities
@@ -88,6 +87,7 @@ def indices_in_view(
         part = slice(first, first + _PROJECTED_AT_ONCE)
         of_part = gaussians.means[part], gaussians.quats[part], torch.exp(gaussians.log_scales[part]), opacities[part]
         for view in views:
-            scene = project(*of_part, rasterize_mode=rasterize_mode, **projection_arguments(view))
+            camera = projection_arguments(view)
+            scene = project(*of_part, rasterize_mode=pixel_filter.rasterize_mode, eps2d=pixel_filter.eps2d, **camera)
             seen[part] |= (scene.projected.radii > 0).all(dim=-1).reshape(-1)
     return torch.where(seen)[0]

@@ -32,6 +32,7 @@ from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians, sets_
 from thermosplat.scene.lens_distortion import nearest_distorted
 from thermosplat.scene.offloaded import stored_values
 from thermosplat.scene.packed_parameters import num_bytes, pack
+from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.scene.saved_gaussians import restored_gaussians
 from thermosplat.scene.shared_cameras import views_by_camera
@@ -147,6 +148,11 @@ class SceneModel(nn.Module):
             if values is not None and is_offset
         }
 
+    @property
+    def pixel_filter(self) -> PixelFilter:
+        """How footprints are widened, in every render."""
+        return PixelFilter.of(self.config)
+
     # ---- rendering ---------------------------------------------------------------------------------------------------
 
     def render(
@@ -187,7 +193,7 @@ class SceneModel(nn.Module):
         how = Rendering(
             sh_degree,
             absgrad,
-            self.config.rasterize_mode,
+            self.pixel_filter,
             backgrounds,
             deterministic,
             depth_spread_limit=depth_spread_limit,
@@ -233,7 +239,7 @@ class SceneModel(nn.Module):
         offloaded, what is in view."""
         firsts = (next((spectrum for spectrum in group if spectrum in views), None) for group in groups)
         cameras = [views[spectrum] for spectrum in firsts if spectrum is not None and self.set_of(spectrum) == name]
-        return gaussians_in_view(self.gaussians(name), cameras, sh_degree, self.config.rasterize_mode)
+        return gaussians_in_view(self.gaussians(name), cameras, sh_degree, self.pixel_filter)
 
     def render_depth(self, spectrum: str, view: "ViewTensors", *, distributed: bool = False) -> Tensor:
         """What a spectrum sees as far away: expected depth along z [world units], [H, W]; 0 where it sees nothing.
@@ -244,7 +250,7 @@ class SceneModel(nn.Module):
             distributed: As in ``render``.
         """
         gaussians = self.gaussians(self.set_of(spectrum))
-        how = Rendering(0, False, self.config.rasterize_mode, None, distributed=distributed)
+        how = Rendering(0, False, self.pixel_filter, None, distributed=distributed)
         depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), self.seen(view), how)
         if view.distortion is None:
             return depth

@@ -1,6 +1,6 @@
 """A set of Gaussians seen from one view: the renderer's functions for ``Gaussians`` and ``ViewTensors``."""
 
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -8,6 +8,7 @@ from torch import Tensor
 from thermosplat.fused.activations import activated
 from thermosplat.rasterizer import LensArguments, RGBTRender, rasterization, rasterization_rgbt
 from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.pixel_filter import PixelFilter
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
@@ -23,8 +24,8 @@ class Rendering(NamedTuple):
     """Highest degree of the spherical harmonics in use."""
     absgrad: bool
     """Also accumulate absolute means2d gradients."""
-    rasterize_mode: Literal["classic", "antialiased"]
-    """As gsplat's."""
+    pixel_filter: PixelFilter
+    """How footprints are widened."""
     backgrounds: Tensor | None
     """Colour behind the SH colours of photographs, [1, 3]."""
     deterministic: bool = False
@@ -119,7 +120,7 @@ def render_view(
         packed=False,
         backgrounds=backgrounds,
         absgrad=rendering.absgrad,
-        rasterize_mode=rendering.rasterize_mode,
+        **rendering.pixel_filter._asdict(),
         **camera_arguments(view),
         deterministic=rendering.deterministic,
         distributed=rendering.distributed,
@@ -147,7 +148,7 @@ def render_view_depth(
         opacities[:, None],  # not drawn
         packed=False,
         render_mode="ED",
-        rasterize_mode=rendering.rasterize_mode,
+        **rendering.pixel_filter._asdict(),
         **camera_arguments(view),
         deterministic=rendering.deterministic,
         distributed=rendering.distributed,
@@ -188,7 +189,7 @@ def render_two_opacities(
         features_sh_degree=None if isinstance(features, Tensor) else rendering.sh_degree,
         backgrounds=rendering.backgrounds,
         absgrad=rendering.absgrad,
-        rasterize_mode=rendering.rasterize_mode,
+        **rendering.pixel_filter._asdict(),
         **camera_arguments(view),
         deterministic=rendering.deterministic,
         distributed=rendering.distributed,

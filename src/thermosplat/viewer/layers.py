@@ -173,7 +173,7 @@ class LayerRenderer:
         gaussians = model.gaussians(model.set_of(name))
         logits = gaussians.logits_in(name)
         offsets = logits - gaussians.logit_opacities
-        how = Rendering(0, False, model.config.rasterize_mode, None)
+        how = Rendering(0, False, model.pixel_filter, None)
         largest = torch.maximum(logits, gaussians.logit_opacities)
         image, alpha, _ = render_view(gaussians, offsets[:, None].contiguous(), largest, model.seen(view), how)
         return torch.where(alpha > 1e-3, image / alpha.clamp(min=1e-3), torch.nan)[..., 0]

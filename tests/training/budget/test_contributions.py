@@ -25,7 +25,7 @@ def drawn(model: SceneModel, name: str, chosen: int, capture: Any) -> list[float
         image, _, _ = rasterization(
             *(gaussians.means, gaussians.quats, gaussians.scales, opacities, colors),
             *(view.viewmat[None], view.K[None], view.width, view.height),
-            rasterize_mode=model.config.rasterize_mode,
+            **model.pixel_filter._asdict(),
         )
         sums.append(image.double().sum().item())
     return sums

@@ -54,8 +54,7 @@ class ExactImages:
 
     def render(self, splats: Splats, view: ViewTensors) -> Tensor:
         """The splats' image, [H, W, 3], not clamped from above."""
-        mode = self.model.config.rasterize_mode
-        return render_splats(splats, view, rasterize_mode=mode, background=self.background)
+        return render_splats(splats, view, pixel_filter=self.model.pixel_filter, background=self.background)
 
     @torch.no_grad()
     def mean_psnr(self, splats: Splats, views: Sequence[ViewTensors]) -> float:

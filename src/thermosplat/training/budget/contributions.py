@@ -92,7 +92,7 @@ def _weights_of_two(model: SceneModel, second: str, view: ViewTensors, signs: to
         gaussians.opacities_in(second).detach() if second in gaussians.second_opacities else None,
         colors,
         features,
-        rasterize_mode=model.config.rasterize_mode,
+        **model.pixel_filter._asdict(),
         **camera_arguments(model.seen(view)),
         deterministic=True,
     )
@@ -116,7 +116,7 @@ def _weights(model: SceneModel, spectrum: str, view: ViewTensors, signs: torch.G
         gaussians.opacities_in(spectrum).detach(),
         colors,
         packed=False,
-        rasterize_mode=model.config.rasterize_mode,
+        **model.pixel_filter._asdict(),
         **camera_arguments(model.seen(view)),
         deterministic=True,
     )

@@ -1,0 +1,29 @@
+"""Every render of a model widens footprints as the model was trained."""
+
+import pytest
+import torch
+
+from thermosplat.datasets.frame_tensors import frame_tensors
+from thermosplat.rasterizer import rasterization
+from thermosplat.scene.pixel_filter import PixelFilter
+from thermosplat.scene.views import camera_arguments
+from toy_scene import toy_capture, toy_config, toy_model
+
+
+@pytest.mark.parametrize("chosen", [PixelFilter(eps2d=0.05), PixelFilter("antialiased", 0.1)])
+def test_renders_are_those_of_the_rasterizer_with_the_same_arguments(chosen: PixelFilter) -> None:
+    """SH colours of a model without features, and depth."""
+    capture = toy_capture()
+    model = toy_model(toy_config(**chosen._asdict(), feature_dim=0), capture)
+    view = frame_tensors(capture.train[0], capture.scales, "cpu").views["rgb"]
+    gaussians = model.gaussians(model.set_of("rgb"))
+    arguments = {"packed": False, **camera_arguments(view), **chosen._asdict()}
+    shape = gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities
+    with torch.no_grad():
+        image, _, _ = rasterization(*shape, gaussians.sh_coeffs_of("rgb"), sh_degree=1, **arguments)
+        depth, _, _ = rasterization(*shape, gaussians.opacities[:, None], render_mode="ED", **arguments)
+        found = model.render({"rgb": view}, sh_degree=1).images["rgb"]
+        torch.testing.assert_close(found, image[0], rtol=0, atol=1e-6)
+        torch.testing.assert_close(model.render_depth("rgb", view), depth[0, ..., 0], rtol=0, atol=1e-6)
+        usual = toy_model(toy_config(feature_dim=0), capture)
+        assert (usual.render({"rgb": view}, sh_degree=1).images["rgb"] - found).abs().max() > 1e-3
