@@ -5,7 +5,7 @@
 
 One training, in windows of so many steps that take turns: without the viewer's hook; with it, and nobody watching; and
 with a viewer that wants a picture of a moving camera all the time, and encodes it as JPEG. Prints the steps per second
-of each, and what share of the speed watching takes: the median over the rounds. What follows ``--`` are flags of
+of each, and what share of the speed watching takes: the median over pairs of rounds. What follows ``--`` are flags of
 thermosplat-train. The browser and the connection are not in it. README.md says more.
 """
 
@@ -85,7 +85,8 @@ class Windows:
         if all(len(found) == self.rounds for found in self.seconds.values()):
             raise EnoughMeasured
         turn, place = divmod(done // self.window, len(KINDS))
-        self.kind = KINDS[place if turn % 2 == 0 else -1 - place]  # the scene grows: nobody is always the last
+        # the scene grows: two rounds together are as far along for each kind
+        self.kind = KINDS[place if turn % 2 == 0 else -1 - place]
         self._since = time.perf_counter()
 
 
@@ -126,9 +127,11 @@ def main() -> None:
     parser.add_argument("--size", default="640x360", help="of the pictures [px]")
     parser.add_argument("--warm-up", type=int, default=100, help="steps before the first window")
     parser.add_argument("--window", type=int, default=200, help="steps of a window")
-    parser.add_argument("--rounds", type=int, default=8, help="windows of each kind")
+    parser.add_argument("--rounds", type=int, default=8, help="windows of each kind, even")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(words)
+    if arguments.rounds < 2 or arguments.rounds % 2:
+        parser.error(f"--rounds must be even, got {arguments.rounds}: the second of two goes the other way round")
     width, _, height = arguments.size.partition("x")
     steps = arguments.warm_up + len(KINDS) * arguments.rounds * arguments.window + 1
     config = parse_train_arguments([arguments.data, "--device", arguments.device, "--max-steps", str(steps), *flags])
@@ -160,12 +163,15 @@ def main() -> None:
 
 
 def summary(windows: Windows, pictures: int) -> dict[str, Any]:
-    """Steps per second of each kind, and the median over the rounds of the share of the speed alone."""
-    alone = windows.seconds[KINDS[0]]
+    """Steps per second of each kind, and the median over pairs of rounds of the share of the speed alone."""
+    paired = {
+        kind: [sum(pair) for pair in zip(found[::2], found[1::2], strict=True)]
+        for kind, found in windows.seconds.items()
+    }
     report: dict[str, Any] = {
         kind: {
-            "steps_per_second": windows.window / median(found),
-            "share": median(one / other for one, other in zip(alone, found, strict=True)),
+            "steps_per_second": 2 * windows.window / median(paired[kind]),
+            "share": median(one / other for one, other in zip(paired[KINDS[0]], paired[kind], strict=True)),
             "seconds": found,
         }
         for kind, found in windows.seconds.items()

@@ -155,9 +155,10 @@ class DensificationConfig:
     position_noise: float = 5e5
     """MCMC: standard deviation of the noise on the means, times their learning rate and covariance, in scene extents.
     3DGS-MCMC, there in the capture's own units."""
-    sample_by: Literal["opacity", "gradient"] = "opacity"
+    sample_by: Literal["opacity", "gradient", "both"] = "opacity"
     """MCMC: Gaussians are doubled with a probability proportional to their larger opacity (3DGS-MCMC), or to the mean
-    gradient of means2d, of all spectra, that the default strategy compares with its threshold (open choice)."""
+    gradient of means2d, of all spectra, that the default strategy compares with its threshold (open choice), or half of
+    them by the one and half by the other."""
     start_step: int = 500
     """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
     stop_step: int = 15_000

@@ -136,6 +136,21 @@ def test_gradients_can_choose_who_is_doubled() -> None:
     assert strategy.grad_norm_sum.tolist() == [0.0] * 42
 
 
+def test_half_are_chosen_by_gradients() -> None:
+    """With sample_by both, half of the new ones come from the one that has a gradient, whatever its opacity."""
+    gaussians = random_gaussians(400)
+    with torch.no_grad():
+        gaussians.thermal_opacity_offsets.zero_()
+        gaussians.logit_opacities.fill_(1.0)
+        gaussians.logit_opacities[0] = -4.0
+    strategy = strategy_of(gaussians, sample_by="both", growth=1.0, max_gaussians=800)
+    strategy.grad_norm_sum[0], strategy.observations[0] = 3.0, 2.0
+    strategy.refine(gaussians, stepped_optimizers(gaussians), 601, torch.Generator().manual_seed(0))
+    assert len(gaussians) == 800
+    of_the_first = (gaussians.means[400:] == gaussians.means[0]).all(dim=1).sum()
+    assert 160 <= of_the_first <= 240  # of 400: half, within four deviations
+
+
 def test_nobody_moves_onto_the_dead() -> None:
     """However large the gradient of a dead Gaussian is, the living ones are moved to."""
     gaussians = random_gaussians(40)

@@ -37,7 +37,7 @@ class McmcStrategy(DefaultStrategy):
 
     @property
     def _by_gradient(self) -> bool:
-        return self.config.sample_by == "gradient"
+        return self.config.sample_by != "opacity"
 
     def resets_at(self, step: int) -> bool:
         """Never: what the images do not need fades by ``loss.opacity_reg``."""
@@ -129,8 +129,10 @@ class McmcStrategy(DefaultStrategy):
         opacities = gaussians.largest_opacities
         if not self._by_gradient:
             return opacities
-        # a trace of opacity keeps the sum of all weights above zero
-        return self.grad_norm_sum / self.observations.clamp(min=1.0) + 1e-12 * opacities
+        gradients = self.grad_norm_sum / self.observations.clamp(min=1.0)
+        if self.config.sample_by == "gradient":
+            return gradients + 1e-12 * opacities  # a trace of opacity keeps the sum of all weights above zero
+        return opacities / opacities.sum() + gradients / gradients.sum().clamp(min=1e-12)
 
 
 def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
