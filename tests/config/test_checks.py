@@ -63,7 +63,6 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ("auto_budget.feature_change", -1.0, "--auto-budget.feature-change must be at least 0"),
         ("densification.reset_opacity", 0.0, "--densification.reset-opacity must lie between 0 and 1"),
         ("densification.reset_opacity", 1.0, "--densification.reset-opacity must lie between 0 and 1"),
-        ("densification.strategy", "mcmc", "mcmc grows to a budget, and there is none"),
         ("densification.growth", -0.1, "--densification.growth must be at least 0"),
         ("densification.strategy", "decomposing", "needs a shared set whose second spectrum has an opacity of its own"),
         ("densification.off_opacity", 0.01, "--densification.off-opacity must lie between 0 and 1/255"),

@@ -146,7 +146,6 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     _check_camera_passes(config, name)
     _check_resolution(config, name)
     _check_decomposition(config, name)
-    _check_mcmc(config, name)
     if not all(0 < share < 1 for share in config.auto_budget.prune_at):
         shares = config.auto_budget.prune_at
         raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
@@ -242,17 +241,6 @@ def _check_decomposition(config: TrainConfig, name: Any) -> None:
             f"{name('densification.strategy')} decomposing compares directions, which "
             f"{name('densification.absgrad')} does not keep.",
             "Leave one of them out.",
-        )
-
-
-def _check_mcmc(config: TrainConfig, name: Any) -> None:
-    densification = config.densification
-    if densification.strategy != "mcmc":
-        return
-    if densification.max_gaussians is None:
-        raise UserError(
-            f"{name('densification.strategy')} mcmc grows to a budget, and there is none.",
-            f"Give {name('densification.max_gaussians')}, such as 1000000.",
         )
 
 

@@ -193,7 +193,8 @@ class DensificationConfig:
     reset_opacity: float = 0.01
     """Opacity after a reset, at most, of every spectrum. 3DGS (open choice: MMOne resets both)."""
     max_gaussians: int | None = None
-    """Growth stops at this count. None: no limit, as in 3DGS. The budget of the MCMC strategy, which needs one."""
+    """Growth stops at this count. None: no limit, as in 3DGS. The MCMC strategy needs one: with None it is one Gaussian
+    for each pixel of the largest training image, and 300,000 at least (open choice; gsplat has a million)."""
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ from thermosplat.training.budget.teacher import may_teach
 from thermosplat.training.camera_rounds import CameraRounds, finds_cameras, of_passes
 from thermosplat.training.captured_batches import CapturedBatches
 from thermosplat.training.captured_steps import CapturedSteps
+from thermosplat.training.density.gaussian_limit import with_limit
 from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.fast_decoders import fast_decoders
 from thermosplat.training.finite_guard import FiniteGuard
@@ -85,8 +86,8 @@ class Trainer:
         checkpoint: Checkpoint | None = None,
     ) -> None:
         self.asked = config
-        """The configuration as it was given and is kept; ``config`` is what it means in steps of batches."""
-        self.config = config = in_batches(config)
+        """The configuration as it was given and is kept; ``config`` is what it means for this capture and batches."""
+        self.config = config = with_limit(in_batches(config), capture)
         self.capture = capture
         self.run = run
         self.device = self._choose_device()

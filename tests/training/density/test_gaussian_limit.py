@@ -1,0 +1,33 @@
+"""The limit that MCMC takes from the images."""
+
+from dataclasses import replace
+
+import pytest
+
+from thermosplat.config import TrainConfig
+from thermosplat.config.files import load_config
+from thermosplat.training.density.gaussian_limit import LEAST, with_limit
+from toy_scene import toy_capture
+
+
+def limit(config: TrainConfig, width: int, height: int) -> int | None:
+    """The limit for a capture of which one photograph has this size."""
+    capture = toy_capture()
+    first, *others = capture.train
+    view = first.views["rgb"]
+    larger = replace(view, camera=view.camera.resized(width, height))
+    frames = (replace(first, views={**first.views, "rgb": larger}), *others)
+    return with_limit(config, replace(capture, train=frames)).densification.max_gaussians
+
+
+def test_one_for_each_pixel_of_the_largest_image() -> None:
+    """But not fewer than were tried."""
+    config = load_config("thermosplat_plus")
+    assert limit(config, 1280, 1024) == 1280 * 1024
+    assert limit(config, 64, 48) == LEAST
+
+
+@pytest.mark.parametrize(("preset", "expected"), [("thermosplat", None), ("thermosplat_fast", 150_000)])
+def test_what_has_its_own_limit_or_none_stays(preset: str, expected: int | None) -> None:
+    """The default strategy stops by itself, and numbers that are given are kept."""
+    assert limit(load_config(preset), 1280, 1024) == expected
