@@ -11,7 +11,7 @@ from thermosplat import UserError, rasterization
 
 CASES = [
     ("plain", {"absgrad": True}, 2, False),
-    ("plain", {"render_mode": "RGB+ED", "rasterize_mode": "antialiased"}, 3, False),
+    ("plain", {"render_mode": "RGB+ED", "rasterize_mode": "antialiased", "eps2d": 0.1}, 3, False),
     ("plain", {"channel_chunk": 2, "absgrad": True}, 3, True),
     ("rgbt", {"absgrad": True}, 2, False),
     ("rgbt", {"rasterize_mode": "antialiased"}, 3, True),
