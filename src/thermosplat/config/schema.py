@@ -194,7 +194,7 @@ class DensificationConfig:
     """Opacity after a reset, at most, of every spectrum. 3DGS (open choice: MMOne resets both)."""
     max_gaussians: int | None = None
     """Growth stops at this count. None: no limit, as in 3DGS. The MCMC strategy needs one: with None it is one Gaussian
-    for each pixel of the largest training image, and 300,000 at least (open choice; gsplat has a million)."""
+    for each pixel of the largest training image, from 300,000 to 3 million (open choice; gsplat has a million)."""
 
 
 @dataclass(frozen=True)

@@ -66,10 +66,16 @@ def scene_splats(
     return {
         name: (
             spectrum_splats(model, name, scales, colors=colors),
-            header_comments(model, name, scales[name], colors=colors),
+            [*header_comments(model, name, scales[name], colors=colors), *_about_footprints(model)],
         )
         for name in (model.spectra if spectra is None else spectra)
     }
+
+
+def _about_footprints(model: SceneModel) -> list[str]:
+    """What is to be known of splats that were not fitted to other viewers."""
+    eps2d = model.config.eps2d
+    return [] if eps2d == OTHERS.eps2d else [f"trained with eps2d {eps2d:g} px²: viewers with more blur small images"]
 
 
 def write_scene(
@@ -212,7 +218,4 @@ def header_comments(model: SceneModel, name: str, scale: PixelScale, *, colors: 
             comments.append(f"{name}_range unknown")
     if model.config.rasterize_mode == "antialiased":
         comments.append("trained with antialiased rasterization: view it with mip-splatting's filter")
-    eps2d = model.config.eps2d
-    if eps2d != OTHERS.eps2d:
-        comments.append(f"trained with eps2d {eps2d:g} px²: viewers with more blur small images")
     return comments

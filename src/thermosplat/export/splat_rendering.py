@@ -6,10 +6,20 @@ from torch import Tensor
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.export.splats import Splats
 from thermosplat.rasterizer import rasterization
+from thermosplat.scene.model import SceneModel
 from thermosplat.scene.pixel_filter import PixelFilter
 
 OTHERS = PixelFilter()
-"""What most other viewers do."""
+"""What most other viewers do with a footprint, whatever the scene was trained with."""
+
+
+def others_filter(model: SceneModel) -> PixelFilter:
+    """What other viewers do with a model's footprints: files can say that it was trained antialiased, and no more.
+
+    Args:
+        model: The trained scene.
+    """
+    return OTHERS._replace(rasterize_mode=model.config.rasterize_mode)
 
 
 def render_splats(

@@ -40,6 +40,14 @@ def test_the_numbers_are_those_of_the_images() -> None:
     assert fit.before == pytest.approx(expected, abs=1e-3)
 
 
+def test_narrow_footprints_are_fitted_to_viewers_that_widen_them() -> None:
+    """A model of narrow footprints whose decoder adds nothing: the fit alone brings others nearer to what it shows."""
+    views, capture = cameras("rgb")
+    model = toy_model(toy_config(decoder={"hybrid_bias": -20.0}, eps2d=0.01), capture)
+    fit = fit_splats(model, "rgb", capture.scales["rgb"], views, sh_degree=1, measured=views, passes=30)
+    assert fit.after > fit.before + 10.0
+
+
 def test_a_scalar_is_fitted_as_intensity() -> None:
     """With --colors scalar the splats are grey: the model's value, not its palette."""
     views, capture = cameras("thermal", "scalar")

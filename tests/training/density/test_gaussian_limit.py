@@ -6,7 +6,7 @@ import pytest
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import load_config
-from thermosplat.training.density.gaussian_limit import LEAST, with_limit
+from thermosplat.training.density.gaussian_limit import LEAST, MOST, with_limit
 from toy_scene import toy_capture
 
 
@@ -21,10 +21,11 @@ def limit(config: TrainConfig, width: int, height: int) -> int | None:
 
 
 def test_one_for_each_pixel_of_the_largest_image() -> None:
-    """But not fewer than were tried."""
+    """But not fewer than were tried, and not as many as a large photograph has pixels."""
     config = load_config("thermosplat_plus")
     assert limit(config, 1280, 1024) == 1280 * 1024
     assert limit(config, 64, 48) == LEAST
+    assert limit(config, 4000, 3000) == MOST
 
 
 @pytest.mark.parametrize(("preset", "expected"), [("thermosplat", None), ("thermosplat_fast", 150_000)])

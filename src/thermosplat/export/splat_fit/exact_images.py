@@ -8,7 +8,7 @@ from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.export.scene import Colors, decoded_features, shown_colors
-from thermosplat.export.splat_rendering import render_splats
+from thermosplat.export.splat_rendering import others_filter, render_splats
 from thermosplat.export.splats import Splats
 from thermosplat.image_quality.metrics import psnr
 from thermosplat.scene.model import SceneModel
@@ -53,8 +53,8 @@ class ExactImages:
         return shown_colors(exact, self.scale, self.colors)
 
     def render(self, splats: Splats, view: ViewTensors) -> Tensor:
-        """The splats' image, [H, W, 3], not clamped from above."""
-        return render_splats(splats, view, pixel_filter=self.model.pixel_filter, background=self.background)
+        """The splats' image as other viewers show it, [H, W, 3], not clamped from above."""
+        return render_splats(splats, view, pixel_filter=others_filter(self.model), background=self.background)
 
     @torch.no_grad()
     def mean_psnr(self, splats: Splats, views: Sequence[ViewTensors]) -> float:

@@ -7,13 +7,15 @@ from thermosplat.datasets.capture import Capture
 
 LEAST = 300_000
 """What images of 400x300 were tried with (benchmarks/records/thermosplat-plus-preset.md)."""
+MOST = 3_000_000
+"""About what 3DGS ends with for Mip-NeRF 360 in the mean: 734 MB of 236 bytes each. Kerbl et al. 2023, table 1."""
 
 
 def with_limit(config: TrainConfig, capture: Capture) -> TrainConfig:
     """The configuration with a limit for MCMC, which grows until there is one.
 
-    A limit that is given stays. Otherwise it is one Gaussian for each pixel of the largest training image, and
-    ``LEAST`` at least. For images of 1297x840 that is the million which gsplat's trainer has for Mip-NeRF 360.
+    A limit that is given stays. Otherwise it is one Gaussian for each pixel of the largest training image, from
+    ``LEAST`` to ``MOST``. For images of 1297x840 that is the million which gsplat's trainer has for Mip-NeRF 360.
 
     Args:
         config: The whole configuration.
@@ -23,5 +25,5 @@ def with_limit(config: TrainConfig, capture: Capture) -> TrainConfig:
     if densification.strategy != "mcmc" or densification.max_gaussians is not None:
         return config
     cameras = [view.camera for frame in capture.train for name, view in frame.views.items() if name in config.modelled]
-    limit = max([LEAST, *(camera.width * camera.height for camera in cameras)])
+    limit = min(max([LEAST, *(camera.width * camera.height for camera in cameras)]), MOST)
     return replace(config, densification=replace(densification, max_gaussians=limit))
