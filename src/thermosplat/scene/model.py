@@ -151,7 +151,7 @@ class SceneModel(nn.Module):
     @property
     def pixel_filter(self) -> PixelFilter:
         """How footprints are widened, in every render."""
-        return PixelFilter.of(self.config)
+        return PixelFilter(self.config.rasterize_mode, self.config.eps2d)
 
     # ---- rendering ---------------------------------------------------------------------------------------------------
 

@@ -1,9 +1,6 @@
 """How far a Gaussian's footprint is widened to the size of a pixel."""
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
-
-if TYPE_CHECKING:
-    from thermosplat.config import ModelConfig
+from typing import Literal, NamedTuple
 
 
 class PixelFilter(NamedTuple):
@@ -13,12 +10,3 @@ class PixelFilter(NamedTuple):
     """Antialiased: what is widened becomes fainter, so that its sum over the image stays. Mip-Splatting."""
     eps2d: float = 0.3
     """Added to the variances of a footprint along both axes of the image [px²]. 3DGS."""
-
-    @classmethod
-    def of(cls, config: "ModelConfig") -> "PixelFilter":
-        """The filter that a model is trained with.
-
-        Args:
-            config: Of the model.
-        """
-        return cls(config.rasterize_mode, config.eps2d)
