@@ -144,6 +144,25 @@ def test_frames_with_much_to_copy_are_plain(bench: Bench, device: torch.device) 
 
 
 @cpu
+def test_large_info_is_not_copied(bench: Bench, device: torch.device) -> None:
+    """The call is replayed where nobody holds the last one's info, or has read it; else it is plain."""
+    image_bytes = 4 * sum(image.numel() for image in bench.plain(**bench.scene(0))[:-1])
+    input_bytes = sum(value.nbytes for value in bench.scene(0).values() if isinstance(value, torch.Tensor))
+    bench.machine.most_copied = float(image_bytes + input_bytes + 1)
+    with torch.no_grad():
+        for seed in range(SEEN + 3):
+            bench.calls(**bench.scene(seed))
+        assert bench.calls.counts.replayed == 3
+        held = bench.calls(**bench.scene(5))[-1]
+        assert bench.calls.counts.replayed == 4
+        bench.calls(**bench.scene(6))
+        assert bench.calls.counts.replayed == 4
+        assert torch.equal(held["depths"], bench.plain(**bench.scene(5))[-1]["depths"])
+        bench.calls(**bench.scene(7))
+        assert bench.calls.counts.replayed == 5
+
+
+@cpu
 @pytest.mark.parametrize("options", [{"sparse_grad": True}, {"with_eval3d": True}])
 def test_arguments_that_are_never_replayed(bench: Bench, device: torch.device, options: dict[str, Any]) -> None:
     """Their calls are plain."""

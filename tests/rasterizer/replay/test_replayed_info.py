@@ -1,12 +1,13 @@
 """Entries of ``info`` are differentiable as a plain call's are, and read at any time."""
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 import torch
 
 from gaussian_scenes import relative_error
-from rasterizer_replays import Bench
+from rasterizer_replays import SEEN, Bench
 
 
 @pytest.mark.parametrize("key", ["depths", "conics", "opacities"])
@@ -55,6 +56,76 @@ def test_nonfinite_gaussians_are_counted(bench: Bench) -> None:
     bench.calls(**bench.scene(6))
     assert info["num_nonfinite"] == 2
     assert bench.calls.counts.replayed >= 1
+
+
+@pytest.mark.parametrize("with_gradients", [True, False])
+def test_entries_read_after_later_calls(either_bench: Bench, with_gradients: bool) -> None:
+    """Each info has its own call's values, whenever it is read, and whichever is read first."""
+    with torch.set_grad_enabled(with_gradients):
+        for seed in range(SEEN):
+            either_bench.calls(**either_bench.scene(seed))
+        scenes = [either_bench.scene(seed) for seed in range(10, 14)]
+        infos = []
+        for scene in scenes:
+            result = either_bench.calls(**scene)
+            if with_gradients:
+                result[0].sum().backward()
+            infos.append(result[-1])
+        assert either_bench.calls.counts.replayed == len(scenes)
+        for k in (1, 3, 0, 2):
+            truth = either_bench.plain(**scenes[k])[-1]
+            for key in ("means2d", "radii", "depths", "conics", "isect_ids", "tiles_per_gauss"):
+                assert torch.equal(infos[k][key], truth[key]), key
+
+
+def test_threads_read_while_others_render(bench: Bench) -> None:
+    """A reader gets its call's values, though the next replay writes where they lie."""
+    scenes = [bench.scene(seed) for seed in range(40)]
+    with torch.no_grad():
+        for scene in scenes[:SEEN]:
+            bench.calls(**scene)
+        truths = [bench.plain(**scene)[-1]["depths"] for scene in scenes]
+        with ThreadPoolExecutor(3) as pool:
+            read = [pool.submit(lambda info: info["depths"], bench.calls(**scene)[-1]) for scene in scenes]
+            assert all(torch.equal(one.result(), truth) for one, truth in zip(read, truths, strict=True))
+    assert bench.calls.counts.replayed == len(scenes)
+
+
+@pytest.mark.cuda
+def test_entries_read_on_another_stream() -> None:
+    """Its work comes after the copy, and the next replay after that."""
+    bench = Bench(torch.device("cuda"))
+    scenes = [bench.scene(seed, n=5000) for seed in range(SEEN + 6)]
+    other = torch.cuda.Stream()
+    with torch.no_grad():
+        truths = [bench.plain(**scene)[-1]["depths"].clone() for scene in scenes]
+        for scene in scenes[:SEEN]:
+            bench.calls(**scene)
+        for scene, truth in zip(scenes[SEEN:], truths[SEEN:], strict=True):
+            info = bench.calls(**scene)[-1]
+            other.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(other):
+                torch.cuda._sleep(1_000_000)
+                doubled = 2.0 * info["depths"]
+            del info
+            bench.calls(**scenes[0])
+            other.synchronize()
+            assert torch.equal(doubled, 2.0 * truth)
+    assert bench.calls.counts.replayed == 12
+
+
+@pytest.mark.cuda
+def test_first_read_inside_a_capture_is_refused() -> None:
+    """A copy would be recorded in place of being made."""
+    bench = Bench(torch.device("cuda"))
+    with torch.no_grad():
+        for seed in range(SEEN + 1):
+            info = bench.calls(**bench.scene(seed))[-1]
+        torch.cuda.synchronize()
+        with pytest.raises(RuntimeError, match="read for the first time"), torch.cuda.graph(torch.cuda.CUDAGraph()):
+            info["radii"]
+        torch.cuda.synchronize()
+        assert info["radii"].shape[-1] == 2
 
 
 def test_info_is_a_dictionary(bench: Bench) -> None:

@@ -1,12 +1,14 @@
 """One call in fixed memory: copy its tensors in, replay, and copy out what belongs to the caller.
 
-What a caller gets lies in memory of its own, so that the fixed memory is free for the next call as soon as nothing is
-left to be differentiated. Large tensors that lay in one place in all calls seen, as parameters do, are read where they
-lie; a call that brings them from elsewhere is another one (``is_at``).
+Images lie in memory of the caller's own, so that the fixed memory is free for the next call as soon as nothing is left
+to be differentiated. ``info`` is copied when it is read, or before the next replay if somebody still holds it. Large
+tensors that lay in one place in all calls seen, as parameters do, are read where they lie; a call that brings them from
+elsewhere is another one (``is_at``).
 """
 
 import threading
-from collections.abc import Sequence
+import weakref
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -15,7 +17,7 @@ from torch import Tensor
 from thermosplat.rasterizer.replay.cuda_graphs import Recorder, RoomForOne
 from thermosplat.rasterizer.replay.nodes import Blended, Lease, Projected
 from thermosplat.rasterizer.replay.recorded_call import EXTRA, GradientMemory, RecordedCall, Subject, images_of
-from thermosplat.rasterizer.replay.replayed_info import replayed_info
+from thermosplat.rasterizer.replay.replayed_info import WrittenInfo, replayed_info
 
 WARM_UPS = 2
 """Runs before anything is recorded, in which kernels are loaded."""
@@ -39,6 +41,8 @@ class CapturedCall:
     def __init__(self, subject: Subject, bound: Sequence[bool], most: tuple[int, int], recorder: Recorder) -> None:
         tensors = subject.call.tensors
         self.turns = threading.Lock()
+        self._stream = torch.cuda.current_stream(tensors[0].device) if tensors[0].is_cuda else None
+        self._last: Callable[[], WrittenInfo | None] = _nobody
         self._bound = [(i, tensors[i].data_ptr()) for i, read in enumerate(bound) if read]
         self._copied = [i for i, read in enumerate(bound) if not read]
         with torch.inference_mode(False), recorder.recording():
@@ -54,9 +58,8 @@ class CapturedCall:
             body = RecordedCall(subject, fixed, self.room, memory)
             written, self._forward = recorder.forward(body.forward, self.room)
             self.recorded = body.describe()
-            own = 1 + len({view.of for view in self.recorded.views})
-            self._own, self._block = written[:own], [one.view(torch.float32).view(-1) for one in written[own:]]
-            self._sizes = [len(one) for one in self._block]
+            owned = self.recorded.owned
+            self._own, self._of_info = written[:owned], [one.view(torch.float32).view(-1) for one in written[owned:]]
             self._to_images, self._to_mids = memory
             if True in self.recorded.differentiable:
                 self._from_blend, self._blend = recorder.backward(body.blend_backward)
@@ -70,6 +73,11 @@ class CapturedCall:
         """
         return all(tensors[i].data_ptr() == place and tensors[i].is_contiguous() for i, place in self._bound)
 
+    def info_is_held(self) -> bool:
+        """Whether somebody holds the last call's ``info`` and has not read it, so that a replay has to copy it."""
+        last = self._last()
+        return last is not None and not last.is_kept
+
     def render(self, subject: Subject, free: list["CapturedCall"]) -> Any:
         """The call's result, from a replay.
 
@@ -81,16 +89,21 @@ class CapturedCall:
             What the function returns; None where the pairs had no room, and then this is put nowhere.
         """
         tensors, recorded = subject.call.tensors, self.recorded
+        last = self._last()
+        if last is not None:
+            last.kept()
         with torch.no_grad():
             if self._inputs:
                 torch._foreach_copy_(self._inputs, [tensors[i] for i in self._copied])
             self._forward.replay()
-            means2d, *bases = own = [torch.empty_like(one) for one in self._own]
-            block = means2d.new_empty(sum(self._sizes)).split(self._sizes)
-            torch._foreach_copy_([*own, *block], [*self._own, *self._block])
-            images = images_of(recorded.views, bases)
+            own = [torch.empty_like(one) for one in self._own]
+            torch._foreach_copy_(own, self._own)
+            means2d = own.pop(0) if recorded.differentiated else None
+            images = images_of(recorded.views, own)
         if not self._forward.fits():
             return None
+        written = WrittenInfo(self._of_info, self._stream)
+        self._last = weakref.ref(written)
         if True in recorded.differentiable:
             lease = Lease(self, free, 2 if recorded.wanted else 1)
             edges: Sequence[Tensor] = ()
@@ -99,7 +112,7 @@ class CapturedCall:
             images = Blended.apply(lease, images, means2d, *edges, *[tensors[i] for i in recorded.behind])
         else:
             free.append(self)
-        info = replayed_info(recorded.layout, block, means2d, subject.with_tensors, tensors)
+        info = replayed_info(recorded.layout, written, means2d, subject.with_tensors, tensors)
         left = iter(images)
         result = [next(left) if given else None for given in recorded.given]
         for extra in left:
@@ -135,6 +148,10 @@ class CapturedCall:
         for i, gradient in zip(self.recorded.wanted, _copies(self._from_project), strict=True):
             found[i] = gradient
         return found
+
+
+def _nobody() -> None:
+    """Stands for info that nobody holds."""
 
 
 def _run(body: RecordedCall) -> None:

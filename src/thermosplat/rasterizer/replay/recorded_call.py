@@ -51,6 +51,10 @@ class ImageView(NamedTuple):
 class Recorded(NamedTuple):
     """What is the same in every replay."""
 
+    owned: int
+    """How many of the written tensors are copied by every replay: means2d if it is differentiated, and the images."""
+    differentiated: bool
+    """Whether anything needs a gradient."""
     moves: bool
     """Whether ``info["means2d"]`` needs a gradient."""
     edges: tuple[Tensor, ...]
@@ -97,7 +101,7 @@ class RecordedCall:
         self._wanted = tuple(i for i, needed in enumerate(needs) if needed and i not in subject.behind)
 
     def forward(self) -> list[Tensor]:
-        """Runs the call. Returns means2d, tensors that hold the images, and what ``info`` is made of."""
+        """Runs the call. Returns what it always copies, ``owned`` tensors, and then what ``info`` is made of."""
         scenes: list[ProjectedScene] = []
         with (
             torch.set_grad_enabled(self._recorded),
@@ -115,7 +119,7 @@ class RecordedCall:
         self._in_block = {
             name: tensor.detach().clone() if tensor.data_ptr() in given else tensor.detach().contiguous()
             for name, tensor in zip(InfoTensors._fields, shown, strict=True)
-            if name != "means2d" and tensor is not None
+            if tensor is not None and not (name == "means2d" and self._recorded)
         }
         self._seen = [image for image in self._images if image.requires_grad]
         scene = self._scene
@@ -124,12 +128,16 @@ class RecordedCall:
         if not self._memory.to_images:
             self._memory.to_images.extend(map(_zeros_like, self._seen))
             self._memory.to_mids.extend(map(_zeros_like, self._roots))
-        return [one.detach() for one in (scene.means2d, *bases, *self._in_block.values())]
+        copied = [scene.means2d, *bases] if self._recorded else bases
+        self._owned = len(copied)
+        return [one.detach() for one in (*copied, *self._in_block.values())]
 
     def describe(self) -> Recorded:
         """What is known once ``forward`` has run."""
         moves = self._scene.means2d.requires_grad
         return Recorded(
+            self._owned,
+            self._recorded,
             moves,
             tuple(self._memory.to_mids[1 if moves else 0 :]),
             self._wanted if self._roots else (),
@@ -143,7 +151,7 @@ class RecordedCall:
 
     def _layout(self) -> InfoLayout:
         scene, info = self._scene, self._result[-1]
-        keys = [key for key in info if key not in ("means2d", EXTRA)]
+        keys = [key for key in info if key != EXTRA and not (key == "means2d" and self._recorded)]
         entries = {
             "depths": scene.depths,
             "conics": scene.projected.roots,

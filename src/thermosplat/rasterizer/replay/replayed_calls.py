@@ -3,7 +3,7 @@
 A call whose signature (``call_signature``) was seen some times is captured, and replayed from then on. A signature has
 several captured calls where several renders are in flight, between forward and backward. Everything that a replay
 cannot do is done by the plain call: a new signature, a tensor that lies elsewhere, a frame whose pairs have no room,
-no captured call free, another thread that captures.
+no captured call free, large ``info`` of the last call that somebody holds, another thread that captures.
 """
 
 import functools
@@ -78,6 +78,7 @@ class _Signature:
             self.needed = PairCapacity(device)
         self.seen = 0
         self.refused = False
+        self.info_is_large = False
         self.places: list[int] = []
         self.moving: set[int] = set()
         self.free: list[CapturedCall] = []
@@ -148,6 +149,9 @@ class ReplayedCalls:
         if not captured.is_at(call.tensors):
             free.append(captured)
             return self._learned(call, arguments, options, moved=True)
+        if signature.info_is_large and captured.info_is_held():
+            free.append(captured)
+            return self._plain(arguments, options)
         result = captured.render(Subject(self._function, arguments, options, call, signature.behind), free)
         if result is None:
             self._counts[3] += 1
@@ -226,9 +230,11 @@ class ReplayedCalls:
         signature.seen = 0
         device, bound = signature.device, signature.bound(subject.call)
         differentiated = True in subject.call.needs
-        if _copied_bytes(subject.call, bound, result) > self._machine.copied_at_most(device, differentiated):
+        at_most = self._machine.copied_at_most(device, differentiated) - _copied_bytes(subject.call, bound, result)
+        if at_most < 0:
             signature.refused = True
             return
+        signature.info_is_large = _info_bytes(result) > at_most
         self._weigh(signature)
         before, _ = self._machine.memory(device)
         most = int(signature.needed.most.max()), int(signature.needed.most_listed.max())
@@ -268,17 +274,29 @@ class ReplayedCalls:
 
 
 def _copied_bytes(call: Call, bound: Sequence[bool], result: Any) -> int:
-    """Bytes that a replay copies: tensors in, images, what info is made of and gradients out."""
+    """Bytes that every replay copies: tensors in, images and gradients out."""
     *images, info = result
     count = sum(one.nbytes for one, read in zip(call.tensors, bound, strict=True) if not read)
     shown = sum(image.nbytes for image in images if image is not None)
-    gaussians = info["radii"].numel() // 2
-    count += shown + 44 * gaussians + 4 * len(info["flatten_ids"])  # a Gaussian's: means2d, radii, depth, root, ...
+    count += shown
     if True in call.needs:
-        # images' gradients; what passes from blending to projection, out and in; gradients of the tensors
+        # means2d; images' gradients; what passes from blending to projection, out and in; gradients of the tensors
+        gaussians = _gaussians(info)
+        count += 8 * gaussians
         count += shown + 2 * 4 * gaussians * (6 + sum(image.shape[-1] for image in images if image is not None))
         count += sum(one.nbytes for one, needed in zip(call.tensors, call.needs, strict=True) if needed)
     return count
+
+
+def _info_bytes(result: Any) -> int:
+    """Bytes that are copied where info is read, or held when the next call comes."""
+    info = result[-1]
+    return 44 * _gaussians(info) + 4 * len(info["flatten_ids"])  # a Gaussian's: means2d, radii, depth, root, ...
+
+
+def _gaussians(info: Mapping[str, Any]) -> int:
+    """Gaussians of all cameras together."""
+    return int(info["radii"].numel()) // 2
 
 
 _all: "weakref.WeakSet[ReplayedCalls]" = weakref.WeakSet()

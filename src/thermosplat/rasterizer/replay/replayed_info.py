@@ -1,9 +1,11 @@
 """``info`` of a replayed call: right whenever it is read, also after later calls.
 
-What a graph wrote was copied by the call, all in one block, of which tensors are made when they are read. Those that
-are differentiable in a plain call are here, too; their gradient is that of a plain call, made when it is asked for.
+What a graph wrote is copied, all in one block, when an entry is first read, or when the next call is about to write
+there. Info that nobody holds by then is never copied. Entries that are differentiable in a plain call are here, too;
+their gradient is that of a plain call, made when it is asked for.
 """
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -24,29 +26,93 @@ class InfoLayout(NamedTuple):
     constants: Mapping[str, Any]
     """Entries that are no tensors."""
     keys: tuple[str, ...]
-    """The others, without means2d."""
+    """The others, without a means2d that is differentiated."""
     size: TiledSize
     tensors: tuple[tuple[str, torch.Size, torch.dtype], ...]
-    """What lies in the block: fields of ``InfoTensors``, with shape and type."""
+    """What lies in the fixed memory: fields of ``InfoTensors``, with shape and type."""
     differentiable: frozenset[str]
     """Keys whose tensors need gradients in a plain call; means2d is a node's own."""
 
 
-class CopiedInfo:
+class WrittenInfo:
+    """What a replay wrote: in the fixed memory until that is needed again, then in a copy.
+
+    Args:
+        fixed: Parts in the layout's order, each flat float32, whose bits may be whole numbers.
+        stream: The stream of the replay; None on the CPU.
+    """
+
+    def __init__(self, fixed: Sequence[Tensor], stream: torch.cuda.Stream | None) -> None:
+        self._fixed: Sequence[Tensor] | None = fixed
+        self._stream = stream
+        self._copied: Sequence[Tensor] = ()
+        self._turn = threading.Lock()
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether it has been copied."""
+        return self._fixed is None
+
+    def kept(self) -> Sequence[Tensor]:
+        """The parts in memory of their own, copied once.
+
+        Raises:
+            RuntimeError: a CUDA graph is being captured, where nothing can be copied now.
+        """
+        with self._turn:
+            if self._fixed is not None:
+                self._copied, self._fixed = self._copy(self._fixed), None
+            return self._copied
+
+    def _copy(self, fixed: Sequence[Tensor]) -> Sequence[Tensor]:
+        if self._stream is None:
+            return _copied(fixed)
+        if torch.cuda.is_current_stream_capturing():
+            raise RuntimeError(
+                "info of a replayed call is read for the first time while a CUDA graph is captured, when nothing can "
+                "be copied. Read the entry before the capture begins, or render inside of it."
+            )
+        reader = torch.cuda.current_stream(self._stream.device)
+        if reader == self._stream:
+            return _copied(fixed)
+        with torch.cuda.stream(self._stream):  # whose next replay comes after the copy
+            copied = _copied(fixed)
+        reader.wait_stream(self._stream)
+        for part in copied:
+            part.record_stream(reader)
+        return copied
+
+
+def _copied(fixed: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Copies, all in one block."""
+    sizes = [len(one) for one in fixed]
+    with torch.inference_mode(False), torch.no_grad():
+        parts = fixed[0].new_empty(sum(sizes)).split(sizes)
+        torch._foreach_copy_(parts, list(fixed))
+    return parts
+
+
+class EntriesOfInfo:
     """Reads the entries of one call.
 
     Args:
         layout: Of the captured call.
-        parts: Of the block, in the layout's order, each flat float32, whose bits may be whole numbers.
-        means2d: [..., C, N, 2].
+        written: By the replay.
+        means2d: [..., C, N, 2], of a call that is differentiated; else it is among what was written.
         plain: The call without graphs.
         tensors: Of the call.
     """
 
     def __init__(
-        self, layout: InfoLayout, parts: Sequence[Tensor], means2d: Tensor, plain: Plain, tensors: Sequence[Tensor]
+        self,
+        layout: InfoLayout,
+        written: WrittenInfo,
+        means2d: Tensor | None,
+        plain: Plain,
+        tensors: Sequence[Tensor],
     ) -> None:
-        self._layout, self._parts, self._means2d, self._plain, self._tensors = layout, parts, means2d, plain, tensors
+        self._layout, self._written, self._means2d = layout, written, means2d
+        self._plain, self._tensors = plain, tensors
         self._made: RasterizationInfo | None = None
 
     def __call__(self, key: str) -> Any:
@@ -58,14 +124,16 @@ class CopiedInfo:
             return value[: int(self._tile_offsets[-1])]
         if key not in self._layout.differentiable:
             return value
+        node = None if self._means2d is None else self._means2d.grad_fn
         with torch.enable_grad():
-            return Recomputed.apply([value], key, self._plain, self._means2d.grad_fn, *self._tensors)
+            return Recomputed.apply([value], key, self._plain, node, *self._tensors)
 
     def _make(self) -> RasterizationInfo:
         fields: dict[str, Tensor | None] = dict.fromkeys(InfoTensors._fields)
-        for part, (name, shape, dtype) in zip(self._parts, self._layout.tensors, strict=True):
+        for part, (name, shape, dtype) in zip(self._written.kept(), self._layout.tensors, strict=True):
             fields[name] = part.view(dtype).view(shape)
-        fields["means2d"] = self._means2d
+        if self._means2d is not None:
+            fields["means2d"] = self._means2d
         roots = fields["roots"]
         if roots is not None:
             fields["roots"] = roots[..., :3]
@@ -79,11 +147,11 @@ class CopiedInfo:
 
 
 def replayed_info(
-    layout: InfoLayout, parts: Sequence[Tensor], means2d: Tensor, plain: Plain, tensors: Sequence[Tensor]
+    layout: InfoLayout, written: WrittenInfo, means2d: Tensor | None, plain: Plain, tensors: Sequence[Tensor]
 ) -> RasterizationInfo:
-    """The dictionary; arguments are those of ``CopiedInfo``."""
-    read = CopiedInfo(layout, parts, means2d, plain, tensors)
-    values = {**layout.constants, "means2d": means2d}
+    """The dictionary; arguments are those of ``EntriesOfInfo``."""
+    read = EntriesOfInfo(layout, written, means2d, plain, tensors)
+    values = dict(layout.constants) if means2d is None else {**layout.constants, "means2d": means2d}
     return RasterizationInfo(values, {key: partial(read, key) for key in layout.keys})
 
 
