@@ -165,6 +165,7 @@ def test_peers_take_turns_on_the_same_gaussians(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(gsplat, "rasterization", rasterization, raising=False)
     monkeypatch.setattr(gsplat, "spherical_harmonics", _plain_sh, raising=False)
     monkeypatch.setattr(strategy, "DefaultStrategy", object, raising=False)
+    monkeypatch.setattr(strategy, "MCMCStrategy", object, raising=False)
     monkeypatch.setitem(sys.modules, "gsplat", gsplat)
     monkeypatch.setitem(sys.modules, "gsplat.strategy", strategy)
     monkeypatch.setitem(sys.modules, "train_gsplat_peer", None)  # so that it goes when the test ends
