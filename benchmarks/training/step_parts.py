@@ -44,10 +44,33 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 REST = "rest"
 
+TORCH_FIRST: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("NCCL", ("nccl",)),
+    ("rows for ranks", ("gather_rows", "scatter_rows")),
+    ("sums in a row (torch)", ("at_cuda_detail", "tensor_kernel_scan")),  # the binning has sorts and sums of its own
+)
+TORCH_LAST: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("copies", ("Memcpy", "direct_copy", "CatArray", "_copy_kernel", "multi_tensor_apply")),
+    ("fills", ("Memset", "FillFunctor")),
+    ("places of rows", ("arange", "scatter_gather", "where_kernel", "CompareFunctor", "compare_scalar", "index")),
+    ("sums (torch)", ("reduce_kernel",)),
+    ("sums and products (torch)", ("elementwise_kernel",)),
+)
+"""What torch's own kernels do, before and after ``PARTS``."""
+
 
 def part_of(kernel: str) -> str:
     """The part that a kernel of that name belongs to."""
     return next((part for part, words in PARTS if any(word in kernel for word in words)), REST)
+
+
+def finer_part_of(kernel: str) -> str:
+    """The part that a kernel of that name belongs to, with exchanges and torch's own kernels told apart."""
+    for parts in (TORCH_FIRST, PARTS, TORCH_LAST):
+        for part, words in parts:
+            if any(word in kernel for word in words):
+                return part
+    return REST
 
 
 def profiled_steps(trainer: Trainer, steps: int) -> list[dict[str, Any]]:

@@ -120,7 +120,16 @@ def test_distributed_benchmark_runs(tmp_path: Path) -> None:
     alone, divided = json.loads(report.read_text())["rows"]
     assert alone["sent_mb"] == 0 < divided["sent_mb"]
     assert all(row["images_per_second"] > 0 < row["memory_gb"] for row in (alone, divided))
+    assert all(row["profiles"] == [] and not any(row["peaks"]) for row in (alone, divided))
     assert "| 500 | 2 |" in table.read_text()
+
+
+@pytest.mark.parametrize("flag", ["--profile", "--memory-peak"])
+def test_distributed_benchmark_looks_into_gpus_only(flag: str) -> None:
+    """What is read of CUDA alone is refused on the CPU, before anything is trained."""
+    done = run_script("bench_distributed.py", "--device", "cpu", flag)
+    assert done.returncode == 2
+    assert "they need --device cuda" in done.stderr
 
 
 def test_scaling_estimate_counts_bytes() -> None:
