@@ -28,7 +28,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
         "binning",
         ("count_tiles", "compact_gaussians", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan"),
     ),
-    ("exchange", ("gather_rows", "scatter_rows", "nccl", "Exchange")),  # of several ranks
+    ("exchange", ("gather_rows", "place_rows", "nccl", "Exchange")),  # of several ranks
     ("optimizer", ("adam", "Adam", "row_fetch")),
     ("bookkeeping", ("note_bad", "note_density", "note_pairs")),
     ("penalties, noise", ("gaussian_means", "join_moments", "take_spreads", "add_position_noise")),
@@ -46,7 +46,7 @@ REST = "rest"
 
 TORCH_FIRST: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("NCCL", ("nccl",)),
-    ("rows for ranks", ("gather_rows", "scatter_rows")),
+    ("rows for ranks", ("gather_rows", "place_rows")),
     ("sums in a row (torch)", ("at_cuda_detail", "tensor_kernel_scan")),  # the binning has sorts and sums of its own
 )
 TORCH_LAST: tuple[tuple[str, tuple[str, ...]], ...] = (

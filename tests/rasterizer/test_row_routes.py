@@ -15,7 +15,9 @@ def test_all_that_is_seen_leaves(tmp_path: Path) -> None:
     """One rank with three cameras: as many rows as each sees, places for the most that one sees."""
     with group(0, 1, str(tmp_path / "store")):
         route = route_of_seen(VISIBLE, [3])
-    assert [numbers.tolist() for _, numbers in route.departures()] == [[0, 2, 3], [], [10, 11, 12, 13, 14]]
+    departures = list(route.departures())
+    assert [numbers.tolist() for _, numbers, _ in departures] == [[0, 2, 3], [], [10, 11, 12, 13, 14]]
+    assert [places.tolist() for _, _, places in departures] == [[0, -1, 1, 2, -1], [-1] * 5, [0, 1, 2, 3, 4]]
     assert list(route.arrivals()) == [Arrival(0, slice(0, 3)), Arrival(0, slice(5, 5)), Arrival(0, slice(10, 15))]
     assert route.seen == 5
     assert not route.is_full
@@ -23,19 +25,22 @@ def test_all_that_is_seen_leaves(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("room", [2, 4, 7])
 def test_a_room_is_filled_from_its_beginning(tmp_path: Path, room: int) -> None:
-    """What finds no place is left out; a place that is left has the number behind the last row."""
+    """What finds no place is left out; a place that is left has no row."""
     with group(0, 1, str(tmp_path / "store")):
         route = route_in_room(VISIBLE, [3], room)
-    for camera, (_, numbers) in enumerate(route.departures()):
+    for camera, (_, numbers, places) in enumerate(route.departures()):
         seen = (VISIBLE[camera].nonzero().squeeze(1) + camera * 5).tolist()[:room]
-        assert numbers.tolist() == seen + [15] * (room - len(seen))
+        assert numbers.tolist() == seen + [-1] * (room - len(seen))
+        assert [place for place in places.tolist() if place >= 0] == list(range(len(seen)))
+        assert [camera * 5 + i for i, place in enumerate(places.tolist()) if place >= 0] == seen
     assert route.seen == room
     assert route.is_full
 
 
 def test_rows_of_one_camera_lie_together() -> None:
     """The first rank's before the second's, camera by camera."""
-    route = Route(0, torch.empty(0, dtype=torch.int64), [[4, 4], [4]], [[4, 2], [5, 3]], 9)
+    none = torch.empty(0, dtype=torch.int32)
+    route = Route(0, none, none, [[4, 4], [4]], [[4, 2], [5, 3]], 9)
     places = [(rank, where.start, where.stop) for rank, where in route.arrivals()]
     assert places == [(0, 0, 4), (0, 9, 11), (1, 4, 9), (1, 11, 14)]
     assert not route.is_full

@@ -9,7 +9,7 @@ from compilation_for_cuda import ARCHITECTURES, compile_all
 from warp_kernels.binning.pair_notes import note_pairs_kernel
 from warp_kernels.image_loss.image_loss import image_loss_kernels
 from warp_kernels.image_loss.image_loss_adjoint import image_loss_adjoint_kernel
-from warp_kernels.projection.row_copies import row_copy_kernels
+from warp_kernels.projection.row_copies import gather_rows_kernel, place_rows_kernel
 from warp_kernels.training.adam import adam_coefficients_kernel, adam_update_kernel
 from warp_kernels.training.covered_images import covering_kernels
 from warp_kernels.training.density_notes import density_kernel
@@ -26,8 +26,8 @@ from warp_kernels.training.small_products import small_product_kernels
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     """Adam, the finite check, what is noted of pairs, small products, rows copied by their numbers."""
     adam = [adam_coefficients_kernel, adam_update_kernel, row_adam_kernel, row_fetch_kernel]
-    others = [note_bad_kernel, note_pairs_kernel, *small_product_kernels(wp.float32), *row_copy_kernels(wp.float32)]
-    compile_all([*adam, *others], arch, tmp_path)
+    others = [note_bad_kernel, note_pairs_kernel, *small_product_kernels(wp.float32)]
+    compile_all([*adam, *others, gather_rows_kernel(wp.float32), place_rows_kernel], arch, tmp_path)
 
 
 @pytest.mark.slow

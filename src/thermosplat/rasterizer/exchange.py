@@ -9,7 +9,7 @@ What travels from a rank to a camera is one block, in which one tensor's rows fo
 straight into what is sent, and what arrives is copied whole. Rows for this rank's own cameras do not travel.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,9 +20,9 @@ from torch.autograd.function import once_differentiable
 
 from thermosplat.distributed.collectives import exchanged_rows
 from thermosplat.rasterizer.row_routes import Route
-from thermosplat.torch_bridge.arrays import kinds_of, view
+from thermosplat.torch_bridge.arrays import strided_view, view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.projection.row_copies import gather_rows, scatter_rows
+from warp_kernels.projection.row_copies import gather_rows
 
 
 @dataclass
@@ -41,7 +41,12 @@ class Exchange(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, route: Route, absolute: AbsoluteGradients, num_carried: int, *tensors: Tensor
+        ctx: Any,
+        route: Route,
+        absolute: AbsoluteGradients,
+        num_carried: int,
+        wider: Mapping[int, Tensor],
+        *tensors: Tensor,
     ) -> tuple[Tensor, ...]:
         """What arrives, each [C · seen, width]; rows that nothing arrives for are zero.
 
@@ -50,6 +55,8 @@ class Exchange(torch.autograd.Function):
             route: Which rows go where.
             absolute: Sums that travel back with the gradients.
             num_carried: The last tensors, so many, get no gradient.
+            wider: By the number of a tensor, the table whose first columns it is, [C_world · N, width + more]. All of
+                its columns travel. What arrives of them comes behind the tensors, in the order of their numbers.
             *tensors: [C_world · N, width] each, of one dtype.
         """
         ctx.route, ctx.absolute = route, absolute
@@ -57,27 +64,33 @@ class Exchange(torch.autograd.Function):
         ctx.num_carried = num_carried
         ctx.set_materialize_grads(False)
         make = tensors[0].new_empty if route.is_full else tensors[0].new_zeros
-        widths = [tensor.shape[1] for tensor in tensors]
+        tables = [wider.get(i, tensor) for i, tensor in enumerate(tensors)]
+        widths = [table.shape[1] for table in tables]
         parts = [make((route.num_places, width)) for width in widths]
         outgoing = parts[0].new_empty(sum(_numbers_of(route.sent, route.rank, widths)))
         leaving = _Blocks(outgoing, widths)
         here = (places for rank, places in route.arrivals() if rank == route.rank)
-        for rank, numbers in route.departures():
+        for rank, numbers, _ in route.departures():
             block = _rows(parts, next(here)) if rank == route.rank else leaving.next(len(numbers))
-            _gather(numbers, tensors, block)
+            _gather(numbers, tables, block)
         arriving = _Blocks(_exchanged(outgoing, route.sent, route.received, route.rank, widths), widths)
         for rank, places in route.arrivals():
             if rank != route.rank:
                 torch._foreach_copy_(_rows(parts, places), arriving.next(places.stop - places.start))
-        ctx.mark_non_differentiable(*parts[len(parts) - num_carried :])
-        return tuple(parts)
+        received = list(parts)
+        for i in wider:
+            received[i] = parts[i][:, : tensors[i].shape[1]]
+        whole = [parts[i] for i in sorted(wider)]
+        ctx.mark_non_differentiable(*received[len(parts) - num_carried :], *whole)
+        return *received, *whole
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Any, ...]:
         """Gradients to the rows, where they came from."""
         route, absolute = ctx.route, ctx.absolute
-        shapes, given = ctx.shapes[: -ctx.num_carried or None], list(gradients[: -ctx.num_carried or None])
+        shapes = ctx.shapes[: len(ctx.shapes) - ctx.num_carried]
+        given = list(gradients[: len(shapes)])
         like = absolute.shown
         if absolute.wanted:
             shapes = [*shapes, (absolute.shown.numel() // 2, 2)]
@@ -96,16 +109,17 @@ class Exchange(torch.autograd.Function):
             if rank != route.rank:
                 torch._foreach_copy_(leaving.next(places.stop - places.start), _rows(v_parts, places))
         arriving = _Blocks(_exchanged(outgoing, route.received, route.sent, route.rank, widths), widths)
-        found = [like.new_zeros(shape) for shape in shapes]
+        found = [like.new_empty(shape) for shape in shapes]
         here = (places for rank, places in route.arrivals() if rank == route.rank)
-        for rank, numbers in route.departures():
+        for camera, (rank, numbers, places) in enumerate(route.departures()):
             block = _rows(v_parts, next(here)) if rank == route.rank else arriving.next(len(numbers))
-            _scatter(numbers, block, found)
+            of_camera = slice(camera * len(places), (camera + 1) * len(places))
+            _gather(places, block, _rows(found, of_camera))
         if absolute.wanted:
             total = found.pop().reshape(absolute.shown.shape)
             earlier = getattr(absolute.shown, "absgrad", None)
             absolute.shown.absgrad = total if earlier is None else earlier + total
-        return None, None, None, *found, *(None for _ in range(ctx.num_carried))
+        return None, None, None, None, *found, *(None for _ in range(ctx.num_carried))
 
 
 class _Blocks:
@@ -151,17 +165,6 @@ def _rows(tensors: Sequence[Tensor], places: slice) -> list[Tensor]:
 
 def _gather(numbers: Tensor, tables: Sequence[Tensor], targets: Sequence[Tensor]) -> None:
     """Write rows of tables, [n, width] of each."""
-    kind = kinds_of(tables[0].dtype).scalar
     with launches_on_torch_stream(numbers.device):
         for table, target in zip(tables, targets, strict=True):
-            table = table.detach().contiguous()
-            gather_rows(view(numbers, wp.int64), view(table, kind, *table.shape), view(target, kind, *target.shape))
-
-
-def _scatter(numbers: Tensor, sources: Sequence[Tensor], tables: Sequence[Tensor]) -> None:
-    """Write rows, [n, width] each, to their places in tables."""
-    kind = kinds_of(tables[0].dtype).scalar
-    with launches_on_torch_stream(numbers.device):
-        for source, table in zip(sources, tables, strict=True):
-            source = source.contiguous()
-            scatter_rows(view(numbers, wp.int64), view(source, kind, *source.shape), view(table, kind, *table.shape))
+            gather_rows(view(numbers, wp.int32), strided_view(table.detach()), strided_view(target))

@@ -13,6 +13,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
+from thermosplat.errors import UserError
 from thermosplat.rasterizer.blending import BlendedTensors
 from thermosplat.rasterizer.cameras_of_ranks import CameraKind, cameras_of_ranks
 from thermosplat.rasterizer.exchange import AbsoluteGradients, Exchange
@@ -22,6 +23,9 @@ from thermosplat.rasterizer.pair_capacity import active_pair_capacity
 from thermosplat.rasterizer.projected_scene import ProjectedScene
 from thermosplat.rasterizer.projection import ProjectedTensors
 from thermosplat.rasterizer.row_routes import route_in_room, route_of_seen
+
+MOST_ROWS = 2**31
+"""Projected Gaussians are numbered with 32 bits."""
 
 MakeScene = Callable[[Tensor, Tensor, CameraKind, Lenses | None, slice], ProjectedScene]
 """Projects this rank's Gaussians to cameras: view matrices, intrinsics, of what kind, their lenses, which of all."""
@@ -59,6 +63,9 @@ class ExchangedScene(ProjectedScene):
         most_gaussians: Of the rank that has the most.
         width: Of this rank's images [px].
         height: Likewise.
+
+    Raises:
+        UserError: a rank's Gaussians before all cameras are too many to be numbered.
     """
 
     def __init__(
@@ -72,6 +79,11 @@ class ExchangedScene(ProjectedScene):
     ) -> None:
         first = parts[0]
         cameras, num_gaussians = counts[dist.get_rank()], first.settings.num_gaussians
+        if most_gaussians * len(sizes) >= MOST_ROWS:
+            raise UserError(
+                f"{most_gaussians:,} Gaussians on a rank before {len(sizes)} cameras are more than 2^31 projections.",
+                "Use more devices, or a smaller --batch-size.",
+            )
         self.tile_size, self.deterministic = first.tile_size, first.deterministic
         self._turns = threading.Lock()
         self._lists = None
@@ -91,7 +103,7 @@ class ExchangedScene(ProjectedScene):
         self._parts, self._sizes = parts, sizes
         self._inputs, self._harmonics, self._cameras = first._inputs, first._harmonics, first._cameras
 
-        visible = (self._own_radii > 0).all(dim=-1)
+        visible = torch.minimum(*self._own_radii.unbind(dim=-1)) > 0
         capacity = active_pair_capacity()
         room = None if capacity is None else capacity.room_for_rows()
         route = (
@@ -117,20 +129,21 @@ class ExchangedScene(ProjectedScene):
             differentiable.append(self._own_thermal)
         of_parts = zip(*(part.features for part in parts), strict=True)
         features = [flat[0] if len(flat) == 1 else torch.cat(flat) for flat in of_parts]
-        remainders = joined(lambda part: part.projected.packed_roots[..., 3])
         extents = joined(lambda part: part.projected.extents)
-        carried = [remainders, extents, _as_numbers(self._own_radii, self._own_means2d)]
+        carried = [extents, _as_numbers(self._own_radii, self._own_means2d)]
         rows = [_rows(tensor, num_gaussians * len(sizes)) for tensor in (*differentiable, *features, *carried)]
+        packed_roots = _rows(joined(lambda part: part.projected.packed_roots), num_gaussians * len(sizes))
         self._absolute = AbsoluteGradients(self._own_means2d)
         self.shown_means2d = self._absolute.received
-        received = list(Exchange.apply(route, self._absolute, len(carried), *rows))
+        wider = {2: packed_roots}  # of the roots
+        *received, packed_roots = Exchange.apply(route, self._absolute, len(carried), wider, *rows)
         for part in parts:
             part.features = []  # they were sent, and nothing reads them here again
         shape = (cameras, route.seen)
         means2d, depths, roots, opacities = received[:4]
         self.thermal_opacities = None if self._own_thermal is None else received[4].reshape(shape)
         self.features = received[len(differentiable) : -len(carried)]
-        of_roots, arrived_extents, radii = received[-len(carried) :]
+        arrived_extents, radii = received[-len(carried) :]
         self.means2d, self.depths = means2d.reshape(*shape, 2), depths.reshape(shape)
         self.opacities = opacities.reshape(shape)
         self.projected = ProjectedTensors(
@@ -140,7 +153,7 @@ class ExchangedScene(ProjectedScene):
             compensations=None,  # the opacities have them
             radii=_as_radii(radii).reshape(*shape, 2),
             extents=arrived_extents.reshape(*shape, 2),
-            packed_roots=torch.cat([roots.detach(), of_roots], dim=1).reshape(*shape, 4),
+            packed_roots=packed_roots.reshape(*shape, 4),
         )
         self._arrays = self.projected.arrays()
 

@@ -1,7 +1,7 @@
 """Which projected Gaussians go to which rank's cameras.
 
 Notation: W ranks with C_world cameras together, in the order of ranks; N Gaussians on this rank, which seen from all
-cameras have C_world · N rows; this rank has C cameras.
+cameras have C_world · N rows, fewer than 2^31; this rank has C cameras.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,9 +11,13 @@ from typing import NamedTuple
 
 import torch
 import torch.distributed as dist
+import warp as wp
 from torch import Tensor
 
 from thermosplat.distributed.collectives import tensors_of_all
+from thermosplat.torch_bridge.arrays import view
+from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.projection.row_copies import place_rows
 
 
 class Departure(NamedTuple):
@@ -22,7 +26,9 @@ class Departure(NamedTuple):
     rank: int
     """The camera's."""
     numbers: Tensor
-    """int64 [n], which of this rank's C_world · N rows. C_world · N itself: none, a row of zeros goes in its place."""
+    """int32 [n], which of this rank's C_world · N rows. -1: none, a row of zeros goes in its place."""
+    places: Tensor
+    """int32 [N], which of those n each of this rank's Gaussians is; -1: it does not leave."""
 
 
 class Arrival(NamedTuple):
@@ -41,7 +47,9 @@ class Route:
     rank: int
     """This one."""
     numbers: Tensor
-    """int64 [n], the rows that this rank sends, camera by camera. See ``Departure``."""
+    """int32 [n], the rows that this rank sends, camera by camera. See ``Departure``."""
+    places: Tensor
+    """int32 [C_world, N], where each of its rows is among those of its camera. See ``Departure``."""
     sent: list[list[int]]
     """Rows for each camera of each rank."""
     received: list[list[int]]
@@ -51,10 +59,10 @@ class Route:
 
     def departures(self) -> Iterator[Departure]:
         """What leaves, in the order of ranks and their cameras; this rank's own, too."""
-        start = 0
+        start, places = 0, iter(self.places)
         for rank, counts in enumerate(self.sent):
             for count in counts:
-                yield Departure(rank, self.numbers[start : start + count])
+                yield Departure(rank, self.numbers[start : start + count], next(places))
                 start += count
 
     def arrivals(self) -> Iterator[Arrival]:
@@ -89,7 +97,9 @@ def route_of_seen(visible: Tensor, cameras: Sequence[int]) -> Route:
     first, beyond = edges[rank]
     received = [of_rank[first:beyond] for of_rank in counts]
     seen = max((sum(of_camera) for of_camera in zip(*received, strict=True)), default=0)
-    return Route(rank, visible.flatten().nonzero().squeeze(1), sent, received, seen)
+    numbers = visible.flatten().nonzero().squeeze(1).int()
+    places = torch.where(visible, visible.cumsum(dim=1, dtype=torch.int32) - 1, -1)
+    return Route(rank, numbers, places, sent, received, seen)
 
 
 def route_in_room(visible: Tensor, cameras: Sequence[int], room: int) -> Route:
@@ -103,14 +113,12 @@ def route_in_room(visible: Tensor, cameras: Sequence[int], room: int) -> Route:
         room: Gaussians of a rank before a camera; the same number on every rank.
     """
     rank = dist.get_rank()
-    counts = visible.sum(dim=1)
-    before = counts.cumsum(0) - counts
     # summed as one long row: torch gives each row of a matrix to one block of threads
-    until = visible.flatten().cumsum(0).view(visible.shape)
-    places = until - before[:, None] - 1
-    places = torch.where(visible & (places < room), places, room)
-    every = torch.arange(visible.numel(), device=visible.device).view(visible.shape)
-    # what has no place is written behind the room, and cut off
-    numbers = torch.full((len(visible), room + 1), visible.numel(), device=visible.device).scatter_(1, places, every)
+    until = visible.flatten().cumsum(0, dtype=torch.int32)
+    numbers = until.new_full((len(visible) * room,), -1)
+    places = torch.empty_like(until)
+    with launches_on_torch_stream(until.device):
+        arrays = (view(tensor, wp.int32) for tensor in (numbers, places))
+        place_rows(view(until, wp.int32), visible.shape[1], room, *arrays)
     sent, received = [[room] * count for count in cameras], [[room] * cameras[rank] for _ in cameras]
-    return Route(rank, numbers[:, :room].flatten(), sent, received, len(cameras) * room)
+    return Route(rank, numbers, places.view(visible.shape), sent, received, len(cameras) * room)

@@ -30,6 +30,7 @@ from thermosplat.training.frames.resolution_schedule import image_factor
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
 from thermosplat.training.sharing.calls import Calls, render_with_others
+from thermosplat.training.sharing.taking_part import TakingPart
 from thermosplat.training.training_state import TrainingState
 
 
@@ -277,7 +278,7 @@ class TrainingStep:
         if part.calls is not None:
             # Every image takes part, so that every rank's backward pass makes the same exchanges.
             seen = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
-            losses[TAKING_PART] = torch.stack([image.sum() for image in seen]).sum() * 0.0
+            losses[TAKING_PART] = TakingPart.apply(*seen)
         return replace(compared, losses=losses)
 
     def _penalties_of_shares(self, names: Collection[str], weights: LossConfig) -> dict[str, Tensor]:

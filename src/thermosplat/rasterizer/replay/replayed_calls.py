@@ -51,6 +51,9 @@ NOTED = 256
 BOUND_BYTES = 2**20
 """Tensors from this size on are read where they lie if that is always the same place; smaller ones are copied."""
 
+COPY_EVERY = 16
+"""Replays from one copy of large info that somebody holds to the next; between them such a call is plain."""
+
 MEMORY_SHARE = 1 / 24
 """Part of the device's memory that the captured calls of a function may keep."""
 
@@ -79,6 +82,7 @@ class _Signature:
         self.seen = 0
         self.refused = False
         self.info_is_large = False
+        self.info_copied_at = -COPY_EVERY
         self.places: list[int] = []
         self.moving: set[int] = set()
         self.free: list[CapturedCall] = []
@@ -97,6 +101,13 @@ class _Signature:
     def bound(self, call: Call) -> list[bool]:
         """Which tensors are read where they lie."""
         return [one.nbytes >= BOUND_BYTES and i not in self.moving for i, one in enumerate(call.tensors)]
+
+    def may_copy_info(self) -> bool:
+        """Whether large info that is held is copied now, so that one who holds it for long holds no replays up."""
+        may = self.replays - self.info_copied_at >= COPY_EVERY
+        if may:
+            self.info_copied_at = self.replays
+        return may
 
     def drop(self) -> None:
         """Let go of what was captured; what is in flight goes when it is done."""
@@ -149,7 +160,7 @@ class ReplayedCalls:
         if not captured.is_at(call.tensors):
             free.append(captured)
             return self._learned(call, arguments, options, moved=True)
-        if signature.info_is_large and captured.info_is_held():
+        if signature.info_is_large and captured.info_is_held() and not signature.may_copy_info():
             free.append(captured)
             return self._plain(arguments, options)
         result = captured.render(Subject(self._function, arguments, options, call, signature.behind), free)
