@@ -33,7 +33,8 @@ def _taken(trainer: Trainer) -> Trainer:
 
 def _config(graph: bool, **changes: Any) -> Any:
     changes = {"batch_size": 2, "deterministic": True, "densification": DensificationConfig(enabled=False), **changes}
-    return dataclasses.replace(toy_run_config(2 * STEPS, **changes), device="cuda", graph=graph)
+    frames = STEPS * changes["batch_size"]  # the schedule counts frames
+    return dataclasses.replace(toy_run_config(frames, **changes), device="cuda", graph=graph)
 
 
 def _assert_alike(ours: dict[str, torch.Tensor], theirs: dict[str, torch.Tensor]) -> None:

@@ -1,9 +1,9 @@
 """thermosplat-train: from a capture to a trained scene, its numbers, pictures and files.
 
-thermosplat-train sample                  the capture that comes with the package, minutes on two CPU cores
-thermosplat-train data/shed               a capture of one's own
-thermosplat-train --resume results/shed/thermosplat   go on after an interruption
-thermosplat-train data/shed --devices 4   on four GPUs; torchrun -m thermosplat train ... on several hosts
+thermosplat-train sample                                  the capture that comes with the package, on two CPU cores
+thermosplat-train data/shed                               a capture of one's own
+thermosplat-train --resume results/shed/thermosplat_plus  go on after an interruption
+thermosplat-train data/shed --devices 4                   on four GPUs; torchrun -m thermosplat train ... on hosts
 """
 
 import contextlib

@@ -19,8 +19,8 @@ class ViewArguments:
     """Look at a trained scene in the browser: every spectrum, depth, errors, and temperatures under the cursor.
 
     Examples:
-      thermosplat-view results/shed/thermosplat
-      thermosplat-view results/shed/thermosplat/ckpts/step_030000.pt
+      thermosplat-view results/shed/thermosplat_plus
+      thermosplat-view results/shed/thermosplat_plus/ckpts/step_030000.pt
       thermosplat-view splat.ply
     """
 
