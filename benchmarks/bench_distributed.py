@@ -240,7 +240,8 @@ def markdown(rows: list[dict[str, Any]]) -> str:
 def details(rows: list[dict[str, Any]], number: int) -> str:
     """What was profiled for a row, beside one process where that was measured; nothing where it was not asked for."""
     found = rows[number]
-    title, ranks = f"{found['gaussians']:,} Gaussians, {found['ranks']} ranks", found["ranks"]
+    ranks = found["ranks"]
+    title = f"{found['gaussians']:,} Gaussians, {ranks} {'rank' if ranks == 1 else 'ranks'}"
     text = ""
     if found["profiles"]:
         alone = [row["profiles"][0] for row in rows if row["ranks"] == 1 and row["gaussians"] == found["gaussians"]]
