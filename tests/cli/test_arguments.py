@@ -32,7 +32,7 @@ def test_flags_override_the_preset() -> None:
 
 
 def test_sample_takes_the_demo_preset() -> None:
-    """The sample capture trains with the short schedule unless another preset is named; other data with our own best."""
+    """The sample capture trains with the short schedule unless a preset is named; other data with our own best."""
     assert parse_train_arguments(["sample"]) == replace(load_config("demo"), data="sample")
     assert parse_train_arguments(["sample", "--config", "thermosplat"]) == replace(TrainConfig(), data="sample")
     assert parse_train_arguments(["data/shed"]) == replace(load_config("thermosplat_plus"), data="data/shed")
