@@ -18,8 +18,8 @@ from thermosplat.config.files import files_from_anywhere, load_config
 from thermosplat.errors import UserError
 
 DEFAULT_PRESET = "thermosplat_plus"
-"""Ahead of the paper's or even in both spectra of every capture that was measured: repeated-trainings.md and low-light.md
-of benchmarks/records."""
+"""In both spectra ahead of the paper's or even, on every capture that was measured: repeated-trainings.md and
+low-light.md of benchmarks/records."""
 SAMPLE_PRESET = "demo"
 
 HELP_FLAGS = ("-h", "--help")
