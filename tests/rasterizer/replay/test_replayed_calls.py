@@ -52,6 +52,24 @@ def test_a_frame_without_room_is_rendered_plainly(either_bench: Bench) -> None:
     assert bench.calls.counts.replayed == 2
 
 
+def test_the_room_of_many_pairs_is_tight_until_it_was_too_small(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An eighth over what was seen; where views differ, half as much again, as few pairs have at once."""
+    for many, spares in ((10**9, (1.5, 1.5)), (1, (1.125, 1.5))):
+        monkeypatch.setattr(replayed_calls, "MANY_PAIRS", many)
+        bench.calls.clear()
+        for size, spare in zip((0.02, 3.0), spares, strict=True):
+            scene = bench.scene(3, n=900, width=120, height=90)
+            with torch.no_grad():
+                scene["scales"].mul_(size)
+            for _ in range(SEEN + 2):
+                assert torch.equal(bench.calls(**scene)[0], bench.plain(**scene)[0])
+            (signature,) = bench.calls._signatures.values()
+            captured = [one() for one in signature.captured]
+            assert [one.room.spare for one in captured if one is not None] == [spare]
+
+
 def test_threads_with_one_signature(bench: Bench) -> None:
     """Each gets its own images and gradients, whatever the others do."""
     scenes = [bench.scene(seed) for seed in range(6)]

@@ -46,6 +46,28 @@ def test_entries_read_after_the_leaves_changed(bench: Bench) -> None:
     assert bench.calls.counts.replayed == 1
 
 
+def test_opacities_are_the_callers(either_bench: Bench) -> None:
+    """As in a plain call: not copied, so that they change with them; copied where they are another tensor."""
+    either_bench.warmed_up()
+    for render in (either_bench.calls, either_bench.plain):
+        scene = either_bench.scene(5)
+        info = render(**scene)[-1]
+        keys = [key for key in info if key.endswith("opacities")]
+        assert len(keys) == 1 + either_bench.rgbt
+        for key in keys:
+            assert info[key].data_ptr() == scene[key].data_ptr()
+        with torch.no_grad():
+            scene["opacities"].mul_(0.5)
+            assert torch.equal(info["opacities"][0], scene["opacities"])
+    of_two = either_bench.scene(5, cameras=2)
+    for _ in range(SEEN + 1):
+        info = either_bench.calls(**of_two)[-1]
+        info["means2d"].sum().backward()
+    assert info["opacities"].shape == (2, 50)
+    assert torch.equal(info["opacities"][1], of_two["opacities"])
+    assert either_bench.calls.counts.replayed == 2
+
+
 def test_nonfinite_gaussians_are_counted(bench: Bench) -> None:
     """As in a plain call, of the caller's tensors."""
     bench.warmed_up()

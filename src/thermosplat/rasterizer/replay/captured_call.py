@@ -30,6 +30,7 @@ class CapturedCall:
         subject: The call; its tensors are not kept.
         bound: Which of them are read where they lie.
         most: Pairs, and Gaussians with pairs, that were seen at most.
+        spare: Room over them, as a factor.
         recorder: Records.
 
     Attributes:
@@ -38,7 +39,9 @@ class CapturedCall:
         recorded: What is the same in every replay.
     """
 
-    def __init__(self, subject: Subject, bound: Sequence[bool], most: tuple[int, int], recorder: Recorder) -> None:
+    def __init__(
+        self, subject: Subject, bound: Sequence[bool], most: tuple[int, int], spare: float, recorder: Recorder
+    ) -> None:
         tensors = subject.call.tensors
         self.turns = threading.Lock()
         self._stream = torch.cuda.current_stream(tensors[0].device) if tensors[0].is_cuda else None
@@ -46,13 +49,13 @@ class CapturedCall:
         self._bound = [(i, tensors[i].data_ptr()) for i, read in enumerate(bound) if read]
         self._copied = [i for i, read in enumerate(bound) if not read]
         with torch.inference_mode(False), recorder.recording():
-            self.room = RoomForOne(tensors[0].device, most)
+            self.room = RoomForOne(tensors[0].device, most, spare)
             fixed = [
                 one.detach() if read else one.detach().clone(memory_format=torch.contiguous_format)
                 for one, read in zip(tensors, bound, strict=True)
             ]
             self._inputs = [fixed[i] for i in self._copied]
-            memory = GradientMemory([], [])
+            memory = GradientMemory([], [], [])
             for _ in range(WARM_UPS):
                 _run(RecordedCall(subject, fixed, self.room, memory))
             body = RecordedCall(subject, fixed, self.room, memory)
@@ -60,7 +63,7 @@ class CapturedCall:
             self.recorded = body.describe()
             owned = self.recorded.owned
             self._own, self._of_info = written[:owned], [one.view(torch.float32).view(-1) for one in written[owned:]]
-            self._to_images, self._to_mids = memory
+            self._to_images, self._to_mids = memory.to_images, memory.to_mids
             if True in self.recorded.differentiable:
                 self._from_blend, self._blend = recorder.backward(body.blend_backward)
                 self._from_project, self._project = recorder.backward(body.project_backward)

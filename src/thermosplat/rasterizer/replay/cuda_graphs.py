@@ -24,10 +24,11 @@ class RoomForOne(PairCapacity):
     Args:
         device: Where the renderer runs.
         most: Pairs, and Gaussians with pairs, that were seen at most.
+        spare: Room over them, as a factor.
     """
 
-    def __init__(self, device: torch.device, most: tuple[int, int]) -> None:
-        super().__init__(device)
+    def __init__(self, device: torch.device, most: tuple[int, int], spare: float) -> None:
+        super().__init__(device, spare)
         self.most[0], self.most_listed[0] = most
         self.measure()
         self.after_note: Callable[[], None] = _nothing

@@ -58,7 +58,8 @@ class Recorded(NamedTuple):
     moves: bool
     """Whether ``info["means2d"]`` needs a gradient."""
     edges: tuple[Tensor, ...]
-    """Tensors like those that pass from the projection to the blending, too, and need one; fixed memory."""
+    """One tensor for all that passes from the projection to the blending, too, and needs a gradient, or none; fixed
+    memory of as many numbers as these have together. One gradient is copied where seven would be."""
     wanted: tuple[int, ...]
     """The tensors that the projection's half has gradients to."""
     behind: tuple[int, ...]
@@ -79,7 +80,9 @@ class GradientMemory(NamedTuple):
     to_images: list[Tensor]
     """Of the images that need gradients."""
     to_mids: list[Tensor]
-    """Of the mids without backgrounds, where the second half reads them."""
+    """Of means2d if it moves, and of the others without backgrounds, end to end; the second half reads them."""
+    parts: list[Tensor]
+    """The same in the shapes of the mids."""
 
 
 class RecordedCall:
@@ -115,11 +118,19 @@ class RecordedCall:
         bases: list[Tensor] = []
         self._views = tuple(_view(image, bases) for image in self._images)
         shown = self._scene.shown()._replace(roots=self._scene.projected.packed_roots)
+        fields = {
+            name: tensor
+            for name, tensor in zip(InfoTensors._fields, shown, strict=True)
+            if tensor is not None and not (name == "means2d" and self._recorded)
+        }
+        self._handed_on = {
+            name: (which, one.shape) for name, one in fields.items() if (which := self._leaf_of(one)) is not None
+        }
         given = {leaf.data_ptr() for leaf in self._leaves}  # what is read where it lies may be gone later
         self._in_block = {
             name: tensor.detach().clone() if tensor.data_ptr() in given else tensor.detach().contiguous()
-            for name, tensor in zip(InfoTensors._fields, shown, strict=True)
-            if tensor is not None and not (name == "means2d" and self._recorded)
+            for name, tensor in fields.items()
+            if name not in self._handed_on
         }
         self._seen = [image for image in self._images if image.requires_grad]
         scene = self._scene
@@ -127,10 +138,29 @@ class RecordedCall:
         self._roots = [one for one in (scene.means2d, *crossing) if one is not None and one.requires_grad]
         if not self._memory.to_images:
             self._memory.to_images.extend(map(_zeros_like, self._seen))
-            self._memory.to_mids.extend(map(_zeros_like, self._roots))
+            self._make_mids()
         copied = [scene.means2d, *bases] if self._recorded else bases
         self._owned = len(copied)
         return [one.detach() for one in (*copied, *self._in_block.values())]
+
+    def _leaf_of(self, entry: Tensor) -> int | None:
+        """Which of the call's tensors an entry of ``info`` is, as opacities are; None: it is another one."""
+        for which, leaf in enumerate(self._leaves):
+            if leaf.data_ptr() == entry.data_ptr() and leaf.numel() == entry.numel() and entry.is_contiguous():
+                return which
+        return None
+
+    def _make_mids(self) -> None:
+        """Fixed memory for gradients to the mids."""
+        to_mids, parts = self._memory.to_mids, self._memory.parts
+        crossing = list(self._roots)
+        if self._scene.means2d.requires_grad:
+            to_mids.append(_zeros_like(crossing.pop(0)))
+            parts.append(to_mids[0])
+        if crossing:
+            to_mids.append(crossing[0].new_zeros(sum(one.numel() for one in crossing)))
+            pieces = to_mids[-1].split([one.numel() for one in crossing])
+            parts.extend(piece.view(one.shape) for piece, one in zip(pieces, crossing, strict=True))
 
     def describe(self) -> Recorded:
         """What is known once ``forward`` has run."""
@@ -163,6 +193,7 @@ class RecordedCall:
             tuple(key for key in keys if key not in CONSTANT),
             scene.size,
             tuple((name, tensor.shape, tensor.dtype) for name, tensor in self._in_block.items()),
+            tuple((name, *of) for name, of in self._handed_on.items()),
             frozenset(key for key, one in entries.items() if one is not None and one.requires_grad),
         )
 
@@ -173,14 +204,23 @@ class RecordedCall:
             del means2d.absgrad
         mids = [*self._roots, *[self._leaves[i] for i in self._behind]]
         found = torch.autograd.grad(self._seen, mids, self._memory.to_images, retain_graph=True, allow_unused=True)
-        return [*[None if one is None else one.contiguous() for one in found], getattr(means2d, "absgrad", None)]
+        count, moves = len(self._roots), means2d.requires_grad
+        passed: list[Tensor | None] = [*found[:1]] if moves else []
+        crossing = list(zip(found[moves:count], self._memory.parts[moves:], strict=True))
+        if crossing:
+            filled = [torch.zeros_like(part) if one is None else one for one, part in crossing]
+            passed.append(torch.cat([one.flatten() for one in filled]))
+        return [
+            *[None if one is None else one.contiguous() for one in (*passed, *found[count:])],
+            getattr(means2d, "absgrad", None),
+        ]
 
     def project_backward(self) -> list[Tensor | None]:
         """From gradients to the mids to the call's tensors that are wanted."""
         inputs = [self._leaves[i] for i in self._wanted]
         if not inputs or not self._roots:
             return []
-        found = torch.autograd.grad(self._roots, inputs, self._memory.to_mids, retain_graph=True, allow_unused=True)
+        found = torch.autograd.grad(self._roots, inputs, self._memory.parts, retain_graph=True, allow_unused=True)
         return [None if one is None else one.contiguous() for one in found]
 
 

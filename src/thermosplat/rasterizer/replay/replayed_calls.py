@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
 
-from thermosplat.rasterizer.pair_capacity import PairCapacity
+from thermosplat.rasterizer.pair_capacity import SPARE, PairCapacity
 from thermosplat.rasterizer.replay.call_signature import (
     Call,
     call_of,
@@ -54,6 +54,12 @@ BOUND_BYTES = 2**20
 COPY_EVERY = 16
 """Replays from one copy of large info that somebody holds to the next; between them such a call is plain."""
 
+MANY_PAIRS = 2**20
+"""From so many pairs on the time of their sort counts, and it is of the whole room."""
+
+SPARE_OF_MANY = 1.125
+"""Room over so many pairs, as a factor, until a replay had more: then the views differ, and it is ``SPARE``."""
+
 MEMORY_SHARE = 1 / 24
 """Part of the device's memory that the captured calls of a function may keep."""
 
@@ -83,6 +89,7 @@ class _Signature:
         self.refused = False
         self.info_is_large = False
         self.info_copied_at = -COPY_EVERY
+        self.has_outgrown = False
         self.places: list[int] = []
         self.moving: set[int] = set()
         self.free: list[CapturedCall] = []
@@ -108,6 +115,14 @@ class _Signature:
         if may:
             self.info_copied_at = self.replays
         return may
+
+    def most(self) -> tuple[int, int]:
+        """Pairs, and Gaussians with pairs, that were seen at most."""
+        return int(self.needed.most.max()), int(self.needed.most_listed.max())
+
+    def spare(self, pairs: int) -> float:
+        """Room over so many pairs, as a factor."""
+        return SPARE if self.has_outgrown or pairs < MANY_PAIRS else SPARE_OF_MANY
 
     def drop(self) -> None:
         """Let go of what was captured; what is in flight goes when it is done."""
@@ -199,6 +214,7 @@ class ReplayedCalls:
                 return self._plain(arguments, options)
             if moved or outgrown is not None:
                 if outgrown is not None:
+                    signature.has_outgrown = True
                     torch.maximum(signature.needed.most, outgrown.room.most, out=signature.needed.most)
                     torch.maximum(
                         signature.needed.most_listed, outgrown.room.most_listed, out=signature.needed.most_listed
@@ -248,9 +264,9 @@ class ReplayedCalls:
         signature.info_is_large = _info_bytes(result) > at_most
         self._weigh(signature)
         before, _ = self._machine.memory(device)
-        most = int(signature.needed.most.max()), int(signature.needed.most_listed.max())
+        most = signature.most()
         try:
-            captured = CapturedCall(subject, bound, most, self._machine.recorder(device))
+            captured = CapturedCall(subject, bound, most, signature.spare(most[0]), self._machine.recorder(device))
         except Exception:
             _log.info("a call of %s cannot be captured", self._function.__name__, exc_info=True)
             signature.refused = True

@@ -30,6 +30,8 @@ class InfoLayout(NamedTuple):
     size: TiledSize
     tensors: tuple[tuple[str, torch.Size, torch.dtype], ...]
     """What lies in the fixed memory: fields of ``InfoTensors``, with shape and type."""
+    handed_on: tuple[tuple[str, int, torch.Size], ...]
+    """Fields that are one of the call's own tensors, as in a plain call: which one, and their shape."""
     differentiable: frozenset[str]
     """Keys whose tensors need gradients in a plain call; means2d is a node's own."""
 
@@ -132,6 +134,8 @@ class EntriesOfInfo:
         fields: dict[str, Tensor | None] = dict.fromkeys(InfoTensors._fields)
         for part, (name, shape, dtype) in zip(self._written.kept(), self._layout.tensors, strict=True):
             fields[name] = part.view(dtype).view(shape)
+        for name, which, shape in self._layout.handed_on:
+            fields[name] = self._tensors[which].detach().reshape(shape)
         if self._means2d is not None:
             fields["means2d"] = self._means2d
         roots = fields["roots"]
