@@ -8,7 +8,14 @@ import torch
 
 from capture_folders import HEIGHT, WIDTH, band16, spectra_with, temperatures, write_image, write_rgbt_scenes
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.frame_tensors import frame_tensors, packed, packed_elsewhere, place_in_frame
+from thermosplat.datasets.cameras import Camera
+from thermosplat.datasets.frame_tensors import (
+    frame_tensors,
+    packed,
+    packed_elsewhere,
+    place_in_frame,
+    with_unit_images,
+)
 from toy_scene import toy_capture
 
 
@@ -84,11 +91,14 @@ def test_a_frame_of_three_spectra(tmp_path):
     assert all(torch.equal(a, b) for a, b in zip(frame.packable(), tensors.packable(), strict=True))
 
 
-def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device) -> None:
+@pytest.mark.parametrize("as_bytes", [False, True])
+def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device, as_bytes: bool) -> None:
     """The same tensors in one memory, whose copy moves all of them, also of a frame without one of its views."""
     capture = load_capture(write_rgbt_scenes(tmp_path, raw=True))
     plain, other = (
-        replace(frame_tensors(frame, capture.scales, device), index=torch.tensor(index, device=device))
+        replace(
+            frame_tensors(frame, capture.scales, device, as_bytes=as_bytes), index=torch.tensor(index, device=device)
+        )
         for frame, index in zip(capture.train[:2], (3, 7), strict=True)
     )
     frame, next_frame = packed(plain), packed(other)
@@ -106,3 +116,19 @@ def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device) -> None:
         static.memory.copy_(next_frame.memory)
         assert all(torch.equal(a, b) for a, b in zip(static.packable(), expected.packable(), strict=True))
         assert static.index == 7
+
+
+def test_images_stay_bytes(device: torch.device) -> None:
+    """In a quarter of the memory, whatever their number; in [0, 1] they are what they are without that."""
+    image = np.arange(45, dtype=np.uint8).reshape(3, 5, 3)
+    capture = toy_capture(thermal=False)
+    view = replace(capture.train[0].views["rgb"], camera=Camera(5.0, 5.0, 2.5, 1.5, 5, 3), image=image)
+    frame = replace(capture.train[0], views={"rgb": view})
+    expected = frame_tensors(frame, capture.scales, device)
+    kept = packed(frame_tensors(frame, capture.scales, device, as_bytes=True))
+    assert kept.views["rgb"].image.tolist() == image.tolist()
+    assert len(kept.memory) == len(packed(expected).memory) - (48 - 16)
+    found = with_unit_images(packed_elsewhere(kept))
+    assert found.memory is None
+    assert torch.equal(found.views["rgb"].image, expected.views["rgb"].image)
+    assert with_unit_images(expected) is expected

@@ -78,7 +78,7 @@ def test_one_size_is_measured_once(recorded: Recorded) -> None:
     frames = TrainFrames(many_frames(toy_capture()), ("rgb", "thermal"), torch.device("cpu"))
     steps = CapturedSteps(recorded, num_frames=4)  # type: ignore[arg-type]
     for place in range(12):
-        with steps.run(frames[place % 4], kind_at(1.0)):
+        with steps.run(frames.at(place, lambda later: later % 4, 12), kind_at(1.0)):
             pass
     assert recorded.done.count("line by line") == 4
     assert recorded.done.count("captured") == 1

@@ -209,7 +209,7 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     captured.forget()
     kind = next(iter(captured._seen)).kind
     capacity = captured.step.capacity
-    frame = trainer.frames[0]
+    frame = trainer.frames.at(0, int, 1)
     capacity.measure()
     capacity._rooms = [dataclasses.replace(room, pairs=10) for room in capacity._rooms]
     capacity.measure = lambda: None  # type: ignore[method-assign]

@@ -26,7 +26,8 @@ class ViewTensors:
         K: [3, 3] float32 intrinsics [px].
         width: Image width [px].
         height: Image height [px].
-        image: [H, W, C] float32 in [0, 1]; None for a camera without an image (novel views).
+        image: [H, W, C] float32 in [0, 1], or uint8 as its file has it (``with_unit_images``); None for a camera
+            without an image (novel views).
         intensity: [H, W] float32 scalar intensity in [0, 1]; None of photographs.
         values: [H, W] float32 measured values in the unit of the spectrum's scale; of views that have them only.
         distortion: [2] float32, k1 and k2 of a lens that is no pinhole (``scene.lens_distortion``).
@@ -145,28 +146,40 @@ def _placed(frame: FrameTensors, memory: Tensor, place: Callable[[Tensor], Tenso
 
 def _part(memory: Tensor, start: int, like: Tensor) -> Tensor:
     """The part of a memory from a number on that holds a tensor of that shape and type."""
-    return memory[start : start + _numbers(like)].view(like.dtype).view(like.shape)
+    return memory[start : start + _numbers(like)].view(like.dtype)[: like.numel()].view(like.shape)
 
 
 def _numbers(tensor: Tensor) -> int:
-    """float32 numbers that take as many bytes."""
-    return tensor.numel() * tensor.element_size() // 4
+    """float32 numbers that have room for its bytes."""
+    return -(-tensor.numel() * tensor.element_size() // 4)
 
 
-def frame_tensors(frame: Frame, scales: Mapping[str, PixelScale], device: torch.device | str) -> FrameTensors:
+def frame_tensors(
+    frame: Frame, scales: Mapping[str, PixelScale], device: torch.device | str, *, as_bytes: bool = False
+) -> FrameTensors:
     """Put a frame on a device.
 
     Args:
         frame: The frame.
         scales: The capture's, by spectrum.
         device: Where the tensors go.
+        as_bytes: Images that are bytes stay bytes, in a quarter of the memory.
     """
-    views = {name: view_tensors(view, scales[name], device) for name, view in frame.views.items()}
+    views = {name: view_tensors(view, scales[name], device, as_bytes=as_bytes) for name, view in frame.views.items()}
     return FrameTensors(frame.name, views, frame.shared_cameras)
 
 
-def view_tensors(view: View, scale: PixelScale | None, device: torch.device | str) -> ViewTensors:
-    """Put a view on a device; with a scale also its scalar intensity (inverse palette, or the scalar itself)."""
+def view_tensors(
+    view: View, scale: PixelScale | None, device: torch.device | str, *, as_bytes: bool = False
+) -> ViewTensors:
+    """Put a view on a device; with a scale also its scalar intensity (inverse palette, or the scalar itself).
+
+    Args:
+        view: The view.
+        scale: What its pixels mean; None: no intensity is wanted.
+        device: Where the tensors go.
+        as_bytes: As of ``frame_tensors``.
+    """
     held = view.pixels()
     image = held.image
     unit = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
@@ -174,7 +187,7 @@ def view_tensors(view: View, scale: PixelScale | None, device: torch.device | st
     is_scalar = scale is not None and scale.kind != "photograph"
     return replace(
         without_pixels(view, device),
-        image=pixels,
+        image=torch.tensor(image, device=device) if as_bytes and image.dtype == np.uint8 else pixels,
         intensity=_intensity(image, pixels, scale) if scale is not None and is_scalar else None,
         values=None if held.values is None else torch.tensor(held.values, device=device),
     )
@@ -204,11 +217,28 @@ def with_pixels(camera: ViewTensors, image: Tensor, intensity: Tensor | None, sc
         intensity: float32 [H, W] of pseudo-colours; None of others.
         scale: What the pixels mean.
     """
-    if image.dtype == torch.uint8:  # by a tensor: CUDA multiplies by the inverse of a number
-        image = image / torch.full((), 255.0, dtype=torch.float32, device=image.device)
+    image = unit_image(image)
     if intensity is None and scale.kind != "photograph":
         intensity = pixel_intensity(image, scale)
     return replace(camera, image=image, intensity=intensity)
+
+
+def with_unit_images(frame: FrameTensors) -> FrameTensors:
+    """The frame with images in [0, 1] where they are bytes, the same as ``frame_tensors`` makes of them."""
+    as_bytes = {
+        name: replace(view, image=unit_image(view.image))
+        for name, view in frame.views.items()
+        if view.image is not None and view.image.dtype == torch.uint8
+    }
+    return replace(frame, views={**frame.views, **as_bytes}, memory=None) if as_bytes else frame
+
+
+def unit_image(image: Tensor) -> Tensor:
+    """float32 in [0, 1] of bytes; float32 stays as it is."""
+    if image.dtype != torch.uint8:
+        return image
+    # by a tensor: CUDA multiplies by the inverse of a number
+    return image / torch.full((), 255.0, dtype=torch.float32, device=image.device)
 
 
 def distortion_tensor(camera: Camera, device: torch.device | str) -> Tensor | None:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.config import LossConfig, TrainConfig
-from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.datasets.frame_tensors import FrameTensors, with_unit_images
 from thermosplat.errors import UserError
 from thermosplat.losses.feature_norm import feature_norm_loss
 from thermosplat.losses.gaussian_penalties import gaussian_penalties
@@ -195,6 +195,7 @@ class TrainingStep:
             UserError: If no loss has a weight.
         """
         state = self.state
+        frame = with_unit_images(frame)
         if state.corrections is not None and frame.index is not None:
             with torch.set_grad_enabled(kind.refining):
                 frame = state.corrections(frame)

@@ -8,7 +8,7 @@ import torch
 
 from capture_folders import rgb_image, spectra_with, write_image, write_rgbt_scenes
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.frame_tensors import FrameTensors, packed_memory
+from thermosplat.datasets.frame_tensors import FrameTensors, packed, packed_memory
 from thermosplat.datasets.stored_pixels import ImageLostError
 from thermosplat.training.frames.frames_from_disk import COPIED_AHEAD
 from thermosplat.training.frames.train_frames import TrainFrames
@@ -45,7 +45,7 @@ def assert_same(found: FrameTensors, expected: FrameTensors) -> None:
         assert torch.equal(view.viewmat, expected.views[name].viewmat)
     # on a GPU the inverse of a palette is rounded otherwise than here
     tolerance = 0.0 if found.index.device.type == "cpu" else 1e-5
-    torch.testing.assert_close(packed_memory(found), packed_memory(expected), rtol=0, atol=tolerance)
+    torch.testing.assert_close(packed_memory(found), packed_memory(packed(expected)), rtol=0, atol=tolerance)
 
 
 def test_in_the_order_of_the_steps(both: tuple[TrainFrames, TrainFrames]) -> None:

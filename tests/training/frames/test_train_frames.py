@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 import torch
 
+from thermosplat.datasets.frame_tensors import frame_tensors, with_unit_images
 from thermosplat.errors import UserError
 from thermosplat.training.frames import train_frames
 from thermosplat.training.frames.train_frames import TrainFrames
@@ -37,16 +38,35 @@ def test_frames_hold_what_is_modelled() -> None:
     assert list(capture.train[0].views) == ["rgb", "thermal", "nir", "red"]
 
 
-@pytest.mark.parametrize(("free_bytes", "kept"), [(10**9, 4), (0, 0), (4 * 30_000, 2)])
+@pytest.mark.parametrize(("free_bytes", "kept"), [(10**9, 4), (0, 0), (4 * 15_000, 2)])
 def test_cache_ends_with_its_budget(monkeypatch: pytest.MonkeyPatch, free_bytes: int, kept: int) -> None:
     """A quarter of the free memory is filled; frames beyond are made anew and are the same."""
     monkeypatch.setattr(train_frames, "_free_bytes", lambda device: free_bytes)
-    frames = TrainFrames(many_frames(toy_capture()), ("rgb", "thermal"), CPU)  # 24x18 pixels of 3 + 3 + 1 + 1 floats
-    first = [frames[index] for index in range(4)]
-    again = [frames[index] for index in range(4)]
+    # 24x18 pixels of 3 + 3 bytes and 1 + 1 floats
+    frames = TrainFrames(many_frames(toy_capture()), ("rgb", "thermal"), CPU)
+    first = [frames.at(place, int, 4) for place in range(4)]
+    again = [frames.at(place, int, 4) for place in range(4)]
     assert sum(one is other for one, other in zip(first, again)) == kept
     for one, other in zip(first, again):
-        assert torch.equal(one.views["rgb"].image, other.views["rgb"].image)
+        assert all(torch.equal(a, b) for a, b in zip(one.packable(), other.packable(), strict=True))
+
+
+def test_images_are_kept_as_bytes() -> None:
+    """Those of files that hold bytes; in [0, 1] they are what they would be without that, to the bit."""
+    capture = many_frames(toy_capture(thermal_kind="scalar"))
+    frames = TrainFrames(capture, ("rgb", "thermal"), CPU)
+    kept = frames.at(1, int, 4)
+    assert {name: view.image.dtype for name, view in kept.views.items()} == {
+        "rgb": torch.uint8,
+        "thermal": torch.float32,
+    }
+    expected = frame_tensors(capture.train[1], capture.scales, CPU)
+    for found in (frames[1], with_unit_images(kept)):
+        assert found.memory is None
+        for name, view in expected.views.items():
+            assert torch.equal(found.views[name].image, view.image)
+        assert torch.equal(found.views["thermal"].intensity, expected.views["thermal"].intensity)
+    assert with_unit_images(expected) is expected
 
 
 def test_free_memory_is_known() -> None:

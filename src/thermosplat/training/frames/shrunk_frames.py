@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.capture import View
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, packed, readout_tensor
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, packed, readout_tensor, with_unit_images
 from thermosplat.datasets.lens import shrunk
 from thermosplat.training.frames.train_frames import TrainFrames, frame_bytes
 
@@ -49,7 +49,8 @@ class ShrunkFrames:
         index = order(place)
         if index in self._kept:
             return self._kept[index]
-        frame = shrunk_frame(self._frames.at(place, order, end), self._frames.frames[index].views, factor)
+        full = with_unit_images(self._frames.at(place, order, end))
+        frame = shrunk_frame(full, self._frames.frames[index].views, factor)
         if self._frames.from_disk is None and self._frames.reserve(frame_bytes(frame)):
             self._kept[index] = frame
         return frame

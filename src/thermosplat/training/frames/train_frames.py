@@ -1,6 +1,7 @@
 """The training frames as tensors: kept on the device as far as memory allows, or read from the disk ahead of the steps.
 
-What a frame holds is the same either way, to the bit on the CPU.
+What a frame holds is the same either way, to the bit on the CPU. On the device images stay the bytes that their files
+have, in a quarter of the memory.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -17,6 +18,7 @@ from thermosplat.datasets.frame_tensors import (
     ViewTensors,
     frame_tensors,
     packed,
+    with_unit_images,
 )
 from thermosplat.errors import UserError
 from thermosplat.refinement.camera_corrections import CameraCorrections
@@ -59,13 +61,16 @@ class TrainFrames:
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> FrameTensors:
-        """Tensors of a frame; made again each time once the memory for them is full."""
-        if self.from_disk is not None:
-            return self.from_disk[index]
+        """Tensors of a frame."""
+        return self.from_disk[index] if self.from_disk is not None else with_unit_images(self._kept(index))
+
+    def _kept(self, index: int) -> FrameTensors:
+        """A frame whose images may be bytes, packed; made again each time once the memory for frames is full."""
         if index in self._cache:
             return self._cache[index]
         place = torch.tensor(index, device=self.device)
-        frame = packed(replace(frame_tensors(self.frames[index], self.scales, self.device), index=place))
+        tensors = frame_tensors(self.frames[index], self.scales, self.device, as_bytes=True)
+        frame = packed(replace(tensors, index=place))
         if self.reserve(frame_bytes(frame)):
             self._cache[index] = frame
         return frame
@@ -78,14 +83,14 @@ class TrainFrames:
         return True
 
     def at(self, place: int, order: Callable[[int], int], end: int) -> FrameTensors:
-        """Tensors of the frame at a place of an order.
+        """Packed tensors of the frame at a place of an order. Images may be bytes, which a step makes floats of.
 
         Args:
             place: The place.
             order: Index of the frame at each place.
             end: One beyond the last place.
         """
-        return self[order(place)] if self.from_disk is None else self.from_disk.at(place, order, end)
+        return self._kept(order(place)) if self.from_disk is None else self.from_disk.at(place, order, end)
 
     def close(self) -> None:
         """End what reads ahead; a later call of ``at`` begins again."""
