@@ -181,14 +181,15 @@ def view_tensors(
         as_bytes: As of ``frame_tensors``.
     """
     held = view.pixels()
-    image = held.image
-    unit = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
-    pixels = torch.tensor(unit, device=device)
+    stored = held.image if held.image.dtype == np.uint8 else held.image.astype(np.float32)
+    image = torch.tensor(stored, device=device)
+    if not as_bytes:
+        image = unit_image(image)
     is_scalar = scale is not None and scale.kind != "photograph"
     return replace(
         without_pixels(view, device),
-        image=torch.tensor(image, device=device) if as_bytes and image.dtype == np.uint8 else pixels,
-        intensity=_intensity(image, pixels, scale) if scale is not None and is_scalar else None,
+        image=image,
+        intensity=_intensity(held.image, unit_image(image), scale) if scale is not None and is_scalar else None,
         values=None if held.values is None else torch.tensor(held.values, device=device),
     )
 
