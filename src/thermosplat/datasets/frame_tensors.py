@@ -210,7 +210,7 @@ def without_pixels(view: View, device: torch.device | str) -> ViewTensors:
 
 
 def with_pixels(camera: ViewTensors, image: Tensor, intensity: Tensor | None, scale: PixelScale) -> ViewTensors:
-    """A view with pixels as they are stored, the same as ``view_tensors`` makes of them.
+    """A view with pixels as they are stored, the same as ``view_tensors`` makes of them ``as_bytes``.
 
     Args:
         camera: The view without pixels.
@@ -218,9 +218,8 @@ def with_pixels(camera: ViewTensors, image: Tensor, intensity: Tensor | None, sc
         intensity: float32 [H, W] of pseudo-colours; None of others.
         scale: What the pixels mean.
     """
-    image = unit_image(image)
     if intensity is None and scale.kind != "photograph":
-        intensity = pixel_intensity(image, scale)
+        intensity = pixel_intensity(unit_image(image), scale)
     return replace(camera, image=image, intensity=intensity)
 
 

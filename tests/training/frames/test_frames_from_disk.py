@@ -8,7 +8,7 @@ import torch
 
 from capture_folders import rgb_image, spectra_with, write_image, write_rgbt_scenes
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.frame_tensors import FrameTensors, packed, packed_memory
+from thermosplat.datasets.frame_tensors import FrameTensors, with_unit_images
 from thermosplat.datasets.stored_pixels import ImageLostError
 from thermosplat.training.frames.frames_from_disk import COPIED_AHEAD
 from thermosplat.training.frames.train_frames import TrainFrames
@@ -37,6 +37,8 @@ def both(request: pytest.FixtureRequest, root: Path, device: torch.device) -> It
 
 
 def assert_same(found: FrameTensors, expected: FrameTensors) -> None:
+    """Images of either may be bytes."""
+    found, expected = with_unit_images(found), with_unit_images(expected)
     assert found.name == expected.name
     assert found.shared_cameras == expected.shared_cameras
     assert found.index == expected.index
@@ -45,7 +47,7 @@ def assert_same(found: FrameTensors, expected: FrameTensors) -> None:
         assert torch.equal(view.viewmat, expected.views[name].viewmat)
     # on a GPU the inverse of a palette is rounded otherwise than here
     tolerance = 0.0 if found.index.device.type == "cpu" else 1e-5
-    torch.testing.assert_close(packed_memory(found), packed_memory(packed(expected)), rtol=0, atol=tolerance)
+    torch.testing.assert_close(found.packable(), expected.packable(), rtol=0, atol=tolerance)
 
 
 def test_in_the_order_of_the_steps(both: tuple[TrainFrames, TrainFrames]) -> None:
@@ -68,7 +70,7 @@ def test_while_the_device_is_late(both: tuple[TrainFrames, TrainFrames], device:
     for place, index in enumerate(order):
         for _ in range(20):
             ballast = ballast @ ballast * 1e-6  # what a step takes
-        found = read.at(place, order.__getitem__, len(order))
+        found = with_unit_images(read.at(place, order.__getitem__, len(order)))
         sums.append((found.views["rgb"].image * (1 + place)).double().sum() + 0 * ballast[0, 0].double())
         wanted.append((expected[index] * (1 + place)).double().sum())
     assert torch.stack(sums).tolist() == torch.stack(wanted).tolist()

@@ -20,7 +20,7 @@ COPIED_AHEAD = 3
 
 
 class FramesFromDisk:
-    """The frames, each made when it is asked for.
+    """The frames, each made when it is asked for. Images that are bytes stay bytes (``with_unit_images``).
 
     Args:
         frames: The frames.

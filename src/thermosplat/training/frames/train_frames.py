@@ -56,13 +56,12 @@ class TrainFrames:
         return len(self.frames)
 
     def __iter__(self) -> Iterator[FrameTensors]:
-        if self.from_disk is not None:
-            return self.from_disk.each()
-        return (self[index] for index in range(len(self)))
+        frames = map(self._kept, range(len(self))) if self.from_disk is None else self.from_disk.each()
+        return map(with_unit_images, frames)
 
     def __getitem__(self, index: int) -> FrameTensors:
         """Tensors of a frame."""
-        return self.from_disk[index] if self.from_disk is not None else with_unit_images(self._kept(index))
+        return with_unit_images(self._kept(index) if self.from_disk is None else self.from_disk[index])
 
     def _kept(self, index: int) -> FrameTensors:
         """A frame whose images may be bytes, packed; made again each time once the memory for frames is full."""
