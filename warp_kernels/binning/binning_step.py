@@ -71,14 +71,9 @@ def bin_tiles(
     Raises:
         TooManyPairsError: for more pairs, or room for more, than ``PAIRS_MAX``, or more tiles than ``TILES_MAX``.
     """
-    tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)
-    grid = _Grid(settings, tile_size, tiles_x, tiles_y, settings.num_images * tiles_x * tiles_y)
-    if grid.num_tiles > TILES_MAX:
-        raise TooManyPairsError(f"{grid.num_tiles:,} tiles of {tile_size} px exceed the {TILES_MAX:,} of one call.")
-    if room is not None:
-        grid.check(room.pairs)
-    nearest_first = _sort_gaussians(projected, opacities, thermal_opacities, (features, rest), grid, room)
-    return _list_pairs(projected, opacities, thermal_opacities, nearest_first, grid, by_slot, room)
+    drawn = (projected, opacities, thermal_opacities)
+    nearest_first = sort_gaussians(*drawn, features, settings, tile_size, rest=rest, room=room)
+    return list_pairs(*drawn, nearest_first, by_slot=by_slot, room=room)
 
 
 class _Grid(NamedTuple):
@@ -102,9 +97,10 @@ class _Grid(NamedTuple):
             raise TooManyPairsError(message)
 
 
-class _SortedGaussians(NamedTuple):
+class SortedGaussians(NamedTuple):
     """The Gaussians of all images, nearest first: those that touch a tile, or all where there are few."""
 
+    grid: _Grid
     order: wp.array
     """Flat index of each, int32 [ranks]."""
     pair_ends: wp.array
@@ -118,15 +114,43 @@ class _SortedGaussians(NamedTuple):
     """Where some Gaussians were left out: running sums of pairs and Gaussians, a warp of Gaussians an entry."""
 
 
-def _sort_gaussians(
+def sort_gaussians(
     projected: ProjectedArrays,
     opacities: wp.array,
     thermal_opacities: wp.array,
-    features: tuple[wp.array, wp.array | None],
-    grid: _Grid,
-    room: Room | None,
-) -> _SortedGaussians:
-    """Counts the tiles of each Gaussian, leaves out those without (if there are many), and sorts by depth."""
+    features: wp.array,
+    settings: ProjectionSettings,
+    tile_size: int,
+    *,
+    rest: wp.array | None = None,
+    room: Room | None = None,
+) -> SortedGaussians:
+    """The first half of ``bin_tiles``, which knows how many pairs there are.
+
+    It counts the tiles of each Gaussian, leaves out those without (if there are many), and sorts by depth.
+
+    Args:
+        projected: as in ``bin_tiles``, as are all arguments.
+        opacities: see there.
+        thermal_opacities: see there.
+        features: see there.
+        settings: see there.
+        tile_size: see there.
+        rest: see there.
+        room: see there.
+
+    Returns:
+        The Gaussians.
+
+    Raises:
+        TooManyPairsError: as ``bin_tiles``.
+    """
+    tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)
+    grid = _Grid(settings, tile_size, tiles_x, tiles_y, settings.num_images * tiles_x * tiles_y)
+    if grid.num_tiles > TILES_MAX:
+        raise TooManyPairsError(f"{grid.num_tiles:,} tiles of {tile_size} px exceed the {TILES_MAX:,} of one call.")
+    if room is not None:
+        grid.check(room.pairs)
     device, dtype = opacities.device, opacities.dtype
     count_kernel, compact_kernel, gather_kernel, _ = binning_kernels(dtype, lanes_of(device))
     entries = projected.means2d.shape[0]
@@ -141,7 +165,8 @@ def _sort_gaussians(
         projected.depths,
         opacities,
         thermal_opacities,
-        *features,
+        features,
+        rest,
         projected.radii,
         tiles_per_gaussian,
     ]
@@ -171,19 +196,34 @@ def _sort_gaussians(
     if num_pairs is None:
         num_pairs = memory.source.last(pair_ends) if ranks > 0 else 0
         grid.check(num_pairs)
-    return _SortedGaussians(order, pair_ends, ranks, num_pairs, tiles_per_gaussian, totals)
+    return SortedGaussians(grid, order, pair_ends, ranks, num_pairs, tiles_per_gaussian, totals)
 
 
-def _list_pairs(
+def list_pairs(
     projected: ProjectedArrays,
     opacities: wp.array,
     thermal_opacities: wp.array,
-    nearest_first: _SortedGaussians,
-    grid: _Grid,
+    nearest_first: SortedGaussians,
+    *,
     by_slot: bool,
-    room: Room | None,
+    room: Room | None = None,
 ) -> TileBins:
-    """Emits the pairs in the order of the Gaussians, sorts them by tile, and finds where each tile begins."""
+    """The second half of ``bin_tiles``.
+
+    It emits the pairs in the order of the Gaussians, sorts them by tile, and finds where each tile begins.
+
+    Args:
+        projected: as in ``bin_tiles``, as are all other arguments.
+        opacities: see there.
+        thermal_opacities: see there.
+        nearest_first: from ``sort_gaussians``.
+        by_slot: see there.
+        room: see there.
+
+    Returns:
+        The bins.
+    """
+    grid = nearest_first.grid
     device, settings = opacities.device, grid.settings
     num_pairs, num_tiles = nearest_first.num_pairs, grid.num_tiles
     try:

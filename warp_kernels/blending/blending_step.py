@@ -2,8 +2,9 @@
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import warp as wp
 
@@ -75,6 +76,19 @@ class BlendWalk:
     states: wp.array
 
 
+class BlendLauncher(Protocol):
+    """Makes the launches that write images, or read their gradients, or keeps them to be made with other images."""
+
+    def forward(self, launch: Callable[[], None], blended: BlendedArrays) -> None:
+        """What ``launch`` does writes ``blended``."""
+
+    def backward(self, launch: Callable[[], None], v_images: tuple[ArrayView | None, ...]) -> None:
+        """What ``launch`` does reads gradients.
+
+        They are those of the render's first channels, of its others, of the thermal render, and of both transmittances.
+        """
+
+
 def blend(
     projected: ProjectedArrays,
     opacities: wp.array,
@@ -88,6 +102,7 @@ def blend(
     rest: wp.array | None = None,
     absolute: wp.array | None = None,
     layout: BlendLayout | None = None,
+    launcher: BlendLauncher | None = None,
 ) -> BlendWalk:
     """Blends features front to back, with one opacity or two in one traversal.
 
@@ -104,6 +119,7 @@ def blend(
             None: there are no others, C = A. Receives a gradient.
         absolute: vec2 [images · N]; the adjoint adds the sums of absolute mean2d gradients (AbsGS) here.
         layout: deal of pixels to lanes; None for the device's default.
+        launcher: told of the launches that write images; None: they are made.
 
     Returns:
         What ``blend_adjoint`` needs beside the arguments.
@@ -130,32 +146,30 @@ def blend(
     # Where no list turns out to be cut, too: a call that is captured must find these kernels loaded.
     if segment > 0:
         launch_tiles(segment_light_kernel(variant), blocks, layout.threads, [*lists, states], device)
-    launch_tiles(
-        blend_kernel(variant),
-        blocks,
-        layout.threads,
-        [
-            *lists,
-            pair_bits(bins.num_pairs),
-            blended.render,
-            blended.transmittance,
-            blended.ends,
-            blended.alphas,
-            blended.thermal_render,
-            thermal_transmittance,
-            thermal_ends,
-            blended.thermal_alphas,
-            states,
-        ],
-        device,
-    )
-    if segment > 0:
-        launch(
-            join_segments_kernel(variant),
-            num_tiles * variant.state_length * bins.tile_size**2,
-            [*size, bins.tile_offsets, segment, cuts, blended.render, blended.thermal_render, states],
-            device,
-        )
+    written = [
+        *lists,
+        pair_bits(bins.num_pairs),
+        blended.render,
+        blended.transmittance,
+        blended.ends,
+        blended.alphas,
+        blended.thermal_render,
+        thermal_transmittance,
+        thermal_ends,
+        blended.thermal_alphas,
+        states,
+    ]
+    joined = [*size, bins.tile_offsets, segment, cuts, blended.render, blended.thermal_render, states]
+
+    def draw() -> None:
+        launch_tiles(blend_kernel(variant), blocks, layout.threads, written, device)
+        if segment > 0:
+            launch(join_segments_kernel(variant), num_tiles * variant.state_length * bins.tile_size**2, joined, device)
+
+    if launcher is None:
+        draw()
+    else:
+        launcher.forward(draw, blended)
     if tape is not None:
         step = (projected, opacities, thermal_opacities, features, bins, settings, blended, walk)
         inputs = [projected.means2d, projected.roots, opacities, thermal_opacities, features]
@@ -200,6 +214,7 @@ def blend_adjoint(
     v_alphas: bool = False,
     absolute: wp.array | None = None,
     store: bool = False,
+    launcher: BlendLauncher | None = None,
 ) -> None:
     """The adjoint of ``blend``: from the images' gradients to the inputs'.
 
@@ -220,6 +235,7 @@ def blend_adjoint(
         store: without ``bins.slots``, gradients of means2d, roots, opacities and few features (``features_apart``) are
             not initialised, and written; else they are added to, as those of many features are. Where there are no
             records (``sums_apart``), gradients of means2d, roots and opacities are zeros at first.
+        launcher: told of the launch that reads the images' gradients; None: it is made.
     """
     device, variant = opacities.device, walk.variant
     layout, by_slot, absgrad = variant.layout, bins.slots is not None, absolute is not None
@@ -239,7 +255,9 @@ def blend_adjoint(
     v_rest = None if rest is None else gradient_of(rest)
     v_render, v_render_rest = _parts(blended.render.grad, features, rest) if v_images is None else v_images
     thermal_transmittance, thermal_alphas, thermal_ends = _thermal_images(blended)
-    launch_tiles(
+    v_thermal_render = None if blended.thermal_render is None else blended.thermal_render.grad
+    draw_back = functools.partial(
+        launch_tiles,
         blend_kernel_back,
         bins.tile_offsets.shape[0] - 1 + walk.states.shape[0],
         layout.threads,
@@ -261,7 +279,7 @@ def blend_adjoint(
             v_render_rest,
             -1.0 if v_alphas else 1.0,
             blended.transmittance.grad,
-            None if blended.thermal_render is None else blended.thermal_render.grad,
+            v_thermal_render,
             thermal_transmittance.grad,
             records,
             first_moments,
@@ -273,6 +291,12 @@ def blend_adjoint(
         ],
         device,
     )
+    if launcher is None:
+        draw_back()
+    else:
+        v_second = None if blended.thermal_render is None else thermal_transmittance.grad
+        v_transmittances = blended.transmittance.grad, v_second
+        launcher.backward(draw_back, (v_render, v_render_rest, v_thermal_render, *v_transmittances))
     if apart:
         moments = [projected.roots, first_moments, second_moments, store, v_means2d, v_roots]
         launch_again(finish_moments_kernel(variant.dtype), whole_warps(gaussians, device), moments, device)

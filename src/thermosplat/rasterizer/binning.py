@@ -1,5 +1,6 @@
 """The lists of Gaussians a tile, made in torch's memory, and who keeps that memory alive."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from torch import Tensor
@@ -51,6 +52,7 @@ def tile_lists(
     room: Room | None = None,
     *,
     deterministic: bool = False,
+    note: Callable[[Tensor], None] | None = None,
 ) -> TileLists:
     """Lists the Gaussians of each tile.
 
@@ -64,6 +66,7 @@ def tile_lists(
         rest: [images · N, D'], channels that lie apart from those; None: there are no others.
         room: of the lists; None: the number of pairs is read back from the device.
         deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
+        note: told how many pairs there are (``PairCapacity.note``) before they are listed.
 
     Returns:
         The lists.
@@ -72,24 +75,32 @@ def tile_lists(
         UserError: if a CUDA graph is captured without a ``room``, or there are too many pairs to number.
     """
     scalar = kinds_of(opacities.dtype).scalar
-    with on_torch_stream(opacities.device) as device, joined_capture(opacities.device) as captured:
-        if captured and room is None:
-            raise UserError(
-                "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs back.",
-                "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
-            )
+    scalar_views = view(opacities, scalar), view(thermal_opacities, scalar)
+    with on_torch_stream(opacities.device) as device:
         try:
-            bins = binning_step.bin_tiles(
-                projected,
-                view(opacities, scalar),
-                view(thermal_opacities, scalar),
-                view(features, scalar, *features.shape),
-                settings,
-                tile_size,
-                by_slot=deterministic or not device.is_cuda,
-                rest=None if rest is None else view(rest, scalar, *rest.shape),
-                room=room,
-            )
+            with joined_capture(opacities.device) as captured:
+                if captured and room is None:
+                    raise UserError(
+                        "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs "
+                        "back.",
+                        "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an "
+                        "example.",
+                    )
+                nearest_first = binning_step.sort_gaussians(
+                    projected,
+                    *scalar_views,
+                    view(features, scalar, *features.shape),
+                    settings,
+                    tile_size,
+                    rest=None if rest is None else view(rest, scalar, *rest.shape),
+                    room=room,
+                )
+            if note is not None:
+                totals, ends = nearest_first.totals, nearest_first.pair_ends
+                note(ends.owner[-1:] if totals is None else totals.owner[-1])
+            by_slot = deterministic or not device.is_cuda
+            with joined_capture(opacities.device):
+                bins = binning_step.list_pairs(projected, *scalar_views, nearest_first, by_slot=by_slot, room=room)
         except binning_step.TooManyPairsError as error:
             raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
     tensors: dict[str, Tensor] = {}

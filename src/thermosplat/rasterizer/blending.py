@@ -4,7 +4,9 @@ As in ``projection``, only what is saved keeps memory alive; the arrays that the
 memory, wherever it is by then.
 """
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,9 +28,26 @@ from thermosplat.torch_bridge.arrays import (
 )
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.blending import blending_step
+from warp_kernels.blending.blending_step import BlendLauncher
 from warp_kernels.blending.gradient_records import features_apart, sums_apart
 from warp_kernels.machinery.array_views import ArrayView
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
+
+_launcher: ContextVar[BlendLauncher | None] = ContextVar("launcher of blends", default=None)
+
+
+@contextmanager
+def blends_launched_by(launcher: BlendLauncher) -> Iterator[None]:
+    """Gives the launches on images of every blending that this thread begins to somebody, backward passes too.
+
+    Args:
+        launcher: Makes them, or keeps them.
+    """
+    outer = _launcher.set(launcher)
+    try:
+        yield
+    finally:
+        _launcher.reset(outer)
 
 
 @dataclass
@@ -129,12 +148,14 @@ class Blend(torch.autograd.Function):
             None if rest is None else view(rest, vector_of(others, dtype), count),
         )
         step = (projected, *arrays[2:5], lists.bins, settings, blended)
+        launcher = _launcher.get()
         with launches_on_torch_stream(means2d.device):
-            walk = blending_step.blend(*step, rest=arrays.rest)
+            walk = blending_step.blend(*step, rest=arrays.rest, launcher=launcher)
         if inputs.recorded and True in ctx.needs_input_grad:
             ctx.set_materialize_grads(False)
             ctx.projected, ctx.read, ctx.bins, ctx.blended, ctx.walk = projected, arrays, lists.bins, blended, walk
             ctx.settings, ctx.shown_means2d, ctx.turns = settings, inputs.shown_means2d, inputs.turns
+            ctx.launcher = launcher
             tensors = (means2d, inputs.packed_roots, opacities, thermal_opacities, features, rest)  # as BlendSaved
             # Of the images only those that are read, so that users may change the renders in place. With the alphas
             # that the caller has, nobody has to keep the transmittances.
@@ -195,7 +216,7 @@ class Blend(torch.autograd.Function):
             )
             sums = None if absolute is None else view(absolute, projected.means2d.dtype)
             step = (projected, *arrays[2:5], ctx.bins, settings, blended, ctx.walk)
-            v_given = {"v_images": v_images, "v_alphas": True, "absolute": sums}
+            v_given = {"v_images": v_images, "v_alphas": True, "absolute": sums, "launcher": ctx.launcher}
             blending_step.blend_adjoint(*step, rest=arrays.rest, **v_given, store=True)
         take_back(*inputs, blended.transmittance, blended.thermal_render, blended.thermal_transmittance)
         if absolute is not None:  # added up as .grad is: a call with many channels blends several times

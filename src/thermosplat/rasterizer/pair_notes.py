@@ -3,9 +3,10 @@
 import warp as wp
 from torch import Tensor
 
-from thermosplat.torch_bridge.arrays import view
+from thermosplat.torch_bridge.arrays import view, warp_device_of
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.binning.pair_notes import UNLIMITED, note_pairs
+from warp_kernels.machinery.array_views import ArrayView
 
 
 def note_totals(
@@ -19,8 +20,10 @@ def note_totals(
         totals: int64, [1] all pairs, or [2] and the Gaussians that have any; [0] without Gaussians.
         most: int64, by call; raised to the pairs.
         most_listed: int64, by call; raised to the Gaussians.
-        overflow: float32 scalar; gets 1 where a total is above its limit, and else stays as it is.
+        overflow: float32 scalar, on the device or in the host's pinned memory; gets 1 where a total is above its limit,
+            and else stays as it is.
     """
     with launches_on_torch_stream(totals.device):
         counts = [view(tensor, wp.int64) for tensor in (totals, most, most_listed)]
-        note_pairs(call, limits or (UNLIMITED, UNLIMITED), *counts, view(overflow, wp.float32))
+        seen_there = ArrayView(overflow.data_ptr(), (1,), wp.float32, warp_device_of(totals.device))
+        note_pairs(call, limits or (UNLIMITED, UNLIMITED), *counts, seen_there)

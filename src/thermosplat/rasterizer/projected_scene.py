@@ -243,10 +243,8 @@ class ProjectedScene:
                 rest,
                 capacity.room() if capacity is not None else None,
                 deterministic=self.deterministic,
+                note=None if capacity is None else capacity.note,
             )
-            if capacity is not None:
-                tensors = self._lists.tensors
-                capacity.note(tensors["totals"][-1] if "totals" in tensors else tensors["pair_ends"][-1:])
         return self._lists
 
     def num_nonfinite(self) -> int:

@@ -13,13 +13,19 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replayed_calls, "SEEN", SEEN)
 
 
+@pytest.fixture(params=[True, False], ids=["copied", "straight"])
+def backgrounds(request: pytest.FixtureRequest) -> bool:
+    """Whether there are backgrounds: without them images are blended straight into the caller's memory."""
+    return bool(request.param)
+
+
 @pytest.fixture
-def bench(device: torch.device) -> Bench:
+def bench(device: torch.device, backgrounds: bool) -> Bench:
     """Of ``rasterization``."""
-    return Bench(device)
+    return Bench(device, backgrounds=backgrounds)
 
 
 @pytest.fixture(params=[False, True], ids=["rgb", "rgbt"])
-def either_bench(device: torch.device, request: pytest.FixtureRequest) -> Bench:
+def either_bench(device: torch.device, backgrounds: bool, request: pytest.FixtureRequest) -> Bench:
     """Of each function."""
-    return Bench(device, request.param)
+    return Bench(device, request.param, backgrounds=backgrounds)

@@ -1,5 +1,6 @@
 """What people do to torch's graph does the same to a replayed call as to a plain one."""
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -116,6 +117,27 @@ def test_hooks(bench: Bench) -> None:
         results.append([*seen, scene["means"].grad, scene["viewmats"].grad])
     assert len(results[0]) == 4
     assert_near(*results)
+
+
+def test_threads_differentiate_one_render(bench: Bench) -> None:
+    """Each gets its own gradients, since torch keeps the graph."""
+    bench.warmed_up()
+    scene = bench.scene(5)
+    image = bench.calls(**scene)[0]
+    truth = bench.plain(**scene)[0]
+    upstreams = [torch.full_like(image, 1.0 + k).requires_grad_(False) for k in range(4)]
+    expected = [torch.autograd.grad(truth, scene["means"], one, retain_graph=True)[0] for one in upstreams]
+
+    def differentiate(k: int) -> bool:
+        return all(
+            relative_error(torch.autograd.grad(image, scene["means"], upstreams[k], retain_graph=True)[0], expected[k])
+            < 1e-4
+            for _ in range(10)
+        )
+
+    with ThreadPoolExecutor(len(upstreams)) as pool:
+        assert all(pool.map(differentiate, range(len(upstreams))))
+    assert bench.calls.counts.replayed == 1
 
 
 def test_second_derivatives(bench: Bench) -> None:

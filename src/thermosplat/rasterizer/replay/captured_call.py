@@ -1,22 +1,29 @@
-"""One call in fixed memory: copy its tensors in, replay, and copy out what belongs to the caller.
+"""One call in fixed memory: copy its tensors in, replay, and give out what belongs to the caller.
 
 Images lie in memory of the caller's own, so that the fixed memory is free for the next call as soon as nothing is left
-to be differentiated. ``info`` is copied when it is read, or before the next replay if somebody still holds it. Large
-tensors that lay in one place in all calls seen, as parameters do, are read where they lie; a call that brings them from
-elsewhere is another one (``is_at``).
+to be differentiated. They are blended there, or copied. ``info`` is copied when it is read, or before the next replay
+if somebody still holds it. Large tensors that lay in one place in all calls seen, as parameters do, are read where they
+lie; a call that brings them from elsewhere is another one (``is_at``).
 """
 
 import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from thermosplat.rasterizer.replay.cuda_graphs import Recorder, RoomForOne
+from thermosplat.rasterizer.replay.image_launches import LaunchedByReplays, LaunchedNow, Places
 from thermosplat.rasterizer.replay.nodes import Blended, Lease, Projected
-from thermosplat.rasterizer.replay.recorded_call import EXTRA, GradientMemory, RecordedCall, Subject, images_of
+from thermosplat.rasterizer.replay.recorded_call import (
+    EXTRA,
+    GradientMemory,
+    RecordedCall,
+    Subject,
+    images_of,
+)
 from thermosplat.rasterizer.replay.replayed_info import WrittenInfo, replayed_info
 
 WARM_UPS = 2
@@ -56,9 +63,12 @@ class CapturedCall:
             ]
             self._inputs = [fixed[i] for i in self._copied]
             memory = GradientMemory([], [], [])
-            for _ in range(WARM_UPS):
-                _run(RecordedCall(subject, fixed, self.room, memory))
-            body = RecordedCall(subject, fixed, self.room, memory)
+            straight = [_runs_straight(RecordedCall(subject, fixed, self.room, memory)) for _ in range(WARM_UPS)]
+            self._places = Places()
+            launcher = LaunchedNow()
+            if all(straight):
+                launcher = LaunchedByReplays(tensors[0].device, recorder.leave_out, self._places)
+            body = RecordedCall(subject, fixed, self.room, memory, launcher)
             written, self._forward = recorder.forward(body.forward, self.room)
             self.recorded = body.describe()
             owned = self.recorded.owned
@@ -67,6 +77,10 @@ class CapturedCall:
             if True in self.recorded.differentiable:
                 self._from_blend, self._blend = recorder.backward(body.blend_backward)
                 self._from_project, self._project = recorder.backward(body.project_backward)
+            self._filled: set[int] = set()  # which of to_images hold something
+            drawn, self._read = self.recorded.drawn, body.read_in_place()
+            self._drawn = [(slot, k) for slot, k in enumerate(drawn) if k is not None]
+            self._not_drawn = [k for k in range(owned) if k not in drawn]
 
     def is_at(self, tensors: Sequence[Tensor]) -> bool:
         """Whether what is read where it lies lies there.
@@ -98,49 +112,71 @@ class CapturedCall:
         with torch.no_grad():
             if self._inputs:
                 torch._foreach_copy_(self._inputs, [tensors[i] for i in self._copied])
-            self._forward.replay()
-            own = [torch.empty_like(one) for one in self._own]
-            torch._foreach_copy_(own, self._own)
+            self._forward.begin()
+            own: list[Any] = [None] * len(self._own)
+            for slot, k in self._drawn:
+                own[k] = torch.empty_like(self._own[k])
+                self._places.images[slot] = own[k].data_ptr()
+            self._forward.go_on()
+            for k, copy in zip(self._not_drawn, _copies([self._own[k] for k in self._not_drawn]), strict=True):
+                own[k] = copy
             means2d = own.pop(0) if recorded.differentiated else None
             images = images_of(recorded.views, own)
         if not self._forward.fits():
             return None
         written = WrittenInfo(self._of_info, self._stream)
         self._last = weakref.ref(written)
+        show: Callable[[], None] = _nobody
         if True in recorded.differentiable:
             lease = Lease(self, free, 2 if recorded.wanted else 1)
+            show = lease.show_means2d
             edges: Sequence[Tensor] = ()
             if recorded.wanted:
                 means2d, *edges = Projected.apply(lease, [means2d], *tensors)
             images = Blended.apply(lease, images, means2d, *edges, *[tensors[i] for i in recorded.behind])
         else:
             free.append(self)
-        info = replayed_info(recorded.layout, written, means2d, subject.with_tensors, tensors)
+        info = replayed_info(recorded.layout, written, means2d, subject.with_tensors, tensors, show)
         left = iter(images)
         result = [next(left) if given else None for given in recorded.given]
         for extra in left:
             info[EXTRA] = extra
         return recorded.make([*result, info])
 
-    def blend_backward(self, gradients: Sequence[Tensor | None]) -> tuple[list[Tensor | None], Tensor | None]:
+    def blend_backward(
+        self, gradients: Sequence[Tensor | None], lends: Sequence[bool]
+    ) -> tuple[list[Tensor | None], Tensor | None]:
         """Gradients to ``means2d`` if it moves, to the edges and to the backgrounds; and sums of absolute ones.
 
         Args:
             gradients: To all images.
+            lends: Of the gradients to ``means2d`` and to the edges, whether the fixed memory itself may be returned:
+                nobody but ``project_backward`` reads it, before it is written anew.
 
         Returns:
-            In memory of their own.
+            In memory of their own but for those that are lent.
         """
-        _put(self._to_images, [one for one, needed in zip(gradients, self.recorded.differentiable) if needed])
+        given = [one for one, needed in zip(gradients, self.recorded.differentiable, strict=True) if needed]
+        in_place: dict[int, Tensor] = {}  # kept until the launch that reads them
+        for slot, k in enumerate(self._read):
+            gradient = None if k is None else given[k]
+            if gradient is not None and k is not None:
+                in_place[k] = gradient = gradient.contiguous()
+            self._places.gradients[slot] = None if gradient is None else gradient.data_ptr()
+        self._put_to_images({k: one for k, one in enumerate(given) if one is not None and k not in in_place})
         self._blend()
-        *found, absolute = _copies(self._from_blend)
-        return found, absolute
+        moves = self.recorded.moves
+        mids: list[Tensor | None] = [
+            one if lent else one.clone() for one, lent in zip(self._to_mids, lends if moves else lends[1:])
+        ]
+        *behind, absolute = _copies(self._from_blend)
+        return [*mids, *behind], absolute
 
     def project_backward(self, gradients: Sequence[Tensor | None]) -> list[Tensor | None]:
         """Gradients to the call's tensors; None for those that have none from here.
 
         Args:
-            gradients: To ``means2d`` if it moves, and to the edges.
+            gradients: To ``means2d`` if it moves, and to the edges; those that were lent are in their place.
 
         Returns:
             In memory of their own.
@@ -152,22 +188,36 @@ class CapturedCall:
             found[i] = gradient
         return found
 
+    def _put_to_images(self, gradients: Mapping[int, Tensor]) -> None:
+        """Copies some of the images' gradients to the fixed memory; zeros stand for the others."""
+        if gradients:
+            torch._foreach_copy_([self._to_images[k] for k in gradients], list(gradients.values()))
+        empty = self._filled - gradients.keys()
+        if empty:
+            torch._foreach_zero_([self._to_images[k] for k in empty])
+        self._filled = set(gradients)
+
 
 def _nobody() -> None:
     """Stands for info that nobody holds."""
 
 
-def _run(body: RecordedCall) -> None:
-    """Runs what will be recorded."""
+def _runs_straight(body: RecordedCall) -> bool:
+    """Runs what will be recorded. Returns whether its images are those that were blended."""
     body.forward()
     if True in body.describe().differentiable:
         body.blend_backward()
         body.project_backward()
+    return body.shows_what_is_blended()
 
 
 def _put(memory: Sequence[Tensor], values: Sequence[Tensor | None]) -> None:
-    """Copies values to fixed memory; None stands for zeros."""
-    given = [(one, value) for one, value in zip(memory, values, strict=True) if value is not None]
+    """Copies values to fixed memory, but those that lie there; None stands for zeros."""
+    given = [
+        (one, value)
+        for one, value in zip(memory, values, strict=True)
+        if value is not None and value.data_ptr() != one.data_ptr()
+    ]
     absent = [one for one, value in zip(memory, values, strict=True) if value is None]
     if given:
         torch._foreach_copy_([one for one, _ in given], [value for _, value in given])

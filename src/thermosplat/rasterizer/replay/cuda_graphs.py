@@ -1,12 +1,16 @@
-"""Work of one call in CUDA graphs: a forward pass in two parts, and any number of backward passes.
+"""Work of one call in CUDA graphs: a forward pass in some parts, and any number of backward passes.
 
-The first part ends where it is known whether all (Gaussian, tile) pairs have room. The host reads that while the second
-part, which sorts nothing and blends, still runs, so that the device never waits for the host's next launch.
+The first part ends where it is known whether all (Gaussian, tile) pairs have room. The host reads that while the
+others, which sort and blend, still run, so that the device never waits for the host's next launch. Work that is left
+out of the graphs, since it has other memory in each replay, is launched between them.
 """
 
+import ctypes
 import gc
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import torch
@@ -29,6 +33,8 @@ class RoomForOne(PairCapacity):
 
     def __init__(self, device: torch.device, most: tuple[int, int], spare: float) -> None:
         super().__init__(device, spare)
+        if device.type == "cuda":  # the kernel that notes the pairs writes to the host's memory
+            self.overflow = torch.zeros((), dtype=torch.float32, pin_memory=True)
         self.most[0], self.most_listed[0] = most
         self.measure()
         self.after_note: Callable[[], None] = _nothing
@@ -44,10 +50,13 @@ def _nothing() -> None:
 
 
 class ForwardPass(Protocol):
-    """A forward pass that was recorded."""
+    """A forward pass that was recorded, to be done again with what is in the fixed memory."""
 
-    def replay(self) -> None:
-        """Does it again, with what is in the fixed memory."""
+    def begin(self) -> None:
+        """Does what comes before it is known whether all pairs have room."""
+
+    def go_on(self) -> None:
+        """Does the rest."""
 
     def fits(self) -> bool:
         """Whether all pairs of the last replay had room."""
@@ -65,6 +74,9 @@ class Recorder(Protocol):
     def backward(self, body: Callable[[], list[Tensor | None]]) -> tuple[list[Tensor | None], Callable[[], None]]:
         """Records a backward pass; returns the tensors that it and its replays write, and the replay."""
 
+    def leave_out(self, work: Callable[[], None]) -> None:
+        """Called by a body: work that is not recorded, and that each replay does in this place."""
+
 
 class CudaGraphs:
     """A ``Recorder`` of CUDA graphs, which share one pool of memory and nothing with others.
@@ -77,6 +89,8 @@ class CudaGraphs:
         self._device = device
         self._stream = capture_stream(device)
         self._pool = torch.cuda.graph_pool_handle()
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._parts: list[Callable[[], Any]] = []
 
     @contextmanager
     def recording(self) -> Iterator[None]:
@@ -93,65 +107,87 @@ class CudaGraphs:
                 gc.enable()
 
     def forward(self, body: Callable[[], list[Tensor]], room: RoomForOne) -> tuple[list[Tensor], ForwardPass]:
-        """Records a forward pass in two graphs."""
-        first, second = torch.cuda.CUDAGraph(), torch.cuda.CUDAGraph()
-        capturing = [first]
-
-        def part() -> None:
-            capturing.pop().capture_end()
-            self._begin(second)
-            capturing.append(second)
-
-        self._begin(first)
-        room.after_note = part
+        """Records a forward pass, in graphs that are cut where it is known whether all pairs have room."""
+        flag = _Flag(room.overflow)
+        room.after_note = partial(self.leave_out, flag.ask)
         try:
-            written = body()
-        except BaseException:
-            _abandon(capturing)
-            raise
+            written, parts = self._recorded(body)
         finally:
             room.after_note = _nothing
-        capturing.pop().capture_end()
-        return written, _TwoGraphs(first, second, room.overflow)
+        return written, _Forward(parts, flag)
 
     def backward(self, body: Callable[[], list[Tensor | None]]) -> tuple[list[Tensor | None], Callable[[], None]]:
-        """Records a backward pass in one graph."""
-        graph = torch.cuda.CUDAGraph()
-        self._begin(graph)
+        """Records a backward pass."""
+        written, parts = self._recorded(body)
+        return written, partial(_do, parts)
+
+    def leave_out(self, work: Callable[[], None]) -> None:
+        """Ends a graph, and begins the next one behind the work."""
+        self._end()
+        self._parts.append(work)
+        self._begin()
+
+    def _recorded(self, body: Callable[[], Found]) -> tuple[Found, list[Callable[[], Any]]]:
+        """Records work, and returns what a replay does of it in turn."""
+        self._parts = []
+        self._begin()
         try:
-            written = body()
+            result = body()
         except BaseException:
-            _abandon([graph])
+            with suppress(RuntimeError):  # what was wrong is told by the error of the work
+                self._end()
             raise
-        graph.capture_end()
-        return written, graph.replay
+        self._end()
+        return result, self._parts
 
-    def _begin(self, graph: torch.cuda.CUDAGraph) -> None:
+    def _begin(self) -> None:
+        self._graph = torch.cuda.CUDAGraph()
         # thread_local: other threads may use the device meanwhile
-        graph.capture_begin(pool=self._pool, capture_error_mode="thread_local")
+        self._graph.capture_begin(pool=self._pool, capture_error_mode="thread_local")
 
-
-def _abandon(capturing: list[torch.cuda.CUDAGraph]) -> None:
-    """Ends a capture whose work failed; what was wrong is told by the error of that."""
-    for graph in capturing:
-        with suppress(RuntimeError):
+    def _end(self) -> None:
+        graph, self._graph = self._graph, None
+        if graph is None:
+            return
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
             graph.capture_end()
+        if not any("Graph is empty" in str(one.message) for one in told):  # as one may be behind what was left out
+            self._parts.append(graph.replay)
 
 
-class _TwoGraphs:
-    """A forward pass. The flag is copied to the host between its parts, and is there before the second has ended."""
+def _do(parts: Sequence[Callable[[], Any]]) -> None:
+    for part in parts:
+        part()
 
-    def __init__(self, first: torch.cuda.CUDAGraph, second: torch.cuda.CUDAGraph, overflow: Tensor) -> None:
-        self._first, self._second, self._overflow = first.replay, second.replay, overflow
-        self._flag = torch.zeros((), dtype=torch.float32, device="cpu", pin_memory=True)
-        self._read = torch.cuda.Event()
 
-    def replay(self) -> None:
-        self._first()
-        self._flag.copy_(self._overflow, non_blocking=True)
-        self._read.record()
-        self._second()
+class _Flag:
+    """Whether all pairs had room. A kernel in the middle of a pass writes it, and it is there before that ends.
+
+    Args:
+        overflow: float32 scalar in pinned memory of the host.
+    """
+
+    def __init__(self, overflow: Tensor) -> None:
+        self._memory = overflow  # kept alive
+        self._flag = ctypes.c_float.from_address(overflow.data_ptr())
+        self._written = torch.cuda.Event()
+
+    def clear(self) -> None:
+        self._flag.value = 0.0
+
+    def ask(self) -> None:
+        self._written.record()
 
     def fits(self) -> bool:
-        self._read.synchronize()
-        return self._flag.item() == 0
+        self._written.synchronize()
+        return self._flag.value == 0.0
+
+
+class _Forward:
+    """A forward pass; its flag is asked for after the first part."""
+
+    def __init__(self, parts: Sequence[Callable[[], Any]], flag: _Flag) -> None:
+        end = parts.index(flag.ask) + 1
+        self.begin, self.go_on = partial(_do, [flag.clear, *parts[:end]]), partial(_do, parts[end:])
+        self.fits = flag.fits

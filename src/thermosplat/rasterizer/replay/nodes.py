@@ -1,8 +1,9 @@
 """The two autograd nodes of a replayed call, and who may use its fixed memory meanwhile.
 
 A plain call has a node that projects and one that blends, with ``info["means2d"]`` between them, whose gradient people
-read, change and differentiate. A replayed call has the same two: everything that passes from one to the other is an
-ordinary gradient in memory of its own.
+read, change and differentiate. A replayed call has the same two. What passes from one to the other lies in the fixed
+memory, where the second graph reads it; it is copied where somebody could see it: the gradient of ``means2d`` once
+``info["means2d"]`` was read, and all of it where torch keeps the graph, which may be differentiated by several threads.
 """
 
 import functools
@@ -29,6 +30,16 @@ class Lease:
         self.captured = captured
         self._held, self._free, self._nodes = [captured], free, nodes
         self._done: set[str] = set()
+        self._shows_means2d = False
+
+    def show_means2d(self) -> None:
+        """Somebody reads ``info["means2d"]``, and may look at its gradient."""
+        self._shows_means2d = True
+
+    def lends(self) -> tuple[bool, bool]:
+        """Whether gradients to means2d, and to the edges, may stay in the fixed memory in this backward pass."""
+        once = not torch._C._autograd._get_current_graph_task_keep_graph()
+        return once and not self._shows_means2d, once
 
     def differentiated(self, node: str) -> None:
         """One of the nodes has made its gradients.
@@ -119,7 +130,7 @@ class Blended(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         held = ctx.saved_tensors
         captured = ctx.lease.captured
-        found, absolute = captured.blend_backward(gradients)
+        found, absolute = captured.blend_backward(gradients, ctx.lease.lends())
         if absolute is not None:  # as in a plain call
             earlier = getattr(ctx.shown, "absgrad", None)
             ctx.shown.absgrad = absolute if earlier is None else earlier + absolute

@@ -2,6 +2,9 @@
 
 Backward it is cut where ``info["means2d"]`` lies, between projection and blending: from the images to what passes there
 (the mids), and from those to the call's tensors. Backgrounds are read by the blending alone, and are mids, too.
+
+Where the call returns images as the blending wrote them, the blending is not recorded, and neither is its adjoint
+(image_launches.py). Of the images only alphas are copied then, which the adjoint reads.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -10,10 +13,12 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from thermosplat.rasterizer.blending import blends_launched_by
 from thermosplat.rasterizer.info import InfoTensors
 from thermosplat.rasterizer.projected_scene import ProjectedScene, scenes_told_to
 from thermosplat.rasterizer.replay.call_signature import Call, with_tensors
 from thermosplat.rasterizer.replay.cuda_graphs import RoomForOne
+from thermosplat.rasterizer.replay.image_launches import LaunchedByReplays, LaunchedNow, renders_of
 from thermosplat.rasterizer.replay.replayed_info import InfoLayout
 
 EXTRA = "render_extra_signals"
@@ -52,7 +57,9 @@ class Recorded(NamedTuple):
     """What is the same in every replay."""
 
     owned: int
-    """How many of the written tensors are copied by every replay: means2d if it is differentiated, and the images."""
+    """How many of the written tensors become the caller's: means2d if it is differentiated, and the images."""
+    drawn: tuple[int | None, ...]
+    """Which of these each of ``Places.images`` is; they are written there, and the others copied."""
     differentiated: bool
     """Whether anything needs a gradient."""
     moves: bool
@@ -80,7 +87,8 @@ class GradientMemory(NamedTuple):
     to_images: list[Tensor]
     """Of the images that need gradients."""
     to_mids: list[Tensor]
-    """Of means2d if it moves, and of the others without backgrounds, end to end; the second half reads them."""
+    """Of means2d if it moves, and of the others without backgrounds, end to end; the first half writes them, and the
+    second reads them."""
     parts: list[Tensor]
     """The same in the shapes of the mids."""
 
@@ -93,10 +101,19 @@ class RecordedCall:
         fixed: Its tensors in fixed memory.
         room: For its pairs.
         memory: For gradients; filled by the first run.
+        launcher: Makes the launches on images, or leaves them to the replays.
     """
 
-    def __init__(self, subject: Subject, fixed: Sequence[Tensor], room: RoomForOne, memory: GradientMemory) -> None:
+    def __init__(
+        self,
+        subject: Subject,
+        fixed: Sequence[Tensor],
+        room: RoomForOne,
+        memory: GradientMemory,
+        launcher: LaunchedNow | None = None,
+    ) -> None:
         self._subject, self._room, self._memory = subject, room, memory
+        self._launcher = LaunchedNow() if launcher is None else launcher
         needs = subject.call.needs
         self._leaves = [one.detach().requires_grad_(needed) for one, needed in zip(fixed, needs, strict=True)]
         self._recorded = True in needs
@@ -106,9 +123,11 @@ class RecordedCall:
     def forward(self) -> list[Tensor]:
         """Runs the call. Returns what it always copies, ``owned`` tensors, and then what ``info`` is made of."""
         scenes: list[ProjectedScene] = []
+        self._launcher.blended.clear()
         with (
             torch.set_grad_enabled(self._recorded),
             scenes_told_to(scenes.append),
+            blends_launched_by(self._launcher),
             self._room.step(fixed=True),
         ):
             self._result = self._subject.with_tensors(self._leaves)
@@ -139,9 +158,32 @@ class RecordedCall:
         if not self._memory.to_images:
             self._memory.to_images.extend(map(_zeros_like, self._seen))
             self._make_mids()
-        copied = [scene.means2d, *bases] if self._recorded else bases
-        self._owned = len(copied)
-        return [one.detach() for one in (*copied, *self._in_block.values())]
+        self._owned = [scene.means2d, *bases] if self._recorded else bases
+        return [one.detach() for one in (*self._owned, *self._in_block.values())]
+
+    def shows_what_is_blended(self) -> bool:
+        """Whether the images that ``forward`` returned are those that one blending wrote, with nothing done to them."""
+        if len(self._launcher.blended) != 1:
+            return False
+        (blended,) = self._launcher.blended
+        written = {one.ptr for one in (*renders_of(blended), blended.alphas, blended.thermal_alphas) if one is not None}
+        images = self._owned[1:] if self._recorded else self._owned
+        return all(image.data_ptr() in written and image._version == 0 for image in images)
+
+    def _drawn(self) -> tuple[int | None, ...]:
+        """Which tensors become the caller's where they are blended."""
+        if not isinstance(self._launcher, LaunchedByReplays):
+            return ()
+        (blended,) = self._launcher.blended
+        at = {one.data_ptr(): k for k, one in enumerate(self._owned)}
+        return tuple(None if one is None else at.get(one.ptr) for one in renders_of(blended))
+
+    def read_in_place(self) -> tuple[int | None, ...]:
+        """Which of the images' gradients each of ``Places.gradients`` is, once ``blend_backward`` has run."""
+        if not isinstance(self._launcher, LaunchedByReplays):
+            return ()
+        at = {one.data_ptr(): k for k, one in enumerate(self._memory.to_images)}
+        return tuple(None if ptr is None else at.get(ptr) for ptr in self._launcher.read)
 
     def _leaf_of(self, entry: Tensor) -> int | None:
         """Which of the call's tensors an entry of ``info`` is, as opacities are; None: it is another one."""
@@ -166,7 +208,8 @@ class RecordedCall:
         """What is known once ``forward`` has run."""
         moves = self._scene.means2d.requires_grad
         return Recorded(
-            self._owned,
+            len(self._owned),
+            self._drawn(),
             self._recorded,
             moves,
             tuple(self._memory.to_mids[1 if moves else 0 :]),
@@ -198,20 +241,24 @@ class RecordedCall:
         )
 
     def blend_backward(self) -> list[Tensor | None]:
-        """From gradients to the images to the mids; last, the sums of absolute gradients, if they are asked for."""
+        """From gradients to the images to the mids' memory. Returns those to backgrounds; last, the sums of absolute
+        gradients, if they are asked for."""
         means2d: Any = self._scene.means2d
         if hasattr(means2d, "absgrad"):
             del means2d.absgrad
         mids = [*self._roots, *[self._leaves[i] for i in self._behind]]
-        found = torch.autograd.grad(self._seen, mids, self._memory.to_images, retain_graph=True, allow_unused=True)
-        count, moves = len(self._roots), means2d.requires_grad
-        passed: list[Tensor | None] = [*found[:1]] if moves else []
-        crossing = list(zip(found[moves:count], self._memory.parts[moves:], strict=True))
-        if crossing:
-            filled = [torch.zeros_like(part) if one is None else one for one, part in crossing]
-            passed.append(torch.cat([one.flatten() for one in filled]))
+        # in this thread, which alone may end the recording of a graph and begin the next
+        with torch.autograd.set_multithreading_enabled(False):
+            found = torch.autograd.grad(self._seen, mids, self._memory.to_images, retain_graph=True, allow_unused=True)
+        count = len(self._roots)
+        for part, one in zip(self._memory.parts, found[:count], strict=True):
+            if one is None:
+                part.zero_()
+        there = [(part, one) for part, one in zip(self._memory.parts, found, strict=False) if one is not None]
+        if there:
+            torch._foreach_copy_([part for part, _ in there], [one for _, one in there])
         return [
-            *[None if one is None else one.contiguous() for one in (*passed, *found[count:])],
+            *[None if one is None else one.contiguous() for one in found[count:]],
             getattr(means2d, "absgrad", None),
         ]
 

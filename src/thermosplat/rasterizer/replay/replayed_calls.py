@@ -301,16 +301,17 @@ class ReplayedCalls:
 
 
 def _copied_bytes(call: Call, bound: Sequence[bool], result: Any) -> int:
-    """Bytes that every replay copies: tensors in, images and gradients out."""
+    """Bytes that a replay copies at most: tensors in, images and gradients out. Images that are blended straight into
+    the caller's memory are not, but which these are is known only once the call was captured."""
     *images, info = result
     count = sum(one.nbytes for one, read in zip(call.tensors, bound, strict=True) if not read)
     shown = sum(image.nbytes for image in images if image is not None)
     count += shown
     if True in call.needs:
-        # means2d; images' gradients; what passes from blending to projection, out and in; gradients of the tensors
+        # means2d; images' gradients; what passes from blending to projection; gradients of the tensors
         gaussians = _gaussians(info)
         count += 8 * gaussians
-        count += shown + 2 * 4 * gaussians * (6 + sum(image.shape[-1] for image in images if image is not None))
+        count += shown + 4 * gaussians * (6 + sum(image.shape[-1] for image in images if image is not None))
         count += sum(one.nbytes for one, needed in zip(call.tensors, call.needs, strict=True) if needed)
     return count
 

@@ -151,12 +151,33 @@ class EntriesOfInfo:
 
 
 def replayed_info(
-    layout: InfoLayout, written: WrittenInfo, means2d: Tensor | None, plain: Plain, tensors: Sequence[Tensor]
+    layout: InfoLayout,
+    written: WrittenInfo,
+    means2d: Tensor | None,
+    plain: Plain,
+    tensors: Sequence[Tensor],
+    show: Callable[[], None],
 ) -> RasterizationInfo:
-    """The dictionary; arguments are those of ``EntriesOfInfo``."""
+    """The dictionary.
+
+    Args:
+        layout: As ``EntriesOfInfo``'s, like those that follow.
+        written: By the replay.
+        means2d: Of a call that is differentiated.
+        plain: The call without graphs.
+        tensors: Of the call.
+        show: Called when means2d is read.
+    """
     read = EntriesOfInfo(layout, written, means2d, plain, tensors)
-    values = dict(layout.constants) if means2d is None else {**layout.constants, "means2d": means2d}
-    return RasterizationInfo(values, {key: partial(read, key) for key in layout.keys})
+    computed: dict[str, Callable[[], Any]] = {key: partial(read, key) for key in layout.keys}
+    if means2d is not None:
+        computed = {"means2d": partial(_shown, means2d, show), **computed}
+    return RasterizationInfo(dict(layout.constants), computed)
+
+
+def _shown(means2d: Tensor, show: Callable[[], None]) -> Tensor:
+    show()
+    return means2d
 
 
 class Recomputed(torch.autograd.Function):
