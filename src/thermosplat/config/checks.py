@@ -49,7 +49,6 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.least_gain": 0,
     "auto_budget.spectrum_loss": 0,
     "auto_budget.spectrum_patience": 0,
-    "auto_budget.spectrum_fall": 0,
     "auto_budget.held_change": 0,
     "densification.position_noise": 0,
     "densification.grad_threshold": 0,

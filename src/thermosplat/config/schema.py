@@ -260,9 +260,6 @@ class AutoBudgetConfig:
     it is held where it was best, and goes back to it at the last pruning if it is so far below then. Open choice."""
     spectrum_patience: int = 1000
     """So many steps it must have been best ago. Open choice."""
-    spectrum_fall: float = 0.3
-    """Fall of the validation views' PSNR in one spectrum [dB] from which on it goes back to where it was best, whatever
-    its noise: in all of the last ``spectrum_patience`` steps before they are released. Open choice."""
     held_change: float = 0.02
     """Largest difference of a view from what the scene showed when a spectrum was best, measured as for
     ``prune_change``, that has no gradient once the spectrum goes back to that: as long as it is less, the other spectra

@@ -224,7 +224,7 @@ class AutoBudget:
         """Train on the withheld views, too, unless a spectrum is watched by them."""
         watch, too_many = self.state.noise_watch, _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
         if watch is not None and (too_many or self.state.step >= self._last_removal or not watch.watches()):
-            for name in watch.end(self.settings.spectrum_loss, self.settings.spectrum_fall):
+            for name in watch.end(self.settings.spectrum_loss):
                 best, then = watch.best[name]
                 self._say(
                     f"Withheld {label(name)} views were best after step {then:,}: {best:.2f} dB, and now "
