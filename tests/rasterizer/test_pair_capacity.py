@@ -55,6 +55,21 @@ def test_fixed_room_changes_nothing(device: torch.device) -> None:
     assert not capacity.is_short()
 
 
+def test_pairs_are_noted_before_they_are_listed(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So a replay knows early whether they have room."""
+    inputs = leaves(random_scene(n=300, width=70, height=50), device, torch.float32)
+    _, pairs = _measured(inputs, device)
+
+    def list_pairs(*arrays: object, **options: object) -> None:
+        raise RuntimeError("nothing is listed")
+
+    monkeypatch.setattr(binning_step, "list_pairs", list_pairs)
+    capacity = PairCapacity(device)
+    with pytest.raises(RuntimeError, match="nothing is listed"), capacity.step(fixed=False):
+        rasterization(**inputs)
+    assert capacity.most.tolist() == [pairs] + [0] * (CALLS - 1)
+
+
 def test_too_little_room_is_told(device: torch.device) -> None:
     """The nearest pairs are drawn, the rest is missing, nothing is corrupted, and the count says how many."""
     capacity, pairs = _measured(leaves(random_scene(n=20, width=70, height=50), device, torch.float32), device)
