@@ -101,6 +101,7 @@ class SortedGaussians(NamedTuple):
     """The Gaussians of all images, nearest first: those that touch a tile, or all where there are few."""
 
     grid: _Grid
+    """The tiles that they were counted in."""
     order: wp.array
     """Flat index of each, int32 [ranks]."""
     pair_ends: wp.array

@@ -37,6 +37,10 @@ class TileLists(NamedTuple):
         return [getattr(bins, name) for name in names], [tensors[name] for name in names]
 
 
+_CAPTURED_WITHOUT_ROOM = (
+    "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs back.",
+    "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
+)
 _READ = ("gaussian_ids", "tile_offsets")
 _READ_BY_SLOT = (*_READ, "slots", "order", "pair_ends")
 
@@ -80,12 +84,7 @@ def tile_lists(
         try:
             with joined_capture(opacities.device) as captured:
                 if captured and room is None:
-                    raise UserError(
-                        "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs "
-                        "back.",
-                        "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an "
-                        "example.",
-                    )
+                    raise UserError(*_CAPTURED_WITHOUT_ROOM)
                 nearest_first = binning_step.sort_gaussians(
                     projected,
                     *scalar_views,
@@ -95,7 +94,7 @@ def tile_lists(
                     rest=None if rest is None else view(rest, scalar, *rest.shape),
                     room=room,
                 )
-            if note is not None:
+            if note is not None:  # outside of both: whoever is told may end a capture here, and begin the next
                 totals, ends = nearest_first.totals, nearest_first.pair_ends
                 note(ends.owner[-1:] if totals is None else totals.owner[-1])
             by_slot = deterministic or not device.is_cuda
