@@ -59,13 +59,13 @@ def test_a_grid_is_trained_on_the_copies_alone() -> None:
     assert found[-1].setting == "thermosplat_plus --budget fixed --max-steps 7 --densification.max-gaussians 9"
 
 
-@pytest.mark.slow
 def test_captures_as_they_are_may_be_left_out() -> None:
     """Then the copies alone are trained on."""
     options, _ = parse(["desk", "--electrons", "30", "140", "--settings", "thermosplat", "--dark-only"])
     assert [cell.light for cell in cells(options)] == ["30", "140"]
 
 
+@pytest.mark.slow
 def test_benchmark_runs_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two trainings of the sample, one of them also evaluated on the other's held-out views; then nothing is left."""
     sample = str(files("thermosplat").joinpath("sample"))
