@@ -15,15 +15,9 @@ import torch
 from torch import Tensor
 
 from thermosplat.rasterizer.replay.cuda_graphs import Recorder, RoomForOne
-from thermosplat.rasterizer.replay.image_launches import LaunchedByReplays, LaunchedNow, Places
+from thermosplat.rasterizer.replay.image_launches import LaunchedByReplays, Places
 from thermosplat.rasterizer.replay.nodes import Blended, Lease, Projected
-from thermosplat.rasterizer.replay.recorded_call import (
-    EXTRA,
-    GradientMemory,
-    RecordedCall,
-    Subject,
-    images_of,
-)
+from thermosplat.rasterizer.replay.recorded_call import EXTRA, GradientMemory, RecordedCall, Subject, images_of
 from thermosplat.rasterizer.replay.replayed_info import WrittenInfo, replayed_info
 
 WARM_UPS = 2
@@ -65,7 +59,7 @@ class CapturedCall:
             memory = GradientMemory([], [], [])
             straight = [_runs_straight(RecordedCall(subject, fixed, self.room, memory)) for _ in range(WARM_UPS)]
             self._places = Places()
-            launcher = LaunchedNow()
+            launcher = None
             if all(straight):
                 launcher = LaunchedByReplays(tensors[0].device, recorder.leave_out, self._places)
             body = RecordedCall(subject, fixed, self.room, memory, launcher)
