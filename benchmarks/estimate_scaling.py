@@ -87,7 +87,7 @@ def count_bytes(rank: int, folder: str) -> None:
         )
     with counted_bytes() as backward:
         out.render_colors.sum().backward()
-    rows = int((out.info["radii"][1 - rank] > 0).all(-1).sum())
+    rows = int(out.info["visible"][1 - rank].sum())
     if rank == 0:
         (Path(folder) / "bytes.json").write_text(json.dumps([forward.bytes / rows, backward.bytes / rows]))
     dist.barrier()

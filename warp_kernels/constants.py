@@ -16,6 +16,9 @@ EXTENT_MIN = 1.0e-3
 """Smallest extent in standard deviations: where the opacity rounds to ALPHA_MIN its logarithm is 0, and a Gaussian that
 the blend would still draw at its centre must not be culled."""
 
+RADIUS_MAX = 1.0e9
+"""Largest radius of a Gaussian [px], which an int32 holds."""
+
 FOV_MARGIN = 0.3
 """Share of the half field of view by which a mean may lie outside the image before its Jacobian is clamped."""
 

@@ -48,7 +48,7 @@ def allocate_projected(entries: int, dtype: type, device: wp.Device, requires_gr
     def empty(kind: type) -> wp.array:
         return wp.empty(entries, dtype=kind, device=device, requires_grad=requires_grad)
 
-    radii = wp.empty(entries, dtype=wp.vec2i, device=device)
+    visible = wp.empty(entries, dtype=wp.bool, device=device)
     extents = wp.empty(entries, dtype=vec2, device=device)
     packed_roots = wp.empty(entries, dtype=vec4, device=device)
     strides = packed_roots.strides
@@ -56,7 +56,7 @@ def allocate_projected(entries: int, dtype: type, device: wp.Device, requires_gr
     roots._owner = packed_roots  # whose memory it is
     # Warp's own way would spread the gradient like the array; kernels have it side by side.
     roots._grad = wp.zeros(entries, dtype=vec3, device=device) if requires_grad else None
-    return ProjectedArrays(empty(vec2), empty(dtype), roots, empty(dtype), radii, extents, packed_roots)
+    return ProjectedArrays(empty(vec2), empty(dtype), roots, empty(dtype), visible, extents, packed_roots)
 
 
 def rasterize(

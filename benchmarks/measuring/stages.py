@@ -90,7 +90,7 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
         for part in (slice(0, 1), slice(1, None)):
             coefficients.append(wp.from_torch(t["sh"][:, part], vector(3, dtype)))
             coefficients[-1].grad = wp.from_torch(v_sh[:, part], vector(3, dtype))
-        arrays = ColorArrays(gaussians.means, gaussians.viewmats, *coefficients, projected.radii, colors)
+        arrays = ColorArrays(gaussians.means, gaussians.viewmats, *coefficients, projected.visible, colors)
         color_settings = ColorSettings(3, count, 1)
         sh_colors(arrays, color_settings)
         colors.grad.fill_(0.01)

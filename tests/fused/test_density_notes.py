@@ -14,7 +14,7 @@ def test_same_as_torch(device: torch.device, cameras: int, blocked: float) -> No
     """Norms in units of half the image and observations, added to sums there are; a blocked step adds nothing."""
     count, generator = 300, torch.Generator().manual_seed(cameras)
     gradient = 1e-4 * torch.randn(cameras, count, 2, generator=generator)
-    radii = torch.randint(-1, 3, (cameras, count, 2), generator=generator).clamp(min=0).int()
+    visible = torch.rand(cameras, count, generator=generator) < 0.6
     if blocked:
         gradient[0, 0] = torch.nan
     strategy = DefaultStrategy(DensificationConfig(), 3.0, count, "cpu")
@@ -25,10 +25,10 @@ def test_same_as_torch(device: torch.device, cameras: int, blocked: float) -> No
 
     means2d = torch.zeros_like(gradient, requires_grad=True)
     means2d.grad = gradient
-    info = {"means2d": means2d, "radii": radii, "width": 40, "height": 30, "n_cameras": cameras}
+    info = {"means2d": means2d, "visible": visible, "width": 40, "height": 30, "n_cameras": cameras}
     strategy.observe([info], torch.tensor(blocked))
     half_size = 20.0 * cameras, 15.0 * cameras
-    note_gradients(gradient.to(device), radii.to(device), half_size, torch.tensor(blocked, device=device), *sums)
+    note_gradients(gradient.to(device), visible.to(device), half_size, torch.tensor(blocked, device=device), *sums)
 
     torch.testing.assert_close(sums[0].cpu(), strategy.grad_norm_sum)
     assert torch.equal(sums[1].cpu(), strategy.observations)

@@ -11,7 +11,7 @@ import torch
 import reference_rasterizer
 from gaussian_scenes import leaves, random_rgbt_scene, random_scene, relative_error
 from thermosplat import rasterization, rasterization_rgbt
-from thermosplat.rasterizer.info import RasterizationInfo, isect_ids
+from thermosplat.rasterizer.info import RasterizationInfo, clear_unseen, isect_ids, radii_of
 
 
 @pytest.mark.parametrize(
@@ -230,3 +230,41 @@ def test_cameras_that_are_not_finite(name: str) -> None:
     _, alphas, info = rasterization(**scene | {name: broken})
     assert not alphas.any()
     assert info["num_nonfinite"] == 20
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_of_unseen_gaussians_there_are_zeros(device: torch.device, dtype: torch.dtype) -> None:
+    """Whatever lay in the memory before: the projection writes nothing of them, and reading does."""
+    scene = leaves(random_scene(n=40, cameras=2), device, dtype)
+    scene["means"] = (scene["means"] * torch.where(torch.arange(40, device=device) % 3 == 0, -1.0, 1.0)[:, None]).detach()
+    shape = scene["viewmats"].shape[:-2]
+    litter = [torch.full((*shape, 40, width), torch.nan, device=device, dtype=dtype) for width in (2, 1, 2, 4)]
+    del litter  # which the allocator hands out again
+    info = rasterization(**scene)[2]
+    unseen = ~info["visible"]
+    assert 0 < unseen.sum() < unseen.numel()
+    assert info["radii"].dtype == torch.int32
+    assert (info["radii"][~unseen] > 0).all()
+    for key in ("means2d", "depths", "radii", "conics", "tiles_per_gauss"):
+        assert (info[key][unseen] == 0).all(), key
+        assert (info[key][~unseen] != 0).any(), key
+
+
+def test_radii_are_what_gsplat_says() -> None:
+    """Half sizes rounded up, as large as an int32 holds, and 0 where nothing is drawn."""
+    extents = torch.tensor([[0.2, 3.0], [3.1, 2e9], [torch.nan, 5.0]])
+    visible = torch.tensor([True, True, False])
+    assert radii_of(extents, visible).tolist() == [[1, 3], [4, 1_000_000_000], [0, 0]]
+
+
+def test_cleared_tensors_keep_their_graph() -> None:
+    """Zeros are written behind autograd's back, since nothing has read what lay there."""
+    leaf = torch.tensor([1.0, torch.nan], requires_grad=True)
+    values = leaf * 2.0
+    squares = (values * values)[:1]
+    cleared = clear_unseen(values, torch.tensor([True, False]))
+    assert cleared is values
+    assert values.tolist() == [2.0, 0.0]
+    squares.sum().backward()
+    assert leaf.grad is not None
+    assert leaf.grad[0] == 8.0

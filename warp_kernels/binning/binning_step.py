@@ -55,7 +55,7 @@ def bin_tiles(
     ``bins.pair_ends`` where that is None, says how many were needed.
 
     Args:
-        projected: from ``project``. Radii of Gaussians with non-finite features are set to zero.
+        projected: from ``project``. Gaussians with non-finite features become invisible.
         opacities: [images · N], compensation included.
         thermal_opacities: [images · N]; the same array where there is one opacity.
         features: scalar array [images · N, D], only checked for being finite.
@@ -168,7 +168,7 @@ def sort_gaussians(
         thermal_opacities,
         features,
         rest,
-        projected.radii,
+        projected.visible,
         tiles_per_gaussian,
     ]
     compacted, ranks, totals = entries > COMPACTED, entries, None
@@ -185,7 +185,7 @@ def sort_gaussians(
     # radix_sort_pairs sorts in place and needs room for a second copy
     depth_keys, unsorted = empty(2 * ranks, dtype, device), empty(2 * ranks, wp.int32, device)
     if compacted:
-        inputs = [ranks, tiles_per_gaussian, totals, projected.depths, depth_keys, unsorted]
+        inputs = [ranks, projected.visible, tiles_per_gaussian, totals, projected.depths, depth_keys, unsorted]
         launch(compact_kernel, threads_of_many(entries) if device.is_cuda else entries, inputs, device)
     else:
         launch(count_kernel, whole_warps(entries, device), [*counted, None, depth_keys, unsorted], device)
@@ -266,7 +266,6 @@ def list_pairs(
                 opacities,
                 thermal_opacities,
                 nearest_first.order,
-                nearest_first.tiles_per_gaussian,
                 nearest_first.pair_ends,
                 keys,
                 values,

@@ -92,7 +92,7 @@ def binning_kernels(dtype: type, lanes: int):
         features: wp.array2d(dtype=dtype),  # [images · N, A]
         rest: wp.array2d(dtype=dtype),  # [images · N, B]; [0, 0]: there are no others
         # outputs
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
         warp_totals: wp.array(dtype=Totals),  # [warps of the launch]; [0]: keys are written instead
         depth_keys: wp.array(dtype=dtype),  # [2 · images · N], the first half; [0] with warp_totals
@@ -101,13 +101,13 @@ def binning_kernels(dtype: type, lanes: int):
         """With ``warp_totals`` notes each warp's pairs and Gaussians, without writes the keys to sort by."""
         index = wp.tid() + first
         lane = index % lanes
-        inside = index < radii.shape[0]
+        inside = index < visible.shape[0]
         mean2d = vec2()
         extent = vec2()
         shape = vec4()
         row = int(0)
         row_end = int(0)
-        if inside and radii[index][0] > 0:
+        if inside and visible[index]:
             # read before the features are looked at, so that nothing is waited for twice
             mean2d = means2d[index]
             extent = extents[index]
@@ -124,7 +124,7 @@ def binning_kernels(dtype: type, lanes: int):
                 row, row_end = tile_range(y, y_end, tile_size)
             else:
                 # A Gaussian whose colour or features are not finite would spread over every pixel it touches.
-                radii[index] = wp.vec2i(0, 0)
+                visible[index] = False
         # The rows of the warp's Gaussians are dealt to its lanes, one after the other.
         end = warp_scan(row_end - row)
         rows = warp_shuffle(end, lanes - 1)
@@ -166,6 +166,7 @@ def binning_kernels(dtype: type, lanes: int):
     def compact_gaussians_kernel(
         first: int,
         room: int,
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
         totals: wp.array(dtype=Totals),  # [warps of the count]
         depths: wp.array(dtype=dtype),  # [images · N]
@@ -179,7 +180,10 @@ def binning_kernels(dtype: type, lanes: int):
         nearest = (thread // lanes) * wp.static(each * lanes) + lane
         count = vec_each()
         for j in range(each):  # all are asked for before the first is looked at
-            if nearest + j * lanes < tiles_per_gaussian.shape[0]:
+            if nearest + j * lanes < visible.shape[0]:
+                count[j] = wp.where(visible[nearest + j * lanes], 1, 0)
+        for j in range(each):
+            if count[j] > 0:
                 count[j] = tiles_per_gaussian[nearest + j * lanes]
         num_listed = totals[totals.shape[0] - 1][1]
         for j in range(each):
@@ -288,7 +292,6 @@ def binning_kernels(dtype: type, lanes: int):
         opacities: wp.array(dtype=dtype),  # [images · N]
         thermal_opacities: wp.array(dtype=dtype),  # [images · N]
         order: wp.array(dtype=wp.int32),  # [ranks]
-        tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
         pair_ends: wp.array(dtype=wp.int64),  # [ranks]
         # outputs
         keys: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
@@ -307,10 +310,11 @@ def binning_kernels(dtype: type, lanes: int):
         if rank < order.shape[0]:
             index = order[rank]
         if index >= 0:
-            count = tiles_per_gaussian[index]
-            begin = pair_ends[rank] - wp.int64(count)
+            begin = wp.int64(0)
+            if rank > 0:
+                begin = pair_ends[rank - 1]
             slot = int(wp.min(begin, wp.int64(capacity)))
-            if count > 0 and slot < capacity:
+            if pair_ends[rank] > begin and slot < capacity:
                 mean2d = means2d[index]
                 extent = extents[index]
                 shape = ellipse(roots[index], extent, wp.max(opacities[index], thermal_opacities[index]))

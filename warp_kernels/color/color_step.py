@@ -28,7 +28,7 @@ class ColorArrays:
             any strides, as ``shN``. Receives a gradient.
         shN: vec3 [scenes · N, K - 1] or [images · N, K - 1], those of the higher degrees; K at least (degree + 1)².
             Receives a gradient.
-        radii: vec2i [images · N] from the projection.
+        visible: bool [images · N] from the projection.
         colors: vec3 [images · N], output.
         camera_positions: vec3d [images], world units, whatever the means are in float64; set by ``sh_colors``.
     """
@@ -37,7 +37,7 @@ class ColorArrays:
     viewmats: wp.array
     sh0: wp.array
     shN: wp.array
-    radii: wp.array
+    visible: wp.array
     colors: wp.array
     camera_positions: wp.array | None = None
 
@@ -82,7 +82,7 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     launch_again(camera_position_kernels(dtype)[0], images, [a.viewmats, a.camera_positions], device)
     joined = _joined(a.sh0, a.shN)
     rows, lowest = (a.shN, 1) if joined is None else (joined, 0)
-    inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.radii]
+    inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.visible]
     many = entries > LISTED and device.is_cuda
     kernel = color_kernel(dtype, many, settings.variant)
     launch(kernel, threads_of_many(entries) if many else entries, [*inputs, a.colors], device)
@@ -109,7 +109,7 @@ def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bo
     lowest = 0
     if rows is None or v_rows is None:
         rows, v_rows, lowest = a.shN, v_shN, 1
-    inputs = [*_counts(settings), a.means, a.camera_positions, rows, a.radii, a.colors, gradient_of(a.colors)]
+    inputs = [*_counts(settings), a.means, a.camera_positions, rows, a.visible, a.colors, gradient_of(a.colors)]
     launch(
         color_adjoint_kernel(dtype, settings.variant),
         whole_warps(a.means.shape[0], device),

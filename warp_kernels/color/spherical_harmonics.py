@@ -104,30 +104,30 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
         sh0: wp.array2d(dtype=vec3),  # [scenes · N or images · N, 1]
         rows: wp.array2d(dtype=vec3),  # [scenes · N or images · N, K - lowest]
         lowest: int,
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         # outputs
         colors: wp.array(dtype=vec3),  # [images · N]
     ):
         thread = wp.tid() + first
         lane = thread % lanes
         nearest = (thread // lanes) * wp.static(each * lanes) + lane
-        radius = vec_each()
+        seen = vec_each()
         for j in range(each):  # all are asked for before the first is looked at
-            if nearest + j * lanes < radii.shape[0]:
-                radius[j] = radii[nearest + j * lanes][0]
-        count = wp.where(radius[0] > 0, 1, 0)
-        visible = wp.uint64(0)
+            if nearest + j * lanes < visible.shape[0]:
+                seen[j] = wp.where(visible[nearest + j * lanes], 1, 0)
+        count = seen[0]
+        listed = wp.uint64(0)
         if wp.static(many):
-            visible = list_of_warp((thread // lanes) % wp.static(WARPS))
+            listed = list_of_warp((thread // lanes) % wp.static(WARPS))
             count = int(0)
             warp_sync()  # of a grid that goes round, all lanes have read the list before
             for j in range(each):
-                count = append(visible, count, lane, radius[j] > 0, nearest + j * lanes)
+                count = append(listed, count, lane, seen[j] > 0, nearest + j * lanes)
             warp_sync()
         for k in range(lane, count, lanes):
             index = nearest
             if wp.static(many):
-                index = item(visible, k)
+                index = item(listed, k)
             image = index // num_gaussians
             gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
             row = wp.where(per_image, index, gaussian)
@@ -184,7 +184,7 @@ def color_adjoint_kernel(dtype: type, variant: ColorVariant) -> wp.Kernel:
         means: wp.array(dtype=vec3),  # [scenes · N]
         camera_positions: wp.array(dtype=wp.vec3d),  # [images]
         rows: wp.array2d(dtype=vec3),  # [scenes · N or images · N, K - lowest]
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         colors: wp.array(dtype=vec3),  # [images · N]
         v_colors: wp.array(dtype=vec3),  # [images · N]
         lowest: int,
@@ -204,7 +204,7 @@ def color_adjoint_kernel(dtype: type, variant: ColorVariant) -> wp.Kernel:
             image = scene * num_cameras + camera
             index = image * num_gaussians + gaussian % num_gaussians
             row = wp.where(per_image, index, gaussian)
-            used = inside and radii[index][0] > 0
+            used = inside and visible[index]
             unit = vec3()
             inverse = dtype(0.0)
             b = vecK()

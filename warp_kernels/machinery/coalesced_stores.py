@@ -11,16 +11,6 @@ import warp as wp
 from warp_kernels.machinery.lanes import scalar_name
 from warp_kernels.machinery.loading import made_once
 
-STORE_PAIR = """
-#if defined(__CUDA_ARCH__)
-    if (((size_t)target.data & 7) == 0) {
-        *(int2*)(target.data + index) = make_int2(value[0], value[1]);
-        return;
-    }
-#endif
-    target.data[index] = value;
-"""
-
 STORE_VEC3 = """
 #if defined(__CUDA_ARCH__)
     const unsigned all = 0xffffffffu;
@@ -56,11 +46,6 @@ def _store_whole(length: int, dtype: type) -> str:
 #endif
     target.data[index] = value;
 """
-
-
-@wp.func_native(STORE_PAIR)
-def store_pair(target: wp.array(dtype=wp.vec2i), index: int, value: wp.vec2i):
-    """Stores a vector of two integers."""
 
 
 @made_once

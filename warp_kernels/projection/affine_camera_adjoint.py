@@ -149,7 +149,7 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
         eps2d: dtype,
         packed_roots: wp.array(dtype=vec4),  # [images · N]
         compensations: wp.array(dtype=dtype),  # [images · N]; [0] in the classic mode
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         slopes: wp.array2d(dtype=dtype),  # [6, images · N]
         times: wp.array(dtype=wp.float64),  # [images · N]; [0] without a rolling shutter
         leads: wp.array2d(dtype=dtype),  # [6, images · N]; likewise
@@ -181,7 +181,7 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
             image = scene * num_cameras + camera
             index = image * num_gaussians + gaussian - scene * num_gaussians
             G = record()
-            if inside and radii[index][0] > 0:
+            if inside and visible[index]:
                 # gradients that are not given are zero
                 v_mean, v_depth_given, v_root, v_compensation, rho = vec2(), dtype(0.0), vec3(), dtype(0.0), dtype(0.0)
                 if v_means2d.shape[0] > 0:

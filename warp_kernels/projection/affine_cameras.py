@@ -239,7 +239,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
         depths: wp.array(dtype=dtype),  # [images · N]
         packed_roots: wp.array(dtype=vec4),  # [images · N]
         compensations: wp.array(dtype=dtype),  # [images · N]; [0]: not wanted
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         extents: wp.array(dtype=vec2),  # [images · N]
         slopes: wp.array2d(dtype=dtype),  # [6, images · N]; [0, 0]: not wanted
         times: wp.array(dtype=wp.float64),  # [images · N]; [0] without a rolling shutter, or not wanted
@@ -248,7 +248,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
         index = wp.tid() + first
         image = index // num_gaussians
         gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
-        culled(index, means2d, depths, compensations, radii)
+        culled(index, compensations, visible)
         raw_K = Ks[image]
         K = intrinsics(
             wp.float64(raw_K[0, 0]), wp.float64(raw_K[1, 1]), wp.float64(raw_K[0, 2]), wp.float64(raw_K[1, 2])
@@ -311,7 +311,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
             index, gaussian, mean2d, remainder, depth,
             wp.dot(a0, a0), wp.dot(a0, a1), wp.dot(a1, a1), wp.dot(normal, normal), opacities, thermal_opacities,
             width, height, eps2d, radius_clip, antialiased,
-            means2d, depths, packed_roots, compensations, radii, extents,
+            means2d, depths, packed_roots, compensations, visible, extents,
         )  # fmt: skip
         if slopes.shape[0] > 0:
             for i in range(6):

@@ -5,8 +5,8 @@ The 2D covariance without its blur is xx, xy, yy with the determinant det; see p
 
 import warp as wp
 
-from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN
-from warp_kernels.machinery.coalesced_stores import store_functions, store_pair
+from warp_kernels.constants import ALPHA_MIN, EXTENT_MAX, EXTENT_MIN, RADIUS_MAX
+from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.packed_roots import packed_root_functions
 
@@ -20,30 +20,25 @@ def footprint_functions(dtype: type):
 
     Returns:
         ``(culled, footprint)``, Warp functions. The first stores what there is of a Gaussian that is not drawn; the
-        second what there is of one that is, if it is.
+        second what there is of one that is, if it is. Of many Gaussians most are not, so that little is stored of them.
     """
     vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
     store2, _, store4 = store_functions(dtype)
     pack, _, _ = packed_root_functions(dtype)
     zero, one, two = dtype(0.0), dtype(1.0), dtype(2.0)
     alpha_min, extent_min, extent_max = dtype(ALPHA_MIN), dtype(EXTENT_MIN), dtype(EXTENT_MAX)
-    largest_radius = dtype(1.0e9)  # fits an int32
+    largest_radius = dtype(RADIUS_MAX)
     sharpest = dtype(1.0e30 if dtype is wp.float32 else 1.0e300)  # times pixels squared stays finite
 
     @wp.func
     def culled(
         index: int,
-        means2d: wp.array(dtype=vec2),  # [images · N]
-        depths: wp.array(dtype=dtype),  # [images · N]
         compensations: wp.array(dtype=dtype),  # [images · N]; [0]: not wanted
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
     ):
-        # Zero what users see, or multiply with.
-        store2(means2d, index, vec2())
-        depths[index] = zero
-        store_pair(radii, index, wp.vec2i(0, 0))
+        visible[index] = False
         if compensations.shape[0] > 0:
-            compensations[index] = zero
+            compensations[index] = zero  # opacities are multiplied with it
 
     @wp.func
     def footprint(
@@ -68,7 +63,7 @@ def footprint_functions(dtype: type):
         depths: wp.array(dtype=dtype),  # [images · N]
         packed_roots: wp.array(dtype=vec4),  # [images · N]
         compensations: wp.array(dtype=dtype),  # [images · N]; [0]: not wanted
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         extents: wp.array(dtype=vec2),  # [images · N]
     ):
         det_blurred = det + eps2d * (sharp_xx + sharp_yy) + eps2d * eps2d
@@ -91,7 +86,7 @@ def footprint_functions(dtype: type):
         extent = wp.clamp(wp.sqrt(two * wp.log(opacity / alpha_min)), extent_min, extent_max)
         ex = extent * wp.sqrt(xx)
         ey = extent * wp.sqrt(yy)
-        rx = wp.min(wp.ceil(ex), largest_radius)
+        rx = wp.min(wp.ceil(ex), largest_radius)  # radii: see info.radii_of
         ry = wp.min(wp.ceil(ey), largest_radius)
         if rx <= radius_clip and ry <= radius_clip:
             return
@@ -105,7 +100,7 @@ def footprint_functions(dtype: type):
         store4(packed_roots, index, vec4(root[0], root[1], root[2], pack(remainder)))
         if compensations.shape[0] > 0:
             compensations[index] = compensation
-        store_pair(radii, index, wp.vec2i(int(rx), int(ry)))
+        visible[index] = True
         store2(extents, index, vec2(ex, ey))
 
     return culled, footprint

@@ -132,7 +132,7 @@ def project_through_lenses_adjoint(
             settings.eps2d,
             projected.packed_roots,
             projected.compensations,
-            projected.radii,
+            projected.visible,
             lenses.slopes,
             lenses.times,
             lenses.leads,

@@ -209,14 +209,14 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         depths: wp.array(dtype=dtype),  # [images · N]
         packed_roots: wp.array(dtype=vec4),  # [images · N]
         compensations: wp.array(dtype=dtype),  # [images · N]; [0]: not wanted
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         extents: wp.array(dtype=vec2),  # [images · N]
     ):
         index = wp.tid() + first
         image = index // num_gaussians
         gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
 
-        culled(index, means2d, depths, compensations, radii)
+        culled(index, compensations, visible)
         view = viewmats[image]
         K = Ks[image]
         exact = camera_position(view, means[gaussian])
@@ -246,7 +246,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         footprint(
             index, gaussian, mean2d, remainder, p[2], xx, xy, yy, det, opacities, thermal_opacities,
             width, height, eps2d, radius_clip, antialiased,
-            means2d, depths, packed_roots, compensations, radii, extents,
+            means2d, depths, packed_roots, compensations, visible, extents,
         )  # fmt: skip
 
     return project_kernel
@@ -282,15 +282,15 @@ class ProjectedArrays:
     """What the projection writes, one entry per (image, Gaussian) pair.
 
     Attributes:
-        means2d: vec2 [images · N], px; 0 where culled.
-        depths: [images · N], camera z in world units; 0 where culled.
-        roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module); not
-            written where culled. The first three numbers of ``packed_roots``, in the same memory.
+        means2d: vec2 [images · N], px.
+        depths: [images · N], camera z in world units.
+        roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module). The first
+            three numbers of ``packed_roots``, in the same memory.
         compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one); 0 where culled. May
             be empty in the classic mode.
-        radii: vec2i [images · N], px; 0 where culled.
-        extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN; not written where
-            culled.
+        visible: bool [images · N]; where it is False the Gaussian is culled, and nothing but this and a compensation
+            was written.
+        extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN.
         packed_roots: vec4 [images · N], the roots, and what rounding took from means2d (see packed_roots).
     """
 
@@ -298,7 +298,7 @@ class ProjectedArrays:
     depths: wp.array
     roots: wp.array
     compensations: wp.array
-    radii: wp.array
+    visible: wp.array
     extents: wp.array
     packed_roots: wp.array
 

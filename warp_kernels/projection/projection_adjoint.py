@@ -82,7 +82,7 @@ def projection_adjoint_kernel(
         eps2d: dtype,
         roots: wp.array(dtype=vec3),  # [images · N]
         compensations: wp.array(dtype=dtype),  # [images · N]; [0] in the classic mode
-        radii: wp.array(dtype=wp.vec2i),  # [images · N]
+        visible: wp.array(dtype=wp.bool),  # [images · N]
         v_means2d: wp.array(dtype=vec2),  # [images · N]; [0]: zeros, as in those below
         v_depths: wp.array(dtype=dtype),  # [images · N]
         v_roots: wp.array(dtype=vec3),  # [images · N]
@@ -101,7 +101,7 @@ def projection_adjoint_kernel(
         seen_bits = int(0)
         if wp.static(many):
             for j in range(each):  # all are asked for before the first is looked at
-                if nearest + j * lanes < means.shape[0] and radii[nearest + j * lanes][0] > 0:
+                if nearest + j * lanes < means.shape[0] and visible[nearest + j * lanes]:
                     seen_bits |= 1 << j
         step = int(0)
         while step < each:
@@ -119,7 +119,7 @@ def projection_adjoint_kernel(
                 seen = (seen_bits >> step) & 1 > 0
             else:
                 for camera in range(num_cameras):
-                    if radii[(scene * num_cameras + camera) * num_gaussians + gaussian % num_gaussians][0] > 0:
+                    if visible[(scene * num_cameras + camera) * num_gaussians + gaussian % num_gaussians]:
                         seen = inside
 
             # Nothing else is read of a Gaussian that no camera sees.
@@ -149,7 +149,7 @@ def projection_adjoint_kernel(
                 G = record()
                 drawn = seen
                 if wp.static(not many):
-                    drawn = seen and radii[index][0] > 0
+                    drawn = seen and visible[index]
                 if drawn:
                     # All that is read of it is asked for before anything is worked out.
                     u = roots[index][0]

@@ -71,7 +71,7 @@ def seen_and_stored(settings: ProjectionSettings, projected: ProjectedArrays) ->
         projected.depths,
         projected.packed_roots,
         projected.compensations,
-        projected.radii,
+        projected.visible,
         projected.extents,
     ]
 
@@ -121,7 +121,7 @@ def project_adjoint(
             settings.eps2d,
             projected.roots,
             projected.compensations,
-            projected.radii,
+            projected.visible,
             projected.means2d.grad,
             projected.depths.grad,
             projected.roots.grad,

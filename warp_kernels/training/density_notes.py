@@ -26,7 +26,7 @@ def density_kernel(dtype: type) -> wp.Kernel:
         half_height: dtype,
         blocked: wp.array(dtype=wp.float32),  # [1]
         gradients: wp.array(dtype=vec2),  # [cameras · N]
-        radii: wp.array(dtype=wp.vec2i),  # [cameras · N]
+        visible: wp.array(dtype=wp.bool),  # [cameras · N]
         # inputs and outputs
         norm_sums: wp.array(dtype=wp.float32),  # [N]
         observations: wp.array(dtype=wp.float32),  # [N]
@@ -39,7 +39,7 @@ def density_kernel(dtype: type) -> wp.Kernel:
         seen = wp.float32(0.0)
         for camera in range(num_cameras):
             index = camera * num_gaussians + gaussian
-            if radii[index][0] > 0 and radii[index][1] > 0:
+            if visible[index]:
                 gradient = gradients[index]
                 total += wp.length(vec2(gradient[0] * half_width, gradient[1] * half_height))
                 seen += 1.0
@@ -52,7 +52,7 @@ def density_kernel(dtype: type) -> wp.Kernel:
 
 def note_density(
     gradients: wp.array,
-    radii: wp.array,
+    visible: wp.array,
     half_size: tuple[float, float],
     blocked: wp.array,
     norm_sums: wp.array,
@@ -62,7 +62,7 @@ def note_density(
 
     Args:
         gradients: vec2 [cameras · N], of the means in the images [1 / px].
-        radii: vec2i [cameras · N]; a Gaussian counts where both are above 0.
+        visible: bool [cameras · N]; where a Gaussian counts.
         half_size: what the gradients' components are multiplied with [px].
         blocked: float32 [1]; not 0: add nothing.
         norm_sums: float32 [N], gets the gradients' norms.
@@ -71,4 +71,4 @@ def note_density(
     dtype = gradients.dtype._wp_scalar_type_
     count = len(norm_sums)
     arguments = [len(gradients) // max(count, 1), dtype(half_size[0]), dtype(half_size[1]), blocked]
-    launch(density_kernel(dtype), count, [*arguments, gradients, radii, norm_sums, observations], gradients.device)
+    launch(density_kernel(dtype), count, [*arguments, gradients, visible, norm_sums, observations], gradients.device)

@@ -10,7 +10,7 @@ from warp_kernels.training.density_notes import note_density
 
 def note_gradients(
     gradient: Tensor,
-    radii: Tensor,
+    visible: Tensor,
     half_size: tuple[float, float],
     blocked: Tensor,
     norm_sums: Tensor,
@@ -20,7 +20,7 @@ def note_gradients(
 
     Args:
         gradient: Of the means in the image [1 / px], shape [C, N, 2].
-        radii: int32, shape [C, N, 2]; a camera sees a Gaussian where both are above 0.
+        visible: bool, shape [C, N]; whether a camera sees a Gaussian.
         half_size: Multiplied with the components of the gradient [px].
         blocked: float32 scalar; not 0: add nothing.
         norm_sums: float32 [N]; gets the norms where a camera sees a Gaussian.
@@ -29,7 +29,7 @@ def note_gradients(
     with launches_on_torch_stream(gradient.device):
         note_density(
             given_view(gradient, vector_of(2, gradient.dtype)),
-            given_view(radii, wp.vec2i),
+            given_view(visible, wp.bool),
             half_size,
             view(blocked, wp.float32),
             view(norm_sums, wp.float32),

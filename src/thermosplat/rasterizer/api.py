@@ -152,12 +152,13 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
     Returns:
         ``(render_colors, render_alphas, info)``: images [..., C, H, W, X] with X = D, 1 or D + 1; accumulated
         opacities [..., C, H, W, 1]; gsplat's dictionary, parts of which are computed when they are read. Its keys:
-        means2d [..., C, N, 2] px, radii int32 [..., C, N, 2] px (0: not drawn), depths [..., C, N], conics
-        [..., C, N, 3] 1/px², opacities [..., C, N] as drawn, tiles_per_gauss int32 [..., C, N]; of the sorted
-        (Gaussian, tile) pairs flatten_ids int32 [pairs], isect_ids int64 [pairs], and isect_offsets int32
-        [..., C, tile_height, tile_width], the first pair of each tile; the numbers width, height, tile_size,
-        tile_width, tile_height, n_batches, n_cameras and num_nonfinite; None: batch_ids, camera_ids, gaussian_ids; with
-        ``extra_signals`` their image, render_extra_signals [..., C, H, W, E]; with ``return_normals`` normals.
+        visible bool [..., C, N], which Gaussians are drawn; 0 where they are not: means2d [..., C, N, 2] px, radii
+        int32 [..., C, N, 2] px, depths [..., C, N], conics [..., C, N, 3] 1/px²; opacities [..., C, N] as drawn,
+        tiles_per_gauss int32 [..., C, N]; of the sorted (Gaussian, tile) pairs flatten_ids int32 [pairs], isect_ids
+        int64 [pairs], and isect_offsets int32 [..., C, tile_height, tile_width], the first pair of each tile; the
+        numbers width, height, tile_size, tile_width, tile_height, n_batches, n_cameras and num_nonfinite; None:
+        batch_ids, camera_ids, gaussian_ids; with ``extra_signals`` their image, render_extra_signals [..., C, H, W, E];
+        with ``return_normals`` normals.
 
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
@@ -235,7 +236,7 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
         distributed=distributed,
     )
     if sparse_grad:
-        visible.append((scene.projected.radii > 0).all(-1).any(0))
+        visible.append(scene.projected.visible.any(0))
     depths = scene.depths.reshape(-1, 1) if options.depths else None
     weights = torch.ones_like(scene.depths).reshape(-1, 1) if options.weights else None
     columns = ImageColumns(

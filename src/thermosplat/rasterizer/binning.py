@@ -61,7 +61,7 @@ def tile_lists(
     """Lists the Gaussians of each tile.
 
     Args:
-        projected: what ``Project`` returned; radii of Gaussians with non-finite features become zero, in place.
+        projected: what ``Project`` returned; Gaussians with non-finite features become invisible, in place.
         opacities: [images · N], compensation included.
         thermal_opacities: [images · N]; the same tensor where there is one opacity.
         features: [images · N, D].

@@ -17,7 +17,7 @@ from thermosplat.errors import UserError
 from thermosplat.rasterizer.blending import BlendedTensors
 from thermosplat.rasterizer.cameras_of_ranks import CameraKind, cameras_of_ranks
 from thermosplat.rasterizer.exchange import AbsoluteGradients, Exchange
-from thermosplat.rasterizer.info import RasterizationInfo, conics
+from thermosplat.rasterizer.info import RasterizationInfo, clear_unseen, conics, radii_of
 from thermosplat.rasterizer.lenses import Lenses
 from thermosplat.rasterizer.pair_capacity import active_pair_capacity
 from thermosplat.rasterizer.projected_scene import ProjectedScene
@@ -95,7 +95,8 @@ class ExchangedScene(ProjectedScene):
         # What users see: this rank's Gaussians before all cameras, on the path of the gradient.
         self._own_means2d, self._own_depths = joined(lambda part: part.means2d), joined(lambda part: part.depths)
         self._own_opacities = joined(lambda part: part.opacities)
-        self._own_radii = joined(lambda part: part.projected.radii)
+        self._own_extents = joined(lambda part: part.projected.extents)
+        self._own_visible = visible = joined(lambda part: part.projected.visible)
         self._own_roots = joined(lambda part: part.projected.roots)
         self._own_thermal: Tensor | None = None
         if first.thermal_opacities is not None:
@@ -103,7 +104,6 @@ class ExchangedScene(ProjectedScene):
         self._parts, self._sizes = parts, sizes
         self._inputs, self._harmonics, self._cameras = first._inputs, first._harmonics, first._cameras
 
-        visible = torch.minimum(*self._own_radii.unbind(dim=-1)) > 0
         capacity = active_pair_capacity()
         room = None if capacity is None else capacity.room_for_rows()
         route = (
@@ -129,8 +129,7 @@ class ExchangedScene(ProjectedScene):
             differentiable.append(self._own_thermal)
         of_parts = zip(*(part.features for part in parts), strict=True)
         features = [flat[0] if len(flat) == 1 else torch.cat(flat) for flat in of_parts]
-        extents = joined(lambda part: part.projected.extents)
-        carried = [extents, _as_numbers(self._own_radii, self._own_means2d)]
+        carried = [self._own_extents]
         rows = [_rows(tensor, num_gaussians * len(sizes)) for tensor in (*differentiable, *features, *carried)]
         packed_roots = _rows(joined(lambda part: part.projected.packed_roots), num_gaussians * len(sizes))
         self._absolute = AbsoluteGradients(self._own_means2d)
@@ -143,7 +142,7 @@ class ExchangedScene(ProjectedScene):
         means2d, depths, roots, opacities = received[:4]
         self.thermal_opacities = None if self._own_thermal is None else received[4].reshape(shape)
         self.features = received[len(differentiable) : -len(carried)]
-        arrived_extents, radii = received[-len(carried) :]
+        extents = received[-1].reshape(*shape, 2)
         self.means2d, self.depths = means2d.reshape(*shape, 2), depths.reshape(shape)
         self.opacities = opacities.reshape(shape)
         self.projected = ProjectedTensors(
@@ -151,8 +150,8 @@ class ExchangedScene(ProjectedScene):
             depths=self.depths,
             roots=roots.reshape(*shape, 3),
             compensations=None,  # the opacities have them
-            radii=_as_radii(radii).reshape(*shape, 2),
-            extents=arrived_extents.reshape(*shape, 2),
+            visible=extents[..., 0] > 0,  # what arrived; the rest of the room is zeros
+            extents=extents,
             packed_roots=packed_roots.reshape(*shape, 4),
         )
         self._arrays = self.projected.arrays()
@@ -206,30 +205,32 @@ class ExchangedScene(ProjectedScene):
         depths, conics, opacities, with ``n_cameras`` C_world and ``sizes`` [(width, height)] of every camera. Of what
         this rank blended, its own C cameras: the sorted pairs and their tiles; nothing where C is 0.
         """
+        visible, extents, roots, parts = self._own_visible, self._own_extents, self._own_roots, self._parts
+        means2d, depths = self._own_means2d, self._own_depths
         own: dict[str, Any] = {
-            "radii": self._own_radii,
-            "means2d": self._own_means2d,
-            "depths": self._own_depths,
+            "visible": visible,
             "opacities": self._own_opacities,
             "n_cameras": len(self._sizes),
             "sizes": list(self._sizes),
         }
         if self._own_thermal is not None:
             own["thermal_opacities"] = self._own_thermal
-        roots, radii, parts = self._own_roots, self._own_radii, self._parts
         if self.settings.num_cameras > 0:
             info = super().info()
             info.update(own)
         else:
             info = RasterizationInfo(self._no_pairs() | own, {})
-        info.compute_later("conics", lambda: conics(roots, radii))
+        info.compute_later("radii", lambda: radii_of(extents, visible))
+        info.compute_later("means2d", lambda: clear_unseen(means2d, visible))
+        info.compute_later("depths", lambda: clear_unseen(depths, visible))
+        info.compute_later("conics", lambda: conics(roots, visible))
         info.compute_later("num_nonfinite", lambda: max(part.num_nonfinite() for part in parts))
         return info
 
     def _no_pairs(self) -> dict[str, Any]:
         settings = self.settings
         tiles_x, tiles_y = -(-settings.width // self.tile_size), -(-settings.height // self.tile_size)
-        none = self._own_radii.new_zeros(0)
+        none = self._own_visible.new_zeros(0, dtype=torch.int32)
         return {
             "batch_ids": None,
             "camera_ids": None,
@@ -256,13 +257,3 @@ def _rows(tensor: Tensor, count: int) -> Tensor:
 def _width_of_empty(tensor: Tensor) -> int:
     """Numbers of a row of a tensor [C, 0] or [C, 0, X], or of features [0, X]."""
     return tensor.shape[-1] if tensor.dim() == 3 or (tensor.dim() == 2 and tensor.shape[-1] > 0) else 1
-
-
-def _as_numbers(radii: Tensor, like: Tensor) -> Tensor:
-    """Radii, int32 [..., 2], in the dtype of what they travel with: in their own bits, or exactly in float64."""
-    return radii.view(torch.float32) if like.dtype == torch.float32 else radii.to(like.dtype)
-
-
-def _as_radii(numbers: Tensor) -> Tensor:
-    """The inverse of ``_as_numbers``."""
-    return numbers.view(torch.int32) if numbers.dtype == torch.float32 else numbers.to(torch.int32)

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from warp_kernels.constants import RADIUS_MAX
+
 
 class RasterizationInfo(dict[str, Any]):
     """The third result of ``rasterization``: gsplat's keys and some of our own.
@@ -105,18 +107,23 @@ class RasterizationInfo(dict[str, Any]):
 
 
 @torch.enable_grad()
-def _recorded_conics(roots: Tensor, radii: Tensor) -> Tensor:
+def _recorded_conics(roots: Tensor, visible: Tensor) -> Tensor:
     """``conics`` with their gradient, also where they are first read under ``no_grad``."""
-    return conics(roots, radii)
+    return conics(roots, visible)
 
 
 class InfoTensors(NamedTuple):
     """What the dictionary is made of."""
 
     means2d: Tensor
-    """[..., C, N, 2] px, as are those below where ``rasterization`` names them."""
-    radii: Tensor
+    """[..., C, N, 2] px, as are those below where ``rasterization`` names them; not written of Gaussians that are not
+    visible."""
+    visible: Tensor
+    """bool [..., C, N]."""
+    extents: Tensor
+    """Half the bounding boxes of what is drawn, [..., C, N, 2] px; see ``radii_of``. Not written, as means2d."""
     depths: Tensor
+    """Not written, as means2d."""
     roots: Tensor
     """Of inverse 2D covariances, [..., C, N, 3]; see ``conics``."""
     opacities: Tensor
@@ -149,18 +156,16 @@ def rasterization_info(tensors: InfoTensors, size: TiledSize, count_nonfinite: C
     Returns:
         The dictionary, whose costly entries are computed when they are read.
     """
-    shape, count = tensors.radii.shape[:-2], tensors.radii.shape[-2]
+    *shape, count = tensors.visible.shape
     flatten_ids, tile_offsets = tensors.flatten_ids, tensors.tile_offsets
     depths, tiles_per_gaussian = tensors.depths, tensors.tiles_per_gaussian
-    roots, radii = tensors.roots, tensors.radii
+    means2d, visible, extents, roots = tensors.means2d, tensors.visible, tensors.extents, tensors.roots
     tiles_y, tiles_x = size.tiles_y, size.tiles_x
     values = {
         "batch_ids": None,
         "camera_ids": None,
         "gaussian_ids": None,
-        "radii": radii,
-        "means2d": tensors.means2d,
-        "depths": depths,
+        "visible": visible,
         "opacities": tensors.opacities,
         "tile_width": tiles_x,
         "tile_height": tiles_y,
@@ -176,7 +181,10 @@ def rasterization_info(tensors: InfoTensors, size: TiledSize, count_nonfinite: C
     return RasterizationInfo(
         values,
         {
-            "conics": lambda: _recorded_conics(roots, radii),
+            "radii": lambda: radii_of(extents, visible),
+            "means2d": lambda: clear_unseen(means2d, visible),
+            "depths": lambda: clear_unseen(depths, visible),
+            "conics": lambda: _recorded_conics(roots, visible),
             "tiles_per_gauss": lambda: tiles_per_gaussian.reshape(*shape, count),
             "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
             "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
@@ -214,14 +222,41 @@ def num_nonfinite(
     return int((~torch.stack(finite).all(0)).sum())
 
 
-def conics(roots: Tensor, radii: Tensor) -> Tensor:
+def radii_of(extents: Tensor, visible: Tensor) -> Tensor:
+    """gsplat's radii, int32 [..., 2] px: half the bounding boxes of what is drawn, rounded up; 0 where nothing is.
+
+    Args:
+        extents: [..., 2] px.
+        visible: bool [...].
+    """
+    return torch.where(visible[..., None], extents.ceil().clamp(max=RADIUS_MAX), 0.0).int()
+
+
+def clear_unseen(tensor: Tensor, visible: Tensor) -> Tensor:
+    """Writes zeros where a tensor has no values, which the projection of unseen Gaussians leaves as they are.
+
+    Nothing has read them, so that autograd need not know.
+
+    Args:
+        tensor: [...] or [..., 2], changed in place.
+        visible: bool [...].
+
+    Returns:
+        The tensor.
+    """
+    unseen = ~(visible if tensor.dim() == visible.dim() else visible[..., None])
+    tensor.data.masked_fill_(unseen, 0.0)
+    return tensor
+
+
+def conics(roots: Tensor, visible: Tensor) -> Tensor:
     """Inverse 2D covariances [..., 3] (xx, xy, yy) [1/px²] of their roots (u, k, v) [..., 3]: Uᵀ U, U = [u, u k; 0, v].
 
-    Zero where ``radii`` [..., 2] are: there roots are not defined.
+    Zero where ``visible`` [...] is False: there roots are not defined.
 
     Differentiable: a loss on them reaches the Gaussians. (The image's own gradient goes through the roots.)
     """
-    u, k, v = torch.where(radii[..., :1] > 0, roots, 0.0).unbind(-1)
+    u, k, v = torch.where(visible[..., None], roots, 0.0).unbind(-1)
     uk = u * k
     return torch.stack([u * u, u * uk, uk * uk + v * v], -1)
 

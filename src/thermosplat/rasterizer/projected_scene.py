@@ -146,8 +146,7 @@ class ProjectedScene:
         self.means2d, self.depths = self.projected.means2d, self.projected.depths
         self.shown_means2d = self.means2d
         if not global_z_order:
-            visible = (self.projected.radii > 0).all(-1)
-            self.depths = distances(means, viewmats, visible)
+            self.depths = distances(means, viewmats, self.projected.visible)
             self._arrays = replace(self._arrays, depths=view(self.depths, kinds_of(means.dtype).scalar))
         self.opacities = self._per_image_opacities(opacities)
         self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
@@ -275,7 +274,8 @@ class ProjectedScene:
         lists = self._made_lists().tensors
         return InfoTensors(
             self.means2d,
-            self.projected.radii,
+            self.projected.visible,
+            self.projected.extents,
             self.depths,
             self.projected.roots,
             self.opacities,

@@ -6,6 +6,7 @@ they can. Only what a function saves keeps memory alive until its backward pass,
 lets go of it. Work runs on torch's current stream. The blending's function is in ``blending``.
 """
 
+import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
@@ -45,13 +46,13 @@ class ProjectedTensors(NamedTuple):
     depths: Tensor
     roots: Tensor
     compensations: Tensor | None  # None in the classic mode
-    radii: Tensor  # int32, not differentiable, as the others below
+    visible: Tensor  # bool, not differentiable, as the others below
     extents: Tensor
     packed_roots: Tensor  # the first three columns are the roots
 
     def arrays(self) -> ProjectedArrays:
         """The same memory as flat Warp arrays, which do not keep it alive."""
-        means2d, depths, _, compensations, radii, extents, packed_roots = self
+        means2d, depths, _, compensations, visible, extents, packed_roots = self
         scalar, vec2, vec3, vec4 = kinds_of(means2d.dtype)[:4]
         count = depths.numel()
         packed = view(packed_roots, vec4, count)
@@ -62,7 +63,7 @@ class ProjectedTensors(NamedTuple):
             compensations=nothing(scalar, 1, packed.device)
             if compensations is None
             else view(compensations, scalar, count),
-            radii=view(radii, wp.vec2i, count),
+            visible=view(visible, wp.bool, count),
             extents=view(extents, vec2, count),
             packed_roots=packed,
         )
@@ -110,7 +111,7 @@ class ProjectSaved(NamedTuple):
     packed_roots: Any
     """Of means2d and depths the adjoint reads only the gradients."""
     compensations: Any
-    radii: Any
+    visible: Any
     slopes: Any
     """These three of lenses; see ``LensArrays``."""
     times: Any
@@ -156,12 +157,13 @@ class Project(torch.autograd.Function):
         settings = inputs.settings
         shape = (*inputs.images_shape, settings.num_gaussians)
         packed_roots = means.new_empty(*shape, 4)
+        visible = means.new_empty(-(-math.prod(shape) // 4) * 4, dtype=torch.bool)  # whole words, for replays to copy
         projected = ProjectedTensors(
             means.new_empty(*shape, 2),
             means.new_empty(*shape),
             packed_roots[..., :3],
             means.new_empty(*shape) if settings.antialiased else None,
-            means.new_empty(*shape, 2, dtype=torch.int32),
+            visible[: math.prod(shape)].view(shape),
             means.new_empty(*shape, 2),
             packed_roots,
         )
@@ -185,7 +187,7 @@ class Project(torch.autograd.Function):
                 coefficients[::2], coefficients[1::2], colors, inputs.color_settings, strict=True
             ):
                 evaluated = view(shown, g.means.dtype, entries)
-                c.append(ColorArrays(g.means, g.viewmats, *by_degree(sh0, shN), p.radii, evaluated))
+                c.append(ColorArrays(g.means, g.viewmats, *by_degree(sh0, shN), p.visible, evaluated))
                 sh_colors(c[-1], how)
         if recorded:
             ctx.set_materialize_grads(False)
@@ -197,11 +199,11 @@ class Project(torch.autograd.Function):
             if lens is not None:
                 of_images, of_pairs = (lens.coefficients, lens.motions), (lens.slopes, lens.times, lens.leads)
             arrays = [g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks, *of_images]
-            arrays += [p.packed_roots, p.compensations, p.radii, *of_pairs]
+            arrays += [p.packed_roots, p.compensations, p.visible, *of_pairs]
             arrays += [array for one in c for array in (one.sh0, one.shN)]
             arrays += [one.colors for one in c]
             tensors = [means, quats, scales, covars, viewmats, Ks, lenses, motions]
-            tensors += [packed_roots, projected.compensations, projected.radii, slopes, times, leads]
+            tensors += [packed_roots, projected.compensations, projected.visible, slopes, times, leads]
             tensors += [*coefficients, *colors]
             keep(ctx, arrays, tensors)
         return *projected[:4], *colors, projected[4:], p

@@ -85,7 +85,7 @@ def blend_along_rays(
         origins, directions = rays[..., :3].double(), rays[..., 3:]
     quats, scales = cast("Tensor", quats), cast("Tensor", scales)  # there are no covariances here
     # A Gaussian without an extent along an axis has no response between planes: it is not drawn.
-    visible = (scene.projected.radii > 0).all(-1).any(-2) & (scales != 0).all(-1)
+    visible = scene.projected.visible.any(-2) & (scales != 0).all(-1)
     opacities = torch.where(visible.unsqueeze(-2), scene.opacities, 0.0)
     whitenings, axes = whitening(quats, scales, visible)
     tensors = (origins, directions.to(means.dtype), means, whitenings, axes, opacities)

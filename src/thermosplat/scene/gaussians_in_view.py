@@ -89,5 +89,5 @@ def indices_in_view(gaussians: Gaussians, views: Sequence["ViewTensors"], pixel_
         for view in views:
             camera = projection_arguments(view)
             scene = project(*of_part, rasterize_mode=pixel_filter.rasterize_mode, eps2d=pixel_filter.eps2d, **camera)
-            seen[part] |= (scene.projected.radii > 0).all(dim=-1).reshape(-1)
+            seen[part] |= scene.projected.visible.reshape(-1)
     return torch.where(seen)[0]

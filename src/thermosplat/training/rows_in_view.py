@@ -48,8 +48,8 @@ def observed_in_order(rendered: RenderedFrame, numbers: dict[str, int]) -> dict[
 
 
 def _in_order(info: dict[str, Any], gaussians: GaussiansInView, number: int) -> dict[str, Any]:
-    """A call's info of all Gaussians; those out of view have no radius and no gradient. As it is, where density control
-    has not asked for the gradient: then it looks at nothing."""
+    """A call's info of all Gaussians; those out of view are not visible and have no gradient. As it is, where density
+    control has not asked for the gradient: then it looks at nothing."""
     means2d = info["means2d"]
     if not means2d.retains_grad:
         return info
@@ -61,4 +61,4 @@ def _in_order(info: dict[str, Any], gaussians: GaussiansInView, number: int) -> 
 
     gradients = SimpleNamespace(grad=spread(means2d.grad), absgrad=spread(getattr(means2d, "absgrad", None)))
     kept = {key: info[key] for key in ("width", "height", "n_cameras", "spectra")}
-    return {**kept, "means2d": gradients, "radii": spread(info["radii"])}
+    return {**kept, "means2d": gradients, "visible": spread(info["visible"])}

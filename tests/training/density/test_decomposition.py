@@ -51,8 +51,8 @@ def info(spectrum: str, gradients: list[list[float]], width: int = 40, height: i
     """What a call says, with a backward pass behind it; gradients in units of half the image."""
     means2d = torch.zeros(1, len(gradients), 2, requires_grad=True)
     means2d.grad = torch.tensor(gradients)[None] / torch.tensor([width / 2.0, height / 2.0])
-    radii = torch.ones(1, len(gradients), 2, dtype=torch.int32)
-    return {"means2d": means2d, "radii": radii, "width": width, "height": height, "spectra": (spectrum,)}
+    visible = torch.ones(1, len(gradients), dtype=torch.bool)
+    return {"means2d": means2d, "visible": visible, "width": width, "height": height, "spectra": (spectrum,)}
 
 
 def refine(strategy: DecomposingStrategy, gaussians: Gaussians, optimizers: Optimizers) -> None:

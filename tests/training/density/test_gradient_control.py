@@ -22,8 +22,9 @@ def _info(gradient: Tensor, visible: Tensor, width: int = 40, height: int = 30) 
     """What the rasterization tells, with a backward pass behind it: gradient [C, N, 2], visible [C, N]."""
     means2d = torch.zeros_like(gradient, requires_grad=True)
     means2d.grad = gradient
-    radii = visible[..., None].expand(*visible.shape, 2).to(torch.int32) * 3
-    return {"means2d": means2d, "radii": radii, "width": width, "height": height, "n_cameras": gradient.shape[0]}
+    radii = visible[..., None].expand(*visible.shape, 2).to(torch.int32) * 3  # gsplat's strategy looks at these
+    size = {"width": width, "height": height, "n_cameras": gradient.shape[0]}
+    return {"means2d": means2d, "visible": visible, "radii": radii, **size}
 
 
 def _gradients(count: int, seed: int) -> tuple[Tensor, Tensor]:

@@ -129,8 +129,8 @@ def test_gradients_can_choose_who_is_doubled() -> None:
     means2d = torch.zeros(1, 40, 2, requires_grad=True)
     means2d.grad = torch.zeros(1, 40, 2)
     means2d.grad[0, 17] = 1.0
-    radii = torch.ones(1, 40, 2, dtype=torch.int32)
-    strategy.observe([{"means2d": means2d, "radii": radii, "width": 8, "height": 8, "n_cameras": 1}], FINE)
+    visible = torch.ones(1, 40, dtype=torch.bool)
+    strategy.observe([{"means2d": means2d, "visible": visible, "width": 8, "height": 8, "n_cameras": 1}], FINE)
     strategy.refine(gaussians, stepped_optimizers(gaussians), 601, torch.Generator().manual_seed(0))
     assert torch.equal(gaussians.means[40:], gaussians.means[17].expand(2, 3))
     assert strategy.grad_norm_sum.tolist() == [0.0] * 42

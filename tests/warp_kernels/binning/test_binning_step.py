@@ -18,7 +18,7 @@ from warp_scene import image_opacities, projected, warp_scene
 def covering(n: int, size: int) -> dict[str, Any]:
     """Arguments of ``bin_tiles``: Gaussians that each cover an image of so many pixels."""
 
-    def array(values: float | tuple[float, ...], kind: type) -> wp.array:
+    def array(values: bool | float | tuple[float, ...], kind: type) -> wp.array:
         return wp.array(np.tile(values, (n, 1)).squeeze(), dtype=kind, device="cpu")
 
     opacities = array(0.9, wp.float32)
@@ -27,7 +27,7 @@ def covering(n: int, size: int) -> dict[str, Any]:
         depths=array(1.0, wp.float32),
         roots=array((1e-6, 0.0, 1e-6), wp.vec3),
         compensations=array(1.0, wp.float32),
-        radii=array((3e6, 3e6), wp.vec2i),
+        visible=array(True, wp.bool),
         extents=array((3e6, 3e6), wp.vec2),
         packed_roots=array((1e-6, 0.0, 1e-6, 0.0), wp.vec4),
     )

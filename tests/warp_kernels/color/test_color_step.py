@@ -25,7 +25,7 @@ def color_arrays(per_image: bool, requires_grad: bool = True) -> tuple[ColorArra
         viewmats=array(viewmats, wp.mat44d),
         sh0=array(rng.normal(size=(rows, 1, 3)), VEC3),
         shN=array(rng.normal(size=(rows, K - 1, 3)), VEC3),
-        radii=wp.array(np.repeat(rng.integers(0, 2, (IMAGES * N, 1)), 2, 1), dtype=wp.vec2i, device="cpu"),
+        visible=wp.array(rng.integers(0, 2, IMAGES * N) > 0, dtype=wp.bool, device="cpu"),
         colors=array(np.zeros((IMAGES * N, 3)), VEC3),
     )
     return arrays, ColorSettings(2, N, IMAGES, per_image), viewmats

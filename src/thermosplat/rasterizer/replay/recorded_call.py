@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.rasterizer.blending import blends_launched_by
-from thermosplat.rasterizer.info import InfoTensors
+from thermosplat.rasterizer.info import InfoTensors, clear_unseen
 from thermosplat.rasterizer.projected_scene import ProjectedScene, scenes_told_to
 from thermosplat.rasterizer.replay.call_signature import Call, with_tensors
 from thermosplat.rasterizer.replay.cuda_graphs import RoomForOne
@@ -132,6 +132,8 @@ class RecordedCall:
         ):
             self._result = self._subject.with_tensors(self._leaves)
             (self._scene,) = scenes
+        if self._recorded:
+            clear_unseen(self._scene.means2d, self._scene.projected.visible)
         info = self._result[-1]
         self._images = [image for image in (*self._result[:-1], dict.get(info, EXTRA)) if image is not None]
         bases: list[Tensor] = []
@@ -159,7 +161,7 @@ class RecordedCall:
             self._memory.to_images.extend(map(_zeros_like, self._seen))
             self._make_mids()
         self._owned = [scene.means2d, *bases] if self._recorded else bases
-        return [one.detach() for one in (*self._owned, *self._in_block.values())]
+        return [*(one.detach() for one in self._owned), *map(_whole_words, self._in_block.values())]
 
     def shows_what_is_blended(self) -> bool:
         """Whether the images that ``forward`` returned are those that one blending wrote, with nothing done to them."""
@@ -269,6 +271,11 @@ class RecordedCall:
             return []
         found = torch.autograd.grad(self._roots, inputs, self._memory.parts, retain_graph=True, allow_unused=True)
         return [None if one is None else one.contiguous() for one in found]
+
+
+def _whole_words(tensor: Tensor) -> Tensor:
+    """A tensor, or of one byte for each entry all the memory, which is a multiple of four bytes."""
+    return tensor.as_strided((-(-tensor.numel() // 4) * 4,), (1,)) if tensor.dtype == torch.bool else tensor
 
 
 def _zeros_like(tensor: Tensor) -> Tensor:

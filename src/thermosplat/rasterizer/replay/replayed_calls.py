@@ -319,12 +319,12 @@ def _copied_bytes(call: Call, bound: Sequence[bool], result: Any) -> int:
 def _info_bytes(result: Any) -> int:
     """Bytes that are copied where info is read, or held when the next call comes."""
     info = result[-1]
-    return 44 * _gaussians(info) + 4 * len(info["flatten_ids"])  # a Gaussian's: means2d, radii, depth, root, ...
+    return 45 * _gaussians(info) + 4 * len(info["flatten_ids"])  # a Gaussian's: means2d, extent, depth, root, ...
 
 
 def _gaussians(info: Mapping[str, Any]) -> int:
     """Gaussians of all cameras together."""
-    return int(info["radii"].numel()) // 2
+    return int(info["visible"].numel())
 
 
 _all: "weakref.WeakSet[ReplayedCalls]" = weakref.WeakSet()

@@ -133,7 +133,7 @@ class EntriesOfInfo:
     def _make(self) -> RasterizationInfo:
         fields: dict[str, Tensor | None] = dict.fromkeys(InfoTensors._fields)
         for part, (name, shape, dtype) in zip(self._written.kept(), self._layout.tensors, strict=True):
-            fields[name] = part.view(dtype).view(shape)
+            fields[name] = part.view(dtype)[: shape.numel()].view(shape)
         for name, which, shape in self._layout.handed_on:
             fields[name] = self._tensors[which].detach().reshape(shape)
         if self._means2d is not None:

@@ -104,9 +104,7 @@ def _towards(degree: int, dirs: Tensor, coeffs: Tensor, masks: Tensor | None = N
     if masks is not None and masks.shape != lead:
         raise UserError(f"masks must have shape {list(lead)}, got {list(masks.shape)}.")
     rows = dirs.numel() // 3
-    drawn = torch.ones(rows, 2, dtype=torch.int32, device=dirs.device)
-    if masks is not None:
-        drawn = (masks.reshape(rows, 1) != 0).to(torch.int32).expand(rows, 2).contiguous()
+    drawn = torch.ones(rows, dtype=torch.bool, device=dirs.device) if masks is None else masks.reshape(rows) != 0
     flat = coeffs.reshape(rows, *coeffs.shape[-2:])
     directions, sums = dirs.reshape(rows, 3).contiguous(), []
     for first in range(0, flat.shape[-1], GROUP):
@@ -122,7 +120,7 @@ class HarmonicSums(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, directions: Tensor, coefficients: Tensor, drawn: Tensor, degree: int) -> Tensor:
-        """``drawn``: int32 [R, 2], 0 where there is no sum."""
+        """``drawn``: bool [R], False where there is no sum."""
         sums = torch.zeros_like(directions)
         ctx.degree = degree
         ctx.save_for_backward(directions, coefficients, drawn)
@@ -169,7 +167,7 @@ def _arrays(directions: Tensor, coefficients: Tensor, drawn: Tensor, sums: Tenso
         view(viewmat, kinds.mat44),
         sh0,
         shN,
-        view(drawn, wp.vec2i),
+        view(drawn, wp.bool),
         view(sums, kinds.vec3),
     )
     return _Made(arrays, ColorSettings(degree, len(directions), 1, shifted=False, clamped=False), viewmat, origin)

@@ -5,6 +5,7 @@ from torch import Tensor
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.arguments import CameraModel
 from thermosplat.rasterizer.graph_breaks import not_compiled
+from thermosplat.rasterizer.info import clear_unseen, radii_of
 from thermosplat.rasterizer.info import conics as conics_of
 from thermosplat.rasterizer.project import project
 from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
@@ -94,16 +95,19 @@ def fully_fused_projection(
         rasterize_mode="antialiased" if calc_compensations else "classic",
         camera_model=camera_model,
     )
-    radii, compensations = scene.projected.radii, scene.projected.compensations
+    drawn, compensations = scene.projected.visible, scene.projected.compensations
     if sparse_grad:
-        visible.append((radii > 0).all(-1).any(0))
-    conics = conics_of(scene.projected.roots, radii)
+        visible.append(drawn.any(0))
+    radii = radii_of(scene.projected.extents, drawn)
+    conics = conics_of(scene.projected.roots, drawn)
+    for tensor in (scene.means2d, scene.depths):
+        clear_unseen(tensor, drawn)
     if not packed:
         return radii, scene.means2d, scene.depths, conics, compensations
-    images = radii.shape[:-2]
-    kept = (radii > 0).all(-1).reshape(-1, *images[-1:], radii.shape[-2]).nonzero()
+    images = drawn.shape[:-1]
+    kept = drawn.reshape(-1, *images[-1:], drawn.shape[-1]).nonzero()
     batch_ids, camera_ids, gaussian_ids = kept.unbind(-1)
-    flat = (batch_ids * images[-1] + camera_ids) * radii.shape[-2] + gaussian_ids
+    flat = (batch_ids * images[-1] + camera_ids) * drawn.shape[-1] + gaussian_ids
     factors = None if compensations is None else compensations.reshape(-1)[flat]
     flat_ids = (batch_ids, camera_ids, gaussian_ids)
     rows = (radii.reshape(-1, 2)[flat], scene.means2d.reshape(-1, 2)[flat], scene.depths.reshape(-1)[flat])

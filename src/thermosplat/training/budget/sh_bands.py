@@ -89,7 +89,7 @@ def color_changes(
     times_seen = gaussians.means.new_zeros(len(gaussians))
     for view in views:
         scene = _projected(gaussians, coefficients, view, sh_degree)
-        seen = (scene.projected.radii > 0).all(dim=-1).reshape(-1)
+        seen = scene.projected.visible.reshape(-1)
         times_seen += seen
         for degree in range(sh_degree):
             change = (scene.features[degree] - scene.features[-1]).square().sum(dim=-1).reshape(-1)

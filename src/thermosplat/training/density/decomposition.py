@@ -55,7 +55,7 @@ class DecomposingStrategy(DefaultStrategy):
                 continue
             # one axis after the other: a captured step cannot make a tensor of two numbers from the host
             axes = [gradient[..., axis] * (info[side] / 2.0) for axis, side in enumerate(("width", "height"))]
-            seen = (info["radii"] > 0).all(dim=-1).reshape(-1)
+            seen = info["visible"].reshape(-1)
             vectors = torch.where(seen[:, None], torch.stack(axes, dim=-1).reshape(-1, 2), 0.0)
             (spectrum,) = info["spectra"]
             self.gradient_sums[self.spectra.index(spectrum)] += torch.where(finite, vectors, 0.0)

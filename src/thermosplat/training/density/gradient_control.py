@@ -166,7 +166,7 @@ class DefaultStrategy:
             gradient = self._gradient(infos[0])
             if gradient is not None:
                 sums = self.grad_norm_sum, self.observations
-                note_gradients(gradient, infos[0]["radii"], _half_size(infos[0]), blocked, *sums)
+                note_gradients(gradient, infos[0]["visible"], _half_size(infos[0]), blocked, *sums)
             return
         norms = torch.zeros_like(self.grad_norm_sum)
         visible = torch.zeros_like(self.observations)
@@ -176,7 +176,7 @@ class DefaultStrategy:
                 continue
             half_width, half_height = _half_size(info)
             norm = torch.hypot(gradient[..., 0] * half_width, gradient[..., 1] * half_height).flatten(end_dim=-2)
-            seen = (info["radii"] > 0).all(dim=-1).flatten(end_dim=-2)  # [C, N]
+            seen = info["visible"].flatten(end_dim=-2)  # [C, N]
             norms += torch.where(seen, norm, 0.0).sum(dim=0)
             visible = torch.maximum(visible, seen.sum(dim=0).to(visible.dtype))
         finite = blocked == 0

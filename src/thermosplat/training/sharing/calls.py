@@ -145,7 +145,7 @@ def _info_of_frame(info: dict[str, Any], camera: int, frames: int) -> dict[str, 
     width, height = info["sizes"][camera] if "sizes" in info else (info["width"], info["height"])
     return {
         "means2d": FrameGradients(info["means2d"], camera, frames),
-        "radii": info["radii"][camera : camera + 1],
+        "visible": info["visible"][camera : camera + 1],
         "width": width,
         "height": height,
         "n_cameras": 1,
