@@ -236,7 +236,9 @@ def test_cameras_that_are_not_finite(name: str) -> None:
 def test_of_unseen_gaussians_there_are_zeros(device: torch.device, dtype: torch.dtype) -> None:
     """Whatever lay in the memory before: the projection writes nothing of them, and reading does."""
     scene = leaves(random_scene(n=40, cameras=2), device, dtype)
-    scene["means"] = (scene["means"] * torch.where(torch.arange(40, device=device) % 3 == 0, -1.0, 1.0)[:, None]).detach()
+    scene["means"] = (
+        scene["means"] * torch.where(torch.arange(40, device=device) % 3 == 0, -1.0, 1.0)[:, None]
+    ).detach()
     shape = scene["viewmats"].shape[:-2]
     litter = [torch.full((*shape, 40, width), torch.nan, device=device, dtype=dtype) for width in (2, 1, 2, 4)]
     del litter  # which the allocator hands out again

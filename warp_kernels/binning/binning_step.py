@@ -60,7 +60,7 @@ def bin_tiles(
         thermal_opacities: [images · N]; the same array where there is one opacity.
         features: scalar array [images · N, D], only checked for being finite.
         settings: image size.
-        tile_size: edge of a tile [px].
+        tile_size: edge of a tile [px], a power of two.
         by_slot: number the pairs, for an adjoint that writes one record per pair.
         rest: as ``features``, channels that lie apart from them; None: there are no others.
         room: None for as many pairs as there are.

@@ -13,6 +13,7 @@ pair carries, above the bits it is sorted by, which eighths of its tile the elli
 import warp as wp
 
 from warp_kernels.binning.tile_overlap import overlap_functions
+from warp_kernels.machinery.flat_index import image_of
 from warp_kernels.machinery.lanes import (
     count_bits,
     shuffle_function,
@@ -337,7 +338,7 @@ def binning_kernels(dtype: type, lanes: int):
             total = warp_scan(stop - start)
             emit_row(
                 g, r, start, stop, slot + total - (stop - start), mean, half_size, others,
-                (g // num_gaussians) * tiles_x * tiles_y, width, height, tile_size, tiles_x, by_slot, masked, capacity,
+                image_of(g, num_gaussians) * tiles_x * tiles_y, width, height, tile_size, tiles_x, by_slot, masked, capacity,
                 keys, values, owners,
             )  # fmt: skip
             slot += warp_shuffle(total, lanes - 1)

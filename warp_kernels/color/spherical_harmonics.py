@@ -11,6 +11,7 @@ import warp as wp
 from warp_kernels.color.coefficient_rows import row_adjoint_function, row_sum_function
 from warp_kernels.color.harmonic_basis import FEW, basis_functions
 from warp_kernels.machinery.coalesced_stores import store_functions
+from warp_kernels.machinery.flat_index import image_and_row
 from warp_kernels.machinery.lanes import LANES_CUDA, warp_sync
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH, MANY, WARPS, list_functions
@@ -128,8 +129,7 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
             index = nearest
             if wp.static(many):
                 index = item(listed, k)
-            image = index // num_gaussians
-            gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
+            image, gaussian = image_and_row(index, num_gaussians, num_cameras)
             row = wp.where(per_image, index, gaussian)
             unit, _ = direction(means[gaussian], camera_positions[image])
             b = basis(unit, degree)

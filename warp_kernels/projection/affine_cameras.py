@@ -19,6 +19,7 @@ time and its gradient foretell. Beyond the first and the last line the motion go
 
 import warp as wp
 
+from warp_kernels.machinery.flat_index import image_and_row
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.footprints import footprint_functions
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel, lens_functions, lens_vector
@@ -246,8 +247,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
         leads: wp.array2d(dtype=dtype),  # [6, images · N]; likewise
     ):
         index = wp.tid() + first
-        image = index // num_gaussians
-        gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
+        image, gaussian = image_and_row(index, num_gaussians, num_cameras)
         culled(index, compensations, visible)
         raw_K = Ks[image]
         K = intrinsics(

@@ -18,6 +18,8 @@ from typing import Literal
 import warp as wp
 
 from warp_kernels.constants import EXTENT_MAX, FOV_MARGIN
+from warp_kernels.machinery.flat_index import image_and_row
+from warp_kernels.machinery.lanes import lane_functions
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.footprints import footprint_functions
 from warp_kernels.projection.rotation import rotation_functions
@@ -39,7 +41,7 @@ def projection_functions(dtype: type, camera_model: CameraModel):
     vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     mat23d = wp.types.matrix((2, 3), wp.float64)
-    zero, half, margin, zero64 = dtype(0.0), dtype(0.5), dtype(FOV_MARGIN), wp.float64(0.0)
+    zero, half, one, margin, zero64 = dtype(0.0), dtype(0.5), dtype(1.0), dtype(FOV_MARGIN), wp.float64(0.0)
     pinhole = camera_model == "pinhole"
 
     @wp.func
@@ -64,8 +66,9 @@ def projection_functions(dtype: type, camera_model: CameraModel):
     @wp.func
     def fov_limits(focal: dtype, center: dtype, size: dtype):
         """Smallest and largest x / z (or y / z) at which the Jacobian is evaluated."""
-        spare = margin * half * size / focal
-        return -(center / focal + spare), (size - center) / focal + spare
+        spare = margin * half * size
+        inverse = one / focal
+        return -(center + spare) * inverse, (size - center + spare) * inverse
 
     @wp.func
     def jacobian(p: wp.vec3d, K: mat33, width: int, height: int):
@@ -161,20 +164,41 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     camera_position, camera_axes, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
     culled, footprint = footprint_functions(dtype)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
-    zero, two = dtype(0.0), dtype(2.0)
-    extent_max = dtype(EXTENT_MAX)
+    zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
+    extent_max, margin = dtype(EXTENT_MAX), dtype(FOV_MARGIN)
+    rounding = dtype(2.0**-21 if dtype is wp.float32 else 2.0**-50)  # twice that of four products and their sum
+    pinhole = camera_model == "pinhole"
+    _, _, reciprocal = lane_functions(dtype)
 
     @wp.func
     def rounded(x: wp.vec3d):
         return vec3(dtype(x[0]), dtype(x[1]), dtype(x[2]))
 
     @wp.func
-    def outside(center: dtype, row: vec3, largest: dtype, eps2d: dtype, size: int):
-        """Whether a Gaussian is certain to be culled: ``row`` leads to one image axis, to which all of its standard
-        deviations are at most ``largest``. False for what is not a number."""
-        deviation = (wp.abs(row[0]) + wp.abs(row[1]) + wp.abs(row[2])) * largest + wp.sqrt(eps2d)
-        reach = wp.static(dtype(1.001)) * extent_max * deviation + two
-        return center + reach < zero or center - reach > dtype(size)
+    def rough(view: mat44, i: int, mean: vec3, farthest: dtype):
+        """Coordinate i of p without float64, by how much it may err, and the sum of the row's absolute values."""
+        row = wp.abs(view[i, 0]) + wp.abs(view[i, 1]) + wp.abs(view[i, 2])
+        position = view[i, 0] * mean[0] + view[i, 1] * mean[1] + view[i, 2] * mean[2] + view[i, 3]
+        return position, rounding * (row * farthest + wp.abs(view[i, 3])), row
+
+    @wp.func
+    def outside(
+        position: dtype, error: dtype, row: dtype, depth_error: dtype, depth_row: dtype, rz: dtype, largest: dtype,
+        focal: dtype, center: dtype, eps2d: dtype, size: int,
+    ):  # fmt: skip
+        """Whether a Gaussian is certain to miss the image along one of its axes: all of its standard deviations are at
+        most ``largest``, and J is evaluated inside of what ``fov_limits`` says. False for what is not a number."""
+        ratio = position * rz
+        at = focal * ratio + center
+        steep = wp.abs(focal)
+        slope = steep * row
+        if wp.static(pinhole):
+            spare = margin * half * dtype(size)
+            slope += wp.max(wp.abs(center + spare), wp.abs(dtype(size) - center + spare)) * depth_row
+        deviation = slope * rz * largest + wp.sqrt(eps2d)
+        error_of_at = steep * rz * (error + wp.abs(ratio) * depth_error) + rounding * wp.abs(at)
+        reach = wp.static(dtype(1.01)) * (extent_max * deviation + error_of_at) + two
+        return at + reach < zero or at - reach > dtype(size)
 
     # Four blocks a multiprocessor wait for memory at once; for five, axes in float64 leave too few registers.
     bounds = (256, 4) if dtype is wp.float32 else None
@@ -213,18 +237,40 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         extents: wp.array(dtype=vec2),  # [images · N]
     ):
         index = wp.tid() + first
-        image = index // num_gaussians
-        gaussian = (image // num_cameras) * num_gaussians + index % num_gaussians
+        image, gaussian = image_and_row(index, num_gaussians, num_cameras)
 
         culled(index, compensations, visible)
         view = viewmats[image]
         K = Ks[image]
-        exact = camera_position(view, means[gaussian])
+        mean = means[gaussian]
+        # Most of many Gaussians are out of view by far, which needs no float64, nor a quaternion.
+        farthest = wp.max(wp.max(wp.abs(mean[0]), wp.abs(mean[1])), wp.abs(mean[2]))
+        depth, depth_error, depth_row = rough(view, 2, mean, farthest)
+        if depth + depth_error < near_plane:
+            return
+        s = vec3()
+        raw = vec4()
+        if wp.static(not from_covars):
+            s = scales[gaussian]
+            largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
+            rz = one
+            sure = bool(True)
+            if wp.static(pinhole):
+                sure = depth > wp.static(dtype(1024.0)) * depth_error  # then 1 / depth is, to a thousandth
+                rz = reciprocal(depth)
+            x, x_error, x_row = rough(view, 0, mean, farthest)
+            y, y_error, y_row = rough(view, 1, mean, farthest)
+            beside = outside(x, x_error, x_row, depth_error, depth_row, rz, largest, K[0, 0], K[0, 2], eps2d, width)
+            above = outside(y, y_error, y_row, depth_error, depth_row, rz, largest, K[1, 1], K[1, 2], eps2d, height)
+            if sure and (beside or above):
+                return
+            raw = quats[gaussian]
+        exact = camera_position(view, mean)
         p = rounded(exact)
         # Written so that NaN is culled too. Positions are tested before anything divides by the depth.
         if not (p[2] >= near_plane and p[2] <= far_plane):
             return
-        if wp.static(camera_model == "pinhole"):
+        if wp.static(pinhole):
             if p[2] == zero:
                 return
 
@@ -235,12 +281,6 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         if wp.static(from_covars):
             xx, xy, yy, det = from_covariance(m0, m1, symmetric(covars[gaussian]))
         else:
-            s = scales[gaussian]
-            raw = quats[gaussian]  # with the scales, for one more wait would cost more than what is read in vain
-            # A sphere around it outside of the image, and nothing else need be read.
-            largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
-            if outside(mean2d[0], m0, largest, eps2d, width) or outside(mean2d[1], m1, largest, eps2d, height):
-                return
             back = wp.transpose(to_matrix(raw))
             xx, xy, yy, det = from_rows(wp.cw_mul(rounded(back * M[0]), s), wp.cw_mul(rounded(back * M[1]), s))
         footprint(

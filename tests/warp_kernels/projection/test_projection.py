@@ -84,3 +84,48 @@ def test_roots_of_needles_do_not_cancel() -> None:
     assert len(lengths[0]) == len(lengths[1]) > 20
     assert (lengths[1][:, 0] / lengths[1][:, 1]).max() > 10
     assert np.abs(lengths[0] / lengths[1] - 1).max() < 2e-6
+
+
+@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho"])
+@pytest.mark.parametrize("case", ["around", "far from the origin", "beside the image", "askew", "tiny and huge"])
+def test_nothing_is_culled_that_reaches_the_image(case: str, camera_model: str, dtype: type) -> None:
+    """The rough test in front says no only where the exact one does: Gaussians on all sides of hard cameras."""
+    n, cameras = 3000, 2
+    scene = warp_scene(dtype, n=n, cameras=cameras, camera_model=camera_model, seed=5)
+    scene.settings = replace(scene.settings, camera_model=camera_model)
+    s, rng = scene.scene, torch.Generator().manual_seed(7)
+    s["means"] = 4.0 * torch.randn(n, 3, generator=rng, dtype=torch.float64)
+    if case == "far from the origin":
+        s["means"] += 3e4
+        s["viewmats"][:, :3, 3] -= s["viewmats"][:, :3, :3] @ torch.full((3,), 3e4, dtype=torch.float64)
+    if case == "beside the image":
+        s["Ks"][:, 0, 2] = torch.tensor([-2.5, 3.0], dtype=torch.float64) * s["width"]
+        s["Ks"][:, 1, 1] *= 3.0
+    if case == "askew":
+        s["viewmats"][:, :3, :3] @= torch.eye(3, dtype=torch.float64) + 0.8 * torch.rand(3, 3, generator=rng)
+        s["Ks"][:, 0, 0] *= -1.0
+    if case == "tiny and huge":
+        s["scales"] = 10 ** (6.0 * torch.rand(n, 3, generator=rng, dtype=torch.float64) - 4.0)
+    given = {name: s[name].numpy() for name in ("means", "scales", "viewmats", "Ks")}
+    for name, values in given.items():
+        getattr(scene.gaussians, name).assign(values)
+        s[name] = torch.from_numpy(getattr(scene.gaussians, name).numpy()).double()  # as the kernel reads them
+    truth = reference_projection.project(
+        *reference_projection.flat_scene(s["means"], s["quats"], s["scales"], None, s["viewmats"], s["Ks"]),
+        s["opacities"][None, None],
+        torch.ones(1, 1, n, dtype=torch.bool),
+        s["width"],
+        s["height"],
+        near_plane=0.01,
+        far_plane=1e10,
+        radius_clip=0.0,
+        eps2d=0.3,
+        antialiased=False,
+        camera_model=camera_model,
+    )
+    sure = ~truth.marginal.flatten().numpy()
+    visible = truth.visible.flatten().numpy()
+    assert 0.01 < visible.mean() < 0.99
+    assert sure.mean() > 0.95
+    assert (projected(scene).visible.numpy() == visible)[sure].all()
