@@ -338,8 +338,8 @@ def binning_kernels(dtype: type, lanes: int):
             total = warp_scan(stop - start)
             emit_row(
                 g, r, start, stop, slot + total - (stop - start), mean, half_size, others,
-                image_of(g, num_gaussians) * tiles_x * tiles_y, width, height, tile_size, tiles_x, by_slot, masked, capacity,
-                keys, values, owners,
+                image_of(g, num_gaussians) * tiles_x * tiles_y, width, height, tile_size, tiles_x, by_slot, masked,
+                capacity, keys, values, owners,
             )  # fmt: skip
             slot += warp_shuffle(total, lanes - 1)
             dealt += lanes
