@@ -20,7 +20,7 @@ def test_steps_allocate_from_torch(device: torch.device) -> None:
         assert tensor.data_ptr() == array.ptr
         assert tensor.abs().sum() == 0
         numbers = empty(6, wp.int64, warp_device)
-        memory.source.fill(numbers, 6, 3)
+        numbers.owner.fill_(3)
         assert memory.source.last(numbers) == 3
     assert isinstance(empty(6, wp.int64, warp_device), wp.array)
 

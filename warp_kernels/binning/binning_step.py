@@ -185,7 +185,7 @@ def sort_gaussians(
     # radix_sort_pairs sorts in place and needs room for a second copy
     depth_keys, unsorted = empty(2 * ranks, dtype, device), empty(2 * ranks, wp.int32, device)
     if compacted:
-        inputs = [ranks, projected.visible, tiles_per_gaussian, totals, projected.depths, depth_keys, unsorted]
+        inputs = [ranks, tiles_per_gaussian, totals, projected.depths, depth_keys, unsorted]
         launch(compact_kernel, threads_of_many(entries) if device.is_cuda else entries, inputs, device)
     else:
         launch(count_kernel, whole_warps(entries, device), [*counted, None, depth_keys, unsorted], device)
@@ -243,9 +243,6 @@ def list_pairs(
         raise
     masked = masks.shape[0] > 0 and num_tiles < 2**MASK_SHIFT
     if num_pairs > 0:
-        if room is not None:
-            # Places that stay empty carry a tile after the last and sort to the end.
-            memory.source.fill(keys, num_pairs, num_tiles)
         *_, emit_kernel = binning_kernels(opacities.dtype, lanes_of(device))
         launch(
             emit_kernel,
@@ -259,6 +256,7 @@ def list_pairs(
                 grid.tiles_y,
                 by_slot,
                 masked,
+                num_tiles,
                 num_pairs,
                 projected.means2d,
                 projected.roots,

@@ -167,7 +167,6 @@ def binning_kernels(dtype: type, lanes: int):
     def compact_gaussians_kernel(
         first: int,
         room: int,
-        visible: wp.array(dtype=wp.bool),  # [images · N]
         tiles_per_gaussian: wp.array(dtype=wp.int32),  # [images · N]
         totals: wp.array(dtype=Totals),  # [warps of the count]
         depths: wp.array(dtype=dtype),  # [images · N]
@@ -181,10 +180,7 @@ def binning_kernels(dtype: type, lanes: int):
         nearest = (thread // lanes) * wp.static(each * lanes) + lane
         count = vec_each()
         for j in range(each):  # all are asked for before the first is looked at
-            if nearest + j * lanes < visible.shape[0]:
-                count[j] = wp.where(visible[nearest + j * lanes], 1, 0)
-        for j in range(each):
-            if count[j] > 0:
+            if nearest + j * lanes < tiles_per_gaussian.shape[0]:
                 count[j] = tiles_per_gaussian[nearest + j * lanes]
         num_listed = totals[totals.shape[0] - 1][1]
         for j in range(each):
@@ -286,6 +282,7 @@ def binning_kernels(dtype: type, lanes: int):
         tiles_y: int,
         by_slot: bool,
         masked: bool,
+        num_tiles: int,
         capacity: int,
         means2d: wp.array(dtype=vec2),  # [images · N]
         roots: wp.array(dtype=vec3),  # [images · N]
@@ -299,6 +296,7 @@ def binning_kernels(dtype: type, lanes: int):
         values: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
         owners: wp.array(dtype=wp.int32),  # [pairs]; [0] without by_slot
     ):
+        """Places behind the last pair get a tile after the last, and sort to the end."""
         rank = wp.tid() + first
         lane = rank % lanes
         index = int(-1)
@@ -310,6 +308,9 @@ def binning_kernels(dtype: type, lanes: int):
         row_end = int(0)
         if rank < order.shape[0]:
             index = order[rank]
+            num_pairs = wp.min(pair_ends[order.shape[0] - 1], wp.int64(capacity))
+            for empty in range(int(num_pairs) + rank, capacity, order.shape[0]):
+                keys[empty] = num_tiles
         if index >= 0:
             begin = wp.int64(0)
             if rank > 0:

@@ -198,10 +198,6 @@ class WarpMemory:
         """A new array of zeros."""
         return wp.zeros(shape, dtype=dtype, device=device)
 
-    def fill(self, array: Any, count: int, value: int) -> None:
-        """Sets the first ``count`` numbers of an array of integers."""
-        array[:count].fill_(value)
-
     def last(self, array: Any) -> Any:
         """The last number, or numbers, of an array of integers. Waits for the device."""
         return array[len(array) - 1 :].numpy()[0].tolist()

@@ -73,10 +73,6 @@ class TorchMemory:
         tensor = like.new_zeros(*shape, *inner)
         return ArrayView(tensor.data_ptr(), shape, dtype, device, tensor)
 
-    def fill(self, array: ArrayView, count: int, value: int) -> None:
-        """Sets the first ``count`` numbers of an array made here."""
-        array.owner[:count].fill_(value)
-
     def last(self, array: ArrayView) -> Any:
         """The last number, or numbers, of an array made here. Waits for the device."""
         return array.owner[-1].tolist()

@@ -54,7 +54,7 @@ def test_a_frame_without_room_is_rendered_plainly(either_bench: Bench) -> None:
 
 def test_the_room_of_many_pairs_is_tight_until_it_was_too_small(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """An eighth over what was seen; where views differ, half as much again, as few pairs have at once."""
-    for many, spares in ((10**9, (1.5, 1.5)), (1, (1.125, 1.5))):
+    for many, spares in ((10**9, (1.5, 1.5)), (1, (1.03125, 1.5))):
         monkeypatch.setattr(replayed_calls, "MANY_PAIRS", many)
         bench.calls.clear()
         for size, spare in zip((0.02, 3.0), spares, strict=True):

@@ -57,7 +57,7 @@ COPY_EVERY = 16
 MANY_PAIRS = 2**20
 """From so many pairs on the time of their sort counts, and it is of the whole room."""
 
-SPARE_OF_MANY = 1.125
+SPARE_OF_MANY = 1.03125
 """Room over so many pairs, as a factor, until a replay had more: then the views differ, and it is ``SPARE``."""
 
 MEMORY_SHARE = 1 / 24
