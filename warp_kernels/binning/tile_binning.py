@@ -32,6 +32,9 @@ MASK_COLUMNS, MASK_ROWS = 2, 4
 MASK_SHIFT = 24
 """Bits of a key in front of the mask, for the tile."""
 
+FILLING = 2**15
+"""Threads that mark what the room for pairs has left."""
+
 Totals = wp.types.vector(2, wp.int64)
 """Pairs, and Gaussians with any."""
 
@@ -45,7 +48,7 @@ def binning_kernels(dtype: type, lanes: int):
         lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
 
     Returns:
-        ``(count, compact, gather, emit)``. Counting and emission are launched over ``whole_warps``, the compaction
+        ``(count, compact, gather, emit, fill_room)``. Counting and emission are launched over ``whole_warps``, the compaction
         on CUDA over ``threads_of_many``.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
@@ -211,6 +214,19 @@ def binning_kernels(dtype: type, lanes: int):
         order[rank] = index
         counts[rank] = count
 
+    @wp.kernel(name="fill_room", enable_backward=False, module="unique")
+    def fill_room_kernel(
+        num_tiles: int,
+        capacity: int,
+        pair_ends: wp.array(dtype=wp.int64),  # [ranks]
+        # outputs
+        keys: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
+    ):
+        """Places behind the last pair get a tile after the last, and sort to the end; ``FILLING`` threads."""
+        num_pairs = wp.min(pair_ends[pair_ends.shape[0] - 1], wp.int64(capacity))
+        for place in range(int(num_pairs) + wp.tid(), capacity, wp.static(FILLING)):
+            keys[place] = num_tiles
+
     @wp.func
     def emit_row(
         index: int,
@@ -282,7 +298,6 @@ def binning_kernels(dtype: type, lanes: int):
         tiles_y: int,
         by_slot: bool,
         masked: bool,
-        num_tiles: int,
         capacity: int,
         means2d: wp.array(dtype=vec2),  # [images · N]
         roots: wp.array(dtype=vec3),  # [images · N]
@@ -296,7 +311,6 @@ def binning_kernels(dtype: type, lanes: int):
         values: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
         owners: wp.array(dtype=wp.int32),  # [pairs]; [0] without by_slot
     ):
-        """Places behind the last pair get a tile after the last, and sort to the end."""
         rank = wp.tid() + first
         lane = rank % lanes
         index = int(-1)
@@ -308,9 +322,6 @@ def binning_kernels(dtype: type, lanes: int):
         row_end = int(0)
         if rank < order.shape[0]:
             index = order[rank]
-            num_pairs = wp.min(pair_ends[order.shape[0] - 1], wp.int64(capacity))
-            for empty in range(int(num_pairs) + rank, capacity, order.shape[0]):
-                keys[empty] = num_tiles
         if index >= 0:
             begin = wp.int64(0)
             if rank > 0:
@@ -345,4 +356,4 @@ def binning_kernels(dtype: type, lanes: int):
             slot += warp_shuffle(total, lanes - 1)
             dealt += lanes
 
-    return count_tiles_kernel, compact_gaussians_kernel, gather_counts_kernel, emit_pairs_kernel
+    return count_tiles_kernel, compact_gaussians_kernel, gather_counts_kernel, emit_pairs_kernel, fill_room_kernel

@@ -1,4 +1,4 @@
-"""Sums over rows of spherical harmonics coefficients, one row a thread, and their adjoint, moved by whole warps.
+"""The adjoint of a sum over one row of spherical harmonics coefficients a thread, moved by whole warps.
 
 A Gaussian's coefficients are one row of up to 48 numbers (75 of degree 4), and so is their gradient: basis value times
 colour gradient. Were each thread to read and write its own, neighbouring threads would do so 192 bytes apart. Where the
@@ -7,9 +7,8 @@ as one run, 4 numbers at once where nothing lies between rows, and each lane has
 nobody uses are only written. Other rows are read and written directly; on the CPU, where a warp is one lane, they all
 are.
 
-On CUDA all lanes of a warp must call the adjoint together: see ``lanes.whole_warps``. Most sums lose by this: a thread
-has its own row's numbers in a few wide reads, and waits for nobody. Where a warp has many rows to read, one after the
-other, its lanes copy 32 of them to shared memory while they work out their directions.
+On CUDA all lanes of a warp must call the adjoint together: see ``lanes.whole_warps``. The sums themselves lose by this:
+a thread has its own row's numbers in a few wide reads, and waits for nobody.
 """
 
 import warp as wp
@@ -202,87 +201,6 @@ def row_sum_function(dtype: type, most: int):
     def row_sum(rows: wp.array2d(dtype=vec3), lowest: int, row: int, b: vecK, active: int, start: vec3) -> vec3: ...
 
     return row_sum
-
-
-# 32 rows on their way to shared memory, 16 bytes of a row by a lane. The pitch, of 52 numbers, is such that lanes which
-# read 16 bytes of neighbouring rows meet in no bank.
-STAGE = """
-#if defined(__CUDA_ARCH__)
-    __shared__ __align__(16) float staged[block / 32][32 * 52];
-    const unsigned all = 0xffffffffu;
-    const int lane = threadIdx.x & 31, quads = (3 * active + 3) / 4;
-    float* const to = staged[threadIdx.x >> 5];
-    #pragma unroll
-    for (int i = 0; i < 12; ++i) {
-        const int at = lane + 32 * i, r = at / 12, q = at % 12, of = __shfl_sync(all, row, r);
-        if (of >= 0 && q < quads) {
-            const float4* from = (const float4*)((const char*)rows.data + (long long)of * rows.strides[0]) + q;
-            float4* target = (float4*)(to + 52 * r) + q;
-#if __CUDA_ARCH__ >= 800
-            const unsigned address = (unsigned)__cvta_generic_to_shared(target);
-            asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(address), "l"(from) : "memory");
-#else
-            *target = __ldg(from);
-#endif
-        }
-    }
-    return (wp::uint64)to;
-#else
-    return 0;
-#endif
-"""
-
-STAGED_SUM = """
-    wp::vec_t<3, float> total = start;
-#if defined(__CUDA_ARCH__)
-#if __CUDA_ARCH__ >= 800
-    asm volatile("cp.async.wait_all;" ::: "memory");
-#endif
-    __syncwarp();
-    const float4* mine = (const float4*)((const float*)address + 52 * (threadIdx.x & 31));
-    const int end = 3 * active;
-    #pragma unroll
-    for (int j = 0; j < 12; ++j)
-        if (4 * j < end) {
-            const float4 quad = mine[j];
-            const float numbers[4] = {quad.x, quad.y, quad.z, quad.w};
-            #pragma unroll
-            for (int i = 0; i < 4; ++i) {
-                const int at = 4 * j + i;
-                if (at < end) total[at % 3] += b[at / 3] * numbers[i];
-            }
-        }
-    __syncwarp();
-#endif
-    return total;
-"""
-
-STAGE_BLOCK = 128
-"""Threads a block of a kernel that stages rows: 27 kB of shared memory."""
-
-
-@made_once
-def staged_sum_functions():
-    """Sums of 32 rows of 16 coefficients in float32, which a warp copies together.
-
-    Returns:
-        Warp functions ``(may_stage, stage, staged_sum)``, which all lanes of a warp call together:
-        ``may_stage(rows, lowest)``, whether rows begin with the first coefficient and lie so that they can be copied 16
-        bytes at once; ``stage(rows, row, active)``, where a lane's row, -1 for none, will be; ``staged_sum(address, b,
-        active, start)``, the sum of ``row_sum_function``, for a lane that has a row.
-    """
-    vec16 = wp.types.vector(16, wp.float32)
-
-    @wp.func_native("return lowest == 0 && rows.strides[1] == 12 && (((size_t)rows.data | rows.strides[0]) & 15) == 0;")
-    def may_stage(rows: wp.array2d(dtype=wp.vec3), lowest: int) -> bool: ...
-
-    @wp.func_native(f"constexpr int block = {STAGE_BLOCK};{STAGE}")
-    def stage(rows: wp.array2d(dtype=wp.vec3), row: int, active: int) -> wp.uint64: ...
-
-    @wp.func_native(STAGED_SUM)
-    def staged_sum(address: wp.uint64, b: vec16, active: int, start: wp.vec3) -> wp.vec3: ...
-
-    return may_stage, stage, staged_sum
 
 
 @made_once

@@ -7,9 +7,8 @@ from typing import Any
 import warp as wp
 
 from warp_kernels.color.camera_positions import camera_position_kernels
-from warp_kernels.color.coefficient_rows import STAGE_BLOCK
 from warp_kernels.color.harmonic_basis import values_for
-from warp_kernels.color.spherical_harmonics import ColorVariant, color_adjoint_kernel, color_kernel, stages_rows
+from warp_kernels.color.spherical_harmonics import ColorVariant, color_adjoint_kernel, color_kernel
 from warp_kernels.machinery.array_views import ArrayView, empty
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch, launch_again
@@ -86,8 +85,7 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.visible]
     many = entries > LISTED and device.is_cuda
     kernel = color_kernel(dtype, many, settings.variant)
-    block = STAGE_BLOCK if stages_rows(dtype, many, settings.variant) else None
-    launch(kernel, threads_of_many(entries) if many else entries, [*inputs, a.colors], device, block)
+    launch(kernel, threads_of_many(entries) if many else entries, [*inputs, a.colors], device)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
         record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)

@@ -8,12 +8,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_kernels.color.coefficient_rows import (
-    STAGE_BLOCK,
-    row_adjoint_function,
-    row_sum_function,
-    staged_sum_functions,
-)
+from warp_kernels.color.coefficient_rows import row_adjoint_function, row_sum_function
 from warp_kernels.color.harmonic_basis import FEW, basis_functions
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.flat_index import image_and_row
@@ -85,15 +80,13 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
     vec3 = wp.types.vector(3, dtype)
     basis, _ = basis_functions(dtype, variant.most)
     row_sum = row_sum_function(dtype, variant.most)
-    may_stage, stage, staged_sum = staged_sum_functions()
-    staged = stages_rows(dtype, many, variant)
     shifted, clamped = variant.shifted, variant.clamped
     direction = direction_function(dtype)
     each, lanes = (EACH, LANES_CUDA) if many else (1, 1)
     vec_each = wp.types.vector(each, wp.int32)
     list_of_warp, append, item = list_functions(WARPS, MANY)
 
-    bounds = (STAGE_BLOCK, 6) if staged else _launch_bounds(dtype, variant)
+    bounds = _launch_bounds(dtype, variant)
 
     @wp.kernel(
         name=variant.name("sh_colors", dtype) + "_many" * many,
@@ -132,35 +125,18 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
             for j in range(each):
                 count = append(listed, count, lane, seen[j] > 0, nearest + j * lanes)
             warp_sync()
-        active = (degree + 1) * (degree + 1)
-        together = bool(False)
-        if wp.static(staged):
-            together = may_stage(rows, lowest)
-        done = int(0)
-        while done < count:
+        for k in range(lane, count, lanes):
             index = nearest
-            wanted = done + lane < count
             if wp.static(many):
-                index = item(listed, wp.min(done + lane, count - 1))
-            done += lanes
+                index = item(listed, k)
             image, gaussian = image_and_row(index, num_gaussians, num_cameras)
             row = wp.where(per_image, index, gaussian)
-            address = wp.uint64(0)
-            if wp.static(staged):
-                if together:
-                    address = stage(rows, wp.where(wanted, row, -1), active)
             unit, _ = direction(means[gaussian], camera_positions[image])
             b = basis(unit, degree)
             color = vec3()
             if lowest > 0:
                 color = b[0] * sh0[row, 0]
-            if wp.static(staged):
-                if together:
-                    color = staged_sum(address, b, active, color)
-                else:
-                    color = row_sum(rows, lowest, row, b, active, color)
-            else:
-                color = row_sum(rows, lowest, row, b, active, color)
+            color = row_sum(rows, lowest, row, b, (degree + 1) * (degree + 1), color)
             # Added last, as 3DGS does: an initial black, -0.5 by then, becomes 0 and not what an FMA leaves of it.
             if wp.static(shifted):
                 color = color + vec3(dtype(0.5), dtype(0.5), dtype(0.5))
@@ -169,8 +145,7 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
                     # Not max(): a NaN must stay visible to the binning, which hides such Gaussians.
                     if color[c] < dtype(0.0):
                         color[c] = dtype(0.0) * color[c]  # -0, whose sign tells the adjoint
-            if wanted:
-                colors[index] = color
+            colors[index] = color
 
     return sh_colors_kernel
 
@@ -268,11 +243,6 @@ def color_adjoint_kernel(dtype: type, variant: ColorVariant) -> wp.Kernel:
         store3(v_means, wp.where(inside, gaussian, -1), total)
 
     return sh_colors_adjoint_kernel
-
-
-def stages_rows(dtype: type, many: bool, variant: ColorVariant) -> bool:
-    """Whether the kernel copies rows to shared memory, and is launched with blocks of ``STAGE_BLOCK``."""
-    return many and dtype is wp.float32 and variant.most == FEW
 
 
 def _launch_bounds(dtype: type, variant: ColorVariant) -> tuple[int, int] | None:
