@@ -48,8 +48,8 @@ def binning_kernels(dtype: type, lanes: int):
         lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
 
     Returns:
-        ``(count, compact, gather, emit, fill_room)``. Counting and emission are launched over ``whole_warps``, the compaction
-        on CUDA over ``threads_of_many``.
+        ``(count, compact, gather, emit, fill_room)``. Counting and emission are launched over ``whole_warps``, the
+        compaction on CUDA over ``threads_of_many``, and what fills the room over ``FILLING``.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     pixel_rows, tile_range, ellipse, pixel_span = overlap_functions(dtype)
