@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_kernels.binning.pair_notes import note_pairs_kernel
 from warp_kernels.binning.tile_binning import binning_kernels
-from warp_kernels.binning.tile_ranges import tile_ranges_kernel
+from warp_kernels.binning.tile_ranges import fill_room_kernel, tile_ranges_kernel
 from warp_kernels.blending.blend_layout import default_layout
 from warp_kernels.blending.blend_variant import blend_variant
 from warp_kernels.blending.blending import blend_kernel
@@ -67,6 +67,7 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
         tile_ranges_kernel,
         camera_position_kernels(dtype)[0],
         gather,
+        fill_room_kernel,
         note_pairs_kernel,
     ]
 

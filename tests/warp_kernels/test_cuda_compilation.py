@@ -9,7 +9,7 @@ import warp as wp
 
 from compilation_for_cuda import ARCHITECTURES, compile_all
 from warp_kernels.binning.tile_binning import binning_kernels
-from warp_kernels.binning.tile_ranges import tile_ranges_kernel
+from warp_kernels.binning.tile_ranges import fill_room_kernel, tile_ranges_kernel
 from warp_kernels.blending.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending.blend_variant import blend_variant
 from warp_kernels.blending.blending import blend_kernel
@@ -57,7 +57,13 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
         for antialiased in (False, True)
     ]
     kernels += [projection_adjoint_kernel(dtype, "pinhole", False, posed, False, True) for posed in (False, True)]
-    kernels += [*binning_kernels(dtype, 32), tile_ranges_kernel, deal_states_kernel, camera_finish_kernel(dtype)]
+    kernels += [
+        *binning_kernels(dtype, 32),
+        fill_room_kernel,
+        tile_ranges_kernel,
+        deal_states_kernel,
+        camera_finish_kernel(dtype),
+    ]
     kernels.append(finish_moments_kernel(dtype))
     kernels += activation_kernels(dtype)
     kernels += [strand_sum_kernel(dtype, 3), strand_sum_kernel(wp.float64, CAMERA_RECORD)]

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_kernels.binning.tile_binning import FILLING, MASK_SHIFT, Totals, binning_kernels
+from warp_kernels.binning.tile_binning import MASK_SHIFT, Totals, binning_kernels
 from warp_kernels.binning.tile_bins import Room, TileBins
-from warp_kernels.binning.tile_ranges import tile_ranges_kernel
+from warp_kernels.binning.tile_ranges import FILLING, fill_room_kernel, tile_ranges_kernel
 from warp_kernels.machinery.array_views import empty, memory, nothing
 from warp_kernels.machinery.lanes import lanes_of, whole_warps
 from warp_kernels.machinery.launching import launch, launch_again
@@ -153,7 +153,7 @@ def sort_gaussians(
     if room is not None:
         grid.check(room.pairs)
     device, dtype = opacities.device, opacities.dtype
-    count_kernel, compact_kernel, gather_kernel, *_ = binning_kernels(dtype, lanes_of(device))
+    count_kernel, compact_kernel, gather_kernel, _ = binning_kernels(dtype, lanes_of(device))
     entries = projected.means2d.shape[0]
     tiles_per_gaussian = empty(entries, wp.int32, device)
     counted = [
@@ -243,9 +243,9 @@ def list_pairs(
         raise
     masked = masks.shape[0] > 0 and num_tiles < 2**MASK_SHIFT
     if num_pairs > 0:
-        *_, emit_kernel, fill_kernel = binning_kernels(opacities.dtype, lanes_of(device))
         if room is not None and nearest_first.ranks > 0:
-            launch_again(fill_kernel, FILLING, [num_tiles, num_pairs, nearest_first.pair_ends, keys], device)
+            launch_again(fill_room_kernel, FILLING, [num_tiles, num_pairs, nearest_first.pair_ends, keys], device)
+        *_, emit_kernel = binning_kernels(opacities.dtype, lanes_of(device))
         launch(
             emit_kernel,
             whole_warps(nearest_first.ranks, device),

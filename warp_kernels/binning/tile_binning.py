@@ -32,9 +32,6 @@ MASK_COLUMNS, MASK_ROWS = 2, 4
 MASK_SHIFT = 24
 """Bits of a key in front of the mask, for the tile."""
 
-FILLING = 2**15
-"""Threads that mark what the room for pairs has left."""
-
 Totals = wp.types.vector(2, wp.int64)
 """Pairs, and Gaussians with any."""
 
@@ -48,8 +45,8 @@ def binning_kernels(dtype: type, lanes: int):
         lanes: lanes in a warp: 32 on CUDA, 1 on the CPU.
 
     Returns:
-        ``(count, compact, gather, emit, fill_room)``. Counting and emission are launched over ``whole_warps``, the
-        compaction on CUDA over ``threads_of_many``, and what fills the room over ``FILLING``.
+        ``(count, compact, gather, emit)``. Counting and emission are launched over ``whole_warps``, the compaction
+        on CUDA over ``threads_of_many``.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     pixel_rows, tile_range, ellipse, pixel_span = overlap_functions(dtype)
@@ -214,19 +211,6 @@ def binning_kernels(dtype: type, lanes: int):
         order[rank] = index
         counts[rank] = count
 
-    @wp.kernel(name="fill_room", enable_backward=False, module="unique")
-    def fill_room_kernel(
-        num_tiles: int,
-        capacity: int,
-        pair_ends: wp.array(dtype=wp.int64),  # [ranks]
-        # outputs
-        keys: wp.array(dtype=wp.int32),  # [2 · pairs], the first half
-    ):
-        """Places behind the last pair get a tile after the last, and sort to the end; ``FILLING`` threads."""
-        num_pairs = wp.min(pair_ends[pair_ends.shape[0] - 1], wp.int64(capacity))
-        for place in range(int(num_pairs) + wp.tid(), capacity, wp.static(FILLING)):
-            keys[place] = num_tiles
-
     @wp.func
     def emit_row(
         index: int,
@@ -356,4 +340,4 @@ def binning_kernels(dtype: type, lanes: int):
             slot += warp_shuffle(total, lanes - 1)
             dealt += lanes
 
-    return count_tiles_kernel, compact_gaussians_kernel, gather_counts_kernel, emit_pairs_kernel, fill_room_kernel
+    return count_tiles_kernel, compact_gaussians_kernel, gather_counts_kernel, emit_pairs_kernel

@@ -1,8 +1,25 @@
-"""Where the pairs of each tile lie in the list that is sorted by tile (tile_binning.py)."""
+"""What a list of pairs has behind its last pair, and where the pairs of each tile lie once it is sorted by tile."""
 
 import warp as wp
 
 from warp_kernels.binning.tile_binning import MASK_SHIFT
+
+FILLING = 2**15
+"""Threads that fill what the pairs have left of their room."""
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def fill_room_kernel(
+    num_tiles: int,
+    capacity: int,
+    pair_ends: wp.array(dtype=wp.int64),  # [ranks]
+    # outputs
+    keys: wp.array(dtype=wp.int32),  # [2 · capacity], the first half
+):
+    """Gives places behind the last pair a tile after the last, so that they sort to the end; threads: ``FILLING``."""
+    num_pairs = wp.min(pair_ends[pair_ends.shape[0] - 1], wp.int64(capacity))
+    for place in range(int(num_pairs) + wp.tid(), capacity, wp.static(FILLING)):
+        keys[place] = num_tiles
 
 
 @wp.kernel(enable_backward=False, module="unique")
