@@ -18,8 +18,8 @@ def image(tensor: torch.Tensor) -> ArrayView:
 
 def blended_to(*renders: torch.Tensor) -> BlendedArrays:
     """What a blending writes to one or two images."""
-    one = view(torch.zeros(2, 3), wp.float32, 2, 3)
-    return BlendedArrays(image(renders[0]), one, one, one, *[image(render) for render in renders[1:]])
+    transmittance, ends, alphas = (view(torch.zeros(2, 3), wp.float32, 2, 3) for _ in range(3))
+    return BlendedArrays(image(renders[0]), transmittance, ends, alphas, *[image(render) for render in renders[1:]])
 
 
 def test_a_replay_says_where_images_lie() -> None:
@@ -29,16 +29,17 @@ def test_a_replay_says_where_images_lie() -> None:
     places, seen = Places(), []
     launcher = LaunchedByReplays(torch.device("cpu"), left.append, places)
     blended = blended_to(*fixed)
-    launcher.forward(lambda: seen.append((blended.render.ptr, blended.thermal_render.ptr)), blended)
+    alphas, home = torch.zeros(2, 3), blended.alphas.ptr
+    launcher.forward(lambda: seen.append((blended.render.ptr, blended.thermal_render.ptr, blended.alphas.ptr)), blended)
     assert seen == []
     (launch,) = left
-    places.images[:] = [other[0].data_ptr(), None]
+    places.images[:] = [other[0].data_ptr(), None, alphas.data_ptr(), None]
     launch()
-    places.images[:] = [None, other[1].data_ptr()]
+    places.images[:] = [None, other[1].data_ptr(), None, None]
     launch()
     assert seen == [
-        (other[0].data_ptr(), fixed[1].data_ptr()),
-        (fixed[0].data_ptr(), other[1].data_ptr()),
+        (other[0].data_ptr(), fixed[1].data_ptr(), alphas.data_ptr()),
+        (fixed[0].data_ptr(), other[1].data_ptr(), home),
     ]
     assert launcher.blended == [blended]
 

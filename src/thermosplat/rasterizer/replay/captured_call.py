@@ -20,6 +20,9 @@ from thermosplat.rasterizer.replay.nodes import Blended, Lease, Projected
 from thermosplat.rasterizer.replay.recorded_call import EXTRA, GradientMemory, RecordedCall, Subject, images_of
 from thermosplat.rasterizer.replay.replayed_info import WrittenInfo, replayed_info
 
+COPIED_ALONE = 2**22
+"""Bytes of a tensor that is copied by itself. Small ones are copied together, by few blocks of threads."""
+
 WARM_UPS = 2
 """Runs before anything is recorded, in which kernels are loaded."""
 
@@ -221,9 +224,17 @@ def _put(memory: Sequence[Tensor], values: Sequence[Tensor | None]) -> None:
 
 def _copies(memory: Sequence[Tensor | None]) -> list[Tensor | None]:
     """Copies of fixed memory."""
-    there = [one for one in memory if one is not None]
-    copies = [torch.empty_like(one) for one in there]
-    if there:
-        torch._foreach_copy_(copies, there)
-    left = iter(copies)
-    return [None if one is None else next(left) for one in memory]
+    copies = [None if one is None else torch.empty_like(one) for one in memory]
+    small: list[Tensor] = []
+    of_small: list[Tensor] = []
+    for one, copy in zip(memory, copies, strict=True):
+        if one is None or copy is None:
+            continue
+        if one.nbytes >= COPIED_ALONE:
+            copy.copy_(one)
+        else:
+            small.append(one)
+            of_small.append(copy)
+    if small:
+        torch._foreach_copy_(of_small, small)
+    return copies

@@ -17,8 +17,8 @@ from warp_kernels.machinery.array_views import ArrayView
 class Places:
     """Where the images of the next replay lie, and then their gradients: addresses, None for the fixed memory."""
 
-    images: list[int | None] = field(default_factory=lambda: [None, None])
-    """Of the two renders, of which there may be one; see ``BlendLauncher.forward``."""
+    images: list[int | None] = field(default_factory=lambda: [None] * 4)
+    """In the order of ``images_drawn``; see ``BlendLauncher.forward``."""
     gradients: list[int | None] = field(default_factory=lambda: [None] * 5)
     """To parts of them; see ``BlendLauncher.backward``."""
 
@@ -56,7 +56,7 @@ class LaunchedByReplays(LaunchedNow):
     def forward(self, launch: Callable[[], None], blended: BlendedArrays) -> None:
         """Leaves a launch to the replays."""
         self.blended.append(blended)
-        self._leave(launch, renders_of(blended), self._places.images)
+        self._leave(launch, images_drawn(blended), self._places.images)
 
     def backward(self, launch: Callable[[], None], v_images: tuple[ArrayView | None, ...]) -> None:
         """Leaves a launch to the replays, and remembers where it reads."""
@@ -79,10 +79,14 @@ class LaunchedByReplays(LaunchedNow):
         self._leave_out(launch_there)
 
 
-def renders_of(blended: BlendedArrays) -> tuple[ArrayView | None, ArrayView | None]:
-    """The images that ``Places.images`` are of, in its order.
+RENDERS = 2
+"""So many of ``images_drawn`` nobody reads again; the adjoint reads the others."""
+
+
+def images_drawn(blended: BlendedArrays) -> tuple[ArrayView | None, ...]:
+    """The images that ``Places.images`` are of, in its order: renders and alphas, of which there may be one each.
 
     Args:
         blended: What a blending writes.
     """
-    return blended.render, blended.thermal_render
+    return blended.render, blended.thermal_render, blended.alphas, blended.thermal_alphas

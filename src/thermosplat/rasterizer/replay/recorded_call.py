@@ -4,7 +4,7 @@ Backward it is cut where ``info["means2d"]`` lies, between projection and blendi
 (the mids), and from those to the call's tensors. Backgrounds are read by the blending alone, and are mids, too.
 
 Where the call returns images as the blending wrote them, the blending is not recorded, and neither is its adjoint
-(image_launches.py). Of the images only alphas are copied then, which the adjoint reads.
+(image_launches.py). Of the images only alphas are copied then, where an adjoint will read them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ from thermosplat.rasterizer.info import InfoTensors, clear_unseen
 from thermosplat.rasterizer.projected_scene import ProjectedScene, scenes_told_to
 from thermosplat.rasterizer.replay.call_signature import Call, with_tensors
 from thermosplat.rasterizer.replay.cuda_graphs import RoomForOne
-from thermosplat.rasterizer.replay.image_launches import LaunchedByReplays, LaunchedNow, renders_of
+from thermosplat.rasterizer.replay.image_launches import RENDERS, LaunchedByReplays, LaunchedNow, images_drawn
 from thermosplat.rasterizer.replay.replayed_info import InfoLayout
 
 EXTRA = "render_extra_signals"
@@ -168,7 +168,7 @@ class RecordedCall:
         if len(self._launcher.blended) != 1:
             return False
         (blended,) = self._launcher.blended
-        written = {one.ptr for one in (*renders_of(blended), blended.alphas, blended.thermal_alphas) if one is not None}
+        written = {one.ptr for one in images_drawn(blended) if one is not None}
         images = self._owned[1:] if self._recorded else self._owned
         return all(image.data_ptr() in written and image._version == 0 for image in images)
 
@@ -178,7 +178,8 @@ class RecordedCall:
             return ()
         (blended,) = self._launcher.blended
         at = {one.data_ptr(): k for k, one in enumerate(self._owned)}
-        return tuple(None if one is None else at.get(one.ptr) for one in renders_of(blended))
+        images = images_drawn(blended)[: RENDERS if self._recorded else None]
+        return tuple(None if one is None else at.get(one.ptr) for one in images)
 
     def read_in_place(self) -> tuple[int | None, ...]:
         """Which of the images' gradients each of ``Places.gradients`` is, once ``blend_backward`` has run."""
