@@ -9,7 +9,7 @@ from warp_kernels.binning.tile_bins import Room, TileBins
 from warp_kernels.binning.tile_ranges import FILLING, fill_room_kernel, tile_ranges_kernel
 from warp_kernels.machinery.array_views import empty, memory, nothing
 from warp_kernels.machinery.lanes import lanes_of, whole_warps
-from warp_kernels.machinery.launching import launch, launch_again
+from warp_kernels.machinery.launching import SMALL_BLOCK, launch, launch_again
 from warp_kernels.machinery.warp_lists import threads_of_many
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
 
@@ -175,7 +175,7 @@ def sort_gaussians(
     num_pairs = None if room is None else room.pairs
     if compacted:
         totals = empty(-(-entries // lanes_of(device)), Totals, device)
-        launch(count_kernel, whole_warps(entries, device), [*counted, totals, None, None], device)
+        launch(count_kernel, whole_warps(entries, device), [*counted, totals, None, None], device, SMALL_BLOCK)
         wp.utils.array_scan(totals, totals, inclusive=True)
         if room is None:
             num_pairs, ranks = memory.source.last(totals)
@@ -188,7 +188,7 @@ def sort_gaussians(
         inputs = [ranks, tiles_per_gaussian, totals, projected.depths, depth_keys, unsorted]
         launch(compact_kernel, threads_of_many(entries) if device.is_cuda else entries, inputs, device)
     else:
-        launch(count_kernel, whole_warps(entries, device), [*counted, None, depth_keys, unsorted], device)
+        launch(count_kernel, whole_warps(entries, device), [*counted, None, depth_keys, unsorted], device, SMALL_BLOCK)
     order, pair_ends = empty(ranks, wp.int32, device), empty(ranks, wp.int64, device)
     if ranks > 0:
         sort_by_depth(depth_keys, unsorted, ranks)
@@ -271,6 +271,7 @@ def list_pairs(
                 owners,
             ],
             device,
+            SMALL_BLOCK,
         )
         wp.utils.radix_sort_pairs(keys, values, num_pairs, 0, max(1, num_tiles.bit_length()))
     ends = nearest_first.pair_ends

@@ -23,6 +23,7 @@ from warp_kernels.machinery.lanes import (
     warp_shuffle,
     warp_sum,
 )
+from warp_kernels.machinery.launching import SMALL_BLOCK
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH
 
@@ -46,7 +47,7 @@ def binning_kernels(dtype: type, lanes: int):
 
     Returns:
         ``(count, compact, gather, emit)``. Counting and emission are launched over ``whole_warps``, the compaction
-        on CUDA over ``threads_of_many``.
+        on CUDA over ``threads_of_many``; counting and emission in blocks of ``SMALL_BLOCK``.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     pixel_rows, tile_range, ellipse, pixel_span = overlap_functions(dtype)
@@ -56,7 +57,7 @@ def binning_kernels(dtype: type, lanes: int):
     each = EACH if lanes > 1 else 1  # Gaussians that a thread of the compaction looks at
     vec_each = wp.types.vector(each, wp.int32)
     # blocks a multiprocessor, which mostly wait for memory
-    count_bounds, emit_bounds = ((256, 6), (256, 3)) if dtype is wp.float32 else (None, None)
+    count_bounds, emit_bounds = ((SMALL_BLOCK, 12), (SMALL_BLOCK, 6)) if dtype is wp.float32 else (None, None)
 
     @wp.func
     def tiles_of_row(mean2d: vec2, extent: vec2, shape: vec4, row: int, width: int, height: int, tile_size: int):

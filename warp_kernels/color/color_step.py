@@ -11,7 +11,7 @@ from warp_kernels.color.harmonic_basis import values_for
 from warp_kernels.color.spherical_harmonics import ColorVariant, color_adjoint_kernel, color_kernel
 from warp_kernels.machinery.array_views import ArrayView, empty
 from warp_kernels.machinery.lanes import whole_warps
-from warp_kernels.machinery.launching import launch, launch_again
+from warp_kernels.machinery.launching import SMALL_BLOCK, launch, launch_again
 from warp_kernels.machinery.strand_sums import image_sums
 from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.machinery.warp_lists import LISTED, threads_of_many
@@ -85,7 +85,8 @@ def sh_colors(arrays: ColorArrays, settings: ColorSettings, tape: wp.Tape | None
     inputs = [*_counts(settings), a.means, a.camera_positions, a.sh0, rows, lowest, a.visible]
     many = entries > LISTED and device.is_cuda
     kernel = color_kernel(dtype, many, settings.variant)
-    launch(kernel, threads_of_many(entries) if many else entries, [*inputs, a.colors], device)
+    threads, block = (threads_of_many(entries), SMALL_BLOCK) if many else (entries, None)
+    launch(kernel, threads, [*inputs, a.colors], device, block)
     if tape is not None:
         differentiable = (a.means, a.viewmats, a.sh0, a.shN, a.colors)
         record_adjoint(tape, lambda: sh_colors_adjoint(arrays, settings), *differentiable)

@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_kernels.color.coefficient_rows import row_adjoint_function, row_sum_function
+from warp_kernels.color.coefficient_rows import BLOCK, row_adjoint_function, row_sum_function
 from warp_kernels.color.harmonic_basis import FEW, basis_functions
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.flat_index import image_and_row
 from warp_kernels.machinery.lanes import LANES_CUDA, warp_sync
+from warp_kernels.machinery.launching import SMALL_BLOCK
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH, MANY, WARPS, list_functions
 
@@ -74,8 +75,8 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
         variant: what is summed, and how.
 
     Returns:
-        The Warp kernel, with ``many`` launched over ``warp_lists.threads_of_many``. ``rows`` begin with the
-        coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
+        The Warp kernel, with ``many`` launched over ``warp_lists.threads_of_many`` in blocks of ``SMALL_BLOCK``.
+        ``rows`` begin with the coefficient ``lowest``; where that is 1, ``sh0`` has that of degree 0.
     """
     vec3 = wp.types.vector(3, dtype)
     basis, _ = basis_functions(dtype, variant.most)
@@ -86,7 +87,7 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
     vec_each = wp.types.vector(each, wp.int32)
     list_of_warp, append, item = list_functions(WARPS, MANY)
 
-    bounds = _launch_bounds(dtype, variant)
+    bounds = _launch_bounds(dtype, variant, SMALL_BLOCK if many else BLOCK)
 
     @wp.kernel(
         name=variant.name("sh_colors", dtype) + "_many" * many,
@@ -245,8 +246,8 @@ def color_adjoint_kernel(dtype: type, variant: ColorVariant) -> wp.Kernel:
     return sh_colors_adjoint_kernel
 
 
-def _launch_bounds(dtype: type, variant: ColorVariant) -> tuple[int, int] | None:
-    """A row is 48 registers, and three blocks a multiprocessor keep enough of them under way; of degree 4 it is 75."""
+def _launch_bounds(dtype: type, variant: ColorVariant, block: int = BLOCK) -> tuple[int, int] | None:
+    """A row is 48 registers, and 24 warps a multiprocessor keep enough of them under way; of degree 4 it is 75."""
     if dtype is not wp.float32:
         return None
-    return (256, 3) if variant.most == FEW else (256, 2)
+    return block, (768 if variant.most == FEW else 512) // block

@@ -20,6 +20,9 @@ CHUNKS_PER_THREAD = 6
 MIN_CHUNK = 2048
 """Fewest scalar threads worth handing to another core (a hand-over costs about 30 µs)."""
 
+SMALL_BLOCK = 128
+"""Threads a block on CUDA where most warps end early: a block keeps its place until its last warp has ended."""
+
 _num_threads = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 _pool: ThreadPoolExecutor | None = None
 

@@ -20,6 +20,7 @@ import warp as wp
 from warp_kernels.constants import EXTENT_MAX, FOV_MARGIN
 from warp_kernels.machinery.flat_index import image_and_row
 from warp_kernels.machinery.lanes import lane_functions
+from warp_kernels.machinery.launching import SMALL_BLOCK
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.footprints import footprint_functions
 from warp_kernels.projection.rotation import rotation_functions
@@ -155,7 +156,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         from_covars: 3D covariances are given instead of quaternions and scales.
 
     Returns:
-        The Warp kernel.
+        The Warp kernel, launched in blocks of ``SMALL_BLOCK``.
     """
     vec2, vec3, vec4 = (wp.types.vector(k, dtype) for k in (2, 3, 4))
     vec6 = wp.types.vector(6, dtype)
@@ -200,8 +201,8 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
         reach = wp.static(dtype(1.01)) * (extent_max * deviation + error_of_at) + two
         return at + reach < zero or at - reach > dtype(size)
 
-    # Four blocks a multiprocessor wait for memory at once; for five, axes in float64 leave too few registers.
-    bounds = (256, 4) if dtype is wp.float32 else None
+    # 32 warps a multiprocessor wait for memory at once; for 40, axes in float64 leave too few registers.
+    bounds = (SMALL_BLOCK, 8) if dtype is wp.float32 else None
 
     @wp.kernel(
         name=f"project_{camera_model}_{'covars' if from_covars else 'quats'}_{dtype.__name__}",

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from warp_kernels.machinery.array_views import empty
-from warp_kernels.machinery.launching import launch, launch_again
+from warp_kernels.machinery.launching import SMALL_BLOCK, launch, launch_again
 from warp_kernels.machinery.strand_sums import image_sums
 from warp_kernels.machinery.tape_recording import gradient_of, record_adjoint
 from warp_kernels.machinery.warp_lists import LISTED, threads_of_many
@@ -43,6 +43,7 @@ def project(
             *seen_and_stored(settings, projected),
         ],
         device,
+        SMALL_BLOCK,
     )
     if tape is None:
         return
