@@ -49,6 +49,7 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.least_gain": 0,
     "auto_budget.spectrum_loss": 0,
     "auto_budget.spectrum_patience": 0,
+    "auto_budget.spectrum_fall": 0,
     "auto_budget.held_change": 0,
     "densification.position_noise": 0,
     "densification.grad_threshold": 0,
@@ -69,6 +70,7 @@ _SHARES = (
     "loss.depth_spread_from",
     "densification.prune_opacity",
     "densification.keep_opacity",
+    "auto_budget.few_views_until",
 )
 _POSITIVE = (
     "image_memory",

@@ -260,6 +260,13 @@ class AutoBudgetConfig:
     it is held where it was best, and goes back to it at the last pruning if it is so far below then. Open choice."""
     spectrum_patience: int = 1000
     """So many steps it must have been best ago. Open choice."""
+    few_views_until: float = 0.25
+    """Share of the run up to which the validation views stay withheld, where growth ends earlier and they are more than
+    a twentieth of a spectrum's views: a scene may fit few views ever better and be ever worse, and they say so. 0: up
+    to the end of growth. Open choice; benchmarks/records/low-light.md."""
+    spectrum_fall: float = 0.3
+    """Fall of such a capture's validation views in one spectrum [dB] from which on it goes back to where it was best,
+    whatever its noise: in all of the last ``spectrum_patience`` steps before they are released. Open choice."""
     held_change: float = 0.02
     """Largest difference of a view from what the scene showed when a spectrum was best, measured as for
     ``prune_change``, that has no gradient once the spectrum goes back to that: as long as it is less, the other spectra

@@ -82,6 +82,31 @@ def test_a_held_spectrum_goes_back_to_its_best(last: float, goes_back: bool) -> 
     assert {name: teacher.sh_degree for name, teacher in watch.teachers.items()} == ({"rgb": 1} if goes_back else {})
 
 
+FALL = 0.3
+
+
+@pytest.mark.parametrize(
+    ("looks", "goes_back"),
+    [
+        ([19.5, 19.69, 19.6], True),
+        ([19.8, 19.6, 19.6], True),  # longer ago than patience
+        ([19.5, 19.71, 19.5], False),  # not all of the time
+        ([19.5, 19.5, 20.1], False),  # better
+    ],
+)
+def test_where_views_are_few_a_spectrum_that_fell_far_goes_back(looks: list[float], goes_back: bool) -> None:
+    """Whatever its noise, by the looks of the last 100 steps."""
+    watch, teacher = watch_with([1.0, 1.0]), Teacher.of_now(toy_model(toy_config(), toy_capture()), 0)
+    for step, psnr in zip((100, 200, 280, 320), (20.0, *looks), strict=True):
+        watch.judge(step, {"rgb": psnr}, LOSS, PATIENCE, lambda: teacher, noisy_only=False)
+    assert watch.held == ()
+    other = NoiseWatch(watch.noise, 2, torch.device("cpu"))  # as a run that is resumed
+    other.load_state_dict(copy.deepcopy(watch.state_dict()))
+    assert other.lately == watch.lately
+    assert watch.end(LOSS, FALL) == (["rgb"] if goes_back else [])
+    assert list(watch.teachers) == (["rgb"] if goes_back else [])
+
+
 def test_only_held_spectra_go_back() -> None:
     """A fall that was not one of patience long, or not of noise, sends none back."""
     watch, teacher = watch_with([0.02, 0.02]), Teacher.of_now(toy_model(toy_config(), toy_capture()), 0)
@@ -113,8 +138,8 @@ def worse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Withheld views lose a decibel of RGB in every step."""
     judge = NoiseWatch.judge
 
-    def judged(watch: NoiseWatch, step: int, psnrs: dict[str, float], *others: Any) -> list[str]:
-        return judge(watch, step, psnrs | {"rgb": 50.0 - step}, *others)
+    def judged(watch: NoiseWatch, step: int, psnrs: dict[str, float], *others: Any, **named: Any) -> list[str]:
+        return judge(watch, step, psnrs | {"rgb": 50.0 - step}, *others, **named)
 
     monkeypatch.setattr(NoiseWatch, "judge", judged)
 
@@ -160,13 +185,31 @@ def test_views_stay_withheld_while_noise_may_be_learnt(tmp_path: Path, noise: fl
     assert withheld < shown(trainer, 20, 100)
 
 
-def test_few_views_are_not_withheld_for_long(tmp_path: Path) -> None:
-    """Where two are more than a twentieth, growth frees them, noisy or not."""
-    trainer = advance(noisy_run(tmp_path, watched(), NOISE, FRAMES - 2), 12)
-    assert not trainer.state.growing
-    assert trainer.state.noise_watch is not None
-    assert trainer.state.noise_watch.noise_share("rgb") >= NOISY
-    assert trainer.state.noise_watch.over
+@pytest.mark.parametrize("few_views_until", [0.0, 0.16])
+def test_few_views_stay_withheld_for_a_share_of_the_run(tmp_path: Path, few_views_until: float) -> None:
+    """Where two are more than a twentieth: noisy or not, up to that share of the run, or up to the end of growth."""
+    for noise in (NOISE, 1e-9):
+        config = watched(few_views_until=few_views_until)
+        trainer = advance(noisy_run(tmp_path / f"{noise}", config, noise, FRAMES - 2), 12)
+        assert not trainer.state.growing
+        assert trainer.state.noise_watch is not None
+        assert trainer.state.noise_watch.over == (few_views_until == 0)
+        advance(trainer, 16)
+        assert trainer.state.noise_watch.over
+
+
+def test_few_views_say_what_goes_back(tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """RGB falls by a decibel in each step, and has no noise."""
+    config = watched(few_views_until=0.16, spectrum_patience=4)
+    trainer = advance(noisy_run(tmp_path, config, 1e-9, FRAMES - 2), 15)
+    assert trainer.state.taught == ()
+    assert trainer.budget is not None
+    withheld = {trainer.frames.frames[index].name for index in trainer.budget.validation}  # type: ignore[attr-defined]
+    assert not withheld & shown(trainer, 15, 100)
+    advance(trainer, 16)
+    assert trainer.state.taught == ("rgb",)
+    assert "Withheld RGB views were best after step 4: 46.00 dB, and now 34.00." in capsys.readouterr().out
+    assert withheld < shown(trainer, 16, 100)
 
 
 def test_a_held_spectrum_goes_back_at_the_last_removal(

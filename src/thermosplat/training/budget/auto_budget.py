@@ -5,6 +5,7 @@
   growth stops and they are trained on like the others. Held-out test views steer nothing.
 - Where images are noisy they stay withheld up to the last removal: a spectrum that they say learns noise is held about
   where it was best (noise_watch.py), and then taught by the scene of that step (teacher.py).
+- Where views are few they stay withheld for some time beyond growth, and a spectrum that fell far goes back, too.
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
   Nothing is removed while it still grows, which ends with the last share at the latest.
@@ -29,6 +30,7 @@ from thermosplat.spectra import label
 from thermosplat.training.budget.contributions import contributions
 from thermosplat.training.budget.feature_channels import reduce_features
 from thermosplat.training.budget.image_change import ImageChange
+from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.offset_shrinkage import drop_offsets, idle_offsets, offset_spectra
 from thermosplat.training.budget.opacity_sensitivities import offset_effects, opacity_sensitivities, removal_effects
 from thermosplat.training.budget.pruning import dispensable, prune_sets
@@ -44,7 +46,7 @@ from thermosplat.training.training_state import TrainingState
 WITHHELD_ONE_IN = 10
 """At most one in so many of a spectrum's training views is withheld while Gaussians are added. Open choice."""
 WATCHED_ONE_IN = 20
-"""At most one in so many stays withheld beyond growth: a capture of few views misses each of them. Open choice."""
+"""Where more than one in so many are withheld, views are few: a capture misses each of them. Open choice."""
 
 
 class Budget(Protocol):
@@ -99,6 +101,8 @@ class AutoBudget:
             [index for index, frame in enumerate(frames.frames) if name in frame.views] for name in state.model.spectra
         ]
         self.validation = _validation_views(self._having, self.settings.validation_views)
+        self._few_views = _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
+        self._watches_falls = self._few_views and teaches and self.settings.few_views_until > 0
         self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
         self._last_removal = max(self._prune_steps, default=0)
         if not state.growing:  # a resumed run whose growth has ended
@@ -189,7 +193,7 @@ class AutoBudget:
         if state.noise_watch is not None:
             teacher = partial(self._teacher, sh_degree)
             loss, patience = settings.spectrum_loss, settings.spectrum_patience
-            state.noise_watch.judge(step, means, loss, patience, teacher)
+            state.noise_watch.judge(step, means, loss, patience, teacher, noisy_only=not self._watches_falls)
         if not state.growing:
             self._release()
             return
@@ -222,9 +226,10 @@ class AutoBudget:
 
     def _release(self) -> None:
         """Train on the withheld views, too, unless a spectrum is watched by them."""
-        watch, too_many = self.state.noise_watch, _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
-        if watch is not None and (too_many or self.state.step >= self._last_removal or not watch.watches()):
-            for name in watch.end(self.settings.spectrum_loss):
+        watch = self.state.noise_watch
+        if watch is not None and self._has_seen_enough(watch):
+            fall = self.settings.spectrum_fall if self._watches_falls else math.inf
+            for name in watch.end(self.settings.spectrum_loss, fall):
                 best, then = watch.best[name]
                 self._say(
                     f"Withheld {label(name)} views were best after step {then:,}: {best:.2f} dB, and now "
@@ -232,6 +237,15 @@ class AutoBudget:
                 )
         if not self.withholds():
             self.schedule.withhold(())
+
+    def _has_seen_enough(self, watch: NoiseWatch) -> bool:
+        """Whether withheld views have said what they can once growth has ended."""
+        step = self.state.step
+        if step >= self._last_removal:
+            return True
+        if self._watches_falls:
+            return step >= round(self.settings.few_views_until * self.config.max_steps)
+        return self._few_views or not watch.watches()
 
     def scores(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
         """What each Gaussian is worth to the training images, [N] by name of the set.
