@@ -25,7 +25,7 @@ pytestmark = headless_browser.MARKS
 SIZE = {"width": 900, "height": 600}
 CLEAR = slice(170, 430), slice(20, 540)
 """Rows and columns of the window that no control lies over."""
-PATIENCE = 60.0  # s, on a busy machine
+PATIENCE = 240.0  # s, on a busy machine
 
 
 @pytest.fixture(scope="module")

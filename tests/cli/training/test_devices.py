@@ -87,7 +87,7 @@ STOPS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("stop", "code", "said"), STOPS, ids=["rank 1 killed", "rank 0 killed", "SIGTERM", "Ctrl-C"])
-def test_ranks_end_together(tmp_path: Path, stop: Callable[[int], None], code: int, said: str) -> None:
+def test_ranks_end_together(stoppable: None, tmp_path: Path, stop: Callable[[int], None], code: int, said: str) -> None:
     """With one message, the last checkpoint and the command that goes on; no process is left."""
     words = (
         "sample --devices 2 --device cpu --data-factor 4 --max-steps 20000 --save-steps 10 --eval-steps 20000 "

@@ -20,7 +20,7 @@ pytestmark = headless_browser.MARKS
 
 
 @pytest.fixture
-def training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Iterator[subprocess.Popen[str]]":
+def training(stoppable: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Iterator[subprocess.Popen[str]]":
     monkeypatch.setenv("COLUMNS", "200")
     with training_process(*WORDS.split(), tmp_path / "run") as process:
         yield process
