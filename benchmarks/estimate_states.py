@@ -60,8 +60,8 @@ def peak_bytes(frame: Counts, channels: int, states: int) -> int:
         states: Bytes that there is room for.
     """
     image = (channels + 1) * FLOAT * frame.pixels
-    # roots and radii; gradients to features, positions, roots and opacities
-    in_both = (16 + 8 + FLOAT * channels + 24) * frame.gaussians
+    # roots, and who is visible; gradients to features, positions, roots and opacities
+    in_both = (16 + 1 + FLOAT * channels + 24) * frame.gaussians
     # positions; last pairs; Gaussians and masks of the list
     in_blending = 8 * frame.gaussians + 4 * frame.pixels + 5 * frame.pairs + states
     # gradients to means and quaternions; those to scales are made where those to the roots lie

@@ -2,7 +2,7 @@
 
 What is counted, in float32, N Gaussians of which V are in some tile's list, P pairs, W·H pixels, C channels in all:
 
-- Bytes: every array that a stage has to read or write, once. Gaussians out of view cost their mean and a radius, and a
+- Bytes: every array that a stage has to read or write, once. Gaussians out of view cost their mean and a byte, and a
   gradient of zero. A sort of 32-bit keys with 32-bit values by radix passes over both every 8 bits: 16 bytes a pass, of
   V depths (4 passes) and of P tile numbers (as many passes as they have bytes).
 - Operations: fused multiply-adds or what takes a slot as long, a fragment (a drawn pair of pixel and Gaussian). Pairs
@@ -24,7 +24,7 @@ FORWARD_OPERATIONS, FORWARD_PER_CHANNEL, FORWARD_SECOND_OPACITY = 14, 1, 5
 BACKWARD_OPERATIONS, BACKWARD_PER_CHANNEL, BACKWARD_SECOND_OPACITY = 28, 2, 12
 
 MEAN, QUAT, SCALES, OPACITY, SH = 12, 16, 12, 4, 192
-MEAN2D, DEPTH, ROOT, COMPENSATION, RADII, EXTENTS = 8, 4, 12, 4, 8, 8
+MEAN2D, DEPTH, ROOT, COMPENSATION, VISIBLE, EXTENTS = 8, 4, 12, 4, 1, 8
 """Bytes a Gaussian."""
 
 
@@ -57,7 +57,7 @@ def stage_floors(
     opacities = OPACITY * (2 if second else 1)
     visible, pixels = fragments.visible, width * height
     culled = gaussians - visible
-    projected = MEAN2D + DEPTH + ROOT + COMPENSATION + RADII + EXTENTS
+    projected = MEAN2D + DEPTH + ROOT + COMPENSATION + VISIBLE + EXTENTS
     record = MEAN2D + ROOT + opacities + 4 * first
     passes = math.ceil(max(1, tiles.bit_length()) / 8)
     outputs = (4 * (first + second) + 8 * (2 if second else 1)) * pixels  # colours, transmittances, last pairs
@@ -65,10 +65,10 @@ def stage_floors(
     dual = bool(second)
     per_channel = fragments.drawn * first + fragments.thermal * second
     amounts = {
-        "projection": (culled * (MEAN + RADII) + visible * (geometry + opacities + projected), 0),
+        "projection": (culled * (MEAN + VISIBLE) + visible * (geometry + opacities + projected), 0),
         "colors": (visible * (MEAN + SH + 12), 0),
         "binning": (
-            visible * (MEAN2D + DEPTH + ROOT + RADII + EXTENTS + opacities + 4 * 16)
+            visible * (MEAN2D + DEPTH + ROOT + VISIBLE + EXTENTS + opacities + 4 * 16)
             + pairs * (8 + 16 * passes + 4)
             + 4 * tiles,
             0,

@@ -5,8 +5,8 @@ what they read may lie in the cache, as in a step. Backward is the time of both 
 
 Floors are bytes over the measured bandwidth: an image loss reads both images, backward both again, and writes the
 gradient (20 a channel and pixel); smoothness reads the image twice and writes the gradient (12); the finite check reads
-all gradients; bookkeeping for density control reads the gradients of the means in the image and radii (16 a Gaussian)
-and reads and writes two sums (16).
+all gradients; bookkeeping for density control reads the gradients of the means in the image and who is visible (9 a
+Gaussian), and reads and writes two sums (16).
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
 from training.step_parts import profiled
 
-IMAGE_LOSS_BYTES, SMOOTHNESS_BYTES, FINITE_BYTES, DENSITY_BYTES = 20, 12, 4, 32
+IMAGE_LOSS_BYTES, SMOOTHNESS_BYTES, FINITE_BYTES, DENSITY_BYTES = 20, 12, 4, 25
 
 Part = dict[str, Any]
 
