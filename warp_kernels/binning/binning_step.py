@@ -70,6 +70,7 @@ def bin_tiles(
 
     Raises:
         TooManyPairsError: for more pairs, or room for more, than ``PAIRS_MAX``, or more tiles than ``TILES_MAX``.
+        ValueError: if the tile size is no power of two.
     """
     drawn = (projected, opacities, thermal_opacities)
     nearest_first = sort_gaussians(*drawn, features, settings, tile_size, rest=rest, room=room)
@@ -145,7 +146,10 @@ def sort_gaussians(
 
     Raises:
         TooManyPairsError: as ``bin_tiles``.
+        ValueError: likewise.
     """
+    if tile_size < 1 or tile_size & (tile_size - 1):
+        raise ValueError(f"tile_size must be a power of two, got {tile_size}.")
     tiles_x, tiles_y = -(-settings.width // tile_size), -(-settings.height // tile_size)
     grid = _Grid(settings, tile_size, tiles_x, tiles_y, settings.num_images * tiles_x * tiles_y)
     if grid.num_tiles > TILES_MAX:

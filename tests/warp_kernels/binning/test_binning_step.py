@@ -130,3 +130,10 @@ def test_sorting_digit_by_digit_is_one_sort(dtype: type, count: int) -> None:
     wp.utils.radix_sort_pairs(*expected, count)
     for mine, theirs in zip(found, expected, strict=True):
         assert mine.numpy()[:count].tobytes() == theirs.numpy()[:count].tobytes()
+
+
+@pytest.mark.parametrize("tile_size", [0, 12])
+def test_tiles_are_powers_of_two(tile_size: int) -> None:
+    """Kernels shift where others divide."""
+    with pytest.raises(ValueError, match=f"tile_size must be a power of two, got {tile_size}"):
+        bin_tiles(**covering(3, 16) | {"tile_size": tile_size})
