@@ -260,7 +260,7 @@ class AutoBudgetConfig:
     it is held where it was best, and goes back to it at the last pruning if it is so far below then. Open choice."""
     spectrum_patience: int = 1000
     """So many steps it must have been best ago. Open choice."""
-    few_views_until: float = 0.25
+    few_views_until: float = 0.33
     """Share of the run up to which the validation views stay withheld, where growth ends earlier and they are more than
     a twentieth of a spectrum's views: a scene may fit few views ever better and be ever worse, and they say so. 0: up
     to the end of growth. Open choice; benchmarks/records/low-light.md."""
