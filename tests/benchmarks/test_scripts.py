@@ -136,7 +136,7 @@ def test_scaling_estimate_counts_bytes() -> None:
     """What a Gaussian takes between ranks is counted in a call; more bytes on a slower link take longer."""
     done = run_script("estimate_scaling.py")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "takes 96 bytes" in done.stdout
+    assert "takes 88 bytes" in done.stdout
     assert "its gradients 76" in done.stdout
     fast, slow = (line for line in done.stdout.splitlines() if line.startswith("| 4 hosts"))
     assert float(fast.split("|")[3].removesuffix("ms ")) < float(slow.split("|")[3].removesuffix("ms "))
