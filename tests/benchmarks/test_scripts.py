@@ -168,8 +168,8 @@ def test_states_of_segments_are_counted() -> None:
     pairs, segment, reserved, used, peak, captured = long
     assert abs(reserved - 1000 * pairs // segment * 33 * 256 * 4 / 2**20) < 0.1
     assert 0.8 * reserved < used <= reserved
-    of_blending = 184 * 60000 + 136 * 32**2 + 5000 * pairs + reserved * 2**20
-    assert abs(captured - max(of_blending, 204 * 60000 + 132 * 32**2) / 2**20) < 0.1
+    of_blending = 177 * 60000 + 136 * 32**2 + 5000 * pairs + reserved * 2**20
+    assert abs(captured - max(of_blending, 197 * 60000 + 132 * 32**2) / 2**20) < 0.1
     waits = reserved >= 16.0
     assert abs(captured - peak - (reserved - used) * waits) < 0.11
 
