@@ -26,12 +26,11 @@ SQUARE_ROOT_F32 = (
 SQUARE_ROOT_F64 = "return ::sqrt(x);"
 
 
-def _whole(way: str, dtype: type) -> str:
-    """Rounds up or down to a whole number that an int32 holds: one instruction on CUDA."""
-    up, name = way == "up", scalar_name(dtype)
-    limited = "!(x > -1e9) ? -1e9 : x < 1e9 ? x : 1e9"
-    rounded = f"return (int)::{'ceil' if up else 'floor'}{'f' if name == 'float' else ''}(({name})({limited}));"
-    return on_cuda(f"return __{name}2int_r{'u' if up else 'd'}(x);", rounded)
+def _whole(rounding: str, instruction: str, dtype: type) -> str:
+    """Rounds to a whole number that an int32 holds, by a function of C++ or by one instruction of CUDA."""
+    name, suffix = scalar_name(dtype), "f" if dtype is wp.float32 else ""
+    limited = f"({name})(!(x > -1e9) ? -1e9 : x < 1e9 ? x : 1e9)"
+    return on_cuda(f"return __{name}2int_{instruction}(x);", f"return (int)::{rounding}{suffix}({limited});")
 
 
 @wp.func_native(on_cuda("return 31 - __clz(x);", "return 31 - __builtin_clz((unsigned)x);"))
@@ -57,10 +56,10 @@ def overlap_functions(dtype: type):
     @wp.func_native(SQUARE_ROOT_F32 if dtype is wp.float32 else SQUARE_ROOT_F64)
     def square_root(x: dtype) -> dtype: ...
 
-    @wp.func_native(_whole("up", dtype))
+    @wp.func_native(_whole("ceil", "ru", dtype))
     def up(x: dtype) -> int: ...
 
-    @wp.func_native(_whole("down", dtype))
+    @wp.func_native(_whole("floor", "rd", dtype))
     def down(x: dtype) -> int: ...
 
     @wp.func

@@ -1,9 +1,10 @@
 """Stores of small vectors in as few memory transactions as their bytes need.
 
 Warp stores a vector number by number: 32 neighbouring threads with a vec3 each touch every 32-byte sector of their 384
-bytes three times, and the cache behind them takes a write a touch. Of arrays that are written for every Gaussian, seen
-or not, that is most of the time. Here a vec2 or vec4 is one store, and a warp's vec3s change lanes so that neighbouring
-lanes write neighbouring numbers. float64, unaligned and scattered vectors are stored number by number.
+bytes three times, and the cache behind them takes one write for each touch. Of arrays that are written for every
+Gaussian, seen or not, that is most of the time. Here a vec2 or vec4 is one store, and a warp's vec3s change lanes so
+that neighbouring lanes write neighbouring numbers. float64, unaligned and scattered vectors are stored number by
+number.
 """
 
 import warp as wp

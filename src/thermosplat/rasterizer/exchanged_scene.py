@@ -17,7 +17,7 @@ from thermosplat.errors import UserError
 from thermosplat.rasterizer.blending import BlendedTensors
 from thermosplat.rasterizer.cameras_of_ranks import CameraKind, cameras_of_ranks
 from thermosplat.rasterizer.exchange import AbsoluteGradients, Exchange
-from thermosplat.rasterizer.info import RasterizationInfo, clear_unseen, conics, radii_of
+from thermosplat.rasterizer.info import RasterizationInfo, conics, entries_of_seen
 from thermosplat.rasterizer.lenses import Lenses
 from thermosplat.rasterizer.pair_capacity import active_pair_capacity
 from thermosplat.rasterizer.projected_scene import ProjectedScene
@@ -205,8 +205,7 @@ class ExchangedScene(ProjectedScene):
         depths, conics, opacities, with ``n_cameras`` C_world and ``sizes`` [(width, height)] of every camera. Of what
         this rank blended, its own C cameras: the sorted pairs and their tiles; nothing where C is 0.
         """
-        visible, extents, roots, parts = self._own_visible, self._own_extents, self._own_roots, self._parts
-        means2d, depths = self._own_means2d, self._own_depths
+        visible, roots, parts = self._own_visible, self._own_roots, self._parts
         own: dict[str, Any] = {
             "visible": visible,
             "opacities": self._own_opacities,
@@ -220,9 +219,8 @@ class ExchangedScene(ProjectedScene):
             info.update(own)
         else:
             info = RasterizationInfo(self._no_pairs() | own, {})
-        info.compute_later("radii", lambda: radii_of(extents, visible))
-        info.compute_later("means2d", lambda: clear_unseen(means2d, visible))
-        info.compute_later("depths", lambda: clear_unseen(depths, visible))
+        for key, compute in entries_of_seen(self._own_means2d, self._own_depths, self._own_extents, visible).items():
+            info.compute_later(key, compute)
         info.compute_later("conics", lambda: conics(roots, visible))
         info.compute_later("num_nonfinite", lambda: max(part.num_nonfinite() for part in parts))
         return info

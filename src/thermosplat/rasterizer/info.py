@@ -159,7 +159,7 @@ def rasterization_info(tensors: InfoTensors, size: TiledSize, count_nonfinite: C
     *shape, count = tensors.visible.shape
     flatten_ids, tile_offsets = tensors.flatten_ids, tensors.tile_offsets
     depths, tiles_per_gaussian = tensors.depths, tensors.tiles_per_gaussian
-    means2d, visible, extents, roots = tensors.means2d, tensors.visible, tensors.extents, tensors.roots
+    visible, roots = tensors.visible, tensors.roots
     tiles_y, tiles_x = size.tiles_y, size.tiles_x
     values = {
         "batch_ids": None,
@@ -181,9 +181,7 @@ def rasterization_info(tensors: InfoTensors, size: TiledSize, count_nonfinite: C
     return RasterizationInfo(
         values,
         {
-            "radii": lambda: radii_of(extents, visible),
-            "means2d": lambda: clear_unseen(means2d, visible),
-            "depths": lambda: clear_unseen(depths, visible),
+            **entries_of_seen(tensors.means2d, depths, tensors.extents, visible),
             "conics": lambda: _recorded_conics(roots, visible),
             "tiles_per_gauss": lambda: tiles_per_gaussian.reshape(*shape, count),
             "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
@@ -220,6 +218,24 @@ def num_nonfinite(
     for tensor in cameras:
         finite.append(tensor.detach().isfinite().reshape(scenes, -1).all(1, keepdim=True).expand(finite[0].shape))
     return int((~torch.stack(finite).all(0)).sum())
+
+
+def entries_of_seen(
+    means2d: Tensor, depths: Tensor, extents: Tensor, visible: Tensor
+) -> dict[str, Callable[[], Tensor]]:
+    """The entries that are 0 where a Gaussian is not seen, each with what computes it when it is read.
+
+    Args:
+        means2d: As in ``InfoTensors``, as are the others.
+        depths: Likewise.
+        extents: Likewise.
+        visible: Likewise.
+    """
+    return {
+        "radii": lambda: radii_of(extents, visible),
+        "means2d": lambda: clear_unseen(means2d, visible),
+        "depths": lambda: clear_unseen(depths, visible),
+    }
 
 
 def radii_of(extents: Tensor, visible: Tensor) -> Tensor:

@@ -8,7 +8,25 @@ import torch
 import warp as wp
 
 import reference_projection
-from warp_scene import projected, warp_scene
+from warp_scene import WarpScene, projected, warp_scene
+
+
+def reference_of(scene: WarpScene) -> reference_projection.ProjectedGaussians:
+    """The scene's projection by the reference, in the settings' mode."""
+    s, settings = scene.scene, scene.settings
+    return reference_projection.project(
+        *reference_projection.flat_scene(s["means"], s["quats"], s["scales"], None, s["viewmats"], s["Ks"]),
+        s["opacities"][None, None],
+        torch.ones(1, 1, settings.num_gaussians, dtype=torch.bool),
+        s["width"],
+        s["height"],
+        near_plane=0.01,
+        far_plane=1e10,
+        radius_clip=0.0,
+        eps2d=0.3,
+        antialiased=settings.antialiased,
+        camera_model=settings.camera_model,
+    )
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(wp.float32, 2e-6), (wp.float64, 1e-12)])
@@ -21,20 +39,7 @@ def test_equals_reference(camera_model: str, antialiased: bool, dtype: type, tol
     scene.scene["means"][::5] *= 4  # some out of view
     scene.gaussians.means.assign(scene.scene["means"].numpy())
     found = projected(scene)
-    s = scene.scene
-    truth = reference_projection.project(
-        *reference_projection.flat_scene(s["means"], s["quats"], s["scales"], None, s["viewmats"], s["Ks"]),
-        s["opacities"][None, None],
-        torch.ones(1, 1, 120, dtype=torch.bool),
-        s["width"],
-        s["height"],
-        near_plane=0.01,
-        far_plane=1e10,
-        radius_clip=0.0,
-        eps2d=0.3,
-        antialiased=antialiased,
-        camera_model=camera_model,
-    )
+    s, truth = scene.scene, reference_of(scene)
     visible = truth.visible.flatten().numpy()
     assert 0.4 < visible.mean() < 0.98
     assert (found.visible.numpy() == visible).all()
@@ -111,19 +116,7 @@ def test_nothing_is_culled_that_reaches_the_image(case: str, camera_model: str, 
     for name, values in given.items():
         getattr(scene.gaussians, name).assign(values)
         s[name] = torch.from_numpy(getattr(scene.gaussians, name).numpy()).double()  # as the kernel reads them
-    truth = reference_projection.project(
-        *reference_projection.flat_scene(s["means"], s["quats"], s["scales"], None, s["viewmats"], s["Ks"]),
-        s["opacities"][None, None],
-        torch.ones(1, 1, n, dtype=torch.bool),
-        s["width"],
-        s["height"],
-        near_plane=0.01,
-        far_plane=1e10,
-        radius_clip=0.0,
-        eps2d=0.3,
-        antialiased=False,
-        camera_model=camera_model,
-    )
+    truth = reference_of(scene)
     sure = ~truth.marginal.flatten().numpy()
     visible = truth.visible.flatten().numpy()
     assert 0.01 < visible.mean() < 0.99

@@ -231,9 +231,10 @@ class AutoBudget:
             fall = self.settings.spectrum_fall if self._watches_falls else math.inf
             for name in watch.end(self.settings.spectrum_loss, fall):
                 best, then = watch.best[name]
+                _, now = watch.lately[name][-1]
                 self._say(
                     f"Withheld {label(name)} views were best after step {then:,}: {best:.2f} dB, and now "
-                    f"{watch.last[name]:.2f}. From here on the scene learns its {label(name)} from how it looked then."
+                    f"{now:.2f}. From here on the scene learns its {label(name)} from how it looked then."
                 )
         if not self.withholds():
             self.schedule.withhold(())

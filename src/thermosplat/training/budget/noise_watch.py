@@ -43,7 +43,6 @@ class NoiseWatch:
         errors: By spectrum, the squared errors that the frames had when they were last trained on, [num_frames]
             float32; 0 where that was never.
         best: By spectrum that was watched, the best PSNR of the withheld views [dB] and its step.
-        last: Likewise the last one [dB].
         lately: Likewise steps and PSNR of the last looks.
         held: The spectra whose floors have risen.
         teachers: By spectrum, what those that went back to where they were best are trained on.
@@ -55,7 +54,6 @@ class NoiseWatch:
         self.floors = {name: torch.full((num_frames,), value, device=device) for name, value in noise.items()}
         self.errors = {name: torch.zeros(num_frames, device=device) for name in noise}
         self.best: dict[str, tuple[float, int]] = {}
-        self.last: dict[str, float] = {}
         self.lately: dict[str, list[tuple[int, float]]] = {}
         self._errors_at_best: dict[str, Tensor] = {}
         self._best_teachers: dict[str, Teacher] = {}
@@ -68,7 +66,7 @@ class NoiseWatch:
         for name, floors in self.floors.items():
             floors.fill_(self.noise[name])
             self.errors[name].zero_()
-        self.best, self.last, self.lately, self._errors_at_best, self.held, self.over = {}, {}, {}, {}, (), False
+        self.best, self.lately, self._errors_at_best, self.held, self.over = {}, {}, {}, (), False
         self.forget_teachers()
 
     def forget_teachers(self) -> None:
@@ -88,8 +86,9 @@ class NoiseWatch:
         found = []
         for name in self._best_teachers:
             best = self.best[name][0]
-            lost = name in self.held and best - self.last.get(name, math.inf) >= loss
-            fell = best - max((psnr for _, psnr in self.lately.get(name, ())), default=math.inf) >= fall
+            looks = [psnr for _, psnr in self.lately.get(name, ())] or [math.inf]
+            lost = name in self.held and best - looks[-1] >= loss
+            fell = best - max(looks) >= fall
             if lost or fell:
                 found.append(name)
         self.teachers |= {name: self._best_teachers[name] for name in found}
@@ -169,7 +168,6 @@ class NoiseWatch:
         found = []
         for name in watched:
             best, best_step = self.best[name]
-            self.last[name] = psnrs[name]
             before = [look for look in self.lately.get(name, ()) if step - look[0] < patience]
             self.lately[name] = [*before, (step, psnrs[name])]
             fallen = best - psnrs[name] >= loss and step - best_step >= patience
@@ -197,7 +195,6 @@ class NoiseWatch:
             "floors": self.floors,
             "errors": self.errors,
             "best": self.best,
-            "last": self.last,
             "lately": self.lately,
             "errors_at_best": self._errors_at_best,
             "held": self.held,
@@ -222,7 +219,6 @@ class NoiseWatch:
             for name, tensor in own.items():
                 tensor.copy_(self._of_frames(saved[name]))
         self.best, self._errors_at_best = best, at_best
-        self.last = {name: float(psnr) for name, psnr in state.get("last", {}).items() if name in self.noise}
         lately = state.get("lately", {})
         self.lately = {n: [(int(step), float(psnr)) for step, psnr in lately[n]] for n in self.noise if n in lately}
         self.held = tuple(name for name in self.noise if name in state["held"])
