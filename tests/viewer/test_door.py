@@ -37,7 +37,7 @@ def public() -> Iterator[tuple[Door, int]]:
 
 
 def get(port: int, path: str, **headers: str) -> tuple[int, bytes, str]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
     connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     response = connection.getresponse()
     found = response.status, response.read(), response.headers.get("Location", "")
@@ -55,7 +55,7 @@ def opened(port: int, path: str, **headers: str) -> bool:
             f"ws://127.0.0.1:{port}{path}",
             additional_headers=headers,
             subprotocols=[f"viser-v{importlib.metadata.version('viser')}"],
-            open_timeout=20,
+            open_timeout=120,
             compression=None,
         ):
             return True

@@ -55,10 +55,12 @@ class BetweenSteps:
 
     Args:
         share: Of the time, for all turns together; 1 where nothing waits for them.
+        clock: What tells the time [s].
     """
 
-    def __init__(self, share: float = TRAINING_SHARE) -> None:
+    def __init__(self, share: float = TRAINING_SHARE, clock: Callable[[], float] = time.perf_counter) -> None:
         self.share = share
+        self._clock = clock
         self._waiting: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
         self._arrived = threading.Condition()
         self._ended = False
@@ -78,7 +80,7 @@ class BetweenSteps:
 
     def take(self) -> None:
         """Between two steps: do one waiting piece of work, if the share allows it now."""
-        if self._waiting and time.perf_counter() >= self._next:
+        if self._waiting and self._clock() >= self._next:
             self._take_one()
 
     def take_until(self, until: Callable[[], bool]) -> None:
@@ -110,7 +112,7 @@ class BetweenSteps:
             work, done = self._waiting.popleft()
         except IndexError:
             return
-        started = time.perf_counter()
+        started = self._clock()
         try:
             done.set_result(work())
         except Exception as error:
@@ -119,6 +121,6 @@ class BetweenSteps:
             done.set_exception(ViewingEnded())
             raise
         finally:
-            now = time.perf_counter()
+            now = self._clock()
             self._lasted.append(now - started)
             self._next = now + median_low(self._lasted) * (1 / self.share - 1)

@@ -60,7 +60,7 @@ def test_a_forked_process_launches_too() -> None:
     test_every_tile_once(tiles=77, threads=2)
     child = multiprocessing.get_context("fork").Process(target=test_every_tile_once, args=(77, 2))
     child.start()
-    child.join(timeout=20)
+    child.join(timeout=120)
     child.kill()
     child.join()
     assert child.exitcode == 0
