@@ -24,6 +24,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return written | {"stdout": done.stdout, "markdown": (folder / "report.md").read_text()}
 
 
+@pytest.mark.slow
 def test_every_case_is_checked_and_timed(report: dict[str, Any]) -> None:
     """Each row has the times of both renderers, their errors, and the stages with their floors."""
     rows = report["rows"]
@@ -44,6 +45,7 @@ def test_every_case_is_checked_and_timed(report: dict[str, Any]) -> None:
         assert row["intersections"]["thermosplat"] > 0
 
 
+@pytest.mark.slow
 def test_the_tables_hold_every_row(report: dict[str, Any]) -> None:
     """Summary, times, errors, stages and threads are in the Markdown file, and the summary on the terminal."""
     found = report["summaries"][0]
@@ -60,6 +62,7 @@ def test_the_tables_hold_every_row(report: dict[str, Any]) -> None:
     assert "geometric mean" in report["stdout"]
 
 
+@pytest.mark.slow
 def test_a_time_limit_keeps_what_was_measured(report: dict[str, Any], tmp_path: Path) -> None:
     """Nothing is started after the limit, and the report says where it stopped; what a resumed file holds stays."""
     path = tmp_path / "report.json"

@@ -37,6 +37,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return written | {"stdout": done.stdout, "tables": (folder / "report.md").read_text()}
 
 
+@pytest.mark.slow
 def test_whole_runs_are_timed_and_judged(report: dict[str, Any]) -> None:
     """A run has its seconds, steps, quality, and memory at shares of its steps."""
     (row,) = report["whole"]
@@ -50,6 +51,7 @@ def test_whole_runs_are_timed_and_judged(report: dict[str, Any]) -> None:
     assert [found["step"] for found in row["memory"]] == [1, 2, 3]
 
 
+@pytest.mark.slow
 def test_peers_that_cannot_run_are_named(report: dict[str, Any]) -> None:
     """On the CPU our own step is timed alone, and the report says so."""
     (name,) = report["peers"]["peers"]
@@ -58,6 +60,7 @@ def test_peers_that_cannot_run_are_named(report: dict[str, Any]) -> None:
     assert "CUDA" in report["peers"]["left_out"]["gsplat"]
 
 
+@pytest.mark.slow
 def test_steps_have_parts_with_floors(report: dict[str, Any]) -> None:
     """Parts add up to the profiled kernels, and each but the rest has a floor below its time."""
     for row in (*report["step"], *report["sizes"]):
@@ -81,6 +84,7 @@ def test_steps_have_parts_with_floors(report: dict[str, Any]) -> None:
     assert report["errors"] == {}
 
 
+@pytest.mark.slow
 def test_tables_hold_what_was_measured(report: dict[str, Any]) -> None:
     """Every part that was measured is in the Markdown file."""
     for title in (
@@ -254,6 +258,7 @@ def test_memory_fit_finds_the_slopes() -> None:
     assert memory_fit(rows[:2]) is None
 
 
+@pytest.mark.slow
 def test_the_sample_is_trained_on_the_cpu(tmp_path: Path) -> None:
     """Its row says on how many cores, and whether kernels had to be compiled."""
     from bench_training import main

@@ -174,6 +174,7 @@ def test_states_of_segments_are_counted() -> None:
     assert abs(captured - peak - (reserved - used) * waits) < 0.11
 
 
+@pytest.mark.slow
 def test_offload_benchmark_runs(tmp_path: Path) -> None:
     """Each kind of offloading is timed, and those that fetch Gaussians in view say how many and how long."""
     report = tmp_path / "report.json"

@@ -65,6 +65,7 @@ def test_matrix_is_made_once_and_merged(run: Run, tmp_path: Path) -> None:
     assert "max_steps=3, now 4" in printed
 
 
+@pytest.mark.slow
 def test_failed_cell_stops_no_other_and_time_runs_out(run: Run, tmp_path: Path) -> None:
     """A broken scene before a good one: the good one is made. With no time at all nothing is begun, nothing lost."""
     (tmp_path / "empty").mkdir()

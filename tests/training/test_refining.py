@@ -102,7 +102,7 @@ def test_spectra_have_one_opacity_while_their_cameras_are_found(
     assert offsets_kept[held] > 0.9
 
 
-@pytest.mark.parametrize(("budget", "steps"), [("fixed", 2), ("auto", 9)])
+@pytest.mark.parametrize(("budget", "steps"), [("fixed", 2), pytest.param("auto", 9, marks=pytest.mark.slow)])
 def test_a_run_that_refines_everything(tmp_path: Path, budget: str, steps: int) -> None:
     """It trains, says what it changed, writes the cameras, and every later command sees them; so does a resumed run."""
     capture, _ = rendered_capture()

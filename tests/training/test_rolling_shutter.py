@@ -60,6 +60,7 @@ def test_the_true_scene_shows_what_is_read_line_by_line(order: LineOrder) -> Non
     assert errors(model, capture)["thermal"] < 0.2 * errors(model, at_rest(capture))["thermal"]
 
 
+@pytest.mark.slow
 def test_photographs_have_shutters_and_lenses_too() -> None:
     """Both spectra behind lenses, with decoders that see the direction of each line's pixels."""
     capture, _ = relief_capture(lenses={"rgb": BARREL, "thermal": BARREL})
