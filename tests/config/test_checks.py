@@ -40,6 +40,7 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ("optimizer.means_lr", float("nan"), "--optimizer.means-lr must be finite, found nan"),
         ("optimizer.means_lr", -1e-4, "--optimizer.means-lr must be zero or positive"),
         ("densification.growth", float("nan"), "--densification.growth must be finite, found nan"),
+        ("densification.split_apart", 0.9, "--densification.split-apart must be at most 0.8, found 0.9"),
         ("spectra.thermal.range", (0.0, float("inf")), "--thermal.range must be finite, found inf"),
         ("densification.grad_threshold", -1.0, "--densification.grad-threshold must be at least 0"),
         ("seed", 2**63, "--seed must be at most 9223372036854775807"),

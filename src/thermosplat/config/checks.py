@@ -34,6 +34,7 @@ _AT_LEAST: dict[str, float] = {
     "densification.reset_every": 1,
     "densification.max_gaussians": 1,
     "densification.growth": 0,
+    "densification.split_apart": 0,
     "resolution.growth_power": 0,
     "auto_budget.offset_shrinkage": 0,
     "auto_budget.prune_change": 0,
@@ -59,6 +60,7 @@ _AT_LEAST: dict[str, float] = {
     "densification.stop_step": 0,
 }
 _AT_MOST: dict[str, float] = {
+    "densification.split_apart": 0.8,  # training/density/long_axis_split.py
     "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": SH_DEGREE_MAX,  # what the renderer's kernels evaluate
     "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory

@@ -159,6 +159,10 @@ class DensificationConfig:
     """MCMC: Gaussians are doubled with a probability proportional to their larger opacity (3DGS-MCMC), or to the mean
     gradient of means2d, of all spectra, that the default strategy compares with its threshold (open choice), or half of
     them by the one and half by the other."""
+    split_apart: float = 0.0
+    """MCMC: the two that a Gaussian becomes lie so far to either side of it along its longest axis, in its standard
+    deviations there, and are narrower by as much. 0: both in its place, as in 3DGS-MCMC. At most 0.8. Open choice;
+    splits along the longest axis: ImprovedGS (Deng et al. 2025)."""
     start_step: int = 500
     """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
     stop_step: int = 15_000

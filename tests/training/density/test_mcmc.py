@@ -166,6 +166,23 @@ def test_nobody_moves_onto_the_dead() -> None:
     assert (gaussians.opacities > 0.005).all()
 
 
+def test_what_is_doubled_may_split() -> None:
+    """With split_apart dead ones become halves of living ones, and new ones too; no source splits twice at a time."""
+    gaussians = random_gaussians(100)
+    with torch.no_grad():
+        gaussians.thermal_opacity_offsets.zero_()
+        gaussians.logit_opacities.fill_(0.0)
+        gaussians.logit_opacities[:60] = -9.0
+    strategy = strategy_of(gaussians, split_apart=0.6)
+    refinement = strategy.refine(gaussians, stepped_optimizers(gaussians), 601, torch.Generator().manual_seed(0))
+    assert refinement is not None
+    assert 0 < refinement.relocated <= 40
+    assert 0 < refinement.cloned <= 5
+    assert len(gaussians) == 100 + refinement.cloned
+    assert (gaussians.opacities > 0.005).sum() == 40 + refinement.relocated + refinement.cloned
+    assert len(gaussians.means[gaussians.opacities > 0.005].unique(dim=0)) == (gaussians.opacities > 0.005).sum()
+
+
 def test_noise_has_the_covariance_it_should() -> None:
     """Faint Gaussians move with standard deviations λ σ(k t) Σ along their axes; clear and blocked ones do not."""
     gaussians = random_gaussians(20_000)
@@ -227,9 +244,11 @@ def test_noise_is_the_same_in_all_units() -> None:
 
 
 @pytest.mark.parametrize("spectra", SPECTRA)
-def test_a_run_grows_to_its_budget(tmp_path: Path, spectra: dict[str, dict[str, Any]]) -> None:
+@pytest.mark.parametrize("apart", [0.0, 0.6])
+def test_a_run_grows_to_its_budget(tmp_path: Path, spectra: dict[str, dict[str, Any]], apart: float) -> None:
     """Refinements add Gaussians up to the budget, never reset, and the penalties are among the losses."""
-    trainer = toy_trainer(tmp_path, mcmc_config(24, spectra=spectra), many_frames(toy_capture(others=tuple(spectra))))
+    config = mcmc_config(24, spectra=spectra, split_apart=apart)
+    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(others=tuple(spectra))))
     while trainer.step < 24:
         trainer._train_step()
     assert trainer.model.num_gaussians == 70

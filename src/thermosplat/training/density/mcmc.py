@@ -9,6 +9,8 @@ within its own extent and only while it is faint: a clear Gaussian does not move
 largest one: a Gaussian that some spectrum sees is neither faint nor dead. R is the scene's extent: Σ has the square of
 a length and the rate a length, so without R the same scene in other units would be shaken otherwise (the publication's
 code leaves it out; gsplat trains in units in which cameras lie at about distance 1).
+
+With ``split_apart`` what is doubled becomes two along its longest axis (long_axis_split.py), not two in one place.
 """
 
 from typing import Any
@@ -21,6 +23,7 @@ from thermosplat.fused.position_noise import StoredGaussians, add_noise_to_means
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gaussian_ops import Optimizers
 from thermosplat.training.density.gradient_control import DefaultStrategy
+from thermosplat.training.density.long_axis_split import split, split_onto
 from thermosplat.training.density.relocation import add, relocate
 from thermosplat.training.density.strategy import Refinement
 
@@ -93,13 +96,12 @@ class McmcStrategy(DefaultStrategy):
                     "Check the camera poses, or lower --loss.opacity-reg.",
                 )
             if len(moved):
-                sources = _draw(self._weights(gaussians) * ~dead, len(moved), generator)
-                relocate(gaussians, optimizers, moved, sources, config.prune_opacity)
+                sources = _draw(self._weights(gaussians), len(moved), generator)
+                moved = self._relocate(gaussians, optimizers, moved, sources)
             room = (self.most or 0) - len(gaussians)
             added = max(0, min(room, int(config.growth * len(gaussians)))) if self.growing else 0
             if added:
-                sources = _draw(self._weights(gaussians), added, generator)
-                add(gaussians, optimizers, sources, config.prune_opacity)
+                added = self._add(gaussians, optimizers, _draw(self._weights(gaussians), added, generator))
             return Refinement(cloned=added, relocated=len(moved))
         finally:
             self.forget(len(gaussians))
@@ -124,9 +126,34 @@ class McmcStrategy(DefaultStrategy):
         stored = StoredGaussians(means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, *second)
         add_noise_to_means(stored, normals, strength, rate, (NOISE_STEEPNESS, NOISE_OPACITY), blocked)
 
+    def _relocate(self, gaussians: Gaussians, optimizers: Optimizers, moved: Tensor, sources: Tensor) -> Tensor:
+        """Move Gaussians onto sources; those that did move. One that would split twice at a time splits once."""
+        least, apart = self.config.prune_opacity, self.config.split_apart
+        if apart > 0:
+            sources = sources.unique()
+            moved = moved[: len(sources)]
+            split_onto(gaussians, optimizers, moved, sources, apart, least)
+        else:
+            relocate(gaussians, optimizers, moved, sources, least)
+        return moved
+
+    def _add(self, gaussians: Gaussians, optimizers: Optimizers, sources: Tensor) -> int:
+        """Double sources; by how many there are more."""
+        least, apart = self.config.prune_opacity, self.config.split_apart
+        if apart > 0:
+            sources = sources.unique()
+            split(gaussians, optimizers, sources, apart, least)
+        else:
+            add(gaussians, optimizers, sources, least)
+        return len(sources)
+
     def _weights(self, gaussians: Gaussians) -> Tensor:
-        """What the probability to be doubled is proportional to, shape [N]."""
+        """What the probability to be doubled is proportional to, 0 for the dead, shape [N]."""
         opacities = gaussians.largest_opacities
+        return self._preferences(opacities) * (opacities > self.config.prune_opacity)
+
+    def _preferences(self, opacities: Tensor) -> Tensor:
+        """Of all Gaussians, by their largest opacities, each [N]."""
         if not self._by_gradient:
             return opacities
         gradients = self.grad_norm_sum / self.observations.clamp(min=1.0)
