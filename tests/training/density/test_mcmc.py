@@ -85,7 +85,9 @@ def test_budget_is_kept() -> None:
         assert len(gaussians) == expected
 
 
-def test_full_sets_keep_their_tensors() -> None:
+@pytest.mark.parametrize("apart", [0.0, 0.6])
+@pytest.mark.parametrize("sample_by", ["opacity", "gradient"])
+def test_full_sets_keep_their_tensors(sample_by: str, apart: float) -> None:
     """At the budget, or when growth has stopped, a refinement works in place, and says so beforehand."""
     for count, growing in ((100, True), (50, False)):
         gaussians = random_gaussians(count)
@@ -94,20 +96,26 @@ def test_full_sets_keep_their_tensors() -> None:
             gaussians.logit_opacities[:7] = -20.0
             gaussians.thermal_opacity_offsets.zero_()
         optimizers = stepped_optimizers(gaussians)
-        strategy = strategy_of(gaussians, max_gaussians=100)
+        strategy = strategy_of(gaussians, max_gaussians=100, sample_by=sample_by, split_apart=apart)
         strategy.growing = growing
+        strategy.grad_norm_sum.fill_(0.5)
+        strategy.observations.fill_(2.0)
 
-        def places(gaussians: Gaussians = gaussians, optimizers: Any = optimizers) -> list[int]:
+        def places(gaussians: Gaussians = gaussians, optimizers: Any = optimizers, sums: Any = strategy) -> list[int]:
             moments = [m for o in optimizers.values() for state in o.state.values() for m in state.values()]
-            return [tensor.data_ptr() for tensor in (*gaussians.parameters(), *moments)]
+            tensors = (*gaussians.parameters(), *moments, sums.grad_norm_sum, sums.observations)
+            return [tensor.data_ptr() for tensor in tensors]
 
         before = places()
         assert not strategy.replaces_tensors(gaussians)
         refinement = strategy.refine(gaussians, optimizers, 601, torch.Generator().manual_seed(0))
-        assert refinement == Refinement(relocated=7)
+        assert refinement is not None
+        assert refinement.cloned == 0
+        assert 0 < refinement.relocated <= 7
         assert places() == before
+        assert not strategy.grad_norm_sum.any()
+        assert not strategy.observations.any()
     assert strategy_of(gaussians, max_gaussians=100).replaces_tensors(gaussians)
-    assert strategy_of(gaussians, max_gaussians=50, sample_by="gradient").replaces_tensors(gaussians)
 
 
 def test_all_dead_is_an_error() -> None:

@@ -241,9 +241,13 @@ class DefaultStrategy:
         return gaussians.scales.amax(dim=-1) > self.config.prune_scale3d * self.scene_extent
 
     def forget(self, num_gaussians: int) -> None:
-        """Start the sums again, for this many Gaussians."""
-        self.grad_norm_sum = self.grad_norm_sum.new_zeros(num_gaussians)
-        self.observations = self.observations.new_zeros(num_gaussians)
+        """Start the sums again, for this many Gaussians; in place where there are as many as before."""
+        if len(self.grad_norm_sum) == num_gaussians:
+            self.grad_norm_sum.zero_()
+            self.observations.zero_()
+        else:
+            self.grad_norm_sum = self.grad_norm_sum.new_zeros(num_gaussians)
+            self.observations = self.observations.new_zeros(num_gaussians)
 
     def state_dict(self) -> dict[str, Tensor]:
         """What a checkpoint holds of this strategy."""

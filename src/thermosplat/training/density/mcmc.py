@@ -52,8 +52,8 @@ class McmcStrategy(DefaultStrategy):
         return number >= (self.config.max_gaussians or 0)
 
     def replaces_tensors(self, gaussians: Gaussians) -> bool:
-        """Unless Gaussians only move, and no sums of gradients start again."""
-        return self._by_gradient or (self.growing and not self.is_full(gaussians))
+        """Unless Gaussians only move."""
+        return self.growing and not self.is_full(gaussians)
 
     def step_pre_backward(self, infos: list[dict[str, Any]]) -> None:
         """Keep gradients, where they say what is doubled."""
