@@ -9,6 +9,7 @@ from benchmark_scripts import run_script
 from thermosplat.cli import train
 
 
+@pytest.mark.slow
 def test_accuracy_benchmark_runs(tmp_path: Path) -> None:
     """Errors of the chosen scenes are printed and written, those of numbers that are not finite included."""
     report, table = tmp_path / "new" / "report.json", tmp_path / "tables" / "table.md"
@@ -33,6 +34,7 @@ def test_accuracy_benchmark_names_its_cases() -> None:
     assert "needles of 500 px" in done.stderr
 
 
+@pytest.mark.slow
 def test_decoder_benchmark_runs(tmp_path: Path) -> None:
     """Every way to decode on the CPU is timed, beside its error, which is that of its precision."""
     report, table = tmp_path / "report.json", tmp_path / "table.md"
@@ -48,6 +50,7 @@ def test_decoder_benchmark_runs(tmp_path: Path) -> None:
     assert all(name in done.stdout and name in table.read_text() for name in (exact, coarse))
 
 
+@pytest.mark.slow
 def test_viewer_benchmark_runs(tmp_path: Path) -> None:
     """Every part of a picture of each spectrum is timed, and the first picture comes after what it needs."""
     run_small = ["sample", "--config", "demo", "--data-factor", "8", "--max-steps", "1", "--device", "cpu"]

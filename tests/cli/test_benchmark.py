@@ -35,6 +35,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     return runner
 
 
+@pytest.mark.slow
 def test_matrix_is_made_once_and_merged(run: Run, tmp_path: Path) -> None:
     """A cell is trained in its process, then known; tables and sheets appear; another folder's cells can be added."""
     out = tmp_path / "matrix"

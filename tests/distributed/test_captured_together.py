@@ -11,7 +11,7 @@ from ranks import Ranks
 STEPS = 30
 
 
-@pytest.mark.parametrize("kind", ["still", "default", "mcmc", "withheld"])
+@pytest.mark.parametrize("kind", ["still", "default", "mcmc", pytest.param("withheld", marks=pytest.mark.slow)])
 def test_replayed_steps_are_those_of_lines(ranks: Ranks, tmp_path: Path, kind: str) -> None:
     """Where Gaussians come and go, or are divided anew, too: recordings are forgotten then, by all ranks."""
     lines = ranks.run(work.steps_taken, 2, str(tmp_path / "lines"), kind, STEPS, False)
