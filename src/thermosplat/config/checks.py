@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from thermosplat.config import TrainConfig
+from thermosplat.config.schema import SPLIT_APART_MOST
 from thermosplat.config.spectrum_checks import check_spectra
 from thermosplat.config.values import shown
 from thermosplat.errors import UserError
@@ -60,7 +61,7 @@ _AT_LEAST: dict[str, float] = {
     "densification.stop_step": 0,
 }
 _AT_MOST: dict[str, float] = {
-    "densification.split_apart": 0.8,  # training/density/long_axis_split.py
+    "densification.split_apart": SPLIT_APART_MOST,
     "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": SH_DEGREE_MAX,  # what the renderer's kernels evaluate
     "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory

@@ -138,6 +138,10 @@ class OptimizerConfig:
     """Adam's ε. 3DGS."""
 
 
+SPLIT_APART_MOST = 0.8
+"""Largest ``densification.split_apart``: from 0.86 on, a clear Gaussian would become two of opacities above 1."""
+
+
 @dataclass(frozen=True)
 class DensificationConfig:
     """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control), or relocated (MCMC)."""

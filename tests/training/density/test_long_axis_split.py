@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from random_gaussians import random_gaussians, stepped_optimizers
+from thermosplat.config.schema import SPLIT_APART_MOST
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.spectra import Opacity
-from thermosplat.training.density.long_axis_split import FARTHEST, halves_opacities, split, split_onto
+from thermosplat.training.density.long_axis_split import halves_opacities, split, split_onto
 
 
 def covariances(gaussians: Gaussians) -> Tensor:
@@ -25,7 +26,7 @@ def covariances(gaussians: Gaussians) -> Tensor:
     return axes @ axes.transpose(1, 2)
 
 
-@pytest.mark.parametrize("apart", [0.1, 0.6, FARTHEST])
+@pytest.mark.parametrize("apart", [0.1, 0.6, SPLIT_APART_MOST])
 @pytest.mark.parametrize("opacity", [0.006, 0.3, 0.9, 1.0])
 def test_line_integral_stays(opacity: float, apart: float) -> None:
     """Blended along the line through both, the two cover as much as the one, and neither is clearer than can be."""

@@ -90,6 +90,21 @@ def append_copies(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
 
 
 @torch.no_grad()
+def copy_onto(gaussians: nn.Module, optimizers: Optimizers, replaced: Tensor, sources: Tensor) -> None:
+    """Let Gaussians become copies of others. All moments of both start again from zero.
+
+    Args:
+        gaussians: The Gaussians.
+        optimizers: Their optimizers.
+        replaced: Indices of those that become copies, int64, shape [n].
+        sources: Indices of those they become copies of, none of them replaced itself, int64, shape [n].
+    """
+    for parameter in gaussians.parameters():
+        parameter[replaced] = parameter[sources]
+    clear_moments(gaussians, optimizers, torch.cat([replaced, sources]))
+
+
+@torch.no_grad()
 def clear_moments(
     gaussians: nn.Module, optimizers: Optimizers, indices: Tensor, names: Collection[str] | None = None
 ) -> None:

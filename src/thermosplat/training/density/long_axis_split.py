@@ -18,10 +18,8 @@ from torch import Tensor
 
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.rotation import rotate
-from thermosplat.training.density.gaussian_ops import Optimizers, append_copies, clear_moments
-
-FARTHEST = 0.8
-"""Largest d. From 0.86 on a clear Gaussian would have to become two of opacities above 1."""
+from thermosplat.training.density.gaussian_ops import Optimizers, append_copies, clear_moments, copy_onto
+from thermosplat.training.density.relocation import lower_opacities
 
 
 def halves_opacities(opacities: Tensor, apart: float) -> Tensor:
@@ -29,7 +27,7 @@ def halves_opacities(opacities: Tensor, apart: float) -> Tensor:
 
     Args:
         opacities: Of the one, in [0, 1], float64.
-        apart: d, in (0, ``FARTHEST``].
+        apart: d, in (0, ``SPLIT_APART_MOST``].
     """
     narrower = math.sqrt(1.0 - apart**2)
     shared = math.exp(-((apart / narrower) ** 2)) / math.sqrt(2.0)
@@ -47,13 +45,11 @@ def split_onto(
         optimizers: Their optimizers.
         moved: Indices of those that become second halves, shape [n].
         sources: Indices of those that are split, all different, none of them moved itself, shape [n].
-        apart: d of the halves' distance, in (0, ``FARTHEST``].
+        apart: d of the halves' distance, in (0, ``SPLIT_APART_MOST``].
         least: Opacity below which none is lowered.
     """
     shift = _halve(gaussians, sources, apart, least)
-    for parameter in gaussians.parameters():
-        parameter[moved] = parameter[sources]
-    clear_moments(gaussians, optimizers, torch.cat([moved, sources]))
+    copy_onto(gaussians, optimizers, moved, sources)
     _part(gaussians, sources, moved, shift)
 
 
@@ -65,7 +61,7 @@ def split(gaussians: Gaussians, optimizers: Optimizers, sources: Tensor, apart: 
         gaussians: The Gaussians.
         optimizers: Their optimizers.
         sources: Indices of those that are split, all different, shape [n].
-        apart: d of the halves' distance, in (0, ``FARTHEST``].
+        apart: d of the halves' distance, in (0, ``SPLIT_APART_MOST``].
         least: Opacity below which none is lowered.
     """
     shift = _halve(gaussians, sources, apart, least)
@@ -82,16 +78,8 @@ def _halve(gaussians: Gaussians, sources: Tensor, apart: float, least: float) ->
     offsets = torch.zeros_like(scales).scatter_(1, axis, apart * longest)
     shift = rotate(gaussians.quats[sources], offsets)
     gaussians.log_scales[sources, axis[:, 0]] += 0.5 * math.log1p(-(apart**2))
-    logits = {name: gaussians.logits_in(name)[sources] for name in gaussians.second_opacities}
-    lowered = {name: _lowered(values, apart, least) for name, values in logits.items()}
-    gaussians.set_opacity_logits(sources, _lowered(gaussians.logit_opacities[sources], apart, least), lowered)
+    lower_opacities(gaussians, sources, lambda opacities: halves_opacities(opacities, apart), least)
     return shift
-
-
-def _lowered(logits: Tensor, apart: float, least: float) -> Tensor:
-    """Logits of the halves' opacities, none of which falls below ``least`` that was not there."""
-    opacities = logits.double().sigmoid()
-    return torch.logit(torch.maximum(halves_opacities(opacities, apart), opacities.clamp(max=least)), eps=1e-6)
 
 
 def _part(gaussians: Gaussians, first: Tensor, second: Tensor, shift: Tensor) -> None:

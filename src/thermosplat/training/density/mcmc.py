@@ -96,12 +96,21 @@ class McmcStrategy(DefaultStrategy):
                     "Check the camera poses, or lower --loss.opacity-reg.",
                 )
             if len(moved):
-                sources = _draw(self._weights(gaussians), len(moved), generator)
-                moved = self._relocate(gaussians, optimizers, moved, sources)
+                sources = self._drawn(gaussians, len(moved), generator)
+                moved = moved[: len(sources)]
+                if config.split_apart > 0:
+                    split_onto(gaussians, optimizers, moved, sources, config.split_apart, config.prune_opacity)
+                else:
+                    relocate(gaussians, optimizers, moved, sources, config.prune_opacity)
             room = (self.most or 0) - len(gaussians)
             added = max(0, min(room, int(config.growth * len(gaussians)))) if self.growing else 0
             if added:
-                added = self._add(gaussians, optimizers, _draw(self._weights(gaussians), added, generator))
+                sources = self._drawn(gaussians, added, generator)
+                added = len(sources)
+                if config.split_apart > 0:
+                    split(gaussians, optimizers, sources, config.split_apart, config.prune_opacity)
+                else:
+                    add(gaussians, optimizers, sources, config.prune_opacity)
             return Refinement(cloned=added, relocated=len(moved))
         finally:
             self.forget(len(gaussians))
@@ -126,26 +135,10 @@ class McmcStrategy(DefaultStrategy):
         stored = StoredGaussians(means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, *second)
         add_noise_to_means(stored, normals, strength, rate, (NOISE_STEEPNESS, NOISE_OPACITY), blocked)
 
-    def _relocate(self, gaussians: Gaussians, optimizers: Optimizers, moved: Tensor, sources: Tensor) -> Tensor:
-        """Move Gaussians onto sources; those that did move. One that would split twice at a time splits once."""
-        least, apart = self.config.prune_opacity, self.config.split_apart
-        if apart > 0:
-            sources = sources.unique()
-            moved = moved[: len(sources)]
-            split_onto(gaussians, optimizers, moved, sources, apart, least)
-        else:
-            relocate(gaussians, optimizers, moved, sources, least)
-        return moved
-
-    def _add(self, gaussians: Gaussians, optimizers: Optimizers, sources: Tensor) -> int:
-        """Double sources; by how many there are more."""
-        least, apart = self.config.prune_opacity, self.config.split_apart
-        if apart > 0:
-            sources = sources.unique()
-            split(gaussians, optimizers, sources, apart, least)
-        else:
-            add(gaussians, optimizers, sources, least)
-        return len(sources)
+    def _drawn(self, gaussians: Gaussians, count: int, generator: torch.Generator) -> Tensor:
+        """Indices of those that are doubled, at most ``count``: one that is drawn twice splits once at a time."""
+        drawn = _draw(self._weights(gaussians), count, generator)
+        return drawn.unique() if self.config.split_apart > 0 else drawn
 
     def _weights(self, gaussians: Gaussians) -> Tensor:
         """What the probability to be doubled is proportional to, 0 for the dead, shape [N]."""

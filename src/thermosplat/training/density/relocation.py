@@ -10,13 +10,14 @@ the sum over i is C(n, m). D √(2π) σ' is the integral of 1 - (1 - o' G)^n al
 """
 
 import math
+from collections.abc import Callable
 from functools import reduce
 
 import torch
 from torch import Tensor
 
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.training.density.gaussian_ops import Optimizers, append_copies, clear_moments
+from thermosplat.training.density.gaussian_ops import Optimizers, append_copies, clear_moments, copy_onto
 
 MOST_COPIES = 51
 """Most Gaussians that one becomes at a time. The publication's code; with more the factors hardly change."""
@@ -60,9 +61,7 @@ def relocate(gaussians: Gaussians, optimizers: Optimizers, moved: Tensor, source
         least: Opacity below which none is lowered.
     """
     _share(gaussians, sources, least)
-    for parameter in gaussians.parameters():
-        parameter[moved] = parameter[sources]
-    clear_moments(gaussians, optimizers, torch.cat([moved, sources]))
+    copy_onto(gaussians, optimizers, moved, sources)
 
 
 @torch.no_grad()
@@ -87,22 +86,30 @@ def _share(gaussians: Gaussians, sources: Tensor, least: float) -> None:
     """
     chosen, counts = sources.unique(return_counts=True)
     copies = (counts + 1).clamp(max=MOST_COPIES)
-    first = gaussians.logit_opacities[chosen].double().sigmoid()
-    others = {name: gaussians.logits_in(name)[chosen].double().sigmoid() for name in gaussians.second_opacities}
-    largest = reduce(torch.maximum, others.values(), first)
+    logits = [gaussians.logit_opacities, *map(gaussians.logits_in, gaussians.second_opacities)]
+    largest = reduce(torch.maximum, (values[chosen].double().sigmoid() for values in logits))
     factors = scale_factors(largest.clamp(_EPSILON, 1.0 - _EPSILON), copies)
     gaussians.log_scales[chosen] += factors.log().to(gaussians.log_scales.dtype)[:, None]
-    lowered = {name: _logits(_lowered(opacities, copies, least)) for name, opacities in others.items()}
-    gaussians.set_opacity_logits(chosen, _logits(_lowered(first, copies, least)), lowered)
+    lower_opacities(gaussians, chosen, lambda o: shared_opacities(o.clamp(max=1.0 - _EPSILON), copies), least)
 
 
-def _lowered(opacities: Tensor, copies: Tensor, least: float) -> Tensor:
-    """Shared opacities, none of which falls below ``least`` that was not there."""
-    return torch.maximum(shared_opacities(opacities.clamp(max=1.0 - _EPSILON), copies), opacities.clamp(max=least))
+@torch.no_grad()
+def lower_opacities(gaussians: Gaussians, indices: Tensor, lowered: Callable[[Tensor], Tensor], least: float) -> None:
+    """Lower every opacity of some Gaussians, each by itself.
 
+    Args:
+        gaussians: The Gaussians.
+        indices: Which, int64, shape [n].
+        lowered: What becomes of opacities in [0, 1], float64, shape [n].
+        least: Opacity below which none falls that was not there.
+    """
 
-def _logits(opacities: Tensor) -> Tensor:
-    return torch.logit(opacities, eps=_EPSILON)
+    def new_logits(logits: Tensor) -> Tensor:
+        opacities = logits[indices].double().sigmoid()
+        return torch.logit(torch.maximum(lowered(opacities), opacities.clamp(max=least)), eps=_EPSILON)
+
+    others = {name: new_logits(gaussians.logits_in(name)) for name in gaussians.second_opacities}
+    gaussians.set_opacity_logits(indices, new_logits(gaussians.logit_opacities), others)
 
 
 def _coefficients() -> Tensor:
