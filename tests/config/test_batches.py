@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import OptimizerConfig, TrainConfig
 from thermosplat.config.batches import adam_betas, in_batches, steps_of_batches
 
 
@@ -16,8 +16,9 @@ def test_a_batch_of_one_changes_nothing() -> None:
 
 
 def test_schedules_count_images_and_rates_follow_the_root() -> None:
-    """Every number of steps is divided, rounded up; rates, and no other setting of Adam, are multiplied by √B."""
-    config = TrainConfig(batch_size=4, max_steps=30_001, save_steps=(2, 7000))
+    """Every number of steps is divided, rounded up; rates and decay, and no other setting of Adam, take √B."""
+    optimizer = OptimizerConfig(shN_decay=4.0)
+    config = TrainConfig(batch_size=4, max_steps=30_001, save_steps=(2, 7000), optimizer=optimizer)
     scaled = in_batches(config)
     assert scaled.max_steps == 7501
     assert scaled.save_steps == (1, 1750)

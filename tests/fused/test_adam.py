@@ -7,14 +7,16 @@ from thermosplat.fused.adam import WarpAdam, step_together
 from thermosplat.torch_bridge import arrays as warp_bridge
 
 
-@pytest.mark.parametrize("longest", [2**30, 64])
-def test_same_as_torch(device: torch.device, monkeypatch: pytest.MonkeyPatch, longest: int) -> None:
-    """Fifty steps with changing rates and gradients of every size, from the same start; also of a tensor in parts."""
+@pytest.mark.parametrize(("longest", "decay"), [(2**30, 0.0), (64, 0.0), (64, 0.5)])
+def test_same_as_torch(device: torch.device, monkeypatch: pytest.MonkeyPatch, longest: int, decay: float) -> None:
+    """Fifty steps with changing rates and gradients of every size, from the same start; also of a tensor in parts, and
+    of one that decays."""
     monkeypatch.setattr(warp_bridge, "LONGEST", longest)
     start = torch.randn(33, 5, generator=torch.Generator().manual_seed(0))
     ours, theirs = (torch.nn.Parameter(start.clone().to(where)) for where in (device, "cpu"))
     rate = torch.zeros((), device=device)
-    warp, reference = WarpAdam([ours], lr=rate, eps=1e-15), torch.optim.Adam([theirs], lr=0.1, eps=1e-15)
+    settings = {"eps": 1e-15, "weight_decay": decay}
+    warp, reference = WarpAdam([ours], lr=rate, **settings), torch.optim.AdamW([theirs], lr=0.1, **settings)
     warp.found_inf = torch.zeros((), device=device)
     for step in range(50):
         gradient = torch.randn(33, 5, generator=torch.Generator().manual_seed(step)) * 10.0 ** (step % 7 - 4)
@@ -81,7 +83,7 @@ def test_a_blocked_step_of_a_tensor_in_parts(device: torch.device, monkeypatch: 
 
 
 def test_many_optimizers_share_the_launches(device: torch.device) -> None:
-    """More parameters than one launch takes, of all sizes and alignments, each with its rate: what each alone gives."""
+    """More parameters than one launch takes, of all sizes and alignments, each with its rate and decay: as each alone."""
     generator = torch.Generator().manual_seed(1)
     sizes = [1, 3, 4, 5, 1023, 1024, 1025, 4096, *range(2, 34)]
     starts = [torch.randn(size, generator=generator) for size in sizes]
@@ -90,7 +92,7 @@ def test_many_optimizers_share_the_launches(device: torch.device) -> None:
     for together in (True, False):
         parameters = [torch.nn.Parameter(start.clone().to(device)) for start in starts]
         optimizers = [
-            WarpAdam([parameter], lr=torch.full((), 0.01 * rate, device=device), eps=1e-15)
+            WarpAdam([parameter], lr=torch.full((), 0.01 * rate, device=device), eps=1e-15, weight_decay=rate % 3)
             for rate, parameter in enumerate(parameters)
         ]
         for _ in range(3):

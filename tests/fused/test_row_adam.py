@@ -68,12 +68,14 @@ def test_rows_follow_the_equations(
     assert not state["exp_avg"][-1].any()
 
 
-def test_all_rows_are_torchs_adam(device: torch.device) -> None:
-    """Where every step uses all rows, parameter, moments and count are those of ``torch.optim.Adam``."""
+@pytest.mark.parametrize("decay", [0.0, 0.5])
+def test_all_rows_are_torchs_adam(device: torch.device, decay: float) -> None:
+    """Where every step uses all rows, parameter, moments and count are those of ``torch.optim.AdamW``."""
     start = torch.randn(COUNT, 8, generator=torch.Generator().manual_seed(0))
     parameter, optimizer = optimizer_of(start, device)
+    optimizer.param_groups[0]["weight_decay"] = decay
     other = torch.nn.Parameter(start.clone())
-    reference = torch.optim.Adam([other], lr=RATE, eps=EPS)
+    reference = torch.optim.AdamW([other], lr=RATE, eps=EPS, weight_decay=decay)
     for step in range(20):
         other.grad = torch.randn(COUNT, 8, generator=torch.Generator().manual_seed(step))
         use_rows(optimizer, torch.arange(COUNT), other.grad)

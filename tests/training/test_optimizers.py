@@ -80,6 +80,22 @@ def test_every_parameter_has_its_rate() -> None:
         assert optimizer.param_groups[0]["eps"] == 1e-15
 
 
+def test_higher_harmonics_may_decay() -> None:
+    """Without gradients those of every spectrum lose rate times decay of themselves, unless blocked; no other does."""
+    gaussians = random_gaussians(3, others={"nir": "own"})
+    config = OptimizerConfig(shN_lr=0.1, shN_decay=2.0)
+    optimizers = gaussian_optimizers(gaussians, config)
+    set_learning_rates(optimizers, config, 0.0, 1.0)
+    before = {name: parameter.detach().clone() for name, parameter in gaussians.named_parameters()}
+    for blocked, kept in ((1.0, 1.0), (0.0, 0.8)):
+        for parameter in gaussians.parameters():
+            parameter.grad = torch.zeros_like(parameter)
+        step_unless(torch.full((), blocked), {"set": optimizers})
+        for name, parameter in gaussians.named_parameters():
+            share = kept if name.endswith("shN") else 1.0
+            torch.testing.assert_close(parameter.detach(), share * before[name], msg=name)
+
+
 def test_blocked_step_leaves_everything() -> None:
     """NaN gradients behind the flag touch neither parameters, moments nor step count; without it they would."""
     gaussians = random_gaussians(3)

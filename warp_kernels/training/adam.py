@@ -2,7 +2,7 @@
 
 torch's fused update deals 65,536 numbers to a block, too few blocks to fill a large GPU with one scene's parameters;
 here every four numbers are a thread. Formulas, defaults and order of operations: Kingma & Ba 2015, as
-``torch.optim.Adam``.
+``torch.optim.Adam``; with decay Loshchilov & Hutter 2019, as ``torch.optim.AdamW``.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,16 @@ from warp_kernels.machinery.tensor_tables import (
 def adam_coefficients_kernel(
     beta1: wp.float64,
     beta2: wp.float64,
+    decay: wp.float64,
     rates: Addresses,
     blocked: wp.array(dtype=wp.float32),  # [1]
     # inputs and outputs
     steps: Addresses,
     # outputs
-    coefficients: wp.array(dtype=wp.vec2),  # [tensors]
+    coefficients: wp.array(dtype=wp.vec3),  # [tensors]
 ):
-    """Counts the step, and what a parameter's numbers share: rate / (1 - β1^t) and sqrt(1 - β2^t); each a thread."""
+    """Counts the step, and what a parameter's numbers share: rate / (1 - β1^t), sqrt(1 - β2^t) and 1 - rate · decay;
+    each a thread."""
     if blocked[0] == 0.0:
         place = wp.tid()
         step = load_quad(steps[place], 0, 1)
@@ -47,7 +49,9 @@ def adam_coefficients_kernel(
         t = wp.float64(step[0])
         one = wp.float64(1.0)
         step_size = wp.float64(rate[0]) / (one - wp.pow(beta1, t))
-        coefficients[place] = wp.vec2(wp.float32(step_size), wp.float32(wp.sqrt(one - wp.pow(beta2, t))))
+        root = wp.sqrt(one - wp.pow(beta2, t))
+        kept = one - wp.float64(rate[0]) * decay
+        coefficients[place] = wp.vec3(wp.float32(step_size), wp.float32(root), wp.float32(kept))
 
 
 @wp.kernel(name="adam_update", enable_backward=False, module="unique")
@@ -59,7 +63,7 @@ def adam_update_kernel(
     share2: wp.float32,
     epsilon: wp.float32,
     blocked: wp.array(dtype=wp.float32),  # [1]
-    coefficients: wp.array(dtype=wp.vec2),  # [tensors]
+    coefficients: wp.array(dtype=wp.vec3),  # [tensors]
     gradients: Addresses,
     # inputs and outputs
     parameters: Addresses,
@@ -81,7 +85,7 @@ def adam_update_kernel(
     for k in range(wp.static(QUAD)):
         m[k] = m[k] + share1 * (g[k] - m[k])
         v[k] = beta2 * v[k] + share2 * g[k] * g[k]
-        p[k] = p[k] - c[0] * m[k] / (wp.sqrt(v[k]) / c[1] + epsilon)
+        p[k] = c[2] * p[k] - c[0] * m[k] / (wp.sqrt(v[k]) / c[1] + epsilon)
     store_quad(exp_avgs[place], first, size, m)
     store_quad(exp_avg_sqs[place], first, size, v)
     store_quad(parameters[place], first, size, p)
@@ -109,7 +113,11 @@ class AdamArrays:
 
 
 def adam_update(
-    parameters: Sequence[AdamArrays], blocked: wp.array, betas: tuple[float, float], epsilon: float
+    parameters: Sequence[AdamArrays],
+    blocked: wp.array,
+    betas: tuple[float, float],
+    epsilon: float,
+    decay: float = 0.0,
 ) -> None:
     """Updates parameters in place, all in the same two launches up to PLACES of them.
 
@@ -118,13 +126,14 @@ def adam_update(
         blocked: float32 [1]; not 0: leave everything as it is.
         betas: decay of the moments.
         epsilon: added to the denominator.
+        decay: of the parameters; each loses rate · decay of itself.
     """
     for of_launch, ends in launches([len(p.parameter) for p in parameters]):
         some = parameters[of_launch]
         device = some[0].parameter.device
-        coefficients = empty(len(some), wp.vec2, device)
+        coefficients = empty(len(some), wp.vec3, device)
         steps, rates = addresses([p.step for p in some]), addresses([p.rate for p in some])
-        launch_again(adam_coefficients_kernel, len(some), [*betas, rates, blocked, steps, coefficients], device)
+        launch_again(adam_coefficients_kernel, len(some), [*betas, decay, rates, blocked, steps, coefficients], device)
         sizes = counts([len(p.parameter) for p in some])
         inputs = [counts(ends), sizes, 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon, blocked, coefficients]
         inputs += [addresses([p.gradient for p in some]), addresses([p.parameter for p in some])]

@@ -78,7 +78,7 @@ def row_adam_kernel(
     share2: wp.float32,
     epsilon: wp.float32,
     blocked: wp.array(dtype=wp.float32),  # [1]
-    coefficients: wp.array(dtype=wp.vec2),  # [1]
+    coefficients: wp.array(dtype=wp.vec3),  # [1]
     indices: wp.array(dtype=wp.int64),  # [n]
     values: wp.array2d(dtype=wp.float32),  # [n, used]
     gradients: wp.array2d(dtype=wp.float32),  # [n, used]
@@ -115,7 +115,7 @@ def row_adam_kernel(
             v = beta2 * v + share2 * g * g
             moments[2 * k] = m
             moments[2 * k + 1] = v
-            updated[k] = values[place, column] - c[0] * m / (wp.sqrt(v) / c[1] + epsilon)
+            updated[k] = c[2] * values[place, column] - c[0] * m / (wp.sqrt(v) / c[1] + epsilon)
         if count == k and (column < used or (column >= length and column < parameter.shape[1])):
             count = k + 1
     if is_near:
@@ -152,7 +152,9 @@ class RowAdamArrays:
     rate: wp.array
 
 
-def row_adam_update(rows: RowAdamArrays, blocked: wp.array, betas: tuple[float, float], epsilon: float) -> None:
+def row_adam_update(
+    rows: RowAdamArrays, blocked: wp.array, betas: tuple[float, float], epsilon: float, decay: float = 0.0
+) -> None:
     """Updates rows in place, and counts the update, also one of no rows.
 
     Args:
@@ -160,10 +162,11 @@ def row_adam_update(rows: RowAdamArrays, blocked: wp.array, betas: tuple[float, 
         blocked: float32 [1]; not 0: leave everything as it is.
         betas: decay of the moments.
         epsilon: added to the denominator.
+        decay: of the parameter; a row loses rate · decay of itself.
     """
     device = rows.step.device
-    coefficients = empty(1, wp.vec2, device)
-    counted = [*betas, addresses([rows.rate]), blocked, addresses([rows.step]), coefficients]
+    coefficients = empty(1, wp.vec3, device)
+    counted = [*betas, decay, addresses([rows.rate]), blocked, addresses([rows.step]), coefficients]
     launch_again(adam_coefficients_kernel, 1, counted, device)
     number, used = rows.values.shape
     pairs = -(-used // (2 * LINE)) * LINE

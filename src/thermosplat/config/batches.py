@@ -2,7 +2,8 @@
 
 Grendel (Zhao et al. 2024, "On Scaling Up 3D Gaussian Splatting Training", section 4) counts training in images, divides
 a step's loss by its number of frames B, and scales Adam so that B steps of one frame and one step of B lead about as
-far: rates times √B, decay rates β of the moments to the power of B.
+far: rates times √B, decay rates β of the moments to the power of B. A parameter's own decay is in units of its rate, so
+it takes √B, too.
 """
 
 import math
@@ -44,7 +45,7 @@ def in_batches(config: TrainConfig) -> TrainConfig:
         return {name: steps_of_batches(getattr(group, name), size) for name in names}
 
     rates = {field.name: getattr(config.optimizer, field.name) for field in fields(config.optimizer)}
-    is_rate = {name: name.endswith(("_lr", "_lr_final")) for name in rates}
+    is_rate = {name: name.endswith(("_lr", "_lr_final", "_decay")) for name in rates}
     return replace(
         config,
         **scaled(config, _NUMBERS_OF_STEPS),

@@ -74,6 +74,7 @@ _SHARES = (
     "densification.prune_opacity",
     "densification.keep_opacity",
     "auto_budget.few_views_until",
+    "auto_budget.fallen_views_until",
 )
 _POSITIVE = (
     "image_memory",

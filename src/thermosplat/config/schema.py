@@ -106,6 +106,10 @@ class OptimizerConfig:
     """SH degree 0, of every spectrum that has SH colours. 3DGS."""
     shN_lr: float = 2.5e-3 / 20
     """SH degrees 1 to 3, of every spectrum that has SH colours. 3DGS."""
+    shN_decay: float = 0.0
+    """Decay of SH degrees 1 to 3: each step they lose this times their rate of themselves (AdamW, Loshchilov & Hutter
+    2019). What the images do not ask for becomes zero, so that ``--budget auto`` stores fewer of them. Open choice: 4;
+    benchmarks/records/thermosplat-plus-preset.md."""
     features_lr: float = 5e-3
     """Latent features. Open choice: MS-Splatting's."""
     features_lr_final: float = 5e-4
@@ -272,6 +276,10 @@ class AutoBudgetConfig:
     """Share of the run up to which the validation views stay withheld, where growth ends earlier and they are more than
     a twentieth of a spectrum's views: a scene may fit few views ever better and be ever worse, and they say so. 0: up
     to the end of growth. Open choice; benchmarks/records/low-light.md."""
+    fallen_views_until: float = 0.5
+    """Share of the run up to which they stay withheld where a spectrum has fallen (``spectrum_fall``) by then: it goes
+    back only if it is as far below its best there, since a scene may be worse for a while. Open choice;
+    benchmarks/records/low-light.md."""
     spectrum_fall: float = 0.3
     """Fall of such a capture's validation views in one spectrum [dB] from which on it goes back to where it was best,
     whatever its noise: in all of the last ``spectrum_patience`` steps before they are released. Open choice."""

@@ -17,6 +17,8 @@ from warp_kernels.training.adam import AdamArrays, adam_update
 class WarpAdam(torch.optim.Adam):
     """``torch.optim.Adam`` with the same state and, to rounding, the same update. Never waits for the device.
 
+    With a ``weight_decay`` the update is that of ``torch.optim.AdamW``.
+
     Its rate ``lr`` must be a tensor on the parameters' device, so that a captured step sees it change. Its parameters
     must be contiguous.
     """
@@ -47,10 +49,10 @@ def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
     Raises:
         ValueError: A parameter is not contiguous.
     """
-    tensors: dict[tuple[tuple[float, float], float], list[tuple[Tensor, ...]]] = {}
+    tensors: dict[tuple[tuple[float, float], float, float], list[tuple[Tensor, ...]]] = {}
     for optimizer in optimizers:
         for group in optimizer.param_groups:
-            members = tensors.setdefault((tuple(group["betas"]), group["eps"]), [])
+            members = tensors.setdefault((tuple(group["betas"]), group["eps"], group["weight_decay"]), [])
             for parameter in group["params"]:
                 if parameter.grad is None or parameter.numel() == 0:
                     continue
@@ -68,8 +70,8 @@ def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
                     steps = state["step"] if number == 0 else state["step"].clone()
                     members.append((*part, steps, group["lr"]))
     with launches_on_torch_stream(blocked.device):
-        for (betas, eps), members in tensors.items():
-            adam_update([AdamArrays(*map(_flat, member)) for member in members], _flat(blocked), betas, eps)
+        for (betas, eps, decay), members in tensors.items():
+            adam_update([AdamArrays(*map(_flat, member)) for member in members], _flat(blocked), betas, eps, decay)
 
 
 def _flat(tensor: Tensor) -> ArrayView:

@@ -33,9 +33,10 @@ class RowAdam(torch.optim.Adam):
 
         m ← β1 m + (1 - β1) g,  v ← β2 v + (1 - β2) g²,  p ← p - r / (1 - β1ᵗ) · m / (√v / √(1 - β2ᵗ) + ε)
 
-    with t, the steps done, the same for all rows. Other rows keep their numbers and their moments, which
-    ``torch.optim.Adam`` would let decay and go on moving them by. A row that is first used late is treated as that of a
-    Gaussian that was added late. Where every step uses all rows, the two are the same.
+    with t, the steps done, the same for all rows. With a ``weight_decay`` δ the old p is multiplied by 1 - r δ, as
+    ``torch.optim.AdamW`` does. Other rows keep their numbers and their moments, which ``torch.optim.Adam`` would let
+    decay and go on moving them by. A row that is first used late is treated as that of a Gaussian that was added late.
+    Where every step uses all rows, the two are the same.
 
     The state and ``state_dict`` are ``torch.optim.Adam``'s. The rate ``lr`` must be a tensor on the parameter's device.
 
@@ -104,7 +105,8 @@ class RowAdam(torch.optim.Adam):
                 step=_number(state["step"]),
                 rate=_number(group["lr"]),
             )
-            row_adam_update(arrays, _number(blocked), tuple(group["betas"]), group["eps"])
+            settings = tuple(group["betas"]), group["eps"], group["weight_decay"]
+            row_adam_update(arrays, _number(blocked), *settings)
 
     def _fetched(self, far: Tensor) -> Tensor:
         """The first rows of a buffer of moments on the device; fewer where it has no room for all of them."""

@@ -4,7 +4,7 @@ A learning rate is a function of the step, so there is no scheduler with a state
 ``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``, those of
 one spectrum, such as ``thermal_opacity_offsets``, the rate of their kind, ``opacity_offsets_lr``. Where the
 configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else to ``final_share`` of
-itself.
+itself. Parameters that decay themselves are few: those that the configuration has a ``<name>_decay`` for.
 """
 
 from collections.abc import Mapping
@@ -61,7 +61,8 @@ def gaussian_optimizers(gaussians: nn.Module, config: OptimizerConfig) -> Optimi
 
 def parameter_optimizers(parameters: Mapping[str, nn.Parameter], config: OptimizerConfig) -> Optimizers:
     """One Adam for each of some parameters, by the name that its learning rate goes by."""
-    return {name: _adam([parameter], config) for name, parameter in parameters.items()}
+    decays = {"shN": config.shN_decay}
+    return {name: _adam([parameter], config, decays.get(_kind(name), 0.0)) for name, parameter in parameters.items()}
 
 
 def network_optimizer(network: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
@@ -69,15 +70,17 @@ def network_optimizer(network: nn.Module, config: OptimizerConfig) -> torch.opti
     return _adam(list(network.parameters()), config)
 
 
-def _adam(parameters: list[nn.Parameter], config: OptimizerConfig) -> torch.optim.Adam:
+def _adam(parameters: list[nn.Parameter], config: OptimizerConfig, decay: float = 0.0) -> torch.optim.Adam:
     # fused: one kernel for the whole update (ten times faster than torch's loop on the CPU), and the one variant that
     # can be told on the device, without waiting for it, to leave the parameters alone (found_inf)
     device = parameters[0].device
+    settings: dict[str, Any] = {"eps": config.eps, "weight_decay": decay}
     if isinstance(parameters[0], OffloadedParameter):
-        return RowAdam(parameters, lr=torch.zeros((), device=device), eps=config.eps)
+        return RowAdam(parameters, lr=torch.zeros((), device=device), **settings)
     if device.type == "cuda":  # a rate that a captured step sees change
-        return WarpAdam(parameters, lr=torch.zeros((), device=device), eps=config.eps, fused=True, capturable=True)
-    return torch.optim.Adam(parameters, lr=0.0, eps=config.eps, fused=True)
+        return WarpAdam(parameters, lr=torch.zeros((), device=device), **settings, fused=True, capturable=True)
+    kind = torch.optim.AdamW if decay > 0 else torch.optim.Adam
+    return kind(parameters, lr=0.0, **settings, fused=True)
 
 
 def load_optimizer(optimizer: torch.optim.Adam, state: dict[str, Any]) -> None:

@@ -200,8 +200,9 @@ def test_few_views_stay_withheld_for_a_share_of_the_run(tmp_path: Path, few_view
 
 def test_few_views_say_what_goes_back(tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]) -> None:
     """RGB falls by a decibel in each step, and has no noise."""
-    config = watched(few_views_until=0.16, spectrum_patience=4)
+    config = watched(few_views_until=0.12, fallen_views_until=0.16, spectrum_patience=4)
     trainer = advance(noisy_run(tmp_path, config, 1e-9, FRAMES - 2), 15)
+    assert not trainer.state.growing
     assert trainer.state.taught == ()
     assert trainer.budget is not None
     withheld = {trainer.frames.frames[index].name for index in trainer.budget.validation}  # type: ignore[attr-defined]
@@ -210,6 +211,28 @@ def test_few_views_say_what_goes_back(tmp_path: Path, worse: None, capsys: pytes
     assert trainer.state.taught == ("rgb",)
     assert "Withheld RGB views were best after step 4: 46.00 dB, and now 34.00." in capsys.readouterr().out
     assert withheld < shown(trainer, 16, 100)
+
+
+@pytest.mark.parametrize(("again", "released"), [(14, 14), (16, 16)])
+def test_few_views_that_fell_for_a_while_send_nothing_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, again: int, released: int
+) -> None:
+    """RGB is a decibel below its best from step 6 on, and then as good again: its views are free once that is seen."""
+    judge = NoiseWatch.judge
+
+    def judged(watch: NoiseWatch, step: int, psnrs: dict[str, float], *others: Any, **named: Any) -> list[str]:
+        return judge(watch, step, psnrs | {"rgb": 49.0 if 6 <= step < again else 50.0}, *others, **named)
+
+    monkeypatch.setattr(NoiseWatch, "judge", judged)
+    config = watched(few_views_until=0.12, fallen_views_until=0.16, spectrum_patience=4)
+    trainer = advance(noisy_run(tmp_path, config, 1e-9, FRAMES - 2), released - 1)
+    watch = trainer.state.noise_watch
+    assert watch is not None
+    assert watch.fallen(0.3) == ["rgb"]
+    assert not watch.over
+    advance(trainer, released)
+    assert watch.over
+    assert trainer.state.taught == ()
 
 
 def test_a_held_spectrum_goes_back_at_the_last_removal(

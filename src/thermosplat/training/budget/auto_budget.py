@@ -245,7 +245,9 @@ class AutoBudget:
         if step >= self._last_removal:
             return True
         if self._watches_falls:
-            return step >= round(self.settings.few_views_until * self.config.max_steps)
+            fallen = watch.fallen(self.settings.spectrum_fall)
+            share = self.settings.fallen_views_until if fallen else self.settings.few_views_until
+            return step >= round(share * self.config.max_steps)
         return self._few_views or not watch.watches()
 
     def scores(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:

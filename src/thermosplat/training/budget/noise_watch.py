@@ -10,7 +10,8 @@ That is decided at the end, since two views may be wrong about the first fall.
 
 Only spectra are held whose error is to a good part noise: in images without noise, what withheld views lose by a view
 more or less is not noise that was learnt. But where views are few, a spectrum whose withheld views have lost much by
-the end of the watch goes back whatever its noise: a scene may fit few views ever better and be ever worse.
+the end of the watch goes back whatever its noise: a scene may fit few views ever better and be ever worse. It may also
+be worse for a while only, so that the watch lasts longer where they have lost much.
 """
 
 import math
@@ -83,17 +84,23 @@ class NoiseWatch:
         Returns:
             The spectra that go back: they have teachers from now on.
         """
-        found = []
-        for name in self._best_teachers:
-            best = self.best[name][0]
-            looks = [psnr for _, psnr in self.lately.get(name, ())] or [math.inf]
-            lost = name in self.held and best - looks[-1] >= loss
-            fell = best - max(looks) >= fall
-            if lost or fell:
-                found.append(name)
+        lost = [name for name in self.held if self.best[name][0] - self._looks(name)[-1] >= loss]
+        found = [name for name in self._best_teachers if name in (*lost, *self.fallen(fall))]
         self.teachers |= {name: self._best_teachers[name] for name in found}
         self.over, self._best_teachers = True, {}
         return found
+
+    def fallen(self, fall: float) -> list[str]:
+        """The spectra that could go back and whose withheld views have lost as much in all of the last looks.
+
+        Args:
+            fall: The loss [dB].
+        """
+        return [name for name in self._best_teachers if self.best[name][0] - max(self._looks(name)) >= fall]
+
+    def _looks(self, name: str) -> list[float]:
+        """PSNR of the withheld views in the last looks; infinite where there were none."""
+        return [psnr for _, psnr in self.lately.get(name, ())] or [math.inf]
 
     @torch.no_grad()
     def note(self, index: Tensor, squared_errors: Mapping[str, Tensor]) -> None:
