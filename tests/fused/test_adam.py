@@ -83,7 +83,7 @@ def test_a_blocked_step_of_a_tensor_in_parts(device: torch.device, monkeypatch: 
 
 
 def test_many_optimizers_share_the_launches(device: torch.device) -> None:
-    """More parameters than one launch takes, of all sizes and alignments, each with its rate and decay: as each alone."""
+    """More parameters than one launch takes, of all sizes and alignments, each with its rate and decay."""
     generator = torch.Generator().manual_seed(1)
     sizes = [1, 3, 4, 5, 1023, 1024, 1025, 4096, *range(2, 34)]
     starts = [torch.randn(size, generator=generator) for size in sizes]
