@@ -84,7 +84,8 @@ class NoiseWatch:
         Returns:
             The spectra that go back: they have teachers from now on.
         """
-        lost = [name for name in self.held if self.best[name][0] - self._looks(name)[-1] >= loss]
+        held = [name for name in self._best_teachers if name in self.held]
+        lost = [name for name in held if self.best[name][0] - self._looks(name)[-1] >= loss]
         found = [name for name in self._best_teachers if name in (*lost, *self.fallen(fall))]
         self.teachers |= {name: self._best_teachers[name] for name in found}
         self.over, self._best_teachers = True, {}
