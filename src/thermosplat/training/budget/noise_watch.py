@@ -84,9 +84,12 @@ class NoiseWatch:
         Returns:
             The spectra that go back: they have teachers from now on.
         """
-        held = [name for name in self._best_teachers if name in self.held]
-        lost = [name for name in held if self.best[name][0] - self._looks(name)[-1] >= loss]
-        found = [name for name in self._best_teachers if name in (*lost, *self.fallen(fall))]
+        fallen = self.fallen(fall)
+        found = [
+            name
+            for name in self._best_teachers
+            if name in fallen or (name in self.held and self.best[name][0] - self._looks(name)[-1] >= loss)
+        ]
         self.teachers |= {name: self._best_teachers[name] for name in found}
         self.over, self._best_teachers = True, {}
         return found
