@@ -74,6 +74,31 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, task: tuple[TrainCon
     assert_same_state(state_tensors(second), state_tensors(whole))
 
 
+def test_a_scaled_run_is_the_short_one_to_the_bit(tmp_path: Path, capture: Capture) -> None:
+    """Twice all numbers of steps, and half of them by the scaler, also where it is resumed."""
+    short = toy_run_config()
+    grown = {name: 2 * getattr(short.densification, name) for name in ("start_step", "stop_step", "every", "reset_every")}
+    scaled = dataclasses.replace(
+        short,
+        steps_scaler=0.5,
+        max_steps=2 * short.max_steps,
+        sh_degree_interval=2 * short.sh_degree_interval,
+        eval_steps=tuple(2 * step for step in short.eval_steps),
+        save_steps=tuple(2 * step for step in short.save_steps),
+        densification=dataclasses.replace(short.densification, **grown),
+    )
+    expected = toy_trainer(tmp_path / "short", short, capture)
+    first = toy_trainer(tmp_path / "scaled", scaled, capture)
+    while first.step < 6:
+        first._train_step()
+    first._save()
+    second = Trainer.resume(scaled, capture, RunDirectory.open(tmp_path / "scaled"))
+    for trainer in (expected, second):
+        trainer.train()
+    assert second.step == short.max_steps
+    assert_same_state(state_tensors(second), state_tensors(expected))
+
+
 def test_results_of_a_run(tmp_path: Path, capture: Capture) -> None:
     """A run leaves the numbers, pictures, files and checkpoints that the README promises."""
     config = toy_run_config(max_steps=7, save_steps=(3, 7), eval_steps=(4, 7))

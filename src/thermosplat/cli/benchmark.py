@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from thermosplat.cli.program import run_program
+from thermosplat.config.run_schedule import run_schedule
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
 from thermosplat.method_matrix.overrides import parse_overrides
@@ -162,7 +163,7 @@ def _steps(matrix: "Matrix", cells: "Sequence[Cell]") -> str:
     """Steps of the methods: --max-steps is that of a method with 30,000."""
     steps: dict[str, list[int]] = {}
     for cell in cells:
-        steps.setdefault(cell.method, []).append(matrix.config(cell).max_steps)
+        steps.setdefault(cell.method, []).append(run_schedule(matrix.config(cell)).max_steps)
     ranges = {method: (min(numbers), max(numbers)) for method, numbers in steps.items()}
     return ", ".join(
         f"{method} {least:,}" + (f" to {most:,}" if most > least else "") for method, (least, most) in ranges.items()

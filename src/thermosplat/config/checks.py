@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from thermosplat.config import TrainConfig
+from thermosplat.config.run_schedule import scaled_steps
 from thermosplat.config.schema import SPLIT_APART_MOST
 from thermosplat.config.spectrum_checks import check_spectra
 from thermosplat.config.values import shown
@@ -77,6 +78,7 @@ _SHARES = (
     "auto_budget.fallen_views_until",
 )
 _POSITIVE = (
+    "steps_scaler",
     "image_memory",
     "gpu_memory",
     "model.init_scale",
@@ -160,7 +162,7 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
 def _check_camera_passes(config: TrainConfig, name: Any) -> None:
     """Passes that find cameras must be long enough for a round."""
     between_cameras = [kind for kind in config.refine if kind != "poses"]
-    steps = min(config.refine_first, config.max_steps)
+    steps = min(config.refine_first, scaled_steps(config.max_steps, config.steps_scaler))
     begin = config.refine_rounds_from + config.refine_every
     if not between_cameras or len(config.modelled) < 2 or not 0 < steps < begin:
         return

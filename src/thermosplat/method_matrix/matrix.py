@@ -8,6 +8,7 @@ from pathlib import Path
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import to_yaml
+from thermosplat.config.run_schedule import run_schedule
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cell_result import CellResult
 from thermosplat.method_matrix.cells import Cell, Scene, cell_config, difference, settings
@@ -109,7 +110,7 @@ class Matrix:
 
         def expected(cell: Cell) -> float:
             of_method = times.get(cell.method)
-            return self.config(cell).max_steps * (statistics.fmean(of_method) if of_method else of_any)
+            return run_schedule(self.config(cell)).max_steps * (statistics.fmean(of_method) if of_method else of_any)
 
         return sorted(cells, key=expected, reverse=True)
 

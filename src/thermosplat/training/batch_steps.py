@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from thermosplat.config.batches import adam_betas
+from thermosplat.config.run_schedule import adam_betas
 from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.distributed.team import Team

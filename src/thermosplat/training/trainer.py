@@ -18,7 +18,7 @@ from typing import Any
 import torch
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.batches import in_batches
+from thermosplat.config.run_schedule import run_schedule
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.stored_pixels import ImageLostError
@@ -87,7 +87,7 @@ class Trainer:
     ) -> None:
         self.asked = config
         """The configuration as it was given and is kept; ``config`` is what it means for this capture and batches."""
-        self.config = config = with_limit(in_batches(config), capture)
+        self.config = config = with_limit(run_schedule(config), capture)
         self.capture = capture
         self.run = run
         self.device = self._choose_device()
@@ -204,7 +204,7 @@ class Trainer:
             UserError: If there is no checkpoint, or it is of another model or capture than is asked for.
         """
         checkpoint = newest_checkpoint(run)
-        check_resumable(checkpoint, in_batches(config), run, capture)
+        check_resumable(checkpoint, run_schedule(config), run, capture)
         return cls(config, capture, run, logger, checkpoint)
 
     @property

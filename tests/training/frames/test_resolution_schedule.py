@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from thermosplat.config import ResolutionConfig, TrainConfig
-from thermosplat.config.batches import in_batches
+from thermosplat.config.run_schedule import run_schedule
 from thermosplat.training.frames.resolution_schedule import image_factor, most_gaussians, resolution_note
 from toy_run import toy_run_config
 
@@ -25,7 +25,7 @@ def test_sizes_follow_each_other() -> None:
 def test_shares_follow_the_length_of_the_run() -> None:
     """They are shares of what the run has in all; in batches of four, a step counts as four."""
     assert [image_factor(config_of(40), step) for step in (8, 9, 26, 27)] == [4.0, 2.5, 2.5, 1.0]
-    batches = in_batches(config_of(80, batch_size=4))
+    batches = run_schedule(config_of(80, batch_size=4))
     assert [image_factor(batches, step) for step in (4, 5, 13, 14, 20)] == [4.0, 2.5, 2.5, 1.0, 1.0]
 
 

@@ -17,7 +17,7 @@ import torch
 from rich.console import Console
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.batches import in_batches
+from thermosplat.config.run_schedule import run_schedule
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.kept_images import forget_images
 from thermosplat.datasets.stored_pixels import ImageLostError
@@ -99,7 +99,7 @@ class DividedTrainer(Trainer):
 
         def read() -> None:
             checkpoint = newest_checkpoint(run)
-            check_resumable(checkpoint, in_batches(config), run, capture)
+            check_resumable(checkpoint, run_schedule(config), run, capture)
             shares.extend(shares_of(checkpoint, team.size))
 
         team.asked_of_first(read)
