@@ -77,7 +77,9 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, task: tuple[TrainCon
 def test_a_scaled_run_is_the_short_one_to_the_bit(tmp_path: Path, capture: Capture) -> None:
     """Twice all numbers of steps, and half of them by the scaler, also where it is resumed."""
     short = toy_run_config()
-    grown = {name: 2 * getattr(short.densification, name) for name in ("start_step", "stop_step", "every", "reset_every")}
+    grown = {
+        name: 2 * getattr(short.densification, name) for name in ("start_step", "stop_step", "every", "reset_every")
+    }
     scaled = dataclasses.replace(
         short,
         steps_scaler=0.5,

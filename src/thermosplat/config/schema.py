@@ -304,8 +304,8 @@ class TrainConfig:
     """Training steps, one frame (all its spectra) each. Other schedules (densification, SH degree) are not rescaled
     when this changes, as in gsplat; ``steps_scaler`` rescales all. ThermoSplat, 3DGS."""
     steps_scaler: float = 1.0
-    """What all numbers of steps are multiplied by, ``max_steps`` and those of all schedules: with 0.3 a training has the
-    same course in a third of the steps. Only what finds cameras before the scene (``refine_first``), the rounds of
+    """What all numbers of steps are multiplied by, ``max_steps`` and those of all schedules: with 0.5 a training has
+    the same course in half of the steps. Only what finds cameras before the scene (``refine_first``), the rounds of
     ``refine`` and ``log_every`` stay. gsplat."""
     batch_size: int | None = None
     """Frames of a step, whatever the number of devices. None: one for each device. All numbers of steps here are for
