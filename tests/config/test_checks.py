@@ -49,6 +49,7 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ("model.init_opacity", 1.0, "--model.init-opacity must lie between 0 and 1"),
         ("model.feature_dim", 2, "--model.feature-dim must be 0 or at least 4"),
         ("model.gaussian_sets", "separate", "Separate Gaussians have no shared features"),
+        ("steps_scaler", 0.0, "--steps-scaler must be positive"),
         ("background", (0.0, 2.0, 0.0), "--background must be three values between 0 and 1"),
         (
             "spectra.thermal.range",
@@ -120,6 +121,13 @@ def test_balance_of_one_set() -> None:
     check_config(config)
     with pytest.raises(UserError, match=r"--loss\.balance is about separate sets"):
         check_config(replace(config, without=("thermal",)))
+
+
+def test_one_background() -> None:
+    """Random colours, or one colour."""
+    check_config(TrainConfig(random_background=True))
+    with pytest.raises(UserError, match="--background and --random-background exclude each other"):
+        check_config(TrainConfig(random_background=True, background=(0.0, 1.0, 0.0)))
 
 
 def test_decomposition_is_of_two_spectra() -> None:

@@ -39,6 +39,7 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"model": {"feature_dim": 0}, "spectra": {"nir": {"opacity": "own"}}},
         {"others": ("nir",), "aligned": False},
     ),
+    "shared, random colours behind the images": ({"random_background": True}, {}),
     "shared, thermal lines that are read one after the other": ({}, {"aligned": False, "shaken": ("thermal",)}),
 }
 

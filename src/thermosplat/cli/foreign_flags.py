@@ -26,6 +26,7 @@ _COUNTERPARTS = {
     "--densification.grad-threshold": (
         "--strategy.grow-grad2d --densify-grad-threshold --pipeline.model.densify-grad-thresh"
     ),
+    "--random-background": "--random-bkgd --pipeline.model.background-color",
     "--resume": "--ckpt --start-checkpoint --load-dir",
 }
 _DATA = ("-s", "--source-path", "--data", "--data-dir")

@@ -21,7 +21,7 @@ from thermosplat.training.density.gaussian_ops import Optimizers, replace_parame
 from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
-from thermosplat.training.frames.random_streams import start_stream
+from thermosplat.training.frames.random_streams import random_stream, start_stream
 from thermosplat.training.frames.spectrum_schedule import set_span
 from thermosplat.training.optimizers import (
     gaussian_optimizers,
@@ -69,6 +69,8 @@ class TrainingState:
         best_validation: Best PSNR of withheld training views so far [dB], and its step.
         noise_watch: How far noisy images are fitted and may be; None where no spectrum has a noise floor.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
+        behind: With ``random_background``, the colour behind each spectrum's images in the step that is being done, in
+            the order of the model's spectra, shape [S, 3]; None: black.
         seconds: Where the time went.
 
     Args:
@@ -118,6 +120,7 @@ class TrainingState:
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.seed, self.scene_extent = config.seed, capture.scene_extent
         self.noise = torch.Generator(device)
+        self.behind = torch.zeros(len(model.spectra), 3, device=device) if config.random_background else None
         self.seconds = Seconds()
         self.counts: dict[str, list[int]] | None = None
         """Gaussians of each rank by set, where they are divided over ranks: this state then holds one rank's."""
@@ -187,6 +190,8 @@ class TrainingState:
         self.step_on_device.fill_(step)
         if any(strategy.moves_gaussians for strategy in self.strategies.values()):
             start_stream(self.noise, self.seed, "position noise", step)
+        if self.behind is not None:  # filled in place: a captured step reads it
+            self.behind.copy_(torch.rand(self.behind.shape, generator=random_stream(self.seed, "background", step)))
         for owner, optimizers in self.optimizers.items():
             scale = self.corrections.image_width if owner == "corrections" and self.corrections else scene_extent
             set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scale)

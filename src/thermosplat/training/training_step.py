@@ -228,7 +228,7 @@ class TrainingStep:
         return Differentiated(rendered, losses, errors)
 
     def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part) -> RenderedFrame:
-        """The frame's images as the losses see them: with the exposures of its photographs."""
+        """The frame's images as the losses see them: before their background, with the exposures of its photographs."""
         config, state = self.config, self.state
         render = partial(
             state.model.render,
@@ -243,6 +243,11 @@ class TrainingStep:
             rendered = render(frame.views, shared_cameras=apart or frame.shared_cameras)
         else:
             rendered = render_with_others(render, frame.views, part.calls)
+        if state.behind is not None:
+            for name, color in zip(state.model.spectra, state.behind, strict=True):
+                if name in rendered.images:
+                    image = rendered.images[name]
+                    rendered.images[name] = image + (1.0 - rendered.alphas[name]) * color[: image.shape[-1]]
         if state.exposures is not None and frame.index is not None:
             rendered = state.exposures(rendered, frame.index)
         return rendered
