@@ -368,7 +368,8 @@ class TrainConfig:
     """Colour behind the SH render of a photograph, 0 to 1. 3DGS: black."""
     random_background: bool = False
     """In training only, each step has random colours behind the images of every spectrum, so that nothing stays
-    transparent which the capture shows: what is black, too, must then be opaque. gsplat's random_bkgd."""
+    transparent which the capture shows: what is black, too, must then be opaque. For rooms: a sky that must be opaque
+    comes to lie right before cameras. gsplat's random_bkgd."""
     resume: str | None = None
     """Result folder of an interrupted run to go on with."""
     overwrite: bool = False
