@@ -21,7 +21,7 @@ from thermosplat.training.density.gaussian_ops import Optimizers, replace_parame
 from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
-from thermosplat.training.frames.random_streams import random_stream, start_stream
+from thermosplat.training.frames.random_streams import start_stream
 from thermosplat.training.frames.spectrum_schedule import set_span
 from thermosplat.training.optimizers import (
     gaussian_optimizers,
@@ -188,10 +188,10 @@ class TrainingState:
         self.clear_gradients()
         self.trimmed = False
         self.step_on_device.fill_(step)
+        if self.behind is not None:  # filled in place: a captured step reads it
+            self.behind.uniform_(generator=start_stream(self.noise, self.seed, "background", step))
         if any(strategy.moves_gaussians for strategy in self.strategies.values()):
             start_stream(self.noise, self.seed, "position noise", step)
-        if self.behind is not None:  # filled in place: a captured step reads it
-            self.behind.copy_(torch.rand(self.behind.shape, generator=random_stream(self.seed, "background", step)))
         for owner, optimizers in self.optimizers.items():
             scale = self.corrections.image_width if owner == "corrections" and self.corrections else scene_extent
             set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scale)

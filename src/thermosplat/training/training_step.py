@@ -228,7 +228,7 @@ class TrainingStep:
         return Differentiated(rendered, losses, errors)
 
     def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part) -> RenderedFrame:
-        """The frame's images as the losses see them: before their background, with the exposures of its photographs."""
+        """The frame's images as the losses see them: before random colours, with the exposures of its photographs."""
         config, state = self.config, self.state
         render = partial(
             state.model.render,
