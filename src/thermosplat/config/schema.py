@@ -302,7 +302,7 @@ class TrainConfig:
     """Where everything the run makes goes. None: results/<capture's name>/<config's name>."""
     max_steps: int = 30_000
     """Training steps, one frame (all its spectra) each. Other schedules (densification, SH degree) are not rescaled
-    when this changes, as in gsplat; ``steps_scaler`` rescales all. ThermoSplat, 3DGS."""
+    when this changes, as in gsplat. ``steps_scaler`` rescales all. ThermoSplat, 3DGS."""
     steps_scaler: float = 1.0
     """What all numbers of steps are multiplied by, ``max_steps`` and those of all schedules: with 0.5 a training has
     the same course in half of the steps. Only what finds cameras before the scene (``refine_first``), the rounds of
