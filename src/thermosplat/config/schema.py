@@ -369,7 +369,7 @@ class TrainConfig:
     random_background: bool = False
     """In training only, each step has random colours behind the images of every spectrum, so that nothing stays
     transparent which the capture shows: what is black, too, must then be opaque. For rooms: a sky that must be opaque
-    comes to lie right before cameras. gsplat's random_bkgd."""
+    may come to lie before the scene. gsplat's random_bkgd."""
     resume: str | None = None
     """Result folder of an interrupted run to go on with."""
     overwrite: bool = False
