@@ -17,7 +17,15 @@ from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.trainer import Trainer
-from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer, without
+from toy_run import (
+    assert_same_state,
+    many_frames,
+    state_tensors,
+    stopped_and_resumed,
+    toy_run_config,
+    toy_trainer,
+    without,
+)
 from toy_scene import toy_capture
 
 SEPARATE = {"gaussian_sets": "separate", "feature_dim": 0}
@@ -101,11 +109,7 @@ def test_ten_spectra_train_from_beginning_to_end(tmp_path: Path) -> None:
     assert {f"features_{name}" for name in TEN[:-2]} < last.keys()
     assert not {f"features_{name}" for name in TEN[-2:]} & last.keys()
 
-    half = toy_trainer(tmp_path / "half", config, capture)
-    while half.step < 7:
-        half._train_step()
-    half._save()
-    resumed = Trainer.resume(config, capture, half.run)
+    resumed = stopped_and_resumed(tmp_path / "half", config, capture, 7)
     while resumed.step < 12:
         resumed._train_step()
     assert_same_state(state_tensors(resumed), state_tensors(trainer))

@@ -12,11 +12,17 @@ from thermosplat.config import AutoBudgetConfig, ResolutionConfig, TrainConfig
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.evaluation import held_out
-from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training import camera_rounds, training_step
 from thermosplat.training.budget.noise_watch import NoiseWatch
-from thermosplat.training.trainer import Trainer
-from toy_run import assert_same_state, enlarged, many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_run import (
+    assert_same_state,
+    enlarged,
+    many_frames,
+    state_tensors,
+    stopped_and_resumed,
+    toy_run_config,
+    toy_trainer,
+)
 from toy_scene import toy_capture
 
 pytestmark = pytest.mark.usefixtures("stoppable")
@@ -117,11 +123,7 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, capture: Capture, ch
     """Six steps, a checkpoint among small images, and the others equal all of them at once."""
     config = growing(**{"max_steps": 12, **changes})
     whole = toy_trainer(tmp_path / "whole", config, capture)
-    first = toy_trainer(tmp_path / "halves", config, capture)
-    while first.step < 6:
-        first._train_step()
-    first._save()
-    second = Trainer.resume(config, capture, RunDirectory.open(tmp_path / "halves"))
+    second = stopped_and_resumed(tmp_path / "halves", config, capture, 6)
     whole.train()
     second.train()
     assert_same_state(state_tensors(second), state_tensors(whole))

@@ -15,7 +15,15 @@ from thermosplat.errors import UserError
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.trainer import Trainer
-from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer, without
+from toy_run import (
+    assert_same_state,
+    many_frames,
+    state_tensors,
+    stopped_and_resumed,
+    toy_run_config,
+    toy_trainer,
+    without,
+)
 from toy_scene import toy_capture
 
 pytestmark = pytest.mark.usefixtures("stoppable")
@@ -91,11 +99,7 @@ def test_a_scaled_run_is_the_short_one_to_the_bit(tmp_path: Path, capture: Captu
         densification=dataclasses.replace(short.densification, **grown),
     )
     expected = toy_trainer(tmp_path / "short", short, capture)
-    first = toy_trainer(tmp_path / "scaled", scaled, capture)
-    while first.step < 6:
-        first._train_step()
-    first._save()
-    second = Trainer.resume(scaled, capture, RunDirectory.open(tmp_path / "scaled"))
+    second = stopped_and_resumed(tmp_path / "scaled", scaled, capture, 6)
     for trainer in (expected, second):
         trainer.train()
     assert second.step == short.max_steps

@@ -32,9 +32,10 @@ def run_schedule(config: TrainConfig) -> TrainConfig:
     Args:
         config: The configuration; with one frame per step and a scaler of 1 it is returned as it is.
     """
-    size, factor = config.batch_size or 1, config.steps_scaler / (config.batch_size or 1)
-    if size == 1 and factor == 1:
+    size = config.batch_size or 1
+    if size == 1 and config.steps_scaler == 1:
         return config
+    factor = config.steps_scaler / size
 
     def scaled(group: Any, names: tuple[str, ...], factor: float = factor) -> dict[str, Any]:
         return {name: scaled_steps(getattr(group, name), factor) for name in names}

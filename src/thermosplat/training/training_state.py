@@ -70,7 +70,7 @@ class TrainingState:
         noise_watch: How far noisy images are fitted and may be; None where no spectrum has a noise floor.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
         behind: With ``random_background``, the colour behind each spectrum's images in the step that is being done, in
-            the order of the model's spectra, shape [S, 3]; None: black.
+            the order of the model's spectra, shape [S, 3]; None: that of the model.
         seconds: Where the time went.
 
     Args:

@@ -246,8 +246,7 @@ class TrainingStep:
         if state.behind is not None:
             for name, color in zip(state.model.spectra, state.behind, strict=True):
                 if name in rendered.images:
-                    image = rendered.images[name]
-                    rendered.images[name] = image + (1.0 - rendered.alphas[name]) * color[: image.shape[-1]]
+                    rendered.put_behind(name, color)
         if state.exposures is not None and frame.index is not None:
             rendered = state.exposures(rendered, frame.index)
         return rendered

@@ -15,8 +15,7 @@ from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gradient_control import Refinement
 from thermosplat.training.density.mcmc import McmcStrategy
-from thermosplat.training.trainer import Trainer
-from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_run import assert_same_state, many_frames, state_tensors, stopped_and_resumed, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 FINE = torch.zeros(())
@@ -291,11 +290,7 @@ def test_resumed_run_draws_the_same_noise(tmp_path: Path, spectra: dict[str, dic
     whole = toy_trainer(tmp_path / "whole", config, capture)
     while whole.step < 10:
         whole._train_step()
-    half = toy_trainer(tmp_path / "half", config, capture)
-    while half.step < 5:
-        half._train_step()
-    half._save()
-    resumed = Trainer.resume(config, capture, half.run)
+    resumed = stopped_and_resumed(tmp_path / "half", config, capture, 5)
     while resumed.step < 10:
         resumed._train_step()
     assert_same_state(state_tensors(resumed), state_tensors(whole))
