@@ -64,6 +64,10 @@ class SpectrumConfig:
     when training of this one begins (ThermalGaussian MFTG, with ``train_from``)."""
     loss: float = 1.0
     """Weight of its image loss. ThermoSplat."""
+    loss_noise: float = 0.0
+    """Noise of the training images (measured as for ``smoothness_noise``) from which on that weight is 1, where it is
+    more than 1. With less noise the weight falls in proportion, from ``loss`` on. 0: it is taken as it is. Open
+    choice."""
     features: float | None = 0.5
     """Factor of the loss on the latent channels that are supervised with its images; ``loss.features`` multiplies it.
     null: no channel is supervised with it. ThermoSplat: 1 for RGB, η = 0.5 for thermal."""

@@ -31,6 +31,14 @@ def test_flags_override_the_preset() -> None:
     assert config == replace(expected, data="data/shed", max_steps=9, loss=replace(expected.loss, ssim_lambda=0.5))
 
 
+@pytest.mark.parametrize("flag", ["--max-steps=7000", "--max_steps=7000"])
+def test_steps_that_are_given_are_meant(flag: str) -> None:
+    """However many views the capture has, unless steps are said to be for so many views; other flags change nothing."""
+    assert parse_train_arguments(["data/shed", "--seed", "1"]).steps_for_views == 45
+    assert parse_train_arguments(["data/shed", flag]).steps_for_views is None
+    assert parse_train_arguments(["data/shed", flag, "--steps-for-views", "10"]).steps_for_views == 10
+
+
 def test_sample_takes_the_demo_preset() -> None:
     """The sample capture trains with the short schedule unless a preset is named; other data with our own best."""
     assert parse_train_arguments(["sample"]) == replace(load_config("demo"), data="sample")
@@ -168,6 +176,14 @@ def test_resume_may_go_on_longer(run_folder: Path) -> None:
     flags = ["--max-steps", "5000", "--device", "cpu", "--log-every", "7", "--config", "demo"]
     config = parse_train_arguments(["--resume", str(run_folder), *flags])
     assert (config.max_steps, config.device, config.log_every) == (5000, "cpu", 7)
+
+
+def test_resume_for_a_number_of_steps_ends_there(run_folder: Path) -> None:
+    """Also where the run was to have as many as its views ask for."""
+    (run_folder / "config.yaml").write_text(to_yaml(replace(load_config("thermosplat_plus"), data="data/shed")))
+    assert parse_train_arguments(["--resume", str(run_folder)]).steps_for_views == 45
+    longer = parse_train_arguments(["--resume", str(run_folder), "--max-steps", "20000"])
+    assert (longer.max_steps, longer.steps_for_views) == (20_000, None)
 
 
 @pytest.mark.parametrize("flag", ["--data-factor", "--densification.max-gaussians", "--optimizer.means-lr"])

@@ -83,6 +83,14 @@ def test_file_states_only_differences(tmp_path: Path) -> None:
     assert config.background == (1.0, 1.0, 1.0)
 
 
+def test_steps_of_a_file_are_meant(tmp_path: Path) -> None:
+    """A base's number of views is that of the base's steps."""
+    assert load_config(write(tmp_path, "base: thermosplat_plus\nseed: 1\n")).steps_for_views == 45
+    assert load_config(write(tmp_path, "base: thermosplat_plus\nmax_steps: 9000\n")).steps_for_views is None
+    both = "base: thermosplat_plus\nmax_steps: 900\nsteps_for_views: 10\n"
+    assert load_config(write(tmp_path, both)).steps_for_views == 10
+
+
 def test_a_further_spectrum_is_a_few_lines(tmp_path: Path) -> None:
     """It starts from the defaults and comes after those of the base, which keep theirs; null is a value."""
     nir = "  nir:\n    unit: reflectance\n    factor: 1e-4\n    features: null\n"

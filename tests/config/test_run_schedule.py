@@ -1,4 +1,4 @@
-"""Steps of several frames see the images of as many steps of one; a scaler shortens every schedule."""
+"""Steps of several frames see the images of as many steps of one; a scaler and many views change every schedule."""
 
 import dataclasses
 import math
@@ -6,7 +6,7 @@ import math
 import pytest
 
 from thermosplat.config import OptimizerConfig, TrainConfig
-from thermosplat.config.run_schedule import adam_betas, run_schedule, scaled_steps
+from thermosplat.config.run_schedule import adam_betas, run_schedule, scaled_steps, views_note
 
 
 def test_one_frame_per_step_and_no_scaler_change_nothing() -> None:
@@ -61,3 +61,31 @@ def test_numbers_that_binary_fractions_miss_are_not_rounded_up() -> None:
     """30 times 1.1 is 33.000000000000004 in floats."""
     assert scaled_steps(30, 1.1) == 33
     assert scaled_steps(7, 0.1) == 1
+
+
+@pytest.mark.parametrize(
+    ("views", "steps"), [(0, 9000), (1, 9000), (45, 9000), (46, 9200), (100, 20_000), (150, 30_000), (9999, 30_000)]
+)
+def test_more_views_ask_for_more_steps(views: int, steps: int) -> None:
+    """Each is seen as often, up to 30,000 steps; all schedules keep their shares, and the user is told."""
+    config = TrainConfig(max_steps=9000, steps_for_views=45, save_steps=(4500,))
+    scaled = run_schedule(config, views)
+    assert scaled.max_steps == steps
+    assert scaled.save_steps == (steps / 2,)
+    assert scaled.densification.stop_step == math.ceil(15_000 * steps / 9000)
+    assert bool(views_note(config, views)) == (steps > 9000)
+    assert run_schedule(TrainConfig(max_steps=9000), views).max_steps == 9000
+
+
+def test_views_count_beside_scaler_and_batches() -> None:
+    """90 views double the steps, a scaler of a half halves them, and steps of three frames are a third of both."""
+    config = TrainConfig(max_steps=9000, steps_for_views=45, steps_scaler=0.5, batch_size=3)
+    assert run_schedule(config, 90).max_steps == 3000
+    (note,) = views_note(config, 90)
+    assert note.startswith("90 training views, more than 45: 2 times as many steps")
+
+
+def test_a_schedule_longer_than_the_longest_stays() -> None:
+    """More views never shorten one."""
+    config = TrainConfig(max_steps=40_000, steps_for_views=45)
+    assert run_schedule(config, 90) is config

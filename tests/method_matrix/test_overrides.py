@@ -39,6 +39,13 @@ def test_settings_of_a_spectrum() -> None:
     assert list(left_out.modelled) == ["rgb"]
 
 
+def test_steps_that_are_set_are_meant() -> None:
+    """However many views a scene has."""
+    (override,) = parse_overrides(["max_steps=5000"], SCENES, METHODS)
+    changed = override.applied(load_config("thermosplat_plus"))
+    assert (changed.max_steps, changed.steps_for_views) == (5000, None)
+
+
 def test_which_cells_are_concerned() -> None:
     """Every one, those of a method or of a scene, or one."""
     cells = [Cell(scene, method, 1) for scene in SCENES for method in METHODS]

@@ -1,4 +1,4 @@
-"""The noise of training images is measured, stripes included, and smoothness follows it."""
+"""The noise of training images is measured, stripes included; smoothness and the weight of a loss follow it."""
 
 import dataclasses
 from pathlib import Path
@@ -10,7 +10,7 @@ import torch
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.spectra import SpectrumConfig
 from thermosplat.training.frames.train_frames import TrainFrames
-from thermosplat.training.image_noise import image_noise, smoothness_for_noise, training_noise
+from thermosplat.training.image_noise import image_noise, loss_for_noise, smoothness_for_noise, training_noise
 from thermosplat.training.training_step import StepKind
 from toy_run import many_frames, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture
@@ -73,6 +73,13 @@ def test_smoothness_rises_with_noise_between_bounds() -> None:
     assert smoothness_for_noise(dataclasses.replace(measured, smoothness=0.01), 0.1) == 0.01
 
 
+def test_images_of_much_noise_count_once() -> None:
+    """In proportion, and never less than once; a weight below 1 is nobody's to raise."""
+    spectrum = SpectrumConfig(loss=2.0, loss_noise=0.0125)
+    assert [loss_for_noise(spectrum, noise) for noise in (0.0, 0.0025, 0.0125, 0.1)] == pytest.approx([2, 1.8, 1, 1])
+    assert loss_for_noise(dataclasses.replace(spectrum, loss=0.5), 0.01) == 0.5
+
+
 def noisy(capture: Capture, **sigmas: float) -> Capture:
     """The capture with grey images of some spectra and the noise of a bad sensor, in 8-bit steps."""
 
@@ -100,6 +107,35 @@ def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
     plain = toy_trainer(tmp_path / "c", toy_run_config(), many_frames(toy_capture()))
     assert plain.noise_notes == ()
     assert plain.device_step.config.spectra["thermal"].smoothness == 0.3
+
+
+def test_a_run_weighs_what_its_images_ask_for(tmp_path: Path) -> None:
+    """Its loss counts as often as its noise allows, and the user is told; the terms of the step say so."""
+    config = toy_run_config(spectra={"thermal": {"loss": 2.0, "loss_noise": 0.0125, "smoothness": 0.0}})
+    capture = noisy(many_frames(toy_capture()), thermal=1)
+    trainer = toy_trainer(tmp_path / "a", config, capture)
+    noise = training_noise(trainer.frames, "thermal")
+    assert noise is not None
+    weight = trainer.device_step.config.spectra["thermal"].loss
+    assert weight == pytest.approx(2 - noise.total / 0.0125)
+    assert 1.2 < weight < 1.9
+    (note,) = trainer.noise_notes
+    assert note.endswith(f"): loss weight {weight:.3f}.")
+    once = toy_trainer(tmp_path / "b", toy_run_config(spectra={"thermal": {"smoothness": 0.0}}), capture)
+    assert once.noise_notes == ()
+    kind = StepKind(0, densifying=False)
+    terms, of_once = (
+        run.device_step.gradients(run.frames[0], kind, fixed_capacity=False).losses["thermal"]
+        for run in (trainer, once)
+    )
+    assert terms.item() == pytest.approx(weight * of_once.item(), rel=1e-5)
+
+
+def test_both_weights_are_said_in_one_line(tmp_path: Path) -> None:
+    """Noise is measured once for both."""
+    config = toy_run_config(spectra={"thermal": {**MEASURED, "loss": 2.0, "loss_noise": 0.0125}})
+    (note,) = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=8)).noise_notes
+    assert note.endswith("loss weight 1.000, smoothness weight 0.300.")
 
 
 def test_every_spectrum_is_measured_by_itself(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,20 @@ def test_a_scaled_run_is_the_short_one_to_the_bit(tmp_path: Path, capture: Captu
         trainer.train()
     assert second.step == short.max_steps
     assert_same_state(state_tensors(second), state_tensors(expected))
+
+
+def test_more_views_train_longer(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run has steps by its views, says so, and stays with them where it is resumed."""
+    views = len(capture.train)
+    config = toy_run_config(max_steps=3, steps_for_views=views - 1)
+    steps = math.ceil(3 * views / (views - 1))
+    trainer = toy_trainer(tmp_path, config, capture)
+    said: list[str] = []
+    monkeypatch.setattr(trainer.logger, "say", said.append)
+    assert trainer.train()["steps"] == steps > 3
+    (note,) = (line for line in said if "training views, more than" in line)
+    assert note.startswith(f"{views} training views, more than {views - 1}: ")
+    assert Trainer.resume(config, capture, RunDirectory.open(tmp_path)).config.max_steps == steps
 
 
 def test_results_of_a_run(tmp_path: Path, capture: Capture) -> None:

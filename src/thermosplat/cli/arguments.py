@@ -14,7 +14,7 @@ from thermosplat.cli.viewer_flags import LOCAL_HOST, with_viewer_port
 from thermosplat.config import TrainConfig
 from thermosplat.config.capture_settings import with_recommendations
 from thermosplat.config.checks import check_config
-from thermosplat.config.files import files_from_anywhere, load_config
+from thermosplat.config.files import files_from_anywhere, load_config, with_given_steps
 from thermosplat.errors import UserError
 
 DEFAULT_PRESET = "thermosplat_plus"
@@ -27,6 +27,7 @@ MAY_CHANGE_ON_RESUME = frozenset(
     {
         "data",
         "max_steps",
+        "steps_for_views",
         "eval_steps",
         "save_steps",
         "log_every",
@@ -145,10 +146,17 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
 
 def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
     refuse_unknown_spectra(argv, default.spectra)
+    if _gives(argv, "max_steps"):
+        default = dataclasses.replace(default, **with_given_steps({"max_steps": default.max_steps}))
     start = TrainArguments(**{field.name: getattr(default, field.name) for field in dataclasses.fields(TrainConfig)})
     argv = with_viewer_port(with_groups(argv, default.spectra))
     arguments = parse_command_line(TrainArguments, argv, prog="thermosplat-train", default=start)
     return TrainConfig(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(TrainConfig)})
+
+
+def _gives(argv: list[str], field: str) -> bool:
+    """Whether a flag for a field is among the words, in either spelling."""
+    return any(word.partition("=")[0].replace("_", "-") == f"--{field.replace('_', '-')}" for word in argv)
 
 
 def _differences(one: TrainConfig, other: TrainConfig) -> list[tuple[str, object, object]]:

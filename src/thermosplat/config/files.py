@@ -94,6 +94,15 @@ def to_yaml(config: TrainConfig) -> str:
     return OmegaConf.to_yaml(OmegaConf.create(asdict(config)))
 
 
+def with_given_steps(values: dict[str, Any]) -> dict[str, Any]:
+    """Settings that give a number of steps mean it, however many views the steps of their base are meant for.
+
+    Args:
+        values: Some settings, by today's names.
+    """
+    return {"steps_for_views": None, **values} if "max_steps" in values else values
+
+
 def _load(name_or_path: str, visited: tuple[Path, ...]) -> TrainConfig:
     path = _find(name_or_path, visited[-1].parent if visited else Path(), is_base=bool(visited))
     if path in visited:
@@ -106,7 +115,7 @@ def _load(name_or_path: str, visited: tuple[Path, ...]) -> TrainConfig:
         start = replace(_load(base, (*visited, path)), config="")
     else:
         raise UserError(f"{path}: base must be the name of a preset or a YAML file, found {shown(base)}.")
-    config = fill(start, with_todays_names(values), source=str(path))
+    config = fill(start, with_given_steps(with_todays_names(values)), source=str(path))
     check_config(config, source=str(path))
     return config
 

@@ -1,4 +1,5 @@
-"""The schedule that a run follows, where its configuration speaks of steps of one frame and of ``steps_scaler``.
+"""The schedule that a run follows, where its configuration speaks of steps of one frame, of ``steps_scaler``, and of so
+many training views.
 
 Grendel (Zhao et al. 2024, "On Scaling Up 3D Gaussian Splatting Training", section 4) counts training in images, divides
 a step's loss by its number of frames B, and scales Adam so that B steps of one frame and one step of B lead about as
@@ -14,6 +15,8 @@ from thermosplat.config.schema import TrainConfig
 
 ADAM_BETAS = (0.9, 0.999)
 """Decay of Adam's moments in a step of one frame. 3DGS: torch's defaults."""
+LONGEST = 30_000
+"""Steps of one frame up to which more training views ask for more of them. 3DGS's number, whatever the capture."""
 _OF_RUN = ("max_steps", "sh_degree_interval", "refine_from")
 _OF_CAMERAS = ("refine_every", "refine_first", "refine_rounds_from")
 """How long finding cameras takes, however long the scene is trained."""
@@ -26,16 +29,45 @@ def scaled_steps(steps: int, factor: float) -> int:
     return math.ceil(round(steps * factor, 6))
 
 
-def run_schedule(config: TrainConfig) -> TrainConfig:
-    """What a run does: with ``steps_scaler``, and in steps of its ``batch_size`` frames.
+def views_factor(config: TrainConfig, views: int) -> float:
+    """How many times the configuration's steps so many training views ask for (``steps_for_views``).
 
     Args:
-        config: The configuration; with one frame per step and a scaler of 1 it is returned as it is.
+        config: The configuration.
+        views: Training views of the capture, a frame with images of several spectra being one.
+    """
+    if config.steps_for_views is None:
+        return 1.0
+    return max(1.0, min(views / config.steps_for_views, LONGEST / config.max_steps))
+
+
+def views_note(config: TrainConfig, views: int) -> tuple[str, ...]:
+    """What to tell a user whose training views ask for more steps; nothing where they do not.
+
+    Args:
+        config: The configuration as it was given.
+        views: Training views of the capture.
+    """
+    factor = views_factor(config, views)
+    if factor == 1:
+        return ()
+    return (
+        f"{views:,} training views, more than {config.steps_for_views:,}: {factor:.3g} times as many steps "
+        "(--max-steps gives another number).",
+    )
+
+
+def run_schedule(config: TrainConfig, views: int = 0) -> TrainConfig:
+    """What a run does: with ``steps_scaler``, for its training views, and in steps of its ``batch_size`` frames.
+
+    Args:
+        config: The configuration; with nothing to scale by it is returned as it is.
+        views: Training views of the capture; 0 where they are not known.
     """
     size = config.batch_size or 1
-    if size == 1 and config.steps_scaler == 1:
+    factor = config.steps_scaler * views_factor(config, views) / size
+    if size == 1 and factor == 1:
         return config
-    factor = config.steps_scaler / size
 
     def scaled(group: Any, names: tuple[str, ...], factor: float = factor) -> dict[str, Any]:
         return {name: scaled_steps(getattr(group, name), factor) for name in names}

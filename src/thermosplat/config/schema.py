@@ -79,9 +79,9 @@ class LossConfig:
     """Weight of the mean scale, in units of the scene's extent. 3DGS-MCMC: 0.01."""
     depth_spread: float = 0.0
     """Weight of the spread of log-depth along rays, of every spectrum. 2DGS's depth distortion, with squares."""
-    depth_spread_limit: float = 0.02
+    depth_spread_limit: float = 0.1
     """v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet
-    in a pixel, hardly count: half of one and half of another 1.33 times as far is 0.02. 0: v itself. Open choice."""
+    in a pixel, count for less: half of one and half of another 1.88 times as far is 0.1. 0: v itself. Open choice."""
     depth_spread_from: float = 0.5
     """Share of the steps before the spread counts. Open choice."""
     balance: bool = False
@@ -307,6 +307,10 @@ class TrainConfig:
     """What all numbers of steps are multiplied by, ``max_steps`` and those of all schedules: with 0.5 a training has
     the same course in half of the steps. Only what finds cameras before the scene (``refine_first``), the rounds of
     ``refine`` and ``log_every`` stay. gsplat."""
+    steps_for_views: int | None = None
+    """Training views that these numbers of steps are meant for. With more, all of them are multiplied as by
+    ``steps_scaler``, so that each view is seen as often, up to 30,000 steps in all. None: whatever the views. A file or
+    command that gives ``max_steps`` and not this means None. Open choice."""
     batch_size: int | None = None
     """Frames of a step, whatever the number of devices. None: one for each device. All numbers of steps here are for
     steps of one frame and are divided by it, so that as many images are seen; learning rates are multiplied by its

@@ -30,7 +30,7 @@ RESERVED = frozenset(
     }
 )
 """Names that files, tables and modules use for something else."""
-_AT_LEAST_ZERO = ("loss", "features", "smoothness", "smoothness_noise", "smoothness_least", "charbonnier")
+_AT_LEAST_ZERO = ("loss", "loss_noise", "features", "smoothness", "smoothness_noise", "smoothness_least", "charbonnier")
 _SHARES = ("train_from", "train_until")
 
 Name = Callable[[str], str]

@@ -117,6 +117,8 @@ def cell_config(
     """
     config = load_config(preset)
     steps = config.max_steps if max_steps is None else max(1, round(config.max_steps * max_steps / REFERENCE_STEPS))
+    if max_steps is not None:
+        changes["steps_for_views"] = None
     max_gaussians = changes.pop("max_gaussians", None)
     if max_gaussians is not None:
         changes["densification"] = replace(config.densification, max_gaussians=max_gaussians)

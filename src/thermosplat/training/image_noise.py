@@ -1,4 +1,4 @@
-"""How noisy the images of a spectrum are, and the smoothness that much noise asks for.
+"""How noisy the images of a spectrum are, and how much they count and are smoothed for it.
 
 The noise of an image is estimated from the image alone (Immerkær 1996): the mask [1 -2 1]ᵀ [1 -2 1] leaves noise and
 little of the scene, and a mean |response| r of Gaussian noise stands for σ = √(π/2) r / 6. It does not see what is
@@ -92,8 +92,19 @@ def smoothness_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
     return max(share * spectrum.smoothness, least)
 
 
-def with_measured_smoothness(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:
-    """The configuration with the smoothness that the training images ask for, where it wants that measured.
+def loss_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
+    """The weight of a spectrum's image loss that this noise asks for: images of much noise count no more than once.
+
+    Args:
+        spectrum: Its settings; ``loss_noise`` is more than 0.
+        noise: Standard deviation, of the range 0 to 1.
+    """
+    share = min(noise / spectrum.loss_noise, 1.0)
+    return spectrum.loss - share * max(spectrum.loss - 1.0, 0.0)
+
+
+def with_measured_weights(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:
+    """The configuration with the weights that the training images ask for, where it wants them measured.
 
     Args:
         config: The whole configuration.
@@ -104,16 +115,19 @@ def with_measured_smoothness(config: TrainConfig, noise_of: NoiseOf) -> tuple[Tr
     """
     spectra, notes = dict(config.spectra), []
     for name, spectrum in config.modelled.items():
-        if spectrum.smoothness_noise == 0 or spectrum.smoothness == 0:
+        weights_of = {}
+        if spectrum.loss_noise > 0 and spectrum.loss > 1:
+            weights_of["loss"] = loss_for_noise
+        if spectrum.smoothness_noise > 0 and spectrum.smoothness > 0:
+            weights_of["smoothness"] = smoothness_for_noise
+        if not weights_of or (noise := noise_of(name)) is None:
             continue
-        noise = noise_of(name)
-        if noise is None:
-            continue
-        weight = smoothness_for_noise(spectrum, noise.total)
-        spectra[name] = replace(spectrum, smoothness=weight)
+        weights = {what: weight_of(spectrum, noise.total) for what, weight_of in weights_of.items()}
+        spectra[name] = replace(spectrum, **weights)
+        said = ", ".join(f"{what} weight {weight:.3f}" for what, weight in weights.items())
         notes.append(
             f"Noise of the {label(name)} images {noise.total:.4f} of the range (pixels {noise.pixels:.4f}, stripes "
-            f"{noise.stripes:.4f}): smoothness weight {weight:.3f}."
+            f"{noise.stripes:.4f}): {said}."
         )
     return replace(config, spectra=spectra), tuple(notes)
 

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.run_schedule import run_schedule
+from thermosplat.config.run_schedule import run_schedule, views_note
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.stored_pixels import ImageLostError
@@ -46,7 +46,7 @@ from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.resolution_schedule import most_gaussians, resolution_note
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
-from thermosplat.training.image_noise import training_noise, with_measured_smoothness
+from thermosplat.training.image_noise import training_noise, with_measured_weights
 from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
 from thermosplat.training.plain_steps import PlainSteps
@@ -87,7 +87,7 @@ class Trainer:
     ) -> None:
         self.asked = config
         """The configuration as it was given and is kept; ``config`` is what it means for this capture and batches."""
-        self.config = config = with_limit(run_schedule(config), capture)
+        self.config = config = with_limit(run_schedule(config, len(capture.train)), capture)
         self.capture = capture
         self.run = run
         self.device = self._choose_device()
@@ -112,9 +112,9 @@ class Trainer:
         self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
         noise_of = cache(partial(training_noise, self.frames))
-        measured, smoothness_notes = with_measured_smoothness(config, noise_of)
+        measured, weight_notes = with_measured_weights(config, noise_of)
         floors, floor_notes = noise_floors(config, noise_of)
-        self.noise_notes = (*smoothness_notes, *floor_notes)
+        self.noise_notes = (*weight_notes, *floor_notes)
         if floors and self.state.noise_watch is None:
             self.state.noise_watch = NoiseWatch(floors, len(self.frames), self.device)
             if not self.state.growing:
@@ -204,7 +204,7 @@ class Trainer:
             UserError: If there is no checkpoint, or it is of another model or capture than is asked for.
         """
         checkpoint = newest_checkpoint(run)
-        check_resumable(checkpoint, run_schedule(config), run, capture)
+        check_resumable(checkpoint, run_schedule(config, len(capture.train)), run, capture)
         return cls(config, capture, run, logger, checkpoint)
 
     @property
@@ -380,7 +380,8 @@ class Trainer:
         numbers = map(self.state.num_gaussians, self.state.gaussian_sets)
         counts = {"num_frames": len(self.frames), "num_gaussians": sum(numbers)}
         about = greeting(self.config, self.capture, self.run, self.device, step=self.state.step, **counts)
-        notes = (*self.capture.notes, *self.noise_notes, *self.offload_notes)
+        steps = views_note(self.asked, len(self.capture.train))
+        notes = (*self.capture.notes, *steps, *self.noise_notes, *self.offload_notes)
         for line in (*notes, lpips, *about, *resolution_note(self.config)):
             self.logger.say(line)
         if self.state.finds_cameras:

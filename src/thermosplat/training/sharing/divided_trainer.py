@@ -99,7 +99,7 @@ class DividedTrainer(Trainer):
 
         def read() -> None:
             checkpoint = newest_checkpoint(run)
-            check_resumable(checkpoint, run_schedule(config), run, capture)
+            check_resumable(checkpoint, run_schedule(config, len(capture.train)), run, capture)
             shares.extend(shares_of(checkpoint, team.size))
 
         team.asked_of_first(read)
