@@ -380,8 +380,8 @@ class Trainer:
         numbers = map(self.state.num_gaussians, self.state.gaussian_sets)
         counts = {"num_frames": len(self.frames), "num_gaussians": sum(numbers)}
         about = greeting(self.config, self.capture, self.run, self.device, step=self.state.step, **counts)
-        steps = views_note(self.asked, len(self.capture.train))
-        notes = (*self.capture.notes, *steps, *self.noise_notes, *self.offload_notes)
+        of_views = views_note(self.asked, len(self.capture.train))
+        notes = (*self.capture.notes, *of_views, *self.noise_notes, *self.offload_notes)
         for line in (*notes, lpips, *about, *resolution_note(self.config)):
             self.logger.say(line)
         if self.state.finds_cameras:
