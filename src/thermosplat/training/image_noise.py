@@ -115,19 +115,21 @@ def with_measured_weights(config: TrainConfig, noise_of: NoiseOf) -> tuple[Train
     """
     spectra, notes = dict(config.spectra), []
     for name, spectrum in config.modelled.items():
-        weights_of = {}
-        if spectrum.loss_noise > 0 and spectrum.loss > 1:
-            weights_of["loss"] = loss_for_noise
-        if spectrum.smoothness_noise > 0 and spectrum.smoothness > 0:
-            weights_of["smoothness"] = smoothness_for_noise
-        if not weights_of or (noise := noise_of(name)) is None:
+        weighs = spectrum.loss_noise > 0 and spectrum.loss > 1
+        smooths = spectrum.smoothness_noise > 0 and spectrum.smoothness > 0
+        if not (weighs or smooths) or (noise := noise_of(name)) is None:
             continue
-        weights = {what: weight_of(spectrum, noise.total) for what, weight_of in weights_of.items()}
-        spectra[name] = replace(spectrum, **weights)
-        said = ", ".join(f"{what} weight {weight:.3f}" for what, weight in weights.items())
+        said = []
+        if weighs:
+            spectrum = replace(spectrum, loss=loss_for_noise(spectrum, noise.total))
+            said.append(f"loss weight {spectrum.loss:.3f}")
+        if smooths:
+            spectrum = replace(spectrum, smoothness=smoothness_for_noise(spectrum, noise.total))
+            said.append(f"smoothness weight {spectrum.smoothness:.3f}")
+        spectra[name] = spectrum
         notes.append(
             f"Noise of the {label(name)} images {noise.total:.4f} of the range (pixels {noise.pixels:.4f}, stripes "
-            f"{noise.stripes:.4f}): {said}."
+            f"{noise.stripes:.4f}): {', '.join(said)}."
         )
     return replace(config, spectra=spectra), tuple(notes)
 
