@@ -7,9 +7,10 @@
 Makes low-light copies of each DATA (scenes/low_light_capture.py), trains every setting on each and on the capture as it
 is, evaluates the held-out views every ``--every`` steps, and says for each spectrum where the run ended and where it
 was best. A setting is a preset, with flags of thermosplat-train behind it. ``--grid PRESET`` adds fixed choices of
-steps and Gaussians of that preset, whose best is what a training that finds them itself is to be compared with. The
-model of a setting that was trained on the capture as it is is evaluated on the low-light copies too: its error and
-their noise together are what can be reached. What follows ``--`` are flags for all trainings.
+steps and Gaussians of that preset, all its schedules in proportion, whose best is what a training that finds them
+itself is to be compared with. The model of a setting that was trained on the capture as it is is evaluated on the
+low-light copies too: its error and their noise together are what can be reached. What follows ``--`` are flags for all
+trainings.
 
 Writes low_light.json and low_light.md. The same command goes on after an interruption: what low_light.json holds is not
 measured again.
@@ -79,7 +80,8 @@ class Cell:
 def cells(options: argparse.Namespace) -> Iterator[Cell]:
     """All trainings that were asked for, those of the captures as they are first."""
     grid = [
-        f"{preset} --budget fixed --max-steps {steps} --densification.max-gaussians {count}"
+        f"{preset} --budget fixed --steps-scaler {steps / load_config(preset).max_steps}"
+        f" --densification.max-gaussians {count}"
         for preset in options.grid
         for steps in options.grid_steps
         for count in options.grid_gaussians

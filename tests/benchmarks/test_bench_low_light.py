@@ -50,13 +50,13 @@ def test_table_has_the_best_of_the_grid_and_the_model_of_the_light() -> None:
 
 
 def test_a_grid_is_trained_on_the_copies_alone() -> None:
-    """Every choice of steps and Gaussians, and the settings on the capture as it is before its copies."""
+    """Every choice of steps, of all schedules alike, and Gaussians; the settings on the capture as it is come first."""
     words = ["desk", "--electrons", "30", "--settings", "thermosplat", "--grid", "thermosplat_plus"]
-    options, flags = parse([*words, "--grid-steps", "5", "7", "--grid-gaussians", "9", "--", "--data-factor", "2"])
+    options, flags = parse([*words, "--grid-steps", "9", "2250", "--grid-gaussians", "9", "--", "--data-factor", "2"])
     assert flags == ["--data-factor", "2"]
     found = list(cells(options))
     assert [(cell.light, cell.in_grid) for cell in found] == [(LIGHT, False), ("30", False), ("30", True), ("30", True)]
-    assert found[-1].setting == "thermosplat_plus --budget fixed --max-steps 7 --densification.max-gaussians 9"
+    assert found[-1].setting == "thermosplat_plus --budget fixed --steps-scaler 0.25 --densification.max-gaussians 9"
 
 
 def test_captures_as_they_are_may_be_left_out() -> None:
