@@ -85,6 +85,14 @@ def test_views_count_beside_scaler_and_batches() -> None:
     assert note.startswith("90 training views, more than 45: 2 times as many steps")
 
 
+def test_what_was_scaled_is_not_scaled_again() -> None:
+    """The result is the schedule as it is run."""
+    config = TrainConfig(max_steps=9000, steps_for_views=45, steps_scaler=0.5)
+    scaled = run_schedule(config, 90)
+    assert (scaled.max_steps, scaled.steps_scaler, scaled.steps_for_views) == (9000, 1.0, None)
+    assert run_schedule(scaled, 90) is scaled
+
+
 def test_a_schedule_longer_than_the_longest_stays() -> None:
     """More views never shorten one."""
     config = TrainConfig(max_steps=40_000, steps_for_views=45)

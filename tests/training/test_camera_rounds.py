@@ -22,10 +22,12 @@ def test_every_preset_has_rounds_enough(preset: str) -> None:
     assert steps // config.refine_every >= 50
 
 
-@pytest.mark.parametrize(("max_steps", "steps"), [(30000, 600), (7000, 600), (100, 100)])
-def test_a_pass_is_as_long_for_every_run(tmp_path: Path, max_steps: int, steps: int) -> None:
+@pytest.mark.parametrize(
+    ("max_steps", "scaler", "steps"), [(30000, 1, 600), (7000, 1, 600), (7000, 0.05, 350), (100, 1, 100)]
+)
+def test_a_pass_is_as_long_for_every_run(tmp_path: Path, max_steps: int, scaler: float, steps: int) -> None:
     """Unless the run itself is shorter."""
-    config = toy_run_config(max_steps, refine=("rig",), refine_first=600, refine_from=0)
+    config = toy_run_config(max_steps, steps_scaler=scaler, refine=("rig",), refine_first=600, refine_from=0)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(aligned=False)))
     assert trainer.camera_rounds.steps == steps
 

@@ -60,14 +60,16 @@ def views_note(config: TrainConfig, views: int) -> tuple[str, ...]:
 def run_schedule(config: TrainConfig, views: int = 0) -> TrainConfig:
     """What a run does: with ``steps_scaler``, for its training views, and in steps of its ``batch_size`` frames.
 
+    The result has nothing left to scale by, so that it is checked and kept as what is done.
+
     Args:
         config: The configuration; with nothing to scale by it is returned as it is.
         views: Training views of the capture; 0 where they are not known.
     """
-    size = config.batch_size or 1
-    factor = config.steps_scaler * views_factor(config, views) / size
-    if size == 1 and factor == 1:
+    size, of_views = config.batch_size or 1, views_factor(config, views)
+    if size == config.steps_scaler == of_views == 1:
         return config
+    factor = config.steps_scaler * of_views / size
 
     def scaled(group: Any, names: tuple[str, ...], factor: float = factor) -> dict[str, Any]:
         return {name: scaled_steps(getattr(group, name), factor) for name in names}
@@ -76,6 +78,8 @@ def run_schedule(config: TrainConfig, views: int = 0) -> TrainConfig:
     is_rate = {name: name.endswith(("_lr", "_lr_final", "_decay")) for name in rates}
     return replace(
         config,
+        steps_scaler=1.0,
+        steps_for_views=None,
         **scaled(config, _OF_RUN),
         **scaled(config, _OF_CAMERAS, 1 / size),
         eval_steps=tuple(scaled_steps(step, factor) for step in config.eval_steps),
