@@ -82,7 +82,7 @@ def test_views_count_beside_scaler_and_batches() -> None:
     config = TrainConfig(max_steps=9000, steps_for_views=45, steps_scaler=0.5, batch_size=3)
     assert run_schedule(config, 90).max_steps == 3000
     (note,) = views_note(config, 90)
-    assert note.startswith("90 training views, more than 45: 2 times as many steps")
+    assert note.startswith("90 training views, more than 45: 9,000 steps of one frame in place of 4,500 (")
 
 
 def test_what_was_scaled_is_not_scaled_again() -> None:

@@ -29,7 +29,7 @@ def scaled_steps(steps: int, factor: float) -> int:
     return math.ceil(round(steps * factor, 6))
 
 
-def views_factor(config: TrainConfig, views: int) -> float:
+def _views_factor(config: TrainConfig, views: int) -> float:
     """How many times the configuration's steps so many training views ask for (``steps_for_views``).
 
     Args:
@@ -48,12 +48,14 @@ def views_note(config: TrainConfig, views: int) -> tuple[str, ...]:
         config: The configuration as it was given.
         views: Training views of the capture.
     """
-    factor = views_factor(config, views)
+    factor = _views_factor(config, views)
     if factor == 1:
         return ()
+    usual = scaled_steps(config.max_steps, config.steps_scaler)
+    longer = scaled_steps(config.max_steps, config.steps_scaler * factor)
     return (
-        f"{views:,} training views, more than {config.steps_for_views:,}: {factor:.3g} times as many steps "
-        "(--max-steps gives another number).",
+        f"{views:,} training views, more than {config.steps_for_views:,}: {longer:,} steps of one frame in place of "
+        f"{usual:,} (--max-steps gives another number).",
     )
 
 
@@ -66,7 +68,7 @@ def run_schedule(config: TrainConfig, views: int = 0) -> TrainConfig:
         config: The configuration; with nothing to scale by it is returned as it is.
         views: Training views of the capture; 0 where they are not known.
     """
-    size, of_views = config.batch_size or 1, views_factor(config, views)
+    size, of_views = config.batch_size or 1, _views_factor(config, views)
     if size == config.steps_scaler == of_views == 1:
         return config
     factor = config.steps_scaler * of_views / size
