@@ -80,10 +80,9 @@ class Cell:
 def cells(options: argparse.Namespace) -> Iterator[Cell]:
     """All trainings that were asked for, those of the captures as they are first."""
     grid = [
-        f"{preset} --budget fixed --steps-scaler {steps / load_config(preset).max_steps}"
-        f" --densification.max-gaussians {count}"
+        f"{preset} --budget fixed --steps-scaler {scaler} --densification.max-gaussians {count}"
         for preset in options.grid
-        for steps in options.grid_steps
+        for scaler in [steps / load_config(preset).max_steps for steps in options.grid_steps]
         for count in options.grid_gaussians
     ]
     lights = [f"{electrons:g}" for electrons in options.electrons]

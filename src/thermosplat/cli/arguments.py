@@ -146,7 +146,7 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
 
 def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
     refuse_unknown_spectra(argv, default.spectra)
-    if _gives(argv, "max_steps"):
+    if _gives(argv, "--max-steps"):
         default = dataclasses.replace(default, **with_given_steps({"max_steps": default.max_steps}))
     start = TrainArguments(**{field.name: getattr(default, field.name) for field in dataclasses.fields(TrainConfig)})
     argv = with_viewer_port(with_groups(argv, default.spectra))
@@ -154,9 +154,9 @@ def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
     return TrainConfig(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(TrainConfig)})
 
 
-def _gives(argv: list[str], field: str) -> bool:
-    """Whether a flag for a field is among the words, in either spelling."""
-    return any(word.partition("=")[0].replace("_", "-") == f"--{field.replace('_', '-')}" for word in argv)
+def _gives(argv: list[str], flag: str) -> bool:
+    """Whether a flag is among the words, also with underscores and with its value behind "="."""
+    return any(word.partition("=")[0].replace("_", "-") == flag for word in argv)
 
 
 def _differences(one: TrainConfig, other: TrainConfig) -> list[tuple[str, object, object]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.files import data_from_anywhere, load_config, preset_paths, to_dict
+from thermosplat.config.files import data_from_anywhere, load_config, preset_paths, to_dict, with_given_steps
 from thermosplat.errors import UserError
 
 REFERENCE_STEPS = 30_000
@@ -116,9 +116,9 @@ def cell_config(
         **changes: Other fields of the configuration, and ``max_gaussians``, the limit of its densification.
     """
     config = load_config(preset)
-    steps = config.max_steps if max_steps is None else max(1, round(config.max_steps * max_steps / REFERENCE_STEPS))
     if max_steps is not None:
-        changes["steps_for_views"] = None
+        steps = max(1, round(config.max_steps * max_steps / REFERENCE_STEPS))
+        config = replace(config, **with_given_steps({"max_steps": steps}))
     max_gaussians = changes.pop("max_gaussians", None)
     if max_gaussians is not None:
         changes["densification"] = replace(config.densification, max_gaussians=max_gaussians)
@@ -126,9 +126,8 @@ def cell_config(
         config,
         data=scene.data,
         seed=seed,
-        max_steps=steps,
         eval_steps=(),  # held-out views are looked at once, when nothing can follow from it any more
-        save_steps=tuple(range(save_every, steps, save_every)) if save_every > 0 else (),
+        save_steps=tuple(range(save_every, config.max_steps, save_every)) if save_every > 0 else (),
         tensorboard=False,
         **changes,
     )
