@@ -7,10 +7,10 @@
 Makes low-light copies of each DATA (scenes/low_light_capture.py), trains every setting on each and on the capture as it
 is, evaluates the held-out views every ``--every`` steps, and says for each spectrum where the run ended and where it
 was best. A setting is a preset, with flags of thermosplat-train behind it. ``--grid PRESET`` adds fixed choices of
-steps and Gaussians of that preset, all its schedules in proportion, whose best is what a training that finds them
-itself is to be compared with. The model of a setting that was trained on the capture as it is is evaluated on the
-low-light copies too: its error and their noise together are what can be reached. What follows ``--`` are flags for all
-trainings.
+steps and Gaussians of that preset, all its schedules in proportion, on each low-light copy, and on the captures as they
+are where ``--electrons`` names no light. Their best is what a training that finds them itself is to be compared with.
+The model of a setting that was trained on the capture as it is is evaluated on the low-light copies too: its error and
+their noise together are what can be reached. What follows ``--`` are flags for all trainings.
 
 Writes low_light.json and low_light.md. The same command goes on after an interruption: what low_light.json holds is not
 measured again.
@@ -93,7 +93,7 @@ def cells(options: argparse.Namespace) -> Iterator[Cell]:
             for seed in options.seeds:
                 for setting in options.settings:
                     yield Cell(data.name, light, setting, seed)
-                for setting in grid if light != LIGHT else ():
+                for setting in grid if light != LIGHT or not options.electrons else ():
                     yield Cell(data.name, light, setting, seed, in_grid=True)
 
 

@@ -59,6 +59,13 @@ def test_a_grid_is_trained_on_the_copies_alone() -> None:
     assert found[-1].setting == "thermosplat_plus --budget fixed --steps-scaler 0.25 --densification.max-gaussians 9"
 
 
+def test_a_grid_is_trained_on_captures_as_they_are_where_there_are_no_copies() -> None:
+    """As of arco, whose own light is what its grid is asked for."""
+    words = ["arco", "--settings", "thermosplat", "--grid", "thermosplat_plus", "--grid-steps", "9000"]
+    options, _ = parse([*words, "--grid-gaussians", "9", "--electrons"])
+    assert [(cell.light, cell.in_grid) for cell in cells(options)] == [(LIGHT, False), (LIGHT, True)]
+
+
 def test_captures_as_they_are_may_be_left_out() -> None:
     """Then the copies alone are trained on."""
     options, _ = parse(["desk", "--electrons", "30", "140", "--settings", "thermosplat", "--dark-only"])
