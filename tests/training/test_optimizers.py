@@ -60,6 +60,15 @@ def test_rates_may_decay() -> None:
     assert learning_rate("quats", config, 0.5, 1.0) == 0.0
 
 
+@pytest.mark.parametrize(("progress", "share"), [(0.0, 1.0), (0.8, 1.0), (0.9, 0.5), (0.95, 0.25), (1.0, 0.0), (1.5, 0.0)])
+def test_rates_may_fall_to_zero(progress: float, share: float) -> None:
+    """In a straight line over the last fifth, whatever their own decay is; before it they are as they were."""
+    config = OptimizerConfig(cooldown_from=0.8)
+    for name in ("means", "features", "decoders", "quats", "thermal_opacity_offsets"):
+        without = learning_rate(name, CONFIG, progress, 1.0)
+        assert learning_rate(name, config, progress, 1.0) == pytest.approx(share * without), name
+
+
 def test_opacities_of_spectra_have_rates_of_their_kind() -> None:
     """Whatever a spectrum is called, its offsets, own logits and colours take the rate that is set for those."""
     config = OptimizerConfig(opacities_lr=0.1, opacity_offsets_lr=0.2, own_opacities_lr=0.3, sh0_lr=0.4, shN_lr=0.5)

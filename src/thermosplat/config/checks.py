@@ -73,6 +73,7 @@ _LARGEST_INTEGER = 2**63 - 1
 _SHARES = (
     "loss.ssim_lambda",
     "loss.depth_spread_from",
+    "optimizer.cooldown_from",
     "densification.prune_opacity",
     "densification.keep_opacity",
     "auto_budget.few_views_until",

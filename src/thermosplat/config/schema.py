@@ -138,6 +138,9 @@ class OptimizerConfig:
     """The same at the last step (exponential decay). Open choice."""
     final_share: float = 1.0
     """Share of every other rate that is left at the last step (exponential decay). 3DGS: 1, all of it."""
+    cooldown_from: float = 1.0
+    """Share of the steps after which every rate also falls to zero, in a straight line. 1: none does. Open choice;
+    Hägele et al. 2024, "Scaling Laws and Compute-Optimal Training Beyond Fixed Training Durations"."""
     eps: float = 1e-15
     """Adam's ε. 3DGS."""
 

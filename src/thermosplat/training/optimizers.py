@@ -4,7 +4,7 @@ A learning rate is a function of the step, so there is no scheduler with a state
 ``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``, those of
 one spectrum, such as ``thermal_opacity_offsets``, the rate of their kind, ``opacity_offsets_lr``. Where the
 configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else to ``final_share`` of
-itself. Parameters that decay themselves are few: those that the configuration has a ``<name>_decay`` for.
+itself. From ``cooldown_from`` on all of them also fall to zero. Parameters that decay themselves are few: those that the configuration has a ``<name>_decay`` for.
 """
 
 from collections.abc import Mapping
@@ -40,6 +40,8 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scale: fl
     final = getattr(config, f"{field}_final", rate * config.final_share)
     if rate > 0 and final != rate:
         rate = rate * (final / rate) ** min(progress, 1.0)
+    if config.cooldown_from < 1:
+        rate *= min(max(1.0 - progress, 0.0) / (1.0 - config.cooldown_from), 1.0)
     return rate * scale if name in _LENGTHS else rate
 
 
