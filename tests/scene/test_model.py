@@ -130,6 +130,21 @@ def test_hybrid_rgb_is_the_sum() -> None:
     assert rendered.images["rgb"].max() > 1.0
 
 
+@pytest.mark.parametrize("branches", ["joined", "separate"])
+@pytest.mark.parametrize("hybrid", [True, False])
+def test_padding_widens_the_range_of_images_that_are_decoded_alone(hybrid: bool, branches: str) -> None:
+    """By as much on both sides, before Gaussians cover them; the sum with SH colours has no range to widen."""
+    capture = toy_capture()
+    decoder = {"hybrid": hybrid, "branches": branches, "modulation": branches == "joined"}
+    plain, padded = (toy_model(toy_config(decoder=decoder | {"padding": by}), capture) for by in (0.0, 0.25))
+    before, after = (render(model, toy_frame(capture)) for model in (plain, padded))
+    for name in ("rgb", "thermal"):
+        decoded = before.alphas[name] * plain.decoders.image(name, before.features[name])
+        wider = 0.5 * decoded - 0.25 * before.alphas[name]
+        expected = before.images[name] + (0.0 if hybrid and name == "rgb" else wider)
+        torch.testing.assert_close(after.images[name], expected, msg=name)
+
+
 @pytest.mark.parametrize("aligned", [True, False])
 @pytest.mark.parametrize("hybrid", [True, False])
 def test_background_shows_where_no_gaussian_is(hybrid: bool, aligned: bool) -> None:

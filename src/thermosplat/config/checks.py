@@ -33,6 +33,7 @@ _AT_LEAST: dict[str, float] = {
     "model.eps2d": 0,
     "decoder.hidden_dim": 1,
     "decoder.hidden_layers": 1,
+    "decoder.padding": 0,
     "densification.every": 1,
     "densification.reset_every": 1,
     "densification.max_gaussians": 1,

@@ -269,13 +269,20 @@ class SceneModel(nn.Module):
         features, colors = blend_features(sets[SHARED], names, self.photograph, view, how, rendered)
         decoded = decoders.decode({name: self.decoder_input(view, features[name]) for name in names})
         for name in sorted(names, key=lambda name: name == self.photograph):  # the photograph last
-            base = None
+            base, image = None, decoded[name]
             if name == self.photograph and self.decoder_config.hybrid:
                 base = colors
-            elif name == self.photograph and self.decoder_config.covered_only:
-                base = (1.0 - rendered.alphas[name]) * self.background
-            rendered.images[name] = self._covered(decoded[name], rendered.alphas[name], base)
+            else:
+                image = self._padded(image)
+                if name == self.photograph and self.decoder_config.covered_only:
+                    base = (1.0 - rendered.alphas[name]) * self.background
+            rendered.images[name] = self._covered(image, rendered.alphas[name], base)
             rendered.features[name] = features[name]
+
+    def _padded(self, decoded: Tensor) -> Tensor:
+        """A decoded image, in (0, 1), in a range that is wider by the padding on both sides (Mip-NeRF)."""
+        padding = self.decoder_config.padding
+        return decoded if padding == 0 else (1.0 + 2.0 * padding) * decoded - padding
 
     def _covered(self, decoded: Tensor, alpha: Tensor, base: Tensor | None) -> Tensor:
         """A decoded image as far as Gaussians cover it, added to ``base``, or black, the lowest value."""

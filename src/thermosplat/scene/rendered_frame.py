@@ -16,9 +16,9 @@ class RenderedFrame:
     """The images of one exposure, and what they were decoded from, by spectrum; of those that were rendered."""
 
     images: dict[str, Tensor] = field(default_factory=dict)
-    """Images, shape [H, W, channels]. Decoded ones lie in (0, 1). SH renders, and the raw sum of SH colour and decoded
-    part, may exceed 1: the image losses see them as they are, so that saturated pixels keep their gradient; metrics and
-    8-bit images clamp them to [0, 1]."""
+    """Images, shape [H, W, channels]. Decoded ones lie in (0, 1), or reach beyond it by ``decoder.padding``. SH
+    renders, and the raw sum of SH colour and decoded part, may exceed 1: the image losses see them as they are, so that
+    saturated pixels keep their gradient; metrics and 8-bit images clamp them to [0, 1]."""
     features: dict[str, Tensor] = field(default_factory=dict)
     """A_f, features rendered with the spectrum's opacities, shape [H, W, d]; empty for a model without features."""
     alphas: dict[str, Tensor] = field(default_factory=dict)
