@@ -60,7 +60,9 @@ def test_rates_may_decay() -> None:
     assert learning_rate("quats", config, 0.5, 1.0) == 0.0
 
 
-@pytest.mark.parametrize(("progress", "share"), [(0.0, 1.0), (0.8, 1.0), (0.9, 0.5), (0.95, 0.25), (1.0, 0.0), (1.5, 0.0)])
+@pytest.mark.parametrize(
+    ("progress", "share"), [(0.0, 1.0), (0.8, 1.0), (0.9, 0.5), (0.95, 0.25), (1.0, 0.0), (1.5, 0.0)]
+)
 def test_rates_may_fall_to_zero(progress: float, share: float) -> None:
     """In a straight line over the last fifth, whatever their own decay is; before it they are as they were."""
     config = OptimizerConfig(cooldown_from=0.8)

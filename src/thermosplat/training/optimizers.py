@@ -4,7 +4,8 @@ A learning rate is a function of the step, so there is no scheduler with a state
 ``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``, those of
 one spectrum, such as ``thermal_opacity_offsets``, the rate of their kind, ``opacity_offsets_lr``. Where the
 configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else to ``final_share`` of
-itself. From ``cooldown_from`` on all of them also fall to zero. Parameters that decay themselves are few: those that the configuration has a ``<name>_decay`` for.
+itself. From ``cooldown_from`` on every rate also falls to zero, in a straight line. Parameters that decay themselves
+are few: those that the configuration has a ``<name>_decay`` for.
 """
 
 from collections.abc import Mapping
