@@ -37,9 +37,9 @@ class DecoderConfig:
     3DGS. Off: there the networks' answer to zero features shows, which nothing has taught them where the training
     views did not look. Open choice."""
     padding: float = 0.0
-    """How far beyond 0 and 1 images that are decoded alone may reach. Without it 0 asks for a logit without end: what
-    is 0 next to it stays so, since the sigmoid has no slope there. Mip-NeRF has 0.001. Open choice for short trainings:
-    0.1; benchmarks/records/cpu.md."""
+    """How far beyond 0 and 1 images that are decoded alone may reach. At 0 logits sink without end where images are 0,
+    and what they take along comes back slowly, since the sigmoid has no slope there. Mip-NeRF has 0.001. Open choice
+    for short trainings: 0.1; benchmarks/records/cpu.md."""
     hybrid_bias: float = -4.0
     """Initial bias of that spectrum's head, so that the hybrid sum starts at the SH colour: sigmoid(-4) = 0.018. Open
     choice. Ignored (0) without the hybrid sum."""

@@ -269,13 +269,13 @@ class SceneModel(nn.Module):
         features, colors = blend_features(sets[SHARED], names, self.photograph, view, how, rendered)
         decoded = decoders.decode({name: self.decoder_input(view, features[name]) for name in names})
         for name in sorted(names, key=lambda name: name == self.photograph):  # the photograph last
-            base, image = None, decoded[name]
-            if name == self.photograph and self.decoder_config.hybrid:
+            hybrid = name == self.photograph and self.decoder_config.hybrid
+            image = decoded[name] if hybrid else self._padded(decoded[name])  # a sum has no range to widen
+            base = None
+            if hybrid:
                 base = colors
-            else:
-                image = self._padded(image)
-                if name == self.photograph and self.decoder_config.covered_only:
-                    base = (1.0 - rendered.alphas[name]) * self.background
+            elif name == self.photograph and self.decoder_config.covered_only:
+                base = (1.0 - rendered.alphas[name]) * self.background
             rendered.images[name] = self._covered(image, rendered.alphas[name], base)
             rendered.features[name] = features[name]
 

@@ -39,10 +39,11 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scale: fl
     field = f"{_kind(name)}_lr"
     rate = getattr(config, field)
     final = getattr(config, f"{field}_final", rate * config.final_share)
+    progress = min(progress, 1.0)
     if rate > 0 and final != rate:
-        rate = rate * (final / rate) ** min(progress, 1.0)
+        rate = rate * (final / rate) ** progress
     if config.cooldown_from < 1:
-        rate *= min(max(1.0 - progress, 0.0) / (1.0 - config.cooldown_from), 1.0)
+        rate *= min((1.0 - progress) / (1.0 - config.cooldown_from), 1.0)
     return rate * scale if name in _LENGTHS else rate
 
 
