@@ -17,6 +17,7 @@ CASES = [
     ("default", 2),
     ("mcmc", 2),
     ("refine", 3),
+    ("scenes", 2),
     *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW),
 ]
 

@@ -17,6 +17,7 @@ from warp_kernels.constants import SH_DEGREE_MAX
 _AT_LEAST: dict[str, float] = {
     "max_steps": 1,
     "steps_for_views": 1,
+    "scenes": 1,
     "batch_size": 1,
     "data_factor": 1,
     "test_every": 2,
@@ -159,6 +160,7 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     if "rig" in config.refine and len(config.modelled) < 2:
         raise UserError(f"{name('refine')} rig corrects how cameras stand to each other, and one spectrum is modelled.")
     _check_camera_passes(config, name)
+    _check_scenes(config, name)
     _check_resolution(config, name)
     _check_decomposition(config, name)
     if not all(0 < share < 1 for share in config.auto_budget.prune_at):
@@ -179,6 +181,17 @@ def _check_camera_passes(config: TrainConfig, name: Any) -> None:
         f"begin at step {begin:,}.",
         f"Lower {name('refine_rounds_from')} and {name('refine_every')}, or raise {limit}.",
     )
+
+
+def _check_scenes(config: TrainConfig, name: Any) -> None:
+    """Scenes become one where rates begin to fall."""
+    joined_from = config.optimizer.cooldown_from
+    if config.scenes > 1 and not 0 < joined_from < 1:
+        raise UserError(
+            f"{name('scenes')} {config.scenes} become one at {name('optimizer.cooldown_from')}, which must lie between "
+            f"0 and 1, found {joined_from}.",
+            "0.8 leaves them a fifth of the steps.",
+        )
 
 
 def _check_resolution(config: TrainConfig, name: Any) -> None:

@@ -212,8 +212,9 @@ class DensificationConfig:
     reset_opacity: float = 0.01
     """Opacity after a reset, at most, of every spectrum. 3DGS (open choice: MMOne resets both)."""
     max_gaussians: int | None = None
-    """Growth stops at this count. None: no limit, as in 3DGS. The MCMC strategy needs one: with None it is one Gaussian
-    for each pixel of the largest training image, from 300,000 to 3 million (open choice; gsplat has a million)."""
+    """Growth stops at this count; of several ``scenes`` each has its part of it. None: no limit, as in 3DGS. The MCMC
+    strategy needs one: with None it is one Gaussian for each pixel of the largest training image, from 300,000 to 3
+    million (open choice; gsplat has a million)."""
 
 
 @dataclass(frozen=True)
@@ -318,6 +319,10 @@ class TrainConfig:
     """Training views that these numbers of steps are meant for. With more, all of them are multiplied as by
     ``steps_scaler``, so that each view is seen as often, up to 30,000 steps in all. None: whatever the views. A file or
     command that gives ``max_steps`` and not this means None. Open choice."""
+    scenes: int = 1
+    """Scenes that are trained one after the other, from the same points with other random numbers, each up to
+    ``optimizer.cooldown_from``. There they become one, with the Gaussians of all, which takes the steps that are left.
+    What differs between them by chance is averaged. Open choice; benchmarks/records/thermosplat-plus-preset.md."""
     batch_size: int | None = None
     """Frames of a step, whatever the number of devices. None: one for each device. All numbers of steps here are for
     steps of one frame and are divided by it, so that as many images are seen; learning rates are multiplied by its

@@ -63,6 +63,10 @@ class SavedTraining:
     """What is wrong with the cameras; None where nothing of them is refined."""
     camera_passes: int = 0
     """Passes that find the cameras, with the one that the steps done are of; 0: the scene is trained with them."""
+    scenes_left: int = 0
+    """Scenes that are to be trained before all become one, with the one that the steps done are of; 0: there is one."""
+    kept_scenes: tuple[dict[str, dict[str, torch.Tensor]], ...] = ()
+    """Those that are trained: parameters of each set, packed."""
     growing: bool = True
     """Whether density control may still add Gaussians."""
     offsets_dropped: bool = False
@@ -197,6 +201,8 @@ class _Reader:
             "exposures": (_or_none(_are_tensors), "tensors or None"),
             "corrections": (_or_none(_are_tensors), "tensors or None"),
             "camera_passes": (_is_count, "a whole number from 0"),
+            "scenes_left": (_is_count, "a whole number from 0"),
+            "kept_scenes": (_are_scenes, "scenes, each sets of tensors"),
             "growing": (_is_bool, "true or false"),
             "offsets_dropped": (_is_bool, "true or false"),
             "budget_due": (_are_due, "parts of a budget"),
@@ -254,6 +260,10 @@ def _are_tensors(value: Any) -> bool:
 
 def _are_sets(value: Any) -> bool:
     return _is_dict(value) and len(value) > 0 and all(item and _are_tensors(item) for item in value.values())
+
+
+def _are_scenes(value: Any) -> bool:
+    return isinstance(value, list | tuple) and all(map(_are_sets, value))
 
 
 def _are_names(value: Any) -> bool:

@@ -68,7 +68,7 @@ def decided(config: TrainConfig, model: SceneModel, device: torch.device) -> Dec
     """
     if config.offload == "off":
         return Decision("nothing")
-    why, most = refused(config), config.densification.max_gaussians or 0
+    why, most = refused(config), config.scenes * (config.densification.max_gaussians or 0)
     sizes = {name: SetSize.of(model, name, most) for name in model.gaussian_sets}
     if why is None and not any(size.movable for size in sizes.values()):
         why = "--offload found nothing to offload: there are no features and no spherical harmonics above degree 0."

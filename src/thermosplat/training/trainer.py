@@ -11,6 +11,7 @@ Ctrl-C, SIGTERM, a full memory or a bad loss.
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import FolderGoneError, RunDirectory
+from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import offload
 from thermosplat.stop_signals import deferred_interrupts, raise_lost_stop, signal_of
@@ -47,6 +49,7 @@ from thermosplat.training.frames.resolution_schedule import most_gaussians, reso
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
 from thermosplat.training.image_noise import training_noise, with_measured_weights
+from thermosplat.training.joined_scenes import Scene, joined, kept_scene, restored_scene, steps_of_scene
 from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
 from thermosplat.training.plain_steps import PlainSteps
@@ -96,19 +99,20 @@ class Trainer:
             limit_device_memory(self.device, config.gpu_memory)
         self.frames = TrainFrames(capture, config.modelled, self.device)
         self.schedule = SpectrumSchedule(config, self.frames)
+        self.budget: Budget | None = None
         self.offloaded: Offloaded | None = None
         """What lies in the host's memory; None: nothing was decided yet."""
         self.rows_on_device: dict[str, int] = {}
         """By set, Gaussians whose offloaded moments are on the device as long as it has room for them."""
         self.offload_notes: tuple[str, ...] = ()
-        self.model = self._make_model(checkpoint, finds_cameras=finds_cameras(config))
+        self.model = self._make_model(checkpoint, of_passes(config) if finds_cameras(config) else config)
         self.state = TrainingState(self.model, config, capture, self.device)
         self.state.keep_moments_on_device(self.rows_on_device)
         if checkpoint is not None:
             self.state.load(checkpoint)
             if self.state.noise_watch is not None and not self._teaches():
                 self.state.noise_watch.forget_teachers()
-        self.budget: Budget | None = self._make_budget() if config.budget == "auto" else None
+        self._begin_scene()
         self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
         noise_of = cache(partial(training_noise, self.frames))
@@ -145,11 +149,10 @@ class Trainer:
             tensorboard=config.tensorboard,
         )
 
-    def _make_model(self, checkpoint: Checkpoint | None, *, finds_cameras: bool = False) -> SceneModel:
+    def _make_model(self, checkpoint: Checkpoint | None, config: TrainConfig) -> SceneModel:
+        """The model of a checkpoint; without one, a new one as a configuration starts it."""
         if checkpoint is None:
-            model = SceneModel.from_capture(
-                of_passes(self.config) if finds_cameras else self.config, self.capture, "cpu"
-            )
+            model = SceneModel.from_capture(config, self.capture, "cpu")
         else:
             model = SceneModel.from_checkpoint(checkpoint, "cpu")
         if self.offloaded is None:
@@ -251,9 +254,9 @@ class Trainer:
                 if self._looks_at_guard(state.step):
                     self._stop_if_folder_gone()
                 if state.step < config.max_steps:
-                    saving = not state.finds_cameras and state.step in config.save_steps
+                    saving = not state.is_preliminary and state.step in config.save_steps
                     with going_on_without(self.logger.say), self._saving() if saving else nullcontext():
-                        if not state.finds_cameras and state.step in config.eval_steps:
+                        if not state.is_preliminary and state.step in config.eval_steps:
                             self.results.evaluate()
                     if self.between_steps is not None:
                         self.between_steps(self)
@@ -309,6 +312,8 @@ class Trainer:
         frame = self.schedule.tensors(state.step, factor=kind.image_factor)
         budget = None if state.finds_cameras else self.budget
         rates = of_passes(config).optimizer if state.finds_cameras else config.optimizer
+        if state.kept_scenes:  # scenes that become one have the same decoders
+            rates = replace(rates, decoders_lr=0.0)
         state.begin_step(step, rates, self.capture.scene_extent)
 
         with self._first_step(), self.steps.run(frame, kind) as values:
@@ -335,26 +340,78 @@ class Trainer:
         number = sum(map(state.num_gaussians, state.gaussian_sets))
         self.logger.step(StepRecord(step, losses, errors, number, kind.sh_degree, state.seconds.train))
         if self.camera_rounds.pass_ends(step):
-            self._start_anew()
+            self._start_anew("The scene starts anew with the cameras that were found.")
+        elif self._scene_ends(step):
+            self._end_scene()
 
-    def _start_anew(self) -> None:
-        """Forget the scene on which cameras were found; begin with them from the capture's points."""
+    def _start_anew(self, why: str) -> None:
+        """Forget the scene; begin with the cameras that were found from the capture's points."""
         with deferred_interrupts():
             self.steps.forget(kernels=True)
             self._forget_scene()
+            self._begin_scene()
             self.logger.start_again()
-        self.logger.say("The scene starts anew with the cameras that were found.")
+        self.logger.say(why)
         saved = self._save()
         for found_so_far in self.run.checkpoints():
             if found_so_far != saved:
                 found_so_far.unlink(missing_ok=True)
 
     def _forget_scene(self) -> None:
-        self.state.start_anew(self._make_model(None, finds_cameras=self.state.camera_passes > 1))
+        state = self.state
+        start = of_passes(self.config) if state.camera_passes > 1 else self.config
+        model = self._make_model(None, replace(start, seed=state.seed))
+        if state.kept_scenes and model.decoders is not None and self.model.decoders is not None:
+            model.decoders.load_state_dict(self.model.decoders.state_dict())
+        state.start_anew(model)
+
+    def _scene_ends(self, step: int) -> bool:
+        """Whether the scene under way is one of several, and is as far as it comes by itself."""
+        state = self.state
+        return state.scenes_left > 0 and not state.finds_cameras and step >= steps_of_scene(self.config)
+
+    def _end_scene(self) -> None:
+        """Keep the scene and start another one, or let all that are kept become one."""
+        config, state = self.config, self.state
+        with deferred_interrupts():
+            state.kept_scenes.append(self._scene_to_keep())
+            state.scenes_left -= 1
+            if state.scenes_left == 0:
+                self.steps.forget(kernels=True)
+                self._join_scenes()
+                self._begin_scene()
+        if state.scenes_left > 0:
+            self._start_anew(f"Scene {len(state.kept_scenes)} of {config.scenes} is trained; the next one starts anew.")
+        else:
+            number = sum(map(state.num_gaussians, state.gaussian_sets))
+            self.logger.say(f"All {config.scenes} scenes become one of {number:,} Gaussians.")
+
+    def _scene_to_keep(self) -> Scene:
+        return kept_scene(self.model)
+
+    def _join_scenes(self) -> None:
+        """Put the Gaussians of all scenes that are kept in place of those of the last."""
+        self.state.take(self._joined_sets())
+        self.state.kept_scenes.clear()
+
+    def _joined_sets(self) -> dict[str, Gaussians]:
+        spectra = list(self.model.spectra.values())
+        scenes = [restored_scene(scene, self.config, spectra) for scene in self.state.kept_scenes]
+        return {name: joined([sets[name] for sets in scenes]) for name in self.state.gaussian_sets}
+
+    def _begin_scene(self) -> None:
+        """What a scene needs that starts, or goes on: frames in its order, and those withheld that it withholds."""
+        config, state = self.config, self.state
+        self.schedule.shuffle(state.seed)
+        self.budget = self._make_budget() if config.budget == "auto" else None
+        if config.scenes > 1:
+            trained = len(state.kept_scenes)
+            self.logger.scene = f"scene {trained + 1} of {config.scenes}: " if state.scenes_left > 0 else ""
+            self.logger.steps_of_others = max(state.scenes_left - 1, 0) * steps_of_scene(config)
 
     def _refine(self, name: str, step: int) -> None:
         """Let density control add and remove Gaussians of a set."""
-        state, random = self.state, random_stream(self.config.seed, "split", step)
+        state, random = self.state, random_stream(self.state.seed, "split", step)
         state.strategies[name].refine(state.gaussian_sets[name], state.optimizers[name], step, random)
 
     def _start_from_other_set(self, name: str, source: str) -> None:
@@ -435,6 +492,7 @@ class Trainer:
             or any(step == span.start for span in self.state.spans.values())
             or any(strategy.refines_at(step) or strategy.resets_at(step) for strategy in self.state.strategies.values())
             or (self.budget is not None and self.budget.acts_at(step))
+            or self._scene_ends(step)
         )
 
     def _stop_if_not_finite(self) -> None:

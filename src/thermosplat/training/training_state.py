@@ -15,14 +15,16 @@ from thermosplat.refinement.image_registration import PASSES
 from thermosplat.runs.checkpoint import Checkpoint, SavedTraining, damage_explained
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
+from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.training.budget.noise_watch import NoiseWatch
-from thermosplat.training.density.gaussian_ops import Optimizers, replace_parameters
+from thermosplat.training.density.gaussian_ops import Optimizers, parameter_like, replace_parameters
 from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
 from thermosplat.training.frames.random_streams import start_stream
 from thermosplat.training.frames.spectrum_schedule import set_span
+from thermosplat.training.joined_scenes import Scene, restored_scene, seed_of_scene
 from thermosplat.training.optimizers import (
     gaussian_optimizers,
     load_optimizer,
@@ -62,6 +64,9 @@ class TrainingState:
         step_on_device: int64 scalar, the number of the step that is being done.
         camera_passes: Passes that are to find the cameras of the other spectra, with the one under way. After each of
             them the scene starts anew; 0: it is trained with these cameras.
+        scenes_left: Scenes that are to be trained before all become one, with the one under way; 0: there is one.
+        kept_scenes: Those that are trained, in the host's memory. Of ranks that share the model only the first has
+            them; the others hold empty ones in their place.
         growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
         offsets_dropped: Whether opacity offsets that are zero stay zero.
         budget_due: What a budget is to leave out after the step done and has not left out yet: memory ended before.
@@ -114,11 +119,14 @@ class TrainingState:
         self.step = 0
         finds_cameras = self.corrections is not None and bool(self.corrections.registered)
         self.camera_passes = len(PASSES) if finds_cameras and config.refine_first > 0 else 0
+        self.scenes_left = config.scenes if config.scenes > 1 else 0
+        self.kept_scenes: list[Scene] = []
         self.noise_watch: NoiseWatch | None = None
         self.num_frames = len(capture.training_frames(model.spectra))
         self._forget_budget()
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
-        self.seed, self.scene_extent = config.seed, capture.scene_extent
+        self.scene_extent = capture.scene_extent
+        self._seed = config.seed
         self.noise = torch.Generator(device)
         self.behind = torch.zeros(len(model.spectra), 3, device=device) if config.random_background else None
         self.seconds = Seconds()
@@ -135,17 +143,34 @@ class TrainingState:
             self.noise_watch.forget()
 
     @torch.no_grad()
+    def take(self, sets: Mapping[str, Gaussians]) -> None:
+        """Put other Gaussians in place of those of all sets; nothing is known of them yet.
+
+        Args:
+            sets: By name of the set, anywhere.
+        """
+        self.clear_gradients()
+        for name, gaussians in self.gaussian_sets.items():
+            parameters = dict(gaussians.named_parameters())
+            found = {
+                key: value if isinstance(parameters[key], OffloadedParameter) else value.to(parameters[key].device)
+                for key, value in sets[name].named_parameters()
+            }
+            new = {key: parameter_like(parameters[key], value.detach()) for key, value in found.items()}
+            replace_parameters(gaussians, self.optimizers[name], {key: (value, {}) for key, value in new.items()})
+            gaussians.feature_basis = sets[name].feature_basis
+            self.strategies[name].forget(len(gaussians))
+
+    @torch.no_grad()
     def start_anew(self, model: SceneModel) -> None:
         """Forget the scene and all that was learnt but the corrections of cameras; no step is done.
 
         Args:
             model: A new model; its parameters are taken over.
         """
-        self.clear_gradients()
-        for name, gaussians in self.gaussian_sets.items():
-            found, optimizers = model.gaussians(name), self.optimizers[name]
-            replace_parameters(gaussians, optimizers, {key: (value, {}) for key, value in found.named_parameters()})
-            self.strategies[name].forget(len(found))
+        self.take({name: model.gaussians(name) for name in self.gaussian_sets})
+        for strategy in self.strategies.values():
+            strategy.growing = True
         if self.model.decoders is not None and model.decoders is not None:
             self.model.decoders.load_state_dict(model.decoders.state_dict())
         for parameter in [] if self.exposures is None else self.exposures.parameters():
@@ -167,6 +192,16 @@ class TrainingState:
     def finds_cameras(self) -> bool:
         """Whether the scene is to start anew, with the cameras that are found on it."""
         return self.camera_passes > 0
+
+    @property
+    def is_preliminary(self) -> bool:
+        """Whether the scene is to start anew, for whatever reason: it is no result of the run."""
+        return self.finds_cameras or self.scenes_left > 1
+
+    @property
+    def seed(self) -> int:
+        """What the random numbers of the scene under way come from."""
+        return seed_of_scene(self._seed, len(self.kept_scenes))
 
     @property
     def separates_spectra(self) -> bool:
@@ -256,6 +291,8 @@ class TrainingState:
             exposures=self.exposures.state_dict() if self.exposures is not None else None,
             corrections=self.corrections.state_dict() if self.corrections is not None else None,
             camera_passes=self.camera_passes,
+            scenes_left=self.scenes_left,
+            kept_scenes=tuple({name: dict(packed) for name, packed in scene.items()} for scene in self.kept_scenes),
             growing=self.growing,
             offsets_dropped=self.offsets_dropped,
             budget_due=self.budget_due,
@@ -302,6 +339,9 @@ class TrainingState:
         if self.corrections is not None:
             self.corrections.load_state_dict(training.corrections or {})
         self.camera_passes = training.camera_passes
+        self.scenes_left, self.kept_scenes = training.scenes_left, list(training.kept_scenes)
+        for scene in filter(None, self.kept_scenes):
+            restored_scene(scene, checkpoint.config, list(self.model.spectra.values()))  # whether it can be
         self.growing = training.growing
         self.offsets_dropped = training.offsets_dropped
         self.budget_due = training.budget_due

@@ -22,7 +22,7 @@ def limit(config: TrainConfig, width: int, height: int) -> int | None:
 
 def test_one_for_each_pixel_of_the_largest_image() -> None:
     """But not fewer than were tried, and not as many as a large photograph has pixels."""
-    config = load_config("thermosplat_plus")
+    config = replace(load_config("thermosplat_plus"), scenes=1)
     assert limit(config, 1280, 1024) == 1280 * 1024
     assert limit(config, 64, 48) == LEAST
     assert limit(config, 4000, 3000) == MOST
@@ -32,3 +32,11 @@ def test_one_for_each_pixel_of_the_largest_image() -> None:
 def test_what_has_its_own_limit_or_none_stays(preset: str, expected: int | None) -> None:
     """The default strategy stops by itself, and numbers that are given are kept."""
     assert limit(load_config(preset), 1280, 1024) == expected
+
+
+@pytest.mark.parametrize("given", [None, 10_001])
+def test_each_scene_has_its_part(given: int | None) -> None:
+    """So that all together have what one would have."""
+    made = load_config("thermosplat_plus")
+    config = replace(made, scenes=3, densification=replace(made.densification, max_gaussians=given))
+    assert limit(config, 1280, 1024) == (436_907 if given is None else 3334)

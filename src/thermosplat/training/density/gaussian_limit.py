@@ -1,5 +1,6 @@
-"""How many Gaussians density control by sampling may make, where nobody said it: what the images have room for."""
+"""How many Gaussians density control may make: what was said, or what the images have room for."""
 
+import math
 from dataclasses import replace
 
 from thermosplat.config import TrainConfig
@@ -12,18 +13,21 @@ MOST = 3_000_000
 
 
 def with_limit(config: TrainConfig, capture: Capture) -> TrainConfig:
-    """The configuration with a limit for MCMC, which grows until there is one.
+    """The configuration with the limit of each scene, which MCMC needs: it grows until there is one.
 
-    A limit that is given stays. Otherwise it is one Gaussian for each pixel of the largest training image, from
-    ``LEAST`` to ``MOST``. For images of 1297x840 that is the million which gsplat's trainer has for Mip-NeRF 360.
+    Of a limit that is given, each of several scenes has its part. Where none is, MCMC's is one Gaussian for each pixel
+    of the largest training image, from ``LEAST`` to ``MOST``. For images of 1297x840 that is the million which gsplat's
+    trainer has for Mip-NeRF 360.
 
     Args:
         config: The whole configuration.
         capture: Its training frames, of the size that is trained with.
     """
-    densification = config.densification
-    if densification.strategy != "mcmc" or densification.max_gaussians is not None:
+    densification, limit = config.densification, config.densification.max_gaussians
+    if densification.strategy == "mcmc" and limit is None:
+        frames = capture.train
+        cameras = [view.camera for frame in frames for name, view in frame.views.items() if name in config.modelled]
+        limit = min(max([LEAST, *(camera.width * camera.height for camera in cameras)]), MOST)
+    if limit is None:
         return config
-    cameras = [view.camera for frame in capture.train for name, view in frame.views.items() if name in config.modelled]
-    limit = min(max([LEAST, *(camera.width * camera.height for camera in cameras)]), MOST)
-    return replace(config, densification=replace(densification, max_gaussians=limit))
+    return replace(config, densification=replace(densification, max_gaussians=math.ceil(limit / config.scenes)))

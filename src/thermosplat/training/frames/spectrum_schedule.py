@@ -72,7 +72,17 @@ class SpectrumSchedule:
         """Places of the frames, among those of each step, that this process renders."""
         self._starts = {0, *(boundary for span in self._spans.values() for boundary in span)} - {config.max_steps}
         self._trained: dict[frozenset[str], tuple[list[int], FrameOrder]] = {}
+        self._withheld: Collection[int] = ()
         self.withhold(())
+
+    def shuffle(self, seed: int) -> None:
+        """Take the frames in another order from now on.
+
+        Args:
+            seed: What it comes from.
+        """
+        self._seed = seed
+        self.withhold(self._withheld)
 
     def withhold(self, indices: Collection[int]) -> None:
         """Train on all frames but these from now on.
@@ -83,6 +93,7 @@ class SpectrumSchedule:
         Raises:
             UserError: If some step would have no frame to learn from.
         """
+        self._withheld = indices
         for start in self._starts:
             shown = self.shown(start)
             having = [

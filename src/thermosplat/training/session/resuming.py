@@ -91,6 +91,7 @@ def check_resumable(checkpoint: Checkpoint, config: TrainConfig, run: RunDirecto
 def _structure(config: TrainConfig) -> dict[str, Any]:
     """The settings that decide which parameters there are, by flag name."""
     structure: dict[str, Any] = {"sh_degree": config.sh_degree, "spectra": " ".join(config.modelled)}
+    structure["scenes"] = config.scenes
     structure["refine"] = " ".join(sorted(config.refine)) or "nothing"
     for name, ends in latent_channels(config.modelled).items():
         spectrum = config.modelled[name]

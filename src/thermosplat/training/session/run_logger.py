@@ -89,6 +89,10 @@ class RunLogger:
         self.device = device
         self.console = console if console is not None else _Output(highlight=False)
         self.held_out: dict[str, float] = {}
+        self.scene = ""
+        """Which of several scenes is trained, for lines; "" where there is one."""
+        self.steps_of_others = 0
+        """Steps of scenes that are still to begin."""
         self._tensorboard = tensorboard
         self._writer: Any = None
         self._live: Live | None = None
@@ -239,9 +243,9 @@ class RunLogger:
         return {"loss": loss, **means}
 
     def _line(self, record: StepRecord) -> str:
-        parts = [f"step {record.step:,}/{self.max_steps:,}"]
+        parts = [f"{self.scene}step {record.step:,}/{self.max_steps:,}"]
         if self._rate > 0:
-            eta = (self.max_steps - record.step) / self._rate
+            eta = (self.max_steps - record.step + self.steps_of_others) / self._rate
             parts.append(f"{self._rate:.1f} it/s  ETA {_clock(eta)}")
         for name in [name for name in self._values if name.startswith("psnr_")]:
             spectrum = name.removeprefix("psnr_")

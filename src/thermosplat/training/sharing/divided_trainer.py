@@ -25,12 +25,14 @@ from thermosplat.distributed.team import EndedElsewhere, Team
 from thermosplat.errors import UserError
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import Budget
-from thermosplat.training.camera_rounds import CameraRounds, of_passes
+from thermosplat.training.camera_rounds import CameraRounds
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.frames.random_streams import random_stream
+from thermosplat.training.joined_scenes import Scene
 from thermosplat.training.offloading import refused
 from thermosplat.training.session.checkpoint_writer import going_on_without, naming_the_newest_checkpoint
 from thermosplat.training.session.fatal_errors import image_lost_error, not_finite_error
@@ -40,7 +42,13 @@ from thermosplat.training.session.resuming import check_resumable, newest_checkp
 from thermosplat.training.session.run_logger import RunLogger
 from thermosplat.training.sharing.divided_budget import DividedBudget
 from thermosplat.training.sharing.refining import refine_divided
-from thermosplat.training.sharing.shares import keep_share, shared_counts, shares_of, whole_checkpoint
+from thermosplat.training.sharing.shares import (
+    divided_sets,
+    keep_share,
+    shared_counts,
+    shares_of,
+    whole_checkpoint,
+)
 from thermosplat.training.sharing.stopping import StopWish, stop_wishes
 from thermosplat.training.trainer import Trainer
 
@@ -120,12 +128,10 @@ class DividedTrainer(Trainer):
             self.run, max_steps=never, log_every=never, device=self.device, tensorboard=False, console=silent
         )
 
-    def _make_model(self, checkpoint: Checkpoint | None, *, finds_cameras: bool = False) -> SceneModel:
+    def _make_model(self, checkpoint: Checkpoint | None, config: TrainConfig) -> SceneModel:
         self.offloaded = "nothing"
         if checkpoint is None:
-            model = SceneModel.from_capture(
-                of_passes(self.config) if finds_cameras else self.config, self.capture, "cpu"
-            )
+            model = SceneModel.from_capture(config, self.capture, "cpu")
             self._counts = keep_share(model, self.team)
             return model.to(self.device)
         model = SceneModel.from_checkpoint(checkpoint, self.device)
@@ -155,9 +161,27 @@ class DividedTrainer(Trainer):
         self.state.counts = self._counts
         self.tell_blocks()
 
+    def _scene_to_keep(self) -> Scene:
+        """The whole scene, on rank 0; the others hold its place."""
+        whole = self.gathered(training=False)
+        return {} if whole is None else whole.model.gaussian_sets
+
+    def _joined_sets(self) -> dict[str, Gaussians]:
+        """This rank's share of the Gaussians of all scenes."""
+        shares: list[dict[str, Gaussians]] = []
+        whole = super()._joined_sets
+        self.team.asked_of_first(lambda: shares.extend(divided_sets(whole(), self.team.size)))
+        share: dict[str, Gaussians] = self.team.dealt(shares if self.team.is_first else None)
+        return share
+
+    def _join_scenes(self) -> None:
+        super()._join_scenes()
+        self.state.counts = self._counts = shared_counts(self.team, self.model)
+        self.tell_blocks()
+
     def _refine(self, name: str, step: int) -> None:
         self.steps.forget()  # ranks divide all rows anew, also where one process would change them in place
-        random = random_stream(self.config.seed, "split", step)
+        random = random_stream(self.state.seed, "split", step)
         refine_divided(self.team, self.state, name, self.config.densification, step, random)
         self.tell_blocks()
 
@@ -192,9 +216,9 @@ class DividedTrainer(Trainer):
                     self.checkpoints.tell_failure()
                 self._stop_if_wished()
                 if state.step < config.max_steps:
-                    if not state.finds_cameras and state.step in config.save_steps:
+                    if not state.is_preliminary and state.step in config.save_steps:
                         self._save_meanwhile()
-                    if not state.finds_cameras and state.step in config.eval_steps:
+                    if not state.is_preliminary and state.step in config.eval_steps:
                         self._evaluate_whole()
                     if self.between_steps is not None:
                         self.between_steps(self)

@@ -49,6 +49,22 @@ def keep_share(model: SceneModel, team: Team) -> dict[str, list[int]]:
     return counts
 
 
+def divided_sets(sets: Mapping[str, Gaussians], ranks: int) -> list[dict[str, Gaussians]]:
+    """Each rank's share of the Gaussians of all sets.
+
+    Args:
+        sets: The sets by name, in the host's memory.
+        ranks: How many.
+    """
+    shares: list[dict[str, Gaussians]] = [{} for _ in range(ranks)]
+    for name, gaussians in sets.items():
+        parameters, rows = dict(gaussians.named_parameters()), blocks(len(gaussians), ranks)
+        cut = {key: value.detach().split(rows) for key, value in parameters.items()}
+        for rank, share in enumerate(shares):
+            share[name] = _gaussians_like(gaussians, {key: parts[rank] for key, parts in cut.items()})
+    return shares
+
+
 def shares_of(checkpoint: Checkpoint, ranks: int) -> list[Checkpoint]:
     """What each rank goes on from, of a whole checkpoint.
 
@@ -62,7 +78,11 @@ def shares_of(checkpoint: Checkpoint, ranks: int) -> list[Checkpoint]:
     for rank in range(ranks):
         stops = {name: starts[name] + blocks(len(gaussians), ranks)[rank] for name, gaussians in sets.items()}
         cut = {name: slice(starts[name], stops[name]) for name in sets}
-        shares.append(_share(checkpoint, sets, cut))
+        share = _share(checkpoint, sets, cut)
+        if rank > 0:  # rank 0 keeps whole scenes, and the others their places
+            places: tuple[dict[str, Any], ...] = tuple({} for _ in share.training.kept_scenes)
+            share = replace(share, training=replace(share.training, kept_scenes=places))
+        shares.append(share)
         starts = stops
     return shares
 
