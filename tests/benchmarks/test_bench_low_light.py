@@ -56,7 +56,7 @@ def test_a_grid_is_trained_on_the_copies_alone() -> None:
     assert flags == ["--data-factor", "2"]
     found = list(cells(options))
     assert [(cell.light, cell.in_grid) for cell in found] == [(LIGHT, False), ("30", False), ("30", True), ("30", True)]
-    assert found[-1].setting == "thermosplat_plus --budget fixed --steps-scaler 0.25 --densification.max-gaussians 9"
+    assert found[-1].setting == "thermosplat_plus --budget fixed --steps-scaler 0.375 --densification.max-gaussians 9"
 
 
 def test_a_grid_is_trained_on_captures_as_they_are_where_there_are_no_copies() -> None:

@@ -71,7 +71,7 @@ def test_shorter_matrix_keeps_proportions() -> None:
     assert short["thermalgaussian_mftg"].spectra["thermal"].train_from == 0.5
     assert cell_config("thermalgaussian_mftg", SAMPLE, 1).max_steps == 60_000
     ours = cell_config("thermosplat_plus", SAMPLE, 1, max_steps=3000)
-    assert (ours.max_steps, ours.steps_for_views) == (900, None)
+    assert (ours.max_steps, ours.steps_for_views) == (600, None)
     assert cell_config("thermosplat_plus", SAMPLE, 1).steps_for_views == 45
 
 

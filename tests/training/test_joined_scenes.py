@@ -12,6 +12,7 @@ from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.config.files import load_config
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import frame_tensors
+from thermosplat.errors import UserError
 from thermosplat.runs.checkpoint_file import load_checkpoint, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians
@@ -202,6 +203,32 @@ def test_cameras_are_found_before_the_first_scene(tmp_path: Path) -> None:
     assert steps == 2 * 2 + 2 * 16
 
 
+@pytest.mark.parametrize(("scene", "fails"), [(1, "_make_model"), (2, "_joined_sets")])
+def test_a_scene_is_not_lost_where_memory_ends(
+    tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch, scene: int, fails: str
+) -> None:
+    """Neither counted twice: what is saved is the scene at its end, and a resumed run goes on with the next."""
+    trainer = toy_trainer(tmp_path, scenes_config(), capture)
+    for _ in range(16 * scene - 1):
+        trainer._train_step()
+
+    def full(*arguments: Any, **settings: Any) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(trainer, fails, full)
+        with pytest.raises(UserError, match="memory"):
+            trainer.train()
+    assert trainer.step == 16
+    assert len(trainer.state.kept_scenes) == scene - 1
+    assert trainer.state.scenes_left == 3 - scene
+    resumed = Trainer.resume(scenes_config(), capture, trainer.run)
+    resumed.train()
+    assert resumed.step == 20
+    assert resumed.state.scenes_left == 0
+    assert len(resumed.model.gaussians("shared")) > 2 * len(capture.points)
+
+
 def test_a_damaged_scene_is_told(tmp_path: Path, capture: Capture) -> None:
     """A file from a stranger: what a scene lacks is said before anything is trained."""
     trainer = toy_trainer(tmp_path, scenes_config(), capture)
@@ -211,7 +238,7 @@ def test_a_damaged_scene_is_told(tmp_path: Path, capture: Capture) -> None:
     state = load_checkpoint(path).state()
     del state["training"]["kept_scenes"][0]["shared"]["quats"]
     save_checkpoint(path, state)
-    with pytest.raises(Exception, match="quats"):
+    with pytest.raises(UserError, match="quats"):
         Trainer.resume(scenes_config(), capture, RunDirectory(tmp_path))
 
 

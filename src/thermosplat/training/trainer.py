@@ -9,7 +9,7 @@ Ctrl-C, SIGTERM, a full memory or a bad loss.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, partial
@@ -49,7 +49,14 @@ from thermosplat.training.frames.resolution_schedule import most_gaussians, reso
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
 from thermosplat.training.image_noise import training_noise, with_measured_weights
-from thermosplat.training.joined_scenes import Scene, joined, kept_scene, restored_scene, steps_of_scene
+from thermosplat.training.joined_scenes import (
+    Scene,
+    joined,
+    kept_scene,
+    restored_scene,
+    seed_of_scene,
+    steps_of_scene,
+)
 from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
 from thermosplat.training.plain_steps import PlainSteps
@@ -344,11 +351,16 @@ class Trainer:
         elif self._scene_ends(step):
             self._end_scene()
 
-    def _start_anew(self, why: str) -> None:
-        """Forget the scene; begin with the cameras that were found from the capture's points."""
+    def _start_anew(self, why: str, kept: Sequence[Scene] = ()) -> None:
+        """Forget the scene; begin from the capture's points, with the cameras that were found.
+
+        Args:
+            why: What the user is told.
+            kept: Scenes that are trained and are to become one with those to come.
+        """
         with deferred_interrupts():
             self.steps.forget(kernels=True)
-            self._forget_scene()
+            self._forget_scene(kept)
             self._begin_scene()
             self.logger.start_again()
         self.logger.say(why)
@@ -357,13 +369,13 @@ class Trainer:
             if found_so_far != saved:
                 found_so_far.unlink(missing_ok=True)
 
-    def _forget_scene(self) -> None:
+    def _forget_scene(self, kept: Sequence[Scene]) -> None:
         state = self.state
         start = of_passes(self.config) if state.camera_passes > 1 else self.config
-        model = self._make_model(None, replace(start, seed=state.seed))
-        if state.kept_scenes and model.decoders is not None and self.model.decoders is not None:
+        model = self._make_model(None, replace(start, seed=seed_of_scene(self.config.seed, len(kept))))
+        if kept and model.decoders is not None and self.model.decoders is not None:
             model.decoders.load_state_dict(self.model.decoders.state_dict())
-        state.start_anew(model)
+        state.start_anew(model, kept)
 
     def _scene_ends(self, step: int) -> bool:
         """Whether the scene under way is one of several, and is as far as it comes by itself."""
@@ -371,33 +383,31 @@ class Trainer:
         return state.scenes_left > 0 and not state.finds_cameras and step >= steps_of_scene(self.config)
 
     def _end_scene(self) -> None:
-        """Keep the scene and start another one, or let all that are kept become one."""
-        config, state = self.config, self.state
+        """Keep the scene and start another one, or let all become one. Until that is done the state is as it was."""
+        state, scenes = self.state, self.config.scenes
+        kept = [*state.kept_scenes, self._scene_to_keep()]
+        if state.scenes_left > 1:
+            self._start_anew(f"Scene {len(kept)} of {scenes} is trained; the next one starts anew.", kept)
+            return
+        sets = self._joined_sets(kept)
         with deferred_interrupts():
-            state.kept_scenes.append(self._scene_to_keep())
-            state.scenes_left -= 1
-            if state.scenes_left == 0:
-                self.steps.forget(kernels=True)
-                self._join_scenes()
-                self._begin_scene()
-        if state.scenes_left > 0:
-            self._start_anew(f"Scene {len(state.kept_scenes)} of {config.scenes} is trained; the next one starts anew.")
-        else:
-            number = sum(map(state.num_gaussians, state.gaussian_sets))
-            self.logger.say(f"All {config.scenes} scenes become one of {number:,} Gaussians.")
+            self.steps.forget(kernels=True)
+            self._join_scenes(sets)
+            self._begin_scene()
+        number = sum(map(state.num_gaussians, state.gaussian_sets))
+        self.logger.say(f"All {scenes} scenes become one of {number:,} Gaussians.")
 
     def _scene_to_keep(self) -> Scene:
         return kept_scene(self.model)
 
-    def _join_scenes(self) -> None:
-        """Put the Gaussians of all scenes that are kept in place of those of the last."""
-        self.state.take(self._joined_sets())
-        self.state.kept_scenes.clear()
-
-    def _joined_sets(self) -> dict[str, Gaussians]:
+    def _joined_sets(self, scenes: Sequence[Scene]) -> dict[str, Gaussians]:
         spectra = list(self.model.spectra.values())
-        scenes = [restored_scene(scene, self.config, spectra) for scene in self.state.kept_scenes]
-        return {name: joined([sets[name] for sets in scenes]) for name in self.state.gaussian_sets}
+        restored = [restored_scene(scene, self.config, spectra) for scene in scenes]
+        return {name: joined([sets[name] for sets in restored]) for name in self.state.gaussian_sets}
+
+    def _join_scenes(self, sets: Mapping[str, Gaussians]) -> None:
+        self.state.take(sets)
+        self.state.kept_scenes, self.state.scenes_left = [], 0
 
     def _begin_scene(self) -> None:
         """What a scene needs that starts, or goes on: frames in its order, and those withheld that it withholds."""

@@ -1,7 +1,7 @@
 """Everything that changes while training, and that a checkpoint must hold to go on exactly."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import torch
@@ -162,11 +162,12 @@ class TrainingState:
             self.strategies[name].forget(len(gaussians))
 
     @torch.no_grad()
-    def start_anew(self, model: SceneModel) -> None:
+    def start_anew(self, model: SceneModel, kept: Sequence[Scene] = ()) -> None:
         """Forget the scene and all that was learnt but the corrections of cameras; no step is done.
 
         Args:
             model: A new model; its parameters are taken over.
+            kept: Scenes that are to become one, with this one where it is as far as it comes by itself.
         """
         self.take({name: model.gaussians(name) for name in self.gaussian_sets})
         for strategy in self.strategies.values():
@@ -181,6 +182,8 @@ class TrainingState:
         if self.corrections is not None:
             self.corrections.velocity.zero_()
         self.step, self.camera_passes = 0, max(self.camera_passes - 1, 0)
+        self.scenes_left -= len(kept) - len(self.kept_scenes)
+        self.kept_scenes = list(kept)
         self._forget_budget()
 
     @property

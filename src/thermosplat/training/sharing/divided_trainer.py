@@ -8,7 +8,7 @@ the step that is under way.
 import io
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -156,8 +156,8 @@ class DividedTrainer(Trainer):
         for name, counts in (self.state.counts or {}).items():
             self.state.strategies[name].block = (sum(counts[: self.team.rank]), sum(counts))
 
-    def _forget_scene(self) -> None:
-        super()._forget_scene()
+    def _forget_scene(self, kept: Sequence[Scene]) -> None:
+        super()._forget_scene(kept)
         self.state.counts = self._counts
         self.tell_blocks()
 
@@ -166,16 +166,16 @@ class DividedTrainer(Trainer):
         whole = self.gathered(training=False)
         return {} if whole is None else whole.model.gaussian_sets
 
-    def _joined_sets(self) -> dict[str, Gaussians]:
+    def _joined_sets(self, scenes: Sequence[Scene]) -> dict[str, Gaussians]:
         """This rank's share of the Gaussians of all scenes."""
         shares: list[dict[str, Gaussians]] = []
         whole = super()._joined_sets
-        self.team.asked_of_first(lambda: shares.extend(divided_sets(whole(), self.team.size)))
+        self.team.asked_of_first(lambda: shares.extend(divided_sets(whole(scenes), self.team.size)))
         share: dict[str, Gaussians] = self.team.dealt(shares if self.team.is_first else None)
         return share
 
-    def _join_scenes(self) -> None:
-        super()._join_scenes()
+    def _join_scenes(self, sets: Mapping[str, Gaussians]) -> None:
+        super()._join_scenes(sets)
         self.state.counts = self._counts = shared_counts(self.team, self.model)
         self.tell_blocks()
 
