@@ -16,6 +16,8 @@ from thermosplat.errors import UserError
 from thermosplat.runs.checkpoint_file import load_checkpoint, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.offloaded import OffloadedParameter
+from thermosplat.torch_bridge.host_rows import on_cpu
 from thermosplat.training.joined_scenes import joined, seed_of_scene, steps_of_scene, thinned_logits
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, stopped_and_resumed, toy_run_config, toy_trainer
@@ -189,6 +191,24 @@ def test_separate_sets_become_one_each(tmp_path: Path, capture: Capture) -> None
     assert set(second) == {"rgb", "thermal"}
     for name, gaussians in trainer.state.gaussian_sets.items():
         assert len(gaussians) >= first[name] + second[name] > 2 * len(capture.points)
+
+
+@pytest.mark.parametrize("kind", ["on", "moments"])
+def test_offloaded_scenes_become_one(tmp_path: Path, capture: Capture, kind: str) -> None:
+    """What lies in the host's memory lies there again, and learns on; where and how opaque all is, is the same."""
+    usual = toy_trainer(tmp_path / "usual", scenes_config(), capture)
+    offloaded = toy_trainer(tmp_path / "offloaded", scenes_config(offload=kind), capture)
+    for trainer in (usual, offloaded):
+        for _ in range(16 + 16):
+            trainer._train_step()
+    found = offloaded.model.gaussians("shared")
+    for name in ("means", "log_scales", "logit_opacities", "thermal_opacity_offsets"):
+        torch.testing.assert_close(found.get_parameter(name), usual.model.gaussians("shared").get_parameter(name))
+    assert isinstance(found.features, OffloadedParameter)
+    assert found.features.on_host == (kind == "on")
+    before = on_cpu(found.features).clone()
+    offloaded._train_step()
+    assert not torch.equal(on_cpu(found.features), before)
 
 
 def test_cameras_are_found_before_the_first_scene(tmp_path: Path) -> None:
