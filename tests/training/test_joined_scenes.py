@@ -9,6 +9,7 @@ import torch
 from torch.nn.functional import logsigmoid
 
 from thermosplat.config import AutoBudgetConfig, TrainConfig
+from thermosplat.config.checks import check_config
 from thermosplat.config.files import load_config
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import frame_tensors
@@ -260,6 +261,16 @@ def test_a_damaged_scene_is_told(tmp_path: Path, capture: Capture) -> None:
     save_checkpoint(path, state)
     with pytest.raises(UserError, match="quats"):
         Trainer.resume(scenes_config(), capture, RunDirectory(tmp_path))
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_steps_must_be_left_for_what_they_become(share: float) -> None:
+    """Without a share of the run at which rates begin to fall, there is no place to join scenes."""
+    made = toy_run_config(20, scenes=2)
+    config = dataclasses.replace(made, optimizer=dataclasses.replace(made.optimizer, cooldown_from=share))
+    with pytest.raises(UserError, match=r"--scenes 2 become one at --optimizer\.cooldown-from"):
+        check_config(config)
+    check_config(dataclasses.replace(config, scenes=1))
 
 
 def test_presets() -> None:
