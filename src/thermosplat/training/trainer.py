@@ -369,7 +369,7 @@ class Trainer:
             if found_so_far != saved:
                 found_so_far.unlink(missing_ok=True)
 
-    def _forget_scene(self, kept: Sequence[Scene]) -> None:
+    def _forget_scene(self, kept: Sequence[Scene] = ()) -> None:
         state = self.state
         start = of_passes(self.config) if state.camera_passes > 1 else self.config
         model = self._make_model(None, replace(start, seed=seed_of_scene(self.config.seed, len(kept))))

@@ -156,7 +156,7 @@ class DividedTrainer(Trainer):
         for name, counts in (self.state.counts or {}).items():
             self.state.strategies[name].block = (sum(counts[: self.team.rank]), sum(counts))
 
-    def _forget_scene(self, kept: Sequence[Scene]) -> None:
+    def _forget_scene(self, kept: Sequence[Scene] = ()) -> None:
         super()._forget_scene(kept)
         self.state.counts = self._counts
         self.tell_blocks()
