@@ -58,6 +58,15 @@ def test_the_page_has_numbers_plots_strips_and_videos(tmp_path: Path) -> None:
     assert ">videos/ellipse_rgb_000300.mp4</a>, 1.5 kB<" in page
 
 
+def test_scenes_that_became_one_are_told(tmp_path: Path) -> None:
+    """Since the steps are those of one, and the time that of all."""
+    run = finished(tmp_path / "run")
+    metrics = json.loads(run.metrics_json.read_text())
+    for scenes, start in ((2, "2 scenes that became one · 300 steps"), (1, "300 steps")):
+        run.metrics_json.write_text(json.dumps(metrics | {"scenes": scenes}))
+        assert f">{start} · 12,345 Gaussians" in results_page(run)
+
+
 def test_names_of_a_capture_are_text_and_nothing_else(tmp_path: Path) -> None:
     """Markup in spectra, devices and frames is escaped; no script and no address outside is on the page."""
     page = results_page(finished(tmp_path / "run"))

@@ -93,6 +93,8 @@ def _section(title: str, content: str) -> str:
 def _facts(metrics: dict[str, Any]) -> str:
     """What the run was, in a line."""
     facts = []
+    if _is_number(metrics.get("scenes")) and metrics["scenes"] > 1:
+        facts.append(f"{metrics['scenes']:,.0f} scenes that became one")
     for key, form in (("steps", "{:,.0f} steps"), ("num_gaussians", "{:,.0f} Gaussians")):
         if _is_number(metrics.get(key)):
             facts.append(form.format(metrics[key]))

@@ -17,7 +17,7 @@ def test_what_a_run_says_of_itself(tmp_path: Path) -> None:
     state.step = 7
     state.seconds.train, state.seconds.wall, state.seconds.first_step = 3.0, 4.0, 0.5
     evaluated = {"rgb": {"psnr": 20.0}, "thermal": {"psnr": 30.0}, "spectra": ["rgb", "thermal"], "num_gaussians": 60}
-    found = run_metrics(evaluated, state, torch.device("cpu"), None, "direct")
+    found = run_metrics(evaluated, state, torch.device("cpu"), None, toy_run_config(lens="direct", scenes=2))
     assert json.loads(json.dumps(found)) == found
     assert (found["rgb"], found["thermal"]) == (evaluated["rgb"], evaluated["thermal"])
     assert (found["steps"], found["train_seconds"], found["wall_seconds"], found["first_step_seconds"]) == (
@@ -33,6 +33,7 @@ def test_what_a_run_says_of_itself(tmp_path: Path) -> None:
     assert found["opacity_offsets_kept"] == {"thermal": 0.0}
     assert found["feature_channels"] == 8
     assert found["lens"] == "direct"
+    assert found["scenes"] == 2
     assert found["lpips_net"] is None
     assert found["device"].startswith("CPU")
 
@@ -44,5 +45,5 @@ def test_offsets_of_every_spectrum(tmp_path: Path) -> None:
     state = toy_trainer(tmp_path, toy_run_config(spectra=spectra | {"blue": {}}), capture).state
     with torch.no_grad():
         state.gaussian_sets["shared"].nir_opacity_offsets[:15] = 0.5
-    found = run_metrics({}, state, torch.device("cpu"), None, "undistort")
+    found = run_metrics({}, state, torch.device("cpu"), None, toy_run_config())
     assert found["opacity_offsets_kept"] == {"thermal": 0.0, "nir": 0.25}

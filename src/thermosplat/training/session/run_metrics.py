@@ -4,7 +4,7 @@ from typing import Any
 
 import torch
 
-from thermosplat.config import LensUse
+from thermosplat.config import TrainConfig
 from thermosplat.image_quality.lpips import Lpips
 from thermosplat.refinement.camera_report import correction_summary
 from thermosplat.runs.devices import device_name
@@ -12,7 +12,7 @@ from thermosplat.training.training_state import TrainingState
 
 
 def run_metrics(
-    evaluated: dict[str, Any], state: TrainingState, device: torch.device, lpips: Lpips | None, lens: LensUse
+    evaluated: dict[str, Any], state: TrainingState, device: torch.device, lpips: Lpips | None, config: TrainConfig
 ) -> dict[str, Any]:
     """The content of metrics.json.
 
@@ -21,7 +21,7 @@ def run_metrics(
         state: The state at the end of the run.
         device: What it ran on.
         lpips: What measured LPIPS, if anything did.
-        lens: Whether images were undistorted for training and for these numbers.
+        config: The whole configuration.
     """
     seconds, model = state.seconds, state.model
     corrections = state.corrections
@@ -29,9 +29,10 @@ def run_metrics(
         **evaluated,
         **({} if corrections is None else {"refined": correction_summary(corrections)}),
         "steps": state.step,
+        "scenes": config.scenes,
         "train_seconds": seconds.train,
         "device": device_name(device),
-        "lens": lens,
+        "lens": config.lens,
         "wall_seconds": seconds.wall,
         "first_step_seconds": seconds.first_step,
         "gaussians": {name: len(gaussians) for name, gaussians in state.gaussian_sets.items()},

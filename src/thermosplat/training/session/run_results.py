@@ -105,6 +105,6 @@ class RunResults:
         write_regions(self._run, state.model, judged.capture, state.step, degree, device)
         if state.corrections is not None:
             write_cameras(judged.capture, self._run.refined)
-        metrics = run_metrics(judged.metrics, state, device, self._lpips, config.lens)
+        metrics = run_metrics(judged.metrics, state, device, self._lpips, config)
         self._run.write_json(self._run.metrics_json, metrics)
         return metrics
