@@ -28,13 +28,13 @@ from thermosplat.scene.feature_passes import blend_features
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.gaussians_in_view import GaussiansInView, gaussians_in_view
 from thermosplat.scene.harmonic_passes import render_harmonics
-from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians, sets_of
+from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians
 from thermosplat.scene.lens_distortion import nearest_distorted
 from thermosplat.scene.offloaded import stored_values
 from thermosplat.scene.packed_parameters import num_bytes, pack
 from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame
-from thermosplat.scene.saved_gaussians import restored_gaussians
+from thermosplat.scene.saved_gaussians import restored_sets
 from thermosplat.scene.shared_cameras import views_by_camera
 from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
 from thermosplat.scene.view_directions import view_directions
@@ -348,10 +348,7 @@ class SceneModel(nn.Module):
         config, saved = checkpoint.config, checkpoint.model
         with damage_explained("model"):
             spectra = model_spectra(config.modelled, saved.color_spaces)
-            gaussian_sets = {
-                name: restored_gaussians(saved.gaussian_sets[name], config, rendered)
-                for name, rendered in sets_of(config.model, spectra).items()
-            }
+            gaussian_sets = restored_sets(saved.gaussian_sets, config, spectra)
             if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
                 _check_decoders(saved.decoders, config, spectra)
             model = cls(

@@ -8,10 +8,31 @@ from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.initial_gaussians import sets_of
 from thermosplat.scene.packed_parameters import unpack
 from thermosplat.spectra import Spectrum
 
 _BASIS = "feature_basis"
+
+
+def restored_sets(
+    packed: Mapping[str, Mapping[str, Tensor]], config: TrainConfig, spectra: Sequence[Spectrum]
+) -> dict[str, Gaussians]:
+    """All sets of Gaussians of a scene, by name, as a checkpoint has them.
+
+    Args:
+        packed: Parameters of each set.
+        config: The run's configuration.
+        spectra: The spectra of its model, in order.
+
+    Raises:
+        KeyError: It lacks a set or a parameter.
+        ValueError: As ``restored_gaussians``.
+    """
+    return {
+        name: restored_gaussians(packed[name], config, rendered)
+        for name, rendered in sets_of(config.model, spectra).items()
+    }
 
 
 def restored_gaussians(packed: Mapping[str, Tensor], config: TrainConfig, spectra: Sequence[Spectrum]) -> Gaussians:

@@ -14,10 +14,9 @@ from torch.nn.functional import softplus
 
 from thermosplat.config import TrainConfig
 from thermosplat.runs.checkpoint_file import on_host
-from thermosplat.scene.gaussians import OFFSETS, Gaussians
-from thermosplat.scene.initial_gaussians import sets_of
+from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
-from thermosplat.scene.saved_gaussians import restored_gaussians
+from thermosplat.scene.saved_gaussians import restored_sets
 from thermosplat.spectra import Spectrum
 
 Scene = Mapping[str, Mapping[str, Tensor]]
@@ -56,24 +55,19 @@ def kept_scene(model: SceneModel) -> Scene:
     return scene
 
 
-def restored_scene(scene: Scene, config: TrainConfig, spectra: Sequence[Spectrum]) -> dict[str, Gaussians]:
-    """The Gaussians of a scene that was kept, by set.
+def joined_sets(scenes: Sequence[Scene], config: TrainConfig, spectra: Sequence[Spectrum]) -> dict[str, Gaussians]:
+    """What kept scenes become, by set.
 
     Args:
-        scene: The scene.
+        scenes: The scenes.
         config: The run's configuration.
         spectra: The spectra of its model, in order.
-
-    Raises:
-        KeyError: It lacks a set or a parameter.
-        ValueError: A parameter is not what the configuration asks for.
     """
-    return {
-        name: restored_gaussians(scene[name], config, rendered)
-        for name, rendered in sets_of(config.model, spectra).items()
-    }
+    restored = [restored_sets(scene, config, spectra) for scene in scenes]
+    return {name: joined([sets[name] for sets in restored]) for name in restored[0]}
 
 
+@torch.no_grad()
 def joined(scenes: Sequence[Gaussians]) -> Gaussians:
     """One set that has the Gaussians of several, which together are as opaque as one of them.
 
@@ -81,15 +75,11 @@ def joined(scenes: Sequence[Gaussians]) -> Gaussians:
         scenes: The same set of each scene.
     """
     parameters = [_with_all_channels(gaussians) for gaussians in scenes]
-    together = {name: torch.cat([of_scene[name].detach() for of_scene in parameters]) for name in parameters[0]}
-    opacities = together["logit_opacities"]
-    thinned = thinned_logits(opacities, len(scenes))
-    for name, values in together.items():
-        if name.endswith(OFFSETS):
-            together[name] = thinned_logits(opacities + values, len(scenes)) - thinned
-        elif name.startswith("logit_"):
-            together[name] = thinned_logits(values, len(scenes))
-    return Gaussians(together)
+    both = Gaussians({name: torch.cat([of_scene[name] for of_scene in parameters]) for name in parameters[0]})
+    others = {name: thinned_logits(both.logits_in(name), len(scenes)) for name in both.second_opacities}
+    every = torch.arange(len(both), device=both.means.device)
+    both.set_opacity_logits(every, thinned_logits(both.logit_opacities, len(scenes)), others)
+    return both
 
 
 def _with_all_channels(gaussians: Gaussians) -> dict[str, Tensor]:

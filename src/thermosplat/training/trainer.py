@@ -49,14 +49,7 @@ from thermosplat.training.frames.resolution_schedule import most_gaussians, reso
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
 from thermosplat.training.image_noise import training_noise, with_measured_weights
-from thermosplat.training.joined_scenes import (
-    Scene,
-    joined,
-    kept_scene,
-    restored_scene,
-    seed_of_scene,
-    steps_of_scene,
-)
+from thermosplat.training.joined_scenes import Scene, joined_sets, kept_scene, seed_of_scene, steps_of_scene
 from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
 from thermosplat.training.plain_steps import PlainSteps
@@ -401,9 +394,7 @@ class Trainer:
         return kept_scene(self.model)
 
     def _joined_sets(self, scenes: Sequence[Scene]) -> dict[str, Gaussians]:
-        spectra = list(self.model.spectra.values())
-        restored = [restored_scene(scene, self.config, spectra) for scene in scenes]
-        return {name: joined([sets[name] for sets in restored]) for name in self.state.gaussian_sets}
+        return joined_sets(scenes, self.config, list(self.model.spectra.values()))
 
     def _join_scenes(self, sets: Mapping[str, Gaussians]) -> None:
         self.state.take(sets)

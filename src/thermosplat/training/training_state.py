@@ -16,6 +16,7 @@ from thermosplat.runs.checkpoint import Checkpoint, SavedTraining, damage_explai
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import OffloadedParameter
+from thermosplat.scene.saved_gaussians import restored_sets
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.density.gaussian_ops import Optimizers, parameter_like, replace_parameters
@@ -24,7 +25,7 @@ from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
 from thermosplat.training.frames.random_streams import start_stream
 from thermosplat.training.frames.spectrum_schedule import set_span
-from thermosplat.training.joined_scenes import Scene, restored_scene, seed_of_scene
+from thermosplat.training.joined_scenes import Scene, seed_of_scene
 from thermosplat.training.optimizers import (
     gaussian_optimizers,
     load_optimizer,
@@ -344,7 +345,7 @@ class TrainingState:
         self.camera_passes = training.camera_passes
         self.scenes_left, self.kept_scenes = training.scenes_left, list(training.kept_scenes)
         for scene in filter(None, self.kept_scenes):
-            restored_scene(scene, checkpoint.config, list(self.model.spectra.values()))  # whether it can be
+            restored_sets(scene, checkpoint.config, list(self.model.spectra.values()))  # whether it can be
         self.growing = training.growing
         self.offsets_dropped = training.offsets_dropped
         self.budget_due = training.budget_due
