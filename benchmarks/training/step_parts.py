@@ -23,7 +23,10 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SH adjoint", ("sh_colors_adjoint", "camera_position_adjoint", "small_product_transposed")),
     ("SH", ("sh_colors", "camera_positions", "small_product")),
     ("blending adjoint", ("blend_adjoint", "distribute_", "finish_moments", "BlendBackward")),
-    ("blending", ("blend_", "deal_states", "segment_light", "join_segments", "contributors_", "Blend")),
+    (
+        "blending",
+        ("blend_", "deal_states", "segment_light", "join_segments", "contributors_", "median_depth_", "Blend"),
+    ),
     (
         "binning",
         ("count_tiles", "compact_gaussians", "gather_counts", "emit_pairs", "tile_ranges", "RadixSort", "DeviceScan"),

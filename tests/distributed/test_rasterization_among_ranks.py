@@ -85,6 +85,16 @@ def test_every_rank_may_have_images_of_its_own_size(ranks: Ranks) -> None:
             torch.testing.assert_close(image, expected, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("idle", [False, True])
+def test_median_depths_are_those_of_one_process(ranks: Ranks, idle: bool) -> None:
+    """Of the Gaussians of all ranks; a rank without a camera has no image."""
+    expected = work.median_depths_of(list(range(work.CAMERAS)), work.scene())
+    assert (expected > 0).any()
+    for cameras, found in ranks.run(work.divided_median_depths, 3, idle):
+        assert found.shape == (len(cameras), work.HEIGHT, work.WIDTH)
+        torch.testing.assert_close(found, expected[cameras], rtol=1e-5, atol=0)
+
+
 @pytest.mark.parametrize(("cameras", "dtype"), [([0, 1, 2], torch.float64), ([3, 4, 1], torch.float32)])
 def test_every_rank_may_have_a_lens_of_its_own(ranks: Ranks, cameras: list[int], dtype: torch.dtype) -> None:
     """Distorted, fisheye, with a rolling shutter, orthographic or none; gradients reach lenses and cameras."""

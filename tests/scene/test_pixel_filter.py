@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from thermosplat.datasets.frame_tensors import frame_tensors
-from thermosplat.rasterizer import rasterization
+from thermosplat.rasterizer import project, rasterization
+from thermosplat.rasterizer.median_depths import median_depths
 from thermosplat.scene.pixel_filter import PixelFilter
-from thermosplat.scene.views import camera_arguments
+from thermosplat.scene.views import camera_arguments, projection_arguments
 from toy_scene import toy_capture, toy_config, toy_model
 
 
@@ -24,6 +25,9 @@ def test_renders_are_those_of_the_rasterizer_with_the_same_arguments(chosen: Pix
         depth, _, _ = rasterization(*shape, gaussians.opacities[:, None], render_mode="ED", **arguments)
         found = model.render({"rgb": view}, sh_degree=1).images["rgb"]
         torch.testing.assert_close(found, image[0], rtol=0, atol=1e-6)
-        torch.testing.assert_close(model.render_depth("rgb", view), depth[0, ..., 0], rtol=0, atol=1e-6)
+        expected = model.render_depth("rgb", view, expected=True)
+        torch.testing.assert_close(expected, depth[0, ..., 0], rtol=0, atol=1e-6)
+        median = median_depths(project(*shape, **projection_arguments(view), **chosen._asdict()))[0]
+        assert torch.equal(model.render_depth("rgb", view), median)
         usual = toy_model(toy_config(feature_dim=0), capture)
         assert (usual.render({"rgb": view}, sh_degree=1).images["rgb"] - found).abs().max() > 1e-3

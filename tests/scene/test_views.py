@@ -34,7 +34,7 @@ def test_one_kernel_for_the_activations_changes_nothing(
     for by_one_kernel in (True, False):
         monkeypatch.setattr(gaussian_views, "_activated_by_one_kernel", lambda _, chosen=by_one_kernel: chosen)
         rendered = render(model, frame)
-        depths = [model.render_depth(name, frame.views[name]) for name in spectra]
+        depths = [model.render_depth(name, frame.views[name], expected=True) for name in spectra]
         results.append([rendered.images[name] for name in spectra] + depths)
         model.zero_grad()
         sum(image.square().mean() for image in results[-1]).backward()

@@ -1,7 +1,7 @@
 """Errors inside the regions that are hard for one spectrum or the other, on captures that know where those are.
 
 Every number is of all pixels of a region in all held-out views together: a view in which a region has ten pixels weighs
-as much as ten pixels. Depth is the expected depth Σ w z / Σ w of what a spectrum sees, with its own opacity.
+as much as ten pixels. Depth is the median depth of what a spectrum sees, with its own opacity.
 """
 
 import math

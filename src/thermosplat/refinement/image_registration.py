@@ -200,7 +200,8 @@ def _equations(
         raise ValueError(f"Frame {frame.name} has no image of {spectrum}.")
     group = ((spectrum,),)
     rendered = model.render({spectrum: view}, sh_degree=sh_degree, shared_cameras=group, distributed=distributed)
-    alpha, depth = rendered.alphas[spectrum][..., 0], model.render_depth(spectrum, view, distributed=distributed)
+    alpha = rendered.alphas[spectrum][..., 0]
+    depth = model.render_depth(spectrum, view, expected=True, distributed=distributed)
     seen = rendered.images[spectrum].mean(dim=-1) / alpha.clamp(min=_FAINTEST)
     sigma = max(1.0, sharpness.blur * view.width)
     images = _blurred(torch.stack([seen, view.image.mean(dim=-1)]), sigma)

@@ -241,17 +241,23 @@ class SceneModel(nn.Module):
         cameras = [views[spectrum] for spectrum in firsts if spectrum is not None and self.set_of(spectrum) == name]
         return gaussians_in_view(self.gaussians(name), cameras, sh_degree, self.pixel_filter)
 
-    def render_depth(self, spectrum: str, view: "ViewTensors", *, distributed: bool = False) -> Tensor:
-        """What a spectrum sees as far away: expected depth along z [world units], [H, W]; 0 where it sees nothing.
+    def render_depth(
+        self, spectrum: str, view: "ViewTensors", *, expected: bool = False, distributed: bool = False
+    ) -> Tensor:
+        """How far away along z a spectrum sees what it sees [world units], [H, W]; 0 where it sees nothing.
+
+        It is the median: half of what a pixel shows lies before it. What lies behind a surface that is not quite opaque
+        does not move it.
 
         Args:
             spectrum: Its opacity weighs the Gaussians; with separate sets, its own set.
             view: Camera and pose.
+            expected: The mean Σ w z / Σ w in place of the median: by it a pixel moves when the camera does.
             distributed: As in ``render``.
         """
         gaussians = self.gaussians(self.set_of(spectrum))
         how = Rendering(0, False, self.pixel_filter, None, distributed=distributed)
-        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), self.seen(view), how)
+        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), self.seen(view), how, expected=expected)
         if view.distortion is None:
             return depth
         return nearest_distorted(depth, view.K, view.distortion)

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from thermosplat.fused.activations import activated
-from thermosplat.rasterizer import LensArguments, RGBTRender, rasterization, rasterization_rgbt
+from thermosplat.rasterizer import LensArguments, RGBTRender, project, rasterization, rasterization_rgbt
+from thermosplat.rasterizer.median_depths import median_depths
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.pixel_filter import PixelFilter
 
@@ -129,29 +130,38 @@ def render_view(
 
 
 def render_view_depth(
-    gaussians: Gaussians, logit_opacities: Tensor, view: "ViewTensors", rendering: Rendering
+    gaussians: Gaussians, logit_opacities: Tensor, view: "ViewTensors", rendering: Rendering, *, expected: bool = False
 ) -> Tensor:
-    """Expected z-depth Σ w z / Σ w [world units], [H, W]; 0 where nothing is drawn.
+    """Median z-depth [world units], [H, W] (``median_depths``); 0 where nothing is drawn.
 
     Args:
         gaussians: The set.
         logit_opacities: Logits of either opacity of the set, [N].
         view: Camera and pose.
         rendering: How.
+        expected: The mean Σ w z / Σ w in place of the median; differentiable.
     """
     scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
+    means: Tensor = gaussians.means
+    quats: Tensor = gaussians.quats
+    widened, distributed = rendering.pixel_filter._asdict(), rendering.distributed
+    if not expected:
+        with torch.no_grad():
+            camera = projection_arguments(view)
+            seen = project(means, quats, scales, opacities, **widened, **camera, distributed=distributed)
+            return median_depths(seen).squeeze(0)
     depth, _, _ = rasterization(
-        gaussians.means,
-        gaussians.quats,
+        means,
+        quats,
         scales,
         opacities,
         opacities[:, None],  # not drawn
         packed=False,
         render_mode="ED",
-        **rendering.pixel_filter._asdict(),
+        **widened,
         **camera_arguments(view),
         deterministic=rendering.deterministic,
-        distributed=rendering.distributed,
+        distributed=distributed,
     )
     return depth[0, ..., 0]
 

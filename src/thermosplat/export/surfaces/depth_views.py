@@ -17,8 +17,7 @@ from thermosplat.thermal.radiometry import PixelScale
 LEAST_COVER = 0.9
 """Pixels that Gaussians cover less have no depth here."""
 LARGEST_STEP = 0.05
-"""Depths that differ from a neighbour's by more than this share lie on an edge, where the expected depth of two
-surfaces is that of neither."""
+"""Depths that differ from a neighbour's by more than this share lie on an edge, where a pixel shows two surfaces."""
 
 
 @dataclass(frozen=True)

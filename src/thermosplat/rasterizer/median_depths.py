@@ -1,0 +1,45 @@
+"""Median depths of a projected scene: where a pixel's surface lies, whatever shows through it.
+
+The expected depth Σ w z / Σ w is drawn to what lies far behind a surface that is not quite opaque. Half of the weight
+lies before the median, however far behind the rest is. 2D Gaussian Splatting (Huang et al. 2024, supplement) renders
+the depth at which half of the light is blocked for the same reason; here the half is of what the pixel shows, so that
+it is the same where a pixel is covered in part.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from thermosplat.rasterizer.projected_scene import ProjectedScene
+from thermosplat.torch_bridge.arrays import kinds_of, view
+from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.blending.median_depth import median_depth_kernel
+from warp_kernels.machinery.launching import launch
+
+
+@torch.no_grad()
+def median_depths(scene: ProjectedScene) -> Tensor:
+    """The depth of the Gaussian at which half of a pixel's accumulated opacity is reached, front to back.
+
+    Args:
+        scene: The scene, blended at its opacities (not at ``thermal_opacities``).
+
+    Returns:
+        z-depths, or distances where the scene is sorted by them [world units], [..., C, H, W]; 0 where no Gaussian is
+        drawn. Not differentiable.
+    """
+    settings = scene.settings
+    found = scene.depths.new_zeros((*scene.images_shape, settings.height, settings.width))
+    if found.numel() == 0:
+        return found
+    lists = scene.binned(scene.opacities.detach().reshape(-1, 1))
+    bins, kinds = lists.bins, kinds_of(found.dtype)
+    read = [scene.means2d, scene.projected.packed_roots, scene.opacities, scene.depths]
+    types = [kinds.vec2, kinds.vec4, kinds.scalar, kinds.scalar]
+    held = [tensor.detach().contiguous() for tensor in read]
+    with launches_on_torch_stream(found.device) as device:
+        arrays = [view(tensor, kind) for tensor, kind in zip(held, types, strict=True)]
+        arrays += [view(lists.tensors[name], wp.int32) for name in ("gaussian_ids", "tile_offsets")]
+        sizes = [bins.tiles_x, bins.tiles_y, bins.tile_size, settings.width, settings.height]
+        launch(median_depth_kernel(kinds.scalar), found.numel(), [*sizes, *arrays, view(found, kinds.scalar)], device)
+    return found
