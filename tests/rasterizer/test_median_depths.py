@@ -10,8 +10,7 @@ from torch import Tensor
 import reference_rasterizer
 from gaussian_scenes import Scene, leaves, random_scene
 from hard_scenes import FINITE, LARGE, NON_FINITE, ON_THRESHOLDS, hard_scene
-from thermosplat.rasterizer import project, rasterization
-from thermosplat.rasterizer.median_depths import median_depths
+from thermosplat.rasterizer import median_depths, project, rasterization
 
 OF_REFERENCE = set(inspect.signature(reference_rasterizer.rasterization).parameters) - {"render_mode", "backgrounds"}
 TAKEN = OF_REFERENCE & set(inspect.signature(project).parameters)

@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from thermosplat.datasets.frame_tensors import frame_tensors
-from thermosplat.rasterizer import project, rasterization
-from thermosplat.rasterizer.median_depths import median_depths
+from thermosplat.rasterizer import median_depths, project, rasterization
 from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.views import camera_arguments, projection_arguments
 from toy_scene import toy_capture, toy_config, toy_model

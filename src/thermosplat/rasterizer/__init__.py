@@ -7,6 +7,7 @@ from thermosplat.rasterizer.lenses import (
     LensArguments,
     RollingShutterType,
 )
+from thermosplat.rasterizer.median_depths import median_depths
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.rasterizer.project import project
 from thermosplat.rasterizer.rgbt import RGBTRender, rasterization_rgbt
@@ -18,6 +19,7 @@ __all__ = [
     "PairCapacity",
     "RGBTRender",
     "RollingShutterType",
+    "median_depths",
     "project",
     "rasterization",
     "rasterization_rgbt",

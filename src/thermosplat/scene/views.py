@@ -6,8 +6,14 @@ import torch
 from torch import Tensor
 
 from thermosplat.fused.activations import activated
-from thermosplat.rasterizer import LensArguments, RGBTRender, project, rasterization, rasterization_rgbt
-from thermosplat.rasterizer.median_depths import median_depths
+from thermosplat.rasterizer import (
+    LensArguments,
+    RGBTRender,
+    median_depths,
+    project,
+    rasterization,
+    rasterization_rgbt,
+)
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.pixel_filter import PixelFilter
 
