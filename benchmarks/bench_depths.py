@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from scenes.surface_points import surface_points
 from thermosplat.datasets.capture import Capture, View
 from thermosplat.datasets.frame_tensors import view_tensors
 from thermosplat.datasets.ground_truth import LABELS, GroundTruth, read_ground_truth
@@ -100,10 +101,7 @@ def carried(places: Array, view: View) -> Array:
 
 def agreement(one: HeldOut, depth: Array, chosen: NDArray[np.bool_], training: Sequence[View]) -> Array:
     """Squared errors of the median of what the training images show at a depth, one for each chosen pixel."""
-    y, x = np.nonzero(chosen)
-    rays = np.stack([x + 0.5, y + 0.5, np.ones(len(x))], -1) @ np.linalg.inv(one.view.camera.K).T
-    pose = np.linalg.inv(one.view.viewmat)
-    places = (rays * depth[chosen][:, None]) @ pose[:3, :3].T + pose[:3, 3]
+    places = surface_points(one.view, depth)[chosen]
     shown = np.stack([carried(places, view) for view in training])
     target = in_unit_range(one.view)[chosen]
     known = ~np.isnan(shown[..., 0]).all(0)

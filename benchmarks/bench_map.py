@@ -19,7 +19,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from thermosplat.datasets.capture import Capture, View
+from scenes.surface_points import surface_points
+from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.ground_truth import read_ground_truth
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run
 from thermosplat.export.maps.map_frame import camera_centers, local_frame, map_extent
@@ -50,20 +51,11 @@ def measured_points(capture: Capture, name: str, grid: MapGrid) -> Measured:
             continue
         depth = truth.depths[name].astype(np.float64)
         there = (depth > 0) & np.isfinite(view.values)
-        places.append(grid.frame.to_map(_world_points(view, depth))[there])
+        places.append(grid.frame.to_map(surface_points(view, depth))[there])
         values.append(view.values[there].astype(np.float64))
     if not places:
         return Measured(np.zeros((0, 3)), np.zeros(0))
     return Measured(np.concatenate(places), np.concatenate(values))
-
-
-def _world_points(view: View, depth: Array) -> Array:
-    """The surface behind each pixel, [H, W, 3]."""
-    height, width = depth.shape
-    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(view.camera.K).T
-    pose = np.linalg.inv(view.viewmat)
-    return (rays * depth[..., None]) @ pose[:3, :3].T + pose[:3, 3]
 
 
 def highest(points: Measured, grid: MapGrid) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
