@@ -13,7 +13,9 @@ times some factors. A spectrum that agrees no better at its own depth than at an
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,6 +63,15 @@ def held_out(capture: Capture, name: str) -> Iterator[HeldOut]:
             yield HeldOut(frame.views[name], truth, own, others[0] if others else own)
 
 
+def milliseconds(work: Callable[[], object], device: torch.device) -> float:
+    """Time of some work on a device, whose earlier work is done."""
+    begin = time.perf_counter()
+    work()
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return 1000 * (time.perf_counter() - begin)
+
+
 @torch.no_grad()
 def depth_errors(loaded: LoadedRun, capture: Capture) -> list[dict[str, Any]]:
     """A row for each spectrum and kind of depth: relative errors, and the share on the spectrum's own surface."""
@@ -68,15 +79,18 @@ def depth_errors(loaded: LoadedRun, capture: Capture) -> list[dict[str, Any]]:
     for name in loaded.model.spectra:
         views = list(held_out(capture, name))
         for kind in ("median", "expected"):
-            errors, right = [], []
+            errors, right, took = [], [], []
             for one in views:
                 camera = view_tensors(one.view, None, loaded.device)
-                found = loaded.model.render_depth(name, camera, expected=kind == "expected").double().cpu().numpy()
+                render = partial(loaded.model.render_depth, name, camera, expected=kind == "expected")
+                found = render().double().cpu().numpy()
+                took.append(milliseconds(render, loaded.device))
                 errors.append((np.abs(found - one.own) / one.own.clip(1e-9))[one.own > 0])
                 nearer = (np.abs(found - one.own) < np.abs(found - one.other)) & (found > 0)
                 right.append(nearer[one.differs])
             error, own = np.concatenate(errors), np.concatenate(right)
             numbers = {"median": np.median(error), "mean": error.mean(), "p90": np.percentile(error, 90)}
+            numbers["ms"] = np.median(took)
             share = {"own": float(own.mean())} if len(own) else {}
             words = {"run": loaded.directory.path.name, "capture": capture.name, "spectrum": name, "depth": kind}
             rows.append(words | {key: float(value) for key, value in numbers.items()} | share)
@@ -152,7 +166,7 @@ def main() -> None:
         captures[capture.root, next(iter(capture.train[0].views.values())).camera.width] = capture
         rows += depth_errors(loaded, capture)
     words, share = dict.fromkeys(("run", "capture", "spectrum", "depth"), "{}"), "{:.2%}"
-    print(table(rows, words | {"median": share, "mean": share, "p90": share, "own": "{:.1%}"}), flush=True)
+    print(table(rows, words | {"median": share, "mean": share, "p90": share, "own": "{:.1%}", "ms": "{:.1f}"}), flush=True)
     seen = [row for capture in captures.values() for row in evidence(capture)]
     words = dict.fromkeys(("capture", "spectrum", "surface"), "{}") | {"pixels": "{:,}"}
     print("\n" + table(seen, words | dict.fromkeys(("own", "other", *map("{:g}".format, FACTORS)), "{:.2f}")))
