@@ -85,9 +85,7 @@ def sweeps(capture: Capture, windows: Sequence[int]) -> list[dict[str, Any]]:
         swept = [swept_depths(one.view, training, *swept_span(one.view, capture.points), windows) for one in views]
         for window in windows if views else ():
             found = [(one, depths[window]) for one, depths in zip(views, swept, strict=True)]
-            error = np.concatenate(
-                [(np.abs(depth - one.own) / one.own.clip(1e-9))[one.own > 0] for one, depth in found]
-            )
+            error = np.concatenate([one.relative_errors(depth) for one, depth in found])
             row: dict[str, Any] = {"capture": capture.name, "spectrum": name, "window": window}
             row |= {"median": float(np.median(error)), "mean": float(error.mean())}
             for label, kind in LABELS.items():
