@@ -58,7 +58,7 @@ def agreements(capture: Capture) -> list[dict[str, Any]]:
         views = list(held_out(capture, name))
         training = [(view, in_unit_range(view)) for view in training_views(capture, name)]
         for label, kind in LABELS.items():
-            chosen = [one.differs & (one.truth.label == label) for one in views]
+            chosen = [one.differing(label) for one in views]
             if not any(mask.any() for mask in chosen):
                 continue
             at = {"own": [one.own for one in views], "other": [one.other for one in views]}
@@ -82,14 +82,16 @@ def sweeps(capture: Capture, windows: Sequence[int]) -> list[dict[str, Any]]:
     rows = []
     for name in capture.spectra:
         views, training = list(held_out(capture, name)), training_views(capture, name)
+        if not views:
+            continue
         swept = [swept_depths(one.view, training, *swept_span(one.view, capture.points), windows) for one in views]
-        for window in windows if views else ():
+        for window in windows:
             found = [(one, depths[window]) for one, depths in zip(views, swept, strict=True)]
             error = np.concatenate([one.relative_errors(depth) for one, depth in found])
             row: dict[str, Any] = {"capture": capture.name, "spectrum": name, "window": window}
             row |= {"median": float(np.median(error)), "mean": float(error.mean())}
             for label, kind in LABELS.items():
-                right = [one.on_own_surface(depth)[one.differs & (one.truth.label == label)] for one, depth in found]
+                right = [one.on_own_surface(depth)[one.differing(label)] for one, depth in found]
                 if any(map(len, right)):
                     row[kind] = float(np.concatenate(right).mean())
             rows.append(row)

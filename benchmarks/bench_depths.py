@@ -3,14 +3,12 @@
     python benchmarks/bench_depths.py RUN... [--data FOLDER] [--device auto] [--json depths.json]
 
 Compares what a run renders in the held-out views with their true depths: the median depth, which everything here shows
-and exports, and the expected depth Σ w z / Σ w, which other renderers show. Milliseconds are of one picture, the median
-over the views, each rendered for the second time. bench_depth_evidence.py tells what the images say of depths.
+and exports, and the expected depth Σ w z / Σ w, which other renderers show. Milliseconds are of a picture of the first
+held-out view, both depths by turns (measuring/timing.py). bench_depth_evidence.py tells what the images say of depths.
 """
 
 import argparse
 import json
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ import numpy as np
 import torch
 
 from measuring.markdown_table import markdown_table
+from measuring.timing import time_interleaved
 from scenes.held_out_depths import held_out
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import view_tensors
@@ -26,14 +25,9 @@ from thermosplat.evaluation.loaded_run import LoadedRun, load_run
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.environment import environment
 
-
-def milliseconds(work: Callable[[], object], device: torch.device) -> float:
-    """Time of some work on a device, whose earlier work is done."""
-    begin = time.perf_counter()
-    work()
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
-    return 1000 * (time.perf_counter() - begin)
+KINDS = {"median": False, "expected": True}
+"""Depths by name, and what ``render_depth`` is told for them."""
+REPEATS = 20
 
 
 @torch.no_grad()
@@ -41,19 +35,18 @@ def depth_errors(loaded: LoadedRun, capture: Capture) -> list[dict[str, Any]]:
     """A row for each spectrum and kind of depth: relative errors, and the share on the spectrum's own surface."""
     rows = []
     for name in loaded.model.spectra:
-        views = list(held_out(capture, name))
-        for kind in ("median", "expected"):
-            errors, right, took = [], [], []
-            for one in views:
-                camera = view_tensors(one.view, None, loaded.device)
-                render = partial(loaded.model.render_depth, name, camera, expected=kind == "expected")
-                found = render().double().cpu().numpy()
-                took.append(milliseconds(render, loaded.device))
-                errors.append(one.relative_errors(found))
-                right.append(one.on_own_surface(found)[one.differs])
-            error, own = np.concatenate(errors), np.concatenate(right)
+        views = [(one, view_tensors(one.view, None, loaded.device)) for one in held_out(capture, name)]
+        renders = {
+            kind: partial(loaded.model.render_depth, name, expected=expected) for kind, expected in KINDS.items()
+        }
+        first = {kind: partial(render, views[0][1]) for kind, render in renders.items()}
+        took = time_interleaved(first, loaded.device, REPEATS)
+        for kind, render in renders.items():
+            found = [(one, render(camera).double().cpu().numpy()) for one, camera in views]
+            error = np.concatenate([one.relative_errors(depth) for one, depth in found])
+            own = np.concatenate([one.on_own_surface(depth)[one.differs] for one, depth in found])
             numbers = {"median": np.median(error), "mean": error.mean(), "p90": np.percentile(error, 90)}
-            numbers["ms"] = np.median(took)
+            numbers["ms"] = took[kind]["median_ms"]
             share = {"own": float(own.mean())} if len(own) else {}
             words = {"run": loaded.directory.path.name, "capture": capture.name, "spectrum": name, "depth": kind}
             rows.append(words | {key: float(value) for key, value in numbers.items()} | share)

@@ -28,6 +28,10 @@ class HeldOut(NamedTuple):
         """Where the two surfaces differ."""
         return (self.own > 0) & (self.other > 0) & (np.abs(self.own - self.other) > DIFFERING * self.own)
 
+    def differing(self, label: int) -> NDArray[np.bool_]:
+        """Pixels of a kind of surface (``LABELS``) where the two surfaces differ."""
+        return self.differs & (self.truth.label == label)
+
     def relative_errors(self, depth: Array) -> Array:
         """Of depths [H, W], where there is a true one, [n]."""
         return (np.abs(depth - self.own) / self.own.clip(1e-9))[self.own > 0]

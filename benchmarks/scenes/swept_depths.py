@@ -9,10 +9,12 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from scenes.surface_points import surface_points
 from thermosplat.datasets.capture import View
+from thermosplat.datasets.frame_tensors import unit_image
 
 Array = NDArray[np.float64]
 HYPOTHESES = 160
@@ -30,8 +32,8 @@ FEWEST = 3
 
 def in_unit_range(view: View) -> NDArray[np.float32]:
     """A view's image in [0, 1], [H, W, C]."""
-    pixels = view.pixels().image
-    return pixels.astype(np.float32) / (255 if pixels.dtype == np.uint8 else 1)
+    image: NDArray[np.float32] = unit_image(torch.from_numpy(view.pixels().image)).numpy()
+    return image
 
 
 def carried(places: Array, view: View, image: NDArray[np.float32]) -> Array:
@@ -61,7 +63,7 @@ def neighbours(view: View, others: Sequence[View]) -> list[View]:
     """The nearest of other views that look about the same way."""
 
     def centre(one: View) -> Array:
-        return -one.viewmat[:3, :3].T @ one.viewmat[:3, 3]
+        return np.linalg.inv(one.viewmat)[:3, 3]
 
     along = [one for one in others if one.viewmat[2, :3] @ view.viewmat[2, :3] > ALONG]
     return sorted(along, key=lambda one: float(np.linalg.norm(centre(one) - centre(view))))[:NEIGHBOURS]

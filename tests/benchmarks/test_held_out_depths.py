@@ -24,6 +24,7 @@ def a_view() -> HeldOut:
 def test_surfaces_differ_by_a_share_of_the_depth() -> None:
     """More than a hundredth, and only where both are known."""
     assert a_view().differs.tolist() == [[False, True, False, False]]
+    assert [a_view().differing(label).any() for label in (0, 1)] == [True, False]
 
 
 def test_errors_are_of_pixels_with_a_true_depth() -> None:
