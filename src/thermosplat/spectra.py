@@ -81,6 +81,9 @@ class SpectrumConfig:
     charbonnier: float = 0.0
     """ε of sqrt(d² + ε²) - ε in place of |d| in the losses on its images, in their units (0 to 1): differences within
     the sensor's noise count by their square, larger ones as before. Charbonnier et al. 1994. 0: plain L1."""
+    squared: float = 0.0
+    """k of |d| + k d² in place of |d| in the loss on its images, in their units (0 to 1): PSNR is of squares, in which
+    large differences count for more. 0: plain L1. Open choice."""
     exposure: Exposure = "fixed"
     """What differs between its training images though the scene does not; held-out images are rendered without.
     "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of

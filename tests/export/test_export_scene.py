@@ -9,6 +9,7 @@ import torch
 
 from thermosplat.errors import UserError
 from thermosplat.export.scene import export_scene, spectrum_splats
+from thermosplat.scene.fourier_features import with_fourier_features
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.thermal.radiometry import FLIR_IRON, PixelScale
 from toy_scene import toy_capture, toy_config, toy_model
@@ -57,6 +58,15 @@ def test_thermal_is_decoded_at_the_thermal_opacity(kind: str) -> None:
     torch.testing.assert_close(constant_color(splats.sh0), decoded)
     torch.testing.assert_close(torch.sigmoid(splats.logit_opacities), gaussians.opacities_in("thermal"))
     assert torch.isfinite(splats.logit_opacities).all()
+
+
+def test_decoders_see_waves_of_each_gaussians_features() -> None:
+    """What they were trained with, they are given for a splat's colour, too."""
+    capture = toy_capture()
+    model = toy_model(toy_config(decoder={"fourier_frequency": 3.0}), capture)
+    inputs = with_fourier_features(model.gaussians("shared").features, 3.0)
+    splats = spectrum_splats(model, "thermal", capture.scales)
+    torch.testing.assert_close(constant_color(splats.sh0), model.decoders.image("thermal", inputs).detach())
 
 
 def test_separate_sets_export_their_own_harmonics() -> None:

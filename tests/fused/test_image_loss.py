@@ -117,7 +117,7 @@ def test_one_image_in_several_launches(device: torch.device) -> None:
 
 def test_a_launch_refuses_what_it_has_no_place_for() -> None:
     """It would leave terms out."""
-    settings = ImageLossSettings(0.2, 1.5, 1e-4, 9e-4, 0.0, (1.0,) * 5, (0.0,) * 5)
+    settings = ImageLossSettings(0.2, 1.5, 1e-4, 9e-4, 0.0, (1.0,) * 5, (0.0,) * 5, (0.0,) * 5)
     image = torch.zeros(8, 8, 1)
     with pytest.raises(ValueError, match="1 to 4 images a launch, found 5"):
         image_losses([image] * 5, [image] * 5, settings, image, image)

@@ -167,6 +167,18 @@ def test_charbonnier_takes_the_place_of_l1_on_thermal_images() -> None:
     assert robust["features_thermal"] < plain["features_thermal"]
 
 
+def test_squares_are_added_to_the_images_term_alone() -> None:
+    """k d² beside |d|, in a spectrum's image loss and in no other term."""
+    rendered, frame = rendered_and_frame()
+    plain = frame_losses(rendered, frame, TrainConfig())
+    squared = frame_losses(rendered, frame, with_spectra(TrainConfig(), thermal={"squared": 30.0, "loss": 2.0}))
+    for name in set(plain) - {"thermal"}:
+        torch.testing.assert_close(squared[name], plain[name])
+    difference = rendered.images["thermal"] - frame.views["thermal"].image
+    added = 0.8 * 30 * difference.square().mean()
+    torch.testing.assert_close(squared["thermal"], 2 * (plain["thermal"] + added))
+
+
 def as_leaves(rendered: RenderedFrame, device: torch.device) -> tuple[RenderedFrame, list[torch.Tensor]]:
     """The images of a render in float64 as leaves."""
     leaves: list[torch.Tensor] = []
@@ -186,6 +198,7 @@ def as_leaves(rendered: RenderedFrame, device: torch.device) -> tuple[RenderedFr
     [
         TrainConfig(),
         with_spectra(TrainConfig(), thermal={"charbonnier": 0.05}),
+        with_spectra(TrainConfig(), rgb={"squared": 15.0}, thermal={"squared": 30.0, "charbonnier": 0.05}),
         with_spectra(TrainConfig(), thermal={"loss": 0.0}),
         with_spectra(TrainConfig(loss=LossConfig(features=0.0)), rgb={"loss": 0.0}),
         with_spectra(TrainConfig(), thermal={"smoothness": 0.0}),

@@ -238,6 +238,7 @@ def test_densification_reads_gradients_of_means2d() -> None:
         {"without": ("rgb",)},
         {"feature_dim": 0},
         {"feature_dim": 0, "spectra": {"thermal": {"opacity": "own"}}},
+        {"decoder": {"fourier_frequency": 3.0}},
     ],
 )
 def test_checkpoint_restores_the_same_images(model_config: dict[str, Any]) -> None:
@@ -285,6 +286,18 @@ def test_decoders_that_see_the_viewing_direction(aligned: bool) -> None:
     with torch.no_grad():
         model.decoders.networks["rgb"][0].weight[:, 8:] = 0.0
     assert not torch.allclose(render(model, frame).images["rgb"], rendered.images["rgb"], atol=1e-4)
+
+
+def test_decoders_that_see_waves_of_the_features() -> None:
+    """Waves change the images of both spectra."""
+    capture = toy_capture()
+    frame, model = toy_frame(capture), toy_model(toy_config(decoder={"fourier_frequency": 3.0}), capture)
+    rendered = render(model, frame).images
+    with torch.no_grad():
+        model.decoders.shared_encoder[0].weight[:, 8:] = 0.0
+    assert not any(
+        torch.allclose(image, rendered[name], atol=1e-4) for name, image in render(model, frame).images.items()
+    )
 
 
 THREE = {

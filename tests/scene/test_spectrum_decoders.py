@@ -73,8 +73,10 @@ def test_a_spectrum_that_is_not_decoded() -> None:
 
 
 def test_configuration_decides() -> None:
-    """Joined or separate branches; a viewing direction adds three inputs."""
+    """Joined or separate branches; a viewing direction adds three inputs, a frequency twice the features."""
     assert isinstance(make_decoders(CONFIG, 6, [RGB, THERMAL]), SpectrumDecoders)
     joined = make_decoders(DecoderConfig(hidden_dim=8, view_direction=True), 6, [RGB, THERMAL])
     assert isinstance(joined, Decoders)
     assert joined.image("rgb", torch.zeros(2, 2, 9)).shape == (2, 2, 3)
+    both = make_decoders(DecoderConfig(hidden_dim=8, view_direction=True, fourier_frequency=3.0), 6, [RGB, THERMAL])
+    assert both.image("rgb", torch.zeros(2, 2, 21)).shape == (2, 2, 3)

@@ -115,6 +115,7 @@ FINISH = """
                 const S_ a = held[0][at], b = held[1][at];
                 S_ difference = wp::abs(a - b);
                 if (noise > 0) difference = wp::sqrt(difference * difference + noise * noise) - noise;
+                difference += squared * (a - b) * (a - b);
                 loss += (1 - ssim_share) * difference + ssim_share * (1 - ssim);
                 const S_ error = wp::min(wp::max(a, (S_)0), (S_)1) - b;
                 errors += error * error;
@@ -219,6 +220,7 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         y_column: int,
         ssim_share: dtype,
         noise: dtype,
+        squared: dtype,
         smoothed: bool,
         sums: wp.array2d(dtype=dtype),
         derivatives: wp.array3d(dtype=dtype),
@@ -243,6 +245,10 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         noise1: dtype,
         noise2: dtype,
         noise3: dtype,
+        squared0: dtype,
+        squared1: dtype,
+        squared2: dtype,
+        squared3: dtype,
         smooth_from: int,
         smooth_to: int,
         # outputs
@@ -273,6 +279,7 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
             y_column,
             ssim_share,
             of_term(noise0, noise1, noise2, noise3, e0, e1, e2, c),
+            of_term(squared0, squared1, squared2, squared3, e0, e1, e2, c),
             c >= smooth_from and c < smooth_to,
             sums,
             derivatives,

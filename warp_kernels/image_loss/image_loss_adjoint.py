@@ -37,6 +37,7 @@ FINISH = """
                 const auto sign = [](S_ value) { return (S_)(value > 0) - (S_)(value < 0); };
                 S_ slope = sign(difference);
                 if (noise > 0) slope = difference / wp::sqrt(difference * difference + noise * noise);
+                slope += 2 * squared * difference;
                 S_ v = scale * (t[0][r] + 2 * a * t[1][r] + b * t[2][r] + (1 - ssim_share) * slope);
                 if (smooth_scale != 0) {
                     S_ turns = 0;
@@ -91,6 +92,7 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
         v_column: int,
         ssim_share: dtype,
         noise: dtype,
+        squared: dtype,
         scale: dtype,
         smooth_scale: dtype,
         derivatives: wp.array3d(dtype=dtype),
@@ -115,6 +117,10 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
         noise1: dtype,
         noise2: dtype,
         noise3: dtype,
+        squared0: dtype,
+        squared1: dtype,
+        squared2: dtype,
+        squared3: dtype,
         smooth_from: int,
         smooth_to: int,
         share0: dtype,
@@ -163,6 +169,7 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
             v_column,
             ssim_share,
             of_term(noise0, noise1, noise2, noise3, e0, e1, e2, c),
+            of_term(squared0, squared1, squared2, squared3, e0, e1, e2, c),
             scale,
             smooth_scale,
             derivatives,

@@ -29,6 +29,9 @@ class DecoderConfig:
     in common but their input (MS-Splatting); those have no modulation."""
     view_direction: bool = False
     """The decoders also see the direction in which a pixel looks. MS-Splatting."""
+    fourier_frequency: float = 0.0
+    """ω: the decoders also see sin(ω f) and cos(ω f) of the rendered features f. Tancik et al. 2020; of what Gaussians
+    blend, Neural Harmonic Textures. 0: features alone, as ThermoSplat. Open choice: 3."""
     hybrid: bool = True
     """A photograph that comes first in the list of spectra is the SH render plus the decoded part. Off: the decoded
     part alone (ablation "w/o hybrid RGB")."""

@@ -30,7 +30,10 @@ RESERVED = frozenset(
     }
 )
 """Names that files, tables and modules use for something else."""
-_AT_LEAST_ZERO = ("loss", "loss_noise", "features", "smoothness", "smoothness_noise", "smoothness_least", "charbonnier")
+_AT_LEAST_ZERO = (
+    *("loss", "loss_noise", "features", "smoothness", "smoothness_noise", "smoothness_least"),
+    *("charbonnier", "squared"),
+)
 _SHARES = ("train_from", "train_until")
 
 Name = Callable[[str], str]

@@ -147,9 +147,7 @@ def decoded_features(model: SceneModel, name: str, features: Tensor) -> Tensor:
     if model.decoders is None:
         raise ValueError("This scene has no decoders.")
     expanded = model.gaussians(model.set_of(name)).expanded(features)
-    if model.decoder_config.view_direction:  # none: zero
-        expanded = torch.nn.functional.pad(expanded, (0, 3))
-    return model.decoders.image(name, expanded)
+    return model.decoders.image(name, model.decoder_input(None, expanded))
 
 
 def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -> Tensor:

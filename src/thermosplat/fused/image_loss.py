@@ -33,6 +33,7 @@ class ImageTerm:
         target: Ground truth in [0, 1], [H, W, C].
         first: The channels from this one on, C of them, are compared.
         charbonnier: ε of sqrt(d² + ε²) - ε in place of |d|; 0: |d|.
+        squared: k of k d², added to that.
     """
 
     name: str
@@ -41,6 +42,7 @@ class ImageTerm:
     target: Tensor
     first: int = 0
     charbonnier: float = 0.0
+    squared: float = 0.0
 
     @property
     def render(self) -> Tensor:
@@ -101,6 +103,7 @@ def warp_image_losses(
             EPSILON,
             tuple(term.weight for term in members),
             tuple(term.charbonnier for term in members),
+            tuple(term.squared for term in members),
             smoothed - first if smoothed is not None and within else None,
             smoothness,
         )

@@ -147,11 +147,13 @@ def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainCon
         epsilon = spectrum.charbonnier
         image = rendered.images.get(name)
         if spectrum.loss > 0 and image is not None and view.image is not None:
-            images.append(SpectrumTerm(name, spectrum.loss, image, view.image, 0, epsilon, name))
+            of_squares = spectrum.squared
+            images.append(SpectrumTerm(name, spectrum.loss, image, view.image, 0, epsilon, of_squares, spectrum=name))
         weight = config.loss.features * (spectrum.features or 0.0)
         blended, target = rendered.features.get(name), _supervising(view)
         if weight > 0 and blended is not None and target is not None:
-            features.append(SpectrumTerm(f"features_{name}", weight, blended, target, latent[name][0], epsilon, name))
+            first = latent[name][0]
+            features.append(SpectrumTerm(f"features_{name}", weight, blended, target, first, epsilon, spectrum=name))
     return [*images, *features]
 
 
@@ -213,6 +215,10 @@ def _filtered(terms: Sequence[ImageTerm], ssim_lambda: float) -> dict[str, Tenso
     for term in robust:
         difference = charbonnier(term.render - term.target, term.charbonnier)
         losses[term.name] = (1 - ssim_lambda) * difference + ssim_lambda * structural[term.name]
+    for term in terms:
+        if term.squared > 0:
+            squares = (term.render - term.target).square().mean()
+            losses[term.name] = losses[term.name] + (1 - ssim_lambda) * term.squared * squares
     return {term.name: term.weight * losses[term.name] for term in terms}
 
 

@@ -25,6 +25,7 @@ from thermosplat.fused.covered_images import warp_covered
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
 from thermosplat.scene.feature_passes import blend_features
+from thermosplat.scene.fourier_features import with_fourier_features
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.gaussians_in_view import GaussiansInView, gaussians_in_view
 from thermosplat.scene.harmonic_passes import render_harmonics
@@ -299,11 +300,19 @@ class SceneModel(nn.Module):
         covered = alpha * decoded
         return covered if base is None else base + covered
 
-    def decoder_input(self, view: "ViewTensors", features: Tensor) -> Tensor:
-        """Rendered features [H, W, d] as the decoders take them: with the viewing directions, where they see those."""
+    def decoder_input(self, view: "ViewTensors | None", features: Tensor) -> Tensor:
+        """Features as the decoders take them: with waves of them and the viewing directions, where they see those.
+
+        Args:
+            view: From where the features were rendered; None: from nowhere, which is the direction 0.
+            features: A_f, shape [H, W, d]; without a view any shape [..., d].
+        """
+        inputs = with_fourier_features(features, self.decoder_config.fourier_frequency)
         if not self.decoder_config.view_direction:
-            return features
-        return torch.cat([features, view_directions(view)], dim=-1)
+            return inputs
+        if view is None:
+            return torch.nn.functional.pad(inputs, (0, 3))
+        return torch.cat([inputs, view_directions(view)], dim=-1)
 
     # ---- making and restoring ----------------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
+from thermosplat.scene.fourier_features import num_inputs
 from thermosplat.spectra import Spectrum
 
 
@@ -64,7 +65,7 @@ def make_decoders(config: DecoderConfig, feature_dim: int, spectra: Sequence[Spe
         feature_dim: Channels d of the rendered features.
         spectra: What is decoded, in order.
     """
-    input_dim = feature_dim + (3 if config.view_direction else 0)
+    input_dim = num_inputs(feature_dim, config.fourier_frequency) + (3 if config.view_direction else 0)
     kind = SpectrumDecoders if config.branches == "separate" else Decoders
     return kind(config, input_dim, spectra)
 

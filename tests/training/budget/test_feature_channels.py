@@ -259,6 +259,16 @@ def test_decoders_that_see_directions() -> None:
     assert change.now() < EXACT
 
 
+def test_decoders_that_see_waves_of_the_features() -> None:
+    """How images answer goes through the waves, too: here through them alone."""
+    model, optimizers, change = model_of_rank(5, decoder={"fourier_frequency": 3.0})
+    with torch.no_grad():
+        model.decoders.shared_encoder[0].weight[:, :8] = 0.0
+    change = ImageChange(model, change.frames, 1, toy_config())
+    assert reduce_features(model, optimizers, change, EXACT) == 5
+    assert change.now() < EXACT
+
+
 def test_interrupted_search_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C while it is tried how many channels may go: features and moments are as they were."""
     model, optimizers, change = model_of_rank(8)

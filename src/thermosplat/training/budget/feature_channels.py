@@ -23,6 +23,8 @@ from thermosplat.scene.model import SceneModel
 from thermosplat.training.budget.image_change import ImageChange, most_within
 from thermosplat.training.density.gaussian_ops import Optimizers, in_new_basis, kept_on_failure
 
+_OfTensor = Callable[[Tensor], Tensor]
+
 _PIXELS = 2**15
 """Most pixels of an image whose Jacobian is looked at, spread over all of it."""
 _LEAST_ANSWER = 1e-9
@@ -86,7 +88,8 @@ def principal_directions(answers: Tensor, moments: Tensor) -> tuple[Tensor, Tens
 
 def _moments(model: SceneModel, change: ImageChange) -> tuple[Tensor, Tensor]:
     """M, each spectrum's divided by its error, and S, of the coordinates that are blended now; on the CPU."""
-    if model.decoders is None:
+    decoders = model.decoders
+    if decoders is None:
         raise ValueError("A model without decoders has no features.")
     device, dim = model.background.device, model.config.feature_dim
     answers, moments = torch.zeros(2, dim, dim, device=device, dtype=torch.float64)
@@ -96,13 +99,14 @@ def _moments(model: SceneModel, change: ImageChange) -> tuple[Tensor, Tensor]:
             if name not in change.errors:
                 continue
             alpha = rendered.alphas[name]
-            inputs = model.decoder_input(frame.views[name], features)
             every = -(-alpha.numel() // _PIXELS)
-            given, covered = inputs.flatten(0, 1)[::every], alpha.flatten()[::every]
+            covered = alpha.flatten()[::every]
             if not model.decoder_config.covered_only:
                 covered = torch.ones_like(covered)
-            answers += _answers(partial(model.decoders.image, name), given, covered)[:dim, :dim] / change.errors[name]
-            blended = given[:, :dim].double()
+            inputs = partial(model.decoder_input, frame.views[name])
+            decode = partial(_decoded, partial(decoders.image, name), inputs, every)
+            answers += _answers(decode, features, covered, every) / change.errors[name]
+            blended = features.flatten(0, 1)[::every].double()
             moments += blended.T @ blended / len(blended)
     for name, spectrum in model.spectra.items():
         first, beyond = spectrum.latent
@@ -116,13 +120,19 @@ def _moments(model: SceneModel, change: ImageChange) -> tuple[Tensor, Tensor]:
     return basis.T @ answers @ basis, basis.T @ moments @ basis
 
 
+def _decoded(image: _OfTensor, inputs: _OfTensor, every: int, features: Tensor) -> Tensor:
+    """The image [P, C] of the decoders' inputs for features [H, W, d], of each so many-th pixel."""
+    return image(inputs(features).flatten(0, 1)[::every])
+
+
 @torch.enable_grad()
-def _answers(decode: Callable[[Tensor], Tensor], inputs: Tensor, covered: Tensor) -> Tensor:
-    """Mean of JᵀJ over pixels and channels of an image decoded of inputs [P, c] and as far as it is covered [P]."""
-    inputs = inputs.detach().requires_grad_()
-    image = decode(inputs) * covered.detach()[:, None]
-    total = inputs.new_zeros(inputs.shape[1], inputs.shape[1], dtype=torch.float64)
+def _answers(decode: _OfTensor, features: Tensor, covered: Tensor, every: int) -> Tensor:
+    """Mean of JᵀJ over pixels and channels of an image decoded of features [H, W, d] and as far as covered [P]."""
+    features = features.detach().requires_grad_()
+    image = decode(features) * covered.detach()[:, None]
+    total = features.new_zeros(features.shape[-1], features.shape[-1], dtype=torch.float64)
     for channel in image.unbind(-1):
-        (gradient,) = torch.autograd.grad(channel.sum(), inputs, retain_graph=True)
-        total += gradient.double().T @ gradient.double()
+        (gradient,) = torch.autograd.grad(channel.sum(), features, retain_graph=True)
+        of_pixels = gradient.flatten(0, 1)[::every].double()
+        total += of_pixels.T @ of_pixels
     return total / image.numel()
