@@ -15,9 +15,9 @@ from thermosplat.scene.decoders import Decoders
 from thermosplat.spectra import Spectrum
 from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.fused_decoders import FusedDecoders, teams
-from warp_kernels.decoding.decoder_memory import TEAMS
+from warp_kernels.decoding.decoder_memory import TEAMS, padded_inputs
 
-SHAPES = [(64, 8, 3), (32, 5, 1), (64, 15, 8)]
+SHAPES = [(64, 8, 3), (32, 5, 1), (64, 15, 8), (32, 24, 3), (64, 31, 8)]
 """hidden, features, thermal channels"""
 
 
@@ -85,7 +85,7 @@ def all_finite(team: int, device: torch.device) -> bool:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_images_and_gradients_on_cuda(shape: tuple[int, int, int], team: int) -> None:
     """Images and gradients are right with a warp or two for 16 pixels, on a device that has room for both."""
-    if team not in teams_within(shape[0], wp.get_device("cuda").max_shared_memory_per_block):
+    if team not in teams_within(shape[0], padded_inputs(shape[1]), wp.get_device("cuda").max_shared_memory_per_block):
         pytest.skip("the device allows a block too little shared memory")
     assert worst_difference(*shape, team, torch.device("cuda")) < 1e-2
     assert all_finite(team, torch.device("cuda"))
@@ -114,7 +114,7 @@ def test_training_on_cuda_uses_them() -> None:
 
 
 @pytest.mark.cuda
-@pytest.mark.parametrize(("change", "dim"), [({"modulation": False}, 8), ({"hidden_layers": 3}, 8), ({}, 16)])
+@pytest.mark.parametrize(("change", "dim"), [({"modulation": False}, 8), ({"hidden_layers": 3}, 8), ({}, 32)])
 def test_other_decoders_are_left_alone(change: dict, dim: int) -> None:
     """Shapes without kernels."""
     assert not teams(decoders_of(dim=dim, **change).cuda())
@@ -126,12 +126,18 @@ def test_there_are_none_on_the_cpu() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shared_memory", "hidden", "fitting"),
-    [(64, 64, ()), (99, 64, (2,)), (163, 64, (1, 2)), (227, 64, (1, 2)), (64, 32, (2,)), (99, 32, (1, 2))],
+    ("shared_memory", "hidden", "inputs", "fitting"),
+    [
+        *((64, 64, 16, ()), (99, 64, 16, (2,)), (163, 64, 16, (1, 2)), (227, 64, 16, (1, 2))),
+        *((64, 32, 16, (2,)), (99, 32, 16, (1, 2))),
+        *((99, 64, 32, ()), (163, 64, 32, (1, 2)), (64, 32, 32, (2,)), (99, 32, 32, (1, 2))),
+    ],
 )
-def test_warps_share_pixels_where_memory_is_short(shared_memory: int, hidden: int, fitting: tuple[int, ...]) -> None:
+def test_warps_share_pixels_where_memory_is_short(
+    shared_memory: int, hidden: int, inputs: int, fitting: tuple[int, ...]
+) -> None:
     """KiB of shared memory a block: compute capability 7.5, then 8.6, 8.9 and 12.0, then 8.0, then 9.0."""
-    assert teams_within(hidden, shared_memory * 1024) == fitting
+    assert teams_within(hidden, inputs, shared_memory * 1024) == fitting
 
 
 @pytest.mark.parametrize(("compiled_for", "fitting"), [(75, ()), (80, (2,)), (89, (2,))])
@@ -142,6 +148,16 @@ def test_there_are_none_where_warp_compiles_for_older_gpus(
     device = SimpleNamespace(max_shared_memory_per_block=99 * 1024, get_cuda_compile_arch=lambda: compiled_for)
     monkeypatch.setattr(fused_decoders, "warp_device_of", lambda _: device)
     assert fused_decoders.teams(torch.device("cuda"), 64, 8) == fitting
+
+
+@pytest.mark.parametrize(("features", "fitting"), [(15, (1, 2)), (31, (1, 2)), (32, ())])
+def test_there_are_none_for_features_beyond_the_widest(
+    features: int, fitting: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a GPU with room for all, up to 31 channels and a 1 behind them."""
+    device = SimpleNamespace(max_shared_memory_per_block=227 * 1024, get_cuda_compile_arch=lambda: 90)
+    monkeypatch.setattr(fused_decoders, "warp_device_of", lambda _: device)
+    assert fused_decoders.teams(torch.device("cuda"), 64, features) == fitting
 
 
 @pytest.mark.cuda

@@ -24,7 +24,7 @@ from warp_kernels.color.camera_positions import camera_position_kernels
 from warp_kernels.color.harmonic_basis import ALL
 from warp_kernels.color.spherical_harmonics import ColorVariant, color_adjoint_kernel, color_kernel
 from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
-from warp_kernels.decoding.decoder_memory import TEAMS
+from warp_kernels.decoding.decoder_memory import INPUTS, TEAMS
 from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
 from warp_kernels.machinery.strand_sums import strand_sum_kernel
 from warp_kernels.projection.affine_camera_adjoint import affine_camera_adjoint_kernel
@@ -128,7 +128,7 @@ def test_lenses_compile_for_every_architecture(arch: int, tmp_path: Path) -> Non
 @pytest.mark.parametrize("arch", [arch for arch in ARCHITECTURES if arch >= 80])
 def test_decoders_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     """All sizes, with and without a modulation, with a warp or two for 16 pixels."""
-    shapes = [(hidden, modulated) for hidden in HIDDEN for modulated in (False, True)]
+    shapes = [(hidden, modulated, inputs) for hidden in HIDDEN for modulated in (False, True) for inputs in INPUTS]
     kernels = [decode_kernel(*shape) for shape in shapes]
     kernels += [decode_adjoint_kernel(*shape, team) for shape in shapes for team in TEAMS]
     compile_all(kernels, arch, tmp_path)

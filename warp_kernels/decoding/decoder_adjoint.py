@@ -20,9 +20,10 @@ from warp_kernels.decoding.decoder_memory import (
     THREADS,
     WARPS,
     factor_of,
+    feature_reader,
+    feature_writer,
     layout_of,
     program_of_grid,
-    read_features,
     read_gradient,
     shared_address,
     store_sums,
@@ -31,7 +32,6 @@ from warp_kernels.decoding.decoder_memory import (
     team_sync,
     thread_of_block,
     unscaled_of,
-    write_features,
 )
 from warp_kernels.decoding.decoder_networks import label_of, parameter_loader
 from warp_kernels.decoding.matrix_fragments import (
@@ -48,52 +48,57 @@ from warp_kernels.machinery.loading import made_once
 
 
 @made_once
-def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
+def decode_adjoint_kernel(hidden: int, modulated: bool, inputs: int, team: int) -> wp.Kernel:
     """The adjoint kernel of a branch.
 
     Args:
         hidden: channels of hidden layers, of HIDDEN.
         modulated: whether there is a modulation.
+        inputs: columns of features, of INPUTS.
         team: warps that share 16 pixels, of TEAMS.
 
     Returns:
         A kernel, launched with (programs, THREADS) threads in blocks of THREADS, one a multiprocessor. Each program
         writes its own row of ``partial``: gradients of the weights and biases in the order of the arguments.
     """
-    at = layout_of(hidden, modulated, team)
-    load_parameters = parameter_loader(hidden, modulated)
-    name = f"{label_of(hidden, modulated)}_adjoint{'' if team == 1 else f'_team{team}'}"
+    at = layout_of(hidden, modulated, inputs, team)
+    load_parameters = parameter_loader(hidden, modulated, inputs)
+    read_features, write_features = feature_reader(inputs), feature_writer(inputs)
+    name = f"{label_of(hidden, modulated, inputs)}_adjoint{'' if team == 1 else f'_team{team}'}"
     words, address = shared_address(at.size)
 
     # a warp's channels of hidden layers
     own = hidden // team
-    narrow, wide = fragments(NARROW), fragments(own, hidden)
-    sums16, sums = narrow.sums, wide.sums
-    put_narrow, put = narrow.put, wide.put
-    get_narrow, get_own, get = narrow.get, wide.get, fragments(hidden).get
+    of_features, narrow, wide = fragments(inputs), fragments(NARROW), fragments(own, hidden)
+    feature_sums, sums = of_features.sums, wide.sums
+    put_features, put_narrow, put = of_features.put, narrow.put, wide.put
+    get_features, get_own, get = of_features.get, wide.get, fragments(hidden).get
     rounded16, rounded, widened = narrow.rounded, wide.rounded, wide.widened
     silu, silu_slope = wide.silu, wide.silu_slope
-    (first_layer, _), (layer, _) = linear(NARROW, own), linear(hidden, own)
-    to_features, back = linear_adjoint(NARROW, hidden), linear_adjoint(own, hidden, hidden)
+    (first_layer, _), (layer, _) = linear(inputs, own), linear(hidden, own)
+    to_features, back = linear_adjoint(inputs, hidden), linear_adjoint(own, hidden, hidden)
     from_head = linear_adjoint(own, NARROW, hidden)
     gamma_to_beta = hidden * row_bytes(hidden)
-    own_narrow, own_wide = own * row_bytes(NARROW), own * row_bytes(hidden)
+    own_first, own_wide = own * row_bytes(inputs), own * row_bytes(hidden)
 
     # all warps' pixels
     teams, team_bits = WARPS // team, team.bit_length() - 1
     pixels_of_block = teams * PIXELS
-    team_narrow, team_wide = PIXELS * row_bytes(NARROW), PIXELS * row_bytes(hidden)
+    team_features, team_narrow, team_wide = (PIXELS * row_bytes(columns) for columns in (inputs, NARROW, hidden))
     wait_for_team = team_sync(team)
 
     # a warp's part of the weights' gradients
     part_rows, part_columns = hidden // 2, hidden // 4
     part = wp.types.vector(part_rows * part_columns // 32, wp.float32)
     square = add_outer(part_rows, part_columns, hidden, hidden, teams)
-    beside_features = add_outer(16, 8, hidden, NARROW, teams)
+    half_inputs = inputs // 2
+    part_of_w1 = wp.types.vector(half_inputs // 2, wp.float32)
+    beside_features = add_outer(16, half_inputs, hidden, inputs, teams)
     beside_image = add_outer(16, 8, NARROW, hidden, teams)
     bias_sums, bias_sums16 = add_columns(hidden, teams), add_columns(NARROW, teams)
     biased = part_rows // 16  # of the 4 warps across, those that sum a bias's gradient
-    store_square, store_tile = stored(part_rows // 16, part_columns // 8), stored(1, 1)
+    store_square = stored(part_rows // 16, part_columns // 8)
+    store_w1, store_wh = stored(1, half_inputs // 8), stored(1, 1)
 
     # All channels of a team's pixels: what this warp has of them, or what all have put in these rows.
     if team == 1:
@@ -131,7 +136,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
         weight1, weight2 = base + Address(wp.static(at.w1)), base + Address(wp.static(at.w2))
         weight3, head_weight = base + Address(wp.static(at.w3)), base + Address(wp.static(at.head))
         modulation = base + Address(wp.static(at.modulation))
-        rows1 = weight1 + Address(member * own_narrow)
+        rows1 = weight1 + Address(member * own_first)
         bias1, bias2 = base + Address(wp.static(at.b1)) + of_biases, base + Address(wp.static(at.b2)) + of_biases
         bias3 = base + Address(wp.static(at.b3)) + of_biases
         b_modulation = base + Address(wp.static(at.b_modulation)) + of_biases
@@ -140,7 +145,8 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
         all_encoded, all_prior = base + Address(wp.static(at.encoded)), base + Address(wp.static(at.prior))
         all_v = base + Address(wp.static(at.v_image))
         even, odd = base + Address(wp.static(at.factors[0])), base + Address(wp.static(at.factors[1]))
-        ours_narrow, ours = Address(my_team * team_narrow), Address(my_team * team_wide)
+        ours_features, ours_narrow = Address(my_team * team_features), Address(my_team * team_narrow)
+        ours = Address(my_team * team_wide)
         mine = ours + of_columns
         # this warp's part of the square weights' gradients
         down, across = warp >> 2, warp & 3
@@ -151,7 +157,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
         v_wg = part()
         v_wb = part()
         v_biases = FOUR()  # of the square weights' layers, each in its place
-        v_w1 = FOUR()
+        v_w1 = part_of_w1()
         v_wh = FOUR()
         v_bh = FOUR()
         pixel = program * pixels_of_block + my_team * PIXELS
@@ -159,7 +165,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
         v = rounded16(read_gradient(image, v_image, factor, pixel, lane))
         while pixel - my_team * PIXELS < image.shape[0]:
             if member == 0:
-                put_narrow(x, all_x + ours_narrow, lane)
+                put_features(x, all_x + ours_features, lane)
             z = first_layer(x, rows1, bias1, lane)
             a = silu(z)
             put(a, all_first + mine, lane)
@@ -232,7 +238,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
             if across < biased:
                 v_biases = bias_sums(odd, bias_row, 0, v_biases, lane)
             if wp.static(team > 1):
-                x = get_narrow(all_x + ours_narrow, lane)
+                x = get_features(all_x + ours_features, lane)
             z = first_layer(x, rows1, bias1, lane)  # again: quick, and takes no registers
             v_first = back(whole(v_z, odd + ours, lane), weight2 + of_columns, sums(), lane)
             v_z = rounded(wp.cw_mul(v_first, widened(silu_slope(z))))
@@ -242,16 +248,16 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
             v = rounded16(read_gradient(image, v_image, factor, following, lane))
             sync()
             if warp * 8 < hidden:
-                v_w1 = beside_features(even, all_x, (warp >> 1) * 16, (warp & 1) * 8, v_w1, lane)
+                v_w1 = beside_features(even, all_x, (warp >> 1) * 16, (warp & 1) * half_inputs, v_w1, lane)
             if member == 0:
-                v_x = to_features(whole(v_z, even + ours, lane), weight1, sums16(), lane)
+                v_x = to_features(whole(v_z, even + ours, lane), weight1, feature_sums(), lane)
                 write_features(v_x, v_features, unscaled, pixel, lane)
             sync()
             pixel = following
         out = partial[program]
         dim, channels = features.shape[1], image.shape[1]
         if warp * 8 < hidden:
-            store_tile(v_w1, out, 0, hidden, dim, (warp >> 1) * 16, (warp & 1) * 8, True, unscaled, lane)
+            store_w1(v_w1, out, 0, hidden, dim, (warp >> 1) * 16, (warp & 1) * half_inputs, True, unscaled, lane)
         first = (dim + 1) * hidden
         store_square(v_w2, out, first, hidden, hidden, row, column, False, unscaled, lane)
         if across < biased:
@@ -269,7 +275,7 @@ def decode_adjoint_kernel(hidden: int, modulated: bool, team: int) -> wp.Kernel:
                 store_sums(v_biases, 3, out, first + (2 * hidden + 1) * hidden, hidden, bias_row, unscaled, lane)
             first += 2 * (hidden + 1) * hidden
         if warp * 8 < hidden:
-            store_tile(v_wh, out, first, channels, hidden, 0, warp * 8, False, unscaled, lane)
+            store_wh(v_wh, out, first, channels, hidden, 0, warp * 8, False, unscaled, lane)
         if warp == 0:
             store_sums(v_bh, 0, out, first + channels * hidden, channels, 0, unscaled, lane)
 

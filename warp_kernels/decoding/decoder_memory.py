@@ -20,16 +20,27 @@ TEAMS = (1, 2)
 """Warps that may share 16 pixels in the adjoint, half of each layer's channels each: a block's shared memory then holds
 half as many pixels. One is quicker where there is room: nobody waits for a partner."""
 
+INPUTS = (16, 32)
+"""Columns of features, with a 1 behind them, padded, that there are kernels for."""
+
 NARROW = 16
-"""Columns of features, with a 1 behind them, and of images, padded."""
+"""Columns of images, padded."""
 
 MATRIX, ARRAY = wp.array2d(dtype=wp.float32), wp.array(dtype=wp.float32)
 
 FOUR = wp.types.vector(4, wp.float32)
 """Sums a lane of 16 rows and 8 columns."""
 
-_narrow = fragments(NARROW)
-_packed, _sums = _narrow.packed, _narrow.sums
+_sums = fragments(NARROW).sums
+
+
+def padded_inputs(channels: int) -> int | None:
+    """The fewest of INPUTS that have room for features and the 1 behind them; None: there are no kernels.
+
+    Args:
+        channels: of the features.
+    """
+    return next((inputs for inputs in INPUTS if channels < inputs), None)
 
 
 class Layout(NamedTuple):
@@ -57,19 +68,21 @@ class Layout(NamedTuple):
 
 
 @made_once
-def layout_of(hidden: int, modulated: bool, team: int = 1) -> Layout:
+def layout_of(hidden: int, modulated: bool, inputs: int, team: int = 1) -> Layout:
     """Shared memory of a block.
 
     Args:
         hidden: channels of hidden layers.
         modulated: whether there is a modulation.
+        inputs: columns of features, of INPUTS.
         team: warps that share 16 pixels, of TEAMS. What the forward pass uses is the same for all.
     """
-    wide, narrow, pixels = row_bytes(hidden), row_bytes(NARROW), WARPS // team * PIXELS
+    wide, narrow, of_features = row_bytes(hidden), row_bytes(NARROW), row_bytes(inputs)
+    pixels = WARPS // team * PIXELS
     twice = 2 * hidden if modulated else 0
-    sizes = [hidden * narrow, hidden * wide, hidden * wide, twice * wide, NARROW * wide]
+    sizes = [hidden * of_features, hidden * wide, hidden * wide, twice * wide, NARROW * wide]
     sizes += [4 * hidden, 4 * hidden, 4 * hidden, 4 * twice, 4 * NARROW]
-    sizes += [pixels * narrow, *[pixels * wide] * 3, pixels * narrow, pixels * wide, pixels * wide]
+    sizes += [pixels * of_features, *[pixels * wide] * 3, pixels * narrow, pixels * wide, pixels * wide]
     starts = [0]
     for size in sizes:
         starts.append(starts[-1] + size)
@@ -156,29 +169,39 @@ def load_bias(b: ARRAY, columns: int, address: Address, thread: int):
     """Writes a bias to shared memory, padded with zeros."""
 
 
-read_features_snippet = "wp::vec_t<4, wp::uint32> p;" + on_cuda(
-    f"""{PACK}
-    const int channels = features.shape[1], column = 2 * (lane & 3);
-    #pragma unroll
-    for (int k = 0; k < 4; ++k) {{
-        const int row = pixel + (lane >> 2) + 8 * (k & 1), from = column + 8 * (k >> 1);
-        const float* at = (const float*)((const char*)features.data + (long long)row * features.strides[0]);
-        const bool inside = row < features.shape[0];
-        float x[2];
-        #pragma unroll
-        for (int i = 0; i < 2; ++i)
-            x[i] = from + i < channels ? (inside ? at[from + i] : 0.0f) : from + i == channels ? 1.0f : 0.0f;
-        p.c[k] = pack(x[0], x[1]);
-    }}"""
-)
-
-
-@wp.func_native(read_features_snippet + "return p;")
-def read_features(features: MATRIX, pixel: int, lane: int) -> _packed:
-    """A warp's pixels from a matrix [pixels, channels], any distance apart, and a 1 behind the channels.
+@made_once
+def feature_reader(inputs: int) -> wp.Function:
+    """What brings a warp's pixels from a matrix [pixels, channels], any distance apart, and a 1 behind the channels.
 
     What multiplies the 1 is summed like a weight's gradient, and is a bias's.
+
+    Args:
+        inputs: columns of features, of INPUTS.
+
+    Returns:
+        A function (matrix, first pixel, lane) -> packed.
     """
+    packed = fragments(inputs).packed
+    snippet = f"wp::vec_t<{inputs // 4}, wp::uint32> p;" + on_cuda(
+        f"""{PACK}
+        const int channels = features.shape[1], column = 2 * (lane & 3);
+        #pragma unroll
+        for (int k = 0; k < {inputs // 4}; ++k) {{
+            const int row = pixel + (lane >> 2) + 8 * (k & 1), from = column + 8 * (k >> 1);
+            const float* at = (const float*)((const char*)features.data + (long long)row * features.strides[0]);
+            const bool inside = row < features.shape[0];
+            float x[2];
+            #pragma unroll
+            for (int i = 0; i < 2; ++i)
+                x[i] = from + i < channels ? (inside ? at[from + i] : 0.0f) : from + i == channels ? 1.0f : 0.0f;
+            p.c[k] = pack(x[0], x[1]);
+        }}"""
+    )
+
+    @wp.func_native(snippet + "return p;")
+    def read_features(features: MATRIX, pixel: int, lane: int) -> packed: ...
+
+    return read_features
 
 
 @wp.func_native("return exp2f(-ceilf(log2f(fmaxf(largest, 1e-30f))));")
@@ -227,19 +250,31 @@ def read_gradient(image: MATRIX, v_image: MATRIX, factor: wp.float32, pixel: int
     """Scaled gradient to z of an image [pixels, channels] that is sigmoid(z)."""
 
 
-@wp.func_native(
-    on_cuda(
-        """const int channels = v_features.shape[1], column = 2 * (lane & 3);
+@made_once
+def feature_writer(inputs: int) -> wp.Function:
+    """What brings a warp's pixels to a matrix [pixels, channels], scaled back.
+
+    Args:
+        inputs: columns of features, of INPUTS.
+
+    Returns:
+        A function (sums, matrix, what to multiply by, first pixel, lane).
+    """
+    sums = fragments(inputs).sums
+    snippet = on_cuda(
+        f"""const int channels = v_features.shape[1], column = 2 * (lane & 3);
         #pragma unroll
-        for (int k = 0; k < 8; ++k) {
+        for (int k = 0; k < {inputs // 2}; ++k) {{
             const int row = pixel + (lane >> 2) + 8 * (k >> 1 & 1), c = column + (k & 1) + 8 * (k >> 2);
             if (row < v_features.shape[0] && c < channels)
                 v_features.data[(long long)row * channels + c] = v.c[k] * unscaled;
-        }"""
+        }}"""
     )
-)
-def write_features(v: _sums, v_features: MATRIX, unscaled: wp.float32, pixel: int, lane: int):
-    """A warp's pixels to a matrix [pixels, channels], scaled back."""
+
+    @wp.func_native(snippet)
+    def write_features(v: sums, v_features: MATRIX, unscaled: wp.float32, pixel: int, lane: int): ...
+
+    return write_features
 
 
 @made_once

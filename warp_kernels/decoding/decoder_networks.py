@@ -12,15 +12,16 @@ import warp as wp
 
 from warp_kernels.decoding.decoder_memory import (
     ARRAY,
+    INPUTS,
     MATRIX,
     NARROW,
     THREADS,
     WARPS,
+    feature_reader,
     layout_of,
     load_bias,
     load_weight,
     program_of_grid,
-    read_features,
     shared_address,
     sync,
     thread_of_block,
@@ -33,24 +34,25 @@ HIDDEN = (32, 64)
 """Channels of hidden layers that there are kernels for."""
 
 
-def label_of(hidden: int, modulated: bool) -> str:
+def label_of(hidden: int, modulated: bool, inputs: int) -> str:
     """Name of the kernels of a branch; the arguments are those of ``decode_kernel``."""
-    return f"decode_{hidden}{'_modulated' if modulated else ''}"
+    return f"decode_{hidden}{'_modulated' if modulated else ''}{'' if inputs == INPUTS[0] else f'_inputs{inputs}'}"
 
 
 @made_once
-def parameter_loader(hidden: int, modulated: bool) -> wp.Function:
+def parameter_loader(hidden: int, modulated: bool, inputs: int) -> wp.Function:
     """What brings a block's weights and biases to shared memory.
 
     Args:
         hidden: channels of hidden layers, of HIDDEN.
         modulated: whether there is a modulation.
+        inputs: columns of features, of INPUTS.
 
     Returns:
         A function (address of the block's shared memory, weights and biases in the kernels' order, thread), after
         which all threads may read them.
     """
-    at = layout_of(hidden, modulated)
+    at = layout_of(hidden, modulated, inputs)
 
     @wp.func
     def load_parameters(
@@ -59,7 +61,7 @@ def parameter_loader(hidden: int, modulated: bool) -> wp.Function:
         wm: MATRIX, bm: ARRAY, wh: MATRIX, bh: ARRAY,
         thread: int,
     ):  # fmt: skip
-        load_weight(w1, hidden, NARROW, base + Address(wp.static(at.w1)), thread)
+        load_weight(w1, hidden, inputs, base + Address(wp.static(at.w1)), thread)
         load_weight(w2, hidden, hidden, base + Address(wp.static(at.w2)), thread)
         load_weight(w3, hidden, hidden, base + Address(wp.static(at.w3)), thread)
         load_weight(wh, NARROW, hidden, base + Address(wp.static(at.head)), thread)
@@ -76,29 +78,30 @@ def parameter_loader(hidden: int, modulated: bool) -> wp.Function:
 
 
 @made_once
-def decode_kernel(hidden: int, modulated: bool) -> wp.Kernel:
+def decode_kernel(hidden: int, modulated: bool, inputs: int) -> wp.Kernel:
     """The forward kernel of a branch.
 
     Args:
         hidden: channels of hidden layers, of HIDDEN.
         modulated: whether there is a modulation.
+        inputs: columns of features, of INPUTS.
 
     Returns:
         A kernel, launched with (programs, THREADS) threads in blocks of THREADS, two of which fit on a multiprocessor.
     """
-    at = layout_of(hidden, modulated)
-    load_parameters = parameter_loader(hidden, modulated)
+    at = layout_of(hidden, modulated, inputs)
+    load_parameters, read_features = parameter_loader(hidden, modulated, inputs), feature_reader(inputs)
     wide = fragments(hidden)
     rounded, widened, silu = wide.rounded, wide.widened, wide.silu
     (first_layer, _), (layer, layer_added), (head, _) = (
-        linear(columns, outputs) for columns, outputs in ((NARROW, hidden), (hidden, hidden), (hidden, NARROW))
+        linear(columns, outputs) for columns, outputs in ((inputs, hidden), (hidden, hidden), (hidden, NARROW))
     )
     gamma_to_beta = hidden * row_bytes(hidden)
     pixels_of_block = WARPS * PIXELS
     words, address = shared_address(at.forward_size)
 
     @wp.kernel(
-        name=label_of(hidden, modulated),
+        name=label_of(hidden, modulated, inputs),
         enable_backward=False,
         module="unique",
         launch_bounds=(THREADS, 2),

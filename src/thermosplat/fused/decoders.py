@@ -19,7 +19,7 @@ from torch.autograd.function import once_differentiable
 from thermosplat.torch_bridge.arrays import strided_view, view, warp_device_of
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
-from warp_kernels.decoding.decoder_memory import NARROW, TEAMS, THREADS, layout_of
+from warp_kernels.decoding.decoder_memory import TEAMS, THREADS, layout_of, padded_inputs
 from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
 from warp_kernels.machinery.array_views import ArrayView
 from warp_kernels.machinery.launching import launch_again
@@ -43,24 +43,26 @@ def teams(device: torch.device, hidden: int, features: int) -> tuple[int, ...]:
         Of ``TEAMS`` those for which the device allows a block enough shared memory, the quickest first; none where the
         device, or the one that Warp compiles for, is too old or the kernels are written for other shapes.
     """
-    if device.type != "cuda" or hidden not in HIDDEN or features >= NARROW:
+    inputs = padded_inputs(features)
+    if device.type != "cuda" or hidden not in HIDDEN or inputs is None:
         return ()
     on = warp_device_of(device)
     # beside an older GPU, and for one that it does not know yet, Warp may write PTX of a lower capability
     if on.get_cuda_compile_arch() < OLDEST:
         return ()
-    return teams_within(hidden, on.max_shared_memory_per_block)
+    return teams_within(hidden, inputs, on.max_shared_memory_per_block)
 
 
-def teams_within(hidden: int, shared_memory: int) -> tuple[int, ...]:
+def teams_within(hidden: int, inputs: int, shared_memory: int) -> tuple[int, ...]:
     """As ``teams``, of a device that allows a block so much shared memory.
 
     Args:
         hidden: Channels of hidden layers, of ``HIDDEN``.
+        inputs: Columns of features, of ``INPUTS``.
         shared_memory: Most a block may ask for [bytes]: 101,376 on consumer GPUs (compute capability 8.6, 8.9, 12.0),
             166,912 on 8.0, 232,448 on 9.0 (CUDA C++ Programming Guide, "Technical Specifications").
     """
-    return tuple(team for team in TEAMS if layout_of(hidden, True, team).size <= shared_memory - RESERVED)
+    return tuple(team for team in TEAMS if layout_of(hidden, True, inputs, team).size <= shared_memory - RESERVED)
 
 
 def decode_branches(
@@ -174,9 +176,10 @@ def _decoded_adjoint(
     return v_features
 
 
-def _shape(parameters: Sequence[Tensor | None]) -> tuple[int, bool]:
-    """Channels of hidden layers, and whether there is a modulation."""
-    return parameters[0].shape[0], parameters[6] is not None  # type: ignore[union-attr]
+def _shape(parameters: Sequence[Tensor | None]) -> tuple[int, bool, int]:
+    """Channels of hidden layers, whether there is a modulation, and columns of features."""
+    hidden, features = parameters[0].shape  # type: ignore[union-attr]
+    return hidden, parameters[6] is not None, padded_inputs(features)
 
 
 def _launch(kernel: wp.Kernel, programs: int, inputs: list[Any], device: torch.device) -> None:

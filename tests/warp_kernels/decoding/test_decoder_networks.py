@@ -10,7 +10,7 @@ from torch.nn.functional import silu
 
 from decoder_emulation import Array, Block, Rows
 from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
-from warp_kernels.decoding.decoder_memory import TEAMS, layout_of
+from warp_kernels.decoding.decoder_memory import TEAMS, layout_of, padded_inputs
 from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
 
 PIXELS, PROGRAMS = 300, 2
@@ -75,31 +75,36 @@ def apart(found: Array, wanted: Array) -> float:
 
 @pytest.mark.parametrize("hidden", HIDDEN)
 @pytest.mark.parametrize("modulated", [False, True])
-def test_every_pixel_is_decoded(hidden: int, modulated: bool) -> None:
-    """Every pixel is decoded."""
-    given, image = case(hidden, modulated, 8, 3), np.full((PIXELS, 3), np.nan, np.float32)
-    layout = layout_of(hidden, modulated)
+@pytest.mark.parametrize("dim", [8, 24])
+def test_every_pixel_is_decoded(hidden: int, modulated: bool, dim: int) -> None:
+    """Every pixel is decoded, from features of either width."""
+    given, image = case(hidden, modulated, dim, 3), np.full((PIXELS, 3), np.nan, np.float32)
+    shape = hidden, modulated, padded_inputs(dim)
+    layout = layout_of(*shape)
     for program in range(PROGRAMS):
-        block = Block(hidden, modulated, 1, layout, layout.forward_size)
+        block = Block(*shape, 1, layout, layout.forward_size)
         inputs = [PROGRAMS, Rows(given.features), *arguments(given.parameters), Rows(image)]
-        block.run(decode_kernel(hidden, modulated), program, inputs)
+        block.run(decode_kernel(*shape), program, inputs)
     assert apart(image, given.image) < FLOAT16
 
 
 @pytest.mark.parametrize("team", TEAMS)
 @pytest.mark.parametrize("hidden", HIDDEN)
-@pytest.mark.parametrize(("modulated", "dim", "channels"), [(False, 5, 1), (True, 15, 8)])
+@pytest.mark.parametrize(
+    ("modulated", "dim", "channels"), [(False, 5, 1), (True, 15, 8), (False, 24, 3), (True, 31, 8)]
+)
 def test_gradients_of_features_and_parameters(hidden: int, modulated: bool, dim: int, channels: int, team: int) -> None:
     """Gradients of features and of every weight and bias, with one warp or two for 16 pixels."""
     given = case(hidden, modulated, dim, channels)
-    layout = layout_of(hidden, modulated, team)
+    shape = hidden, modulated, padded_inputs(dim)
+    layout = layout_of(*shape, team)
     sizes = [v.size for v in given.v_parameters]
     v_features, partial = (np.full(shape, np.nan, np.float32) for shape in ((PIXELS, dim), (PROGRAMS, sum(sizes))))
     images = [Rows(given.image), Rows(given.v_image), Rows(np.abs(given.v_image).max(keepdims=True)[0])]
     for program in range(PROGRAMS):
-        block = Block(hidden, modulated, team, layout, layout.size)
+        block = Block(*shape, team, layout, layout.size)
         inputs = [PROGRAMS, Rows(given.features), *images, *arguments(given.parameters)]
-        kernel = decode_adjoint_kernel(hidden, modulated, team)
+        kernel = decode_adjoint_kernel(*shape, team)
         block.run(kernel, program, [*inputs, Rows(v_features), Rows(partial)])
     assert apart(v_features, given.v_features) < FLOAT16
     for found, wanted in zip(np.split(partial.sum(0), np.cumsum(sizes)[:-1]), given.v_parameters, strict=True):
