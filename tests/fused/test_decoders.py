@@ -17,7 +17,7 @@ from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.fused_decoders import FusedDecoders, teams
 from warp_kernels.decoding.decoder_memory import TEAMS, padded_inputs
 
-SHAPES = [(64, 8, 3), (32, 5, 1), (64, 15, 8), (32, 24, 3), (64, 31, 8)]
+SHAPES = [(64, 8, 3), (32, 5, 1), (64, 15, 8), (64, 24, 3), (32, 24, 3), (64, 31, 8)]
 """hidden, features, thermal channels"""
 
 
@@ -34,12 +34,14 @@ def decoders_of(hidden: int = 64, dim: int = 8, thermal_channels: int = 3, **cha
 def worst_difference(hidden: int, dim: int, thermal_channels: int, team: int, device: torch.device) -> float:
     """Largest relative difference (norm) of an image or gradient between fused decoders and plain ones in float64.
 
-    The visible features are a slice of a render, as in training; the image is no multiple of a block of pixels.
+    The visible features are a slice of a render, as in training; the image is no multiple of a block of pixels. The
+    first layer's outputs are as large for many features as for few: float16 loses more of larger ones.
     """
     generator = torch.Generator().manual_seed(0)
     decoders = decoders_of(hidden, dim, thermal_channels)
     for parameter in decoders.parameters():
         torch.nn.init.normal_(parameter, std=0.3, generator=generator)
+    decoders.shared_encoder[0].weight.data *= (8 / dim) ** 0.5
     decoders = decoders.to(device)
     assert team in teams(decoders)
     render = torch.randn(17, 13, 3 + dim, generator=generator).to(device).requires_grad_()
@@ -130,7 +132,7 @@ def test_there_are_none_on_the_cpu() -> None:
     [
         *((64, 64, 16, ()), (99, 64, 16, (2,)), (163, 64, 16, (1, 2)), (227, 64, 16, (1, 2))),
         *((64, 32, 16, (2,)), (99, 32, 16, (1, 2))),
-        *((99, 64, 32, ()), (163, 64, 32, (1, 2)), (64, 32, 32, (2,)), (99, 32, 32, (1, 2))),
+        *((99, 64, 32, (2,)), (163, 64, 32, (1, 2)), (64, 32, 32, (2,)), (99, 32, 32, (1, 2))),
     ],
 )
 def test_warps_share_pixels_where_memory_is_short(

@@ -24,8 +24,9 @@ from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
 from warp_kernels.machinery.array_views import ArrayView
 from warp_kernels.machinery.launching import launch_again
 
-RESERVED = 2048
-"""Bytes of a block's shared memory that Warp takes for itself and CUDA adds."""
+RESERVED = 1024
+"""Bytes of a block's shared memory that Warp takes for itself: four a thread. The 1 KB a block that CUDA reserves is no
+part of what it allows (CUDA C++ Programming Guide, "Shared Memory" of 8.x: 100 KB a multiprocessor, 99 KB a block)."""
 
 OLDEST = 80
 """Compute capability (8.0) from which there are the matrix products the kernels use."""
