@@ -66,6 +66,7 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ("densification.reset_opacity", 0.0, "--densification.reset-opacity must lie between 0 and 1"),
         ("densification.reset_opacity", 1.0, "--densification.reset-opacity must lie between 0 and 1"),
         ("densification.growth", -0.1, "--densification.growth must be at least 0"),
+        ("decoder.fourier_frequency", -3.0, "--decoder.fourier-frequency must be at least 0"),
         ("densification.strategy", "decomposing", "needs a shared set whose second spectrum has an opacity of its own"),
         ("densification.off_opacity", 0.01, "--densification.off-opacity must lie between 0 and 1/255"),
         ("densification.keep_opacity", 2.0, "--densification.keep-opacity must lie between 0 and 1"),

@@ -35,6 +35,7 @@ _AT_LEAST: dict[str, float] = {
     "decoder.hidden_dim": 1,
     "decoder.hidden_layers": 1,
     "decoder.padding": 0,
+    "decoder.fourier_frequency": 0,
     "densification.every": 1,
     "densification.reset_every": 1,
     "densification.max_gaussians": 1,
