@@ -147,8 +147,9 @@ def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainCon
         epsilon = spectrum.charbonnier
         image = rendered.images.get(name)
         if spectrum.loss > 0 and image is not None and view.image is not None:
-            of_squares = spectrum.squared
-            images.append(SpectrumTerm(name, spectrum.loss, image, view.image, 0, epsilon, of_squares, spectrum=name))
+            images.append(
+                SpectrumTerm(name, spectrum.loss, image, view.image, 0, epsilon, spectrum.squared, spectrum=name)
+            )
         weight = config.loss.features * (spectrum.features or 0.0)
         blended, target = rendered.features.get(name), _supervising(view)
         if weight > 0 and blended is not None and target is not None:

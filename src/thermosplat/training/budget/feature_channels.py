@@ -103,9 +103,8 @@ def _moments(model: SceneModel, change: ImageChange) -> tuple[Tensor, Tensor]:
             covered = alpha.flatten()[::every]
             if not model.decoder_config.covered_only:
                 covered = torch.ones_like(covered)
-            inputs = partial(model.decoder_input, frame.views[name])
-            decode = partial(_decoded, partial(decoders.image, name), inputs, every)
-            answers += _answers(decode, features, covered, every) / change.errors[name]
+            inputs, image = partial(model.decoder_input, frame.views[name]), partial(decoders.image, name)
+            answers += _answers(inputs, image, features, covered, every) / change.errors[name]
             blended = features.flatten(0, 1)[::every].double()
             moments += blended.T @ blended / len(blended)
     for name, spectrum in model.spectra.items():
@@ -120,19 +119,22 @@ def _moments(model: SceneModel, change: ImageChange) -> tuple[Tensor, Tensor]:
     return basis.T @ answers @ basis, basis.T @ moments @ basis
 
 
-def _decoded(image: _OfTensor, inputs: _OfTensor, every: int, features: Tensor) -> Tensor:
-    """The image [P, C] of the decoders' inputs for features [H, W, d], of each so many-th pixel."""
-    return image(inputs(features).flatten(0, 1)[::every])
-
-
 @torch.enable_grad()
-def _answers(decode: _OfTensor, features: Tensor, covered: Tensor, every: int) -> Tensor:
-    """Mean of JᵀJ over pixels and channels of an image decoded of features [H, W, d] and as far as covered [P]."""
+def _answers(inputs: _OfTensor, image: _OfTensor, features: Tensor, covered: Tensor, every: int) -> Tensor:
+    """Mean of JᵀJ over channels, and over each so many-th pixel, of an image decoded of features [H, W, d].
+
+    Args:
+        inputs: What decoders see of features.
+        image: What they make of that, by pixel.
+        features: A_f, [H, W, d].
+        covered: How far the image is covered at the pixels that are looked at, [P].
+        every: So many-th.
+    """
     features = features.detach().requires_grad_()
-    image = decode(features) * covered.detach()[:, None]
+    decoded = image(inputs(features).flatten(0, 1)[::every]) * covered.detach()[:, None]
     total = features.new_zeros(features.shape[-1], features.shape[-1], dtype=torch.float64)
-    for channel in image.unbind(-1):
+    for channel in decoded.unbind(-1):
         (gradient,) = torch.autograd.grad(channel.sum(), features, retain_graph=True)
         of_pixels = gradient.flatten(0, 1)[::every].double()
         total += of_pixels.T @ of_pixels
-    return total / image.numel()
+    return total / decoded.numel()
