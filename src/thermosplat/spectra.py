@@ -84,6 +84,9 @@ class SpectrumConfig:
     squared: float = 0.0
     """k of |d| + k d² in place of |d| in the loss on its images, in their units (0 to 1): PSNR is of squares, in which
     large differences count for more. 0: plain L1. Open choice."""
+    swept_depth: float = 0.0
+    """Weight of how far its depths lie from those that a plane sweep of its training images finds, as differences of
+    log z, from ``loss.depth_spread_from`` on. 0: no sweep. Open choice."""
     exposure: Exposure = "fixed"
     """What differs between its training images though the scene does not; held-out images are rendered without.
     "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of

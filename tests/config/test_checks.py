@@ -140,10 +140,14 @@ def test_decomposition_is_of_two_spectra() -> None:
 
 
 def test_depths_are_blended_with_features() -> None:
-    """A penalty on their spread where there are no features is refused, and says why."""
+    """A penalty on them where there are no features is refused, and says why."""
     config = changed("loss.depth_spread", 0.1)
     check_config(config)
     with pytest.raises(UserError, match=r"--loss\.depth-spread is 0\.1, but depths are blended with features"):
+        check_config(replace(config, model=replace(config.model, feature_dim=0)))
+    config = with_spectra(TrainConfig(), thermal={"swept_depth": 0.1})
+    check_config(config)
+    with pytest.raises(UserError, match=r"--spectra\.thermal\.swept-depth is 0\.1, but depths are blended"):
         check_config(replace(config, model=replace(config.model, feature_dim=0)))
 
 

@@ -91,12 +91,12 @@ def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str)
 def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
     """MCMC's noise is drawn anew in every replay, the same as without graphs; every frame's exposure learns.
 
-    In the second half depths are blended too, which is another graph.
+    In the second half depths are blended too, which is another graph, and swept ones draw them.
     """
     mcmc = DensificationConfig(strategy="mcmc", max_gaussians=300, start_step=4, stop_step=60, every=10)
 
     def run(name: str, graph: bool) -> Trainer:
-        robust = {"rgb": {"exposure": "affine"}, "thermal": {"exposure": "affine", "charbonnier": 0.02}}
+        robust = {"rgb": {"exposure": "affine"}, "thermal": {"exposure": "affine", "charbonnier": 0.02, "swept_depth": 0.1}}
         config = toy_run_config(max_steps=40, spectra=robust)
         loss = dataclasses.replace(config.loss, opacity_reg=0.01, scale_reg=0.01, depth_spread=0.1)
         config = dataclasses.replace(config, device="cuda", graph=graph, densification=mcmc, loss=loss)
@@ -107,7 +107,7 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
 
     plain, captured = run("plain", False), run("captured", True)
     assert isinstance(captured.steps, CapturedSteps)
-    assert {work.kind.depth_spread for work in captured.steps._graphs} == {True}
+    assert {work.kind.depths for work in captured.steps._graphs} == {True}
     assert captured.guard.first_bad() is None
     assert captured.model.num_gaussians == plain.model.num_gaussians > 60
     ours, theirs = captured.state.exposures, plain.state.exposures

@@ -234,12 +234,15 @@ def _check_model(config: TrainConfig, name: Any) -> None:
             f"Separate Gaussians have no shared features, but {name('model.feature_dim')} is {model.feature_dim}.",
             "Set it to 0, as --config 3dgs does.",
         )
-    if config.loss.depth_spread > 0 and not model.feature_dim:
-        raise UserError(
-            f"{name('loss.depth_spread')} is {config.loss.depth_spread}, but depths are blended with features, and "
-            f"{name('model.feature_dim')} is 0.",
-            "Leave it at 0.",
-        )
+    depths = {"loss.depth_spread": config.loss.depth_spread}
+    depths |= {f"spectra.{spectrum}.swept_depth": one.swept_depth for spectrum, one in config.modelled.items()}
+    for field, weight in depths.items():
+        if weight > 0 and not model.feature_dim:
+            raise UserError(
+                f"{name(field)} is {weight}, but depths are blended with features, and {name('model.feature_dim')} "
+                "is 0.",
+                "Leave it at 0.",
+            )
     separate = model.gaussian_sets == "separate" and len(config.modelled) > 1
     if config.loss.balance and not separate:
         raise UserError(f"{name('loss.balance')} is about separate sets of Gaussians, one per spectrum.")

@@ -90,7 +90,8 @@ class LossConfig:
     """v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet
     in a pixel, count for less: half of one and half of another 1.88 times as far is 0.1. 0: v itself. Open choice."""
     depth_spread_from: float = 0.5
-    """Share of the steps before the spread counts. Open choice."""
+    """Share of the steps before depths count: their spread, and how far they lie from swept ones
+    (``SpectrumConfig.swept_depth``). Open choice."""
     balance: bool = False
     """Multiply the losses of a separate set by the other sets' share of all Gaussians. ThermalGaussian MSMG."""
 

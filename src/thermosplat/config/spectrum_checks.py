@@ -32,7 +32,7 @@ RESERVED = frozenset(
 """Names that files, tables and modules use for something else."""
 _AT_LEAST_ZERO = (
     *("loss", "loss_noise", "features", "smoothness", "smoothness_noise", "smoothness_least"),
-    *("charbonnier", "squared"),
+    *("charbonnier", "squared", "swept_depth"),
 )
 _SHARES = ("train_from", "train_until")
 

@@ -36,7 +36,7 @@ def blend_features(
         photograph: The spectrum whose image has SH colours in it; None where there is none.
         view: Their camera and pose.
         rendering: How.
-        rendered: Takes accumulated opacities, spreads of depths, and what rasterizations say about their calls.
+        rendered: Takes accumulated opacities, depths, their spreads, and what rasterizations say about their calls.
 
     Returns:
         Features by spectrum, [H, W, d] each, and SH colours [H, W, 3], None unless the photograph is among the spectra.
@@ -51,6 +51,8 @@ def blend_features(
         split, spreads = _split_features(gaussians, image, alpha, rendering)
         for name in seen_by:
             features[name], rendered.alphas[name] = split, alpha
+            if rendering.depth_spread_limit is not None:
+                rendered.log_depths[name] = image[..., -2:-1]
         rendered.depth_spreads += spreads
 
     def render_alone(seen_by: Sequence[str], logit_opacities: Tensor) -> None:

@@ -179,8 +179,8 @@ class SceneModel(nn.Module):
             shared_cameras: Spectra in groups whose views share camera, pose and size. None: compare them. A group for
                 each is always right, and keeps the spectra's gradients of means2d apart.
             deterministic: As the rasterizer's.
-            depth_spread_limit: Also measure how far depths spread along rays, counting hardly more than this
-                (``LossConfig.depth_spread_limit``); None: do not. A model without features never does.
+            depth_spread_limit: Also blend depths, and measure how far they spread along rays, counting hardly more than
+                this (``LossConfig.depth_spread_limit``); None: do not. A model without features never does.
             distributed: Each rank holds a share of the Gaussians and renders a frame of its own (``rasterization``).
             shaped_by: Spectra whose images shape a shared set. From those of the others, where they have cameras of
                 their own, no gradient reaches means, quats, scales and opacities, and density control sees nothing.

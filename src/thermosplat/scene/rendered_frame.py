@@ -23,6 +23,9 @@ class RenderedFrame:
     """A_f, features rendered with the spectrum's opacities, shape [H, W, d]; empty for a model without features."""
     alphas: dict[str, Tensor] = field(default_factory=dict)
     """Accumulated opacity in [0, 1], shape [H, W, 1]."""
+    log_depths: dict[str, Tensor] = field(default_factory=dict)
+    """Blended log z [world units], Σ w log z, shape [H, W, 1]: over the accumulated opacity it is the mean. Where
+    depths were asked for."""
     depth_spreads: list[Tensor] = field(default_factory=list)
     """How far depths spread along the rays of each opacity that was rendered, scalars; empty where not asked for."""
     infos: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
@@ -63,7 +66,9 @@ class RenderedFrame:
             K: Intrinsics [px], shape [3, 3].
             coefficients: k1 and k2, shape [2], as ``lens_distortion.distorted`` takes them.
         """
-        holders = [images for images in (self.images, self.features, self.alphas) if spectrum in images]
+        holders = [
+            images for images in (self.images, self.features, self.alphas, self.log_depths) if spectrum in images
+        ]
         parts = [images[spectrum] for images in holders]
         bent = distorted(torch.cat(parts, dim=-1), K, coefficients)
         for images, part in zip(holders, bent.split([part.shape[-1] for part in parts], dim=-1), strict=True):

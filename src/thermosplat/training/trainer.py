@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,7 @@ from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_
 from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
 from thermosplat.training.session.run_logger import RunLogger, StepRecord
 from thermosplat.training.session.run_results import RunResults
+from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
 from thermosplat.training.training_step import StepKind, TrainingStep, sh_degree_at
 
@@ -315,6 +316,8 @@ class Trainer:
         if state.kept_scenes:  # scenes that become one have the same decoders
             rates = replace(rates, decoders_lr=0.0)
         state.begin_step(step, rates, self.capture.scene_extent)
+        if kind.depths:
+            self.device_step.swept = self._swept_depths
 
         with self._first_step(), self.steps.run(frame, kind) as values:
             if self._looks_at_guard(step):
@@ -343,6 +346,14 @@ class Trainer:
             self._start_anew("The scene starts anew with the cameras that were found.")
         elif self._scene_ends(step):
             self._end_scene()
+
+    @cached_property
+    def _swept_depths(self) -> SweptDepths | None:
+        """Depths of the training views, swept when they are first asked for; None while cameras are corrected."""
+        if self.config.refine:
+            return None
+        points = torch.from_numpy(self.capture.points)
+        return SweptDepths.of(self.frames, self.config.modelled, points, lambda line: self.logger.say(line))
 
     def _start_anew(self, why: str, kept: Sequence[Scene] = ()) -> None:
         """Forget the scene; begin from the capture's points, with the cameras that were found.

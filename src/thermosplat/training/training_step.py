@@ -31,6 +31,7 @@ from thermosplat.training.optimizers import step_unless
 from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
 from thermosplat.training.sharing.calls import Calls, render_with_others
 from thermosplat.training.sharing.taking_part import TakingPart
+from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
 
 
@@ -52,8 +53,8 @@ class StepKind:
     """Degree of the spherical harmonics in use."""
     densifying: bool
     """Note gradients for the next refinement."""
-    depth_spread: bool = False
-    """Penalise the spread of depths along rays."""
+    depths: bool = False
+    """Blend depths, too, for what is asked of them."""
     refining: bool = False
     """Correct the cameras."""
     geometry_held: bool = False
@@ -83,12 +84,12 @@ class StepKind:
                 trains the scene with them.
             taught: As the field.
         """
-        late = step > config.loss.depth_spread_from * config.max_steps
+        asked = config.loss.depth_spread > 0 or any(one.swept_depth > 0 for one in config.modelled.values())
         refining = bool(config.refine) and step > config.refine_from
         return cls(
             sh_degree_at(config, step),
             densifying,
-            depth_spread=config.loss.depth_spread > 0 and late,
+            depths=asked and step > config.loss.depth_spread_from * config.max_steps,
             refining=refining,
             geometry_held=cameras_found_at is not None,
             image_factor=image_factor(config, step) if cameras_found_at is None else cameras_found_at,
@@ -143,6 +144,9 @@ class TrainingStep:
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.
         decoding: Opened around rendering and backward pass; what makes decoders fast.
+
+    Attributes:
+        swept: Depths of the training views; None: there are none, or not yet.
     """
 
     def __init__(
@@ -158,6 +162,7 @@ class TrainingStep:
         self.guard = guard
         self.capacity = capacity
         self.decoding = decoding
+        self.swept: SweptDepths | None = None
         self._one = torch.ones_like(guard.blocked)
 
     def gradients(self, frame: FrameTensors, kind: StepKind, *, fixed_capacity: bool) -> Differentiated:
@@ -235,7 +240,7 @@ class TrainingStep:
             sh_degree=kind.sh_degree,
             absgrad=config.densification.absgrad,
             deterministic=config.deterministic,
-            depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread else None,
+            depth_spread_limit=config.loss.depth_spread_limit if kind.depths else None,
             shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
         )
         if part.calls is None:
@@ -267,7 +272,9 @@ class TrainingStep:
         losses = dict(compared.losses)
         if part.penalised is None:
             losses |= self._feature_norm()
-        if rendered.depth_spreads:
+        if self.swept is not None and frame.index is not None and kind.image_factor == 1.0:
+            losses |= self.swept.losses(rendered, frame.index)
+        if rendered.depth_spreads and config.loss.depth_spread > 0:
             losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
         if config.loss.balance:
             numbers = {name: state.num_gaussians(name) for name in state.gaussian_sets}

@@ -71,6 +71,7 @@ def render_with_others(
                 (rendered.images, part.images),
                 (rendered.features, part.features),
                 (rendered.alphas, part.alphas),
+                (rendered.log_depths, part.log_depths),
             ):
                 held.update(found)
             rendered.depth_spreads += part.depth_spreads

@@ -1,0 +1,1 @@
+"""Depths of training views by plane sweeps."""

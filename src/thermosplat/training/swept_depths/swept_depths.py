@@ -1,0 +1,117 @@
+"""Depths of all training views by plane sweeps, which depths of the scene are drawn to.
+
+Images that show little say little about depth: Gaussians of one colour do as well before a surface as behind it. A
+sweep asks one view after the other at which depth the images agree, and what many views agree on is exact.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.losses.swept_depth import swept_depth_loss
+from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.spectra import SpectrumConfig, label
+from thermosplat.training.frames.train_frames import TrainFrames
+from thermosplat.training.swept_depths.agreeing_depths import agreed_depths
+from thermosplat.training.swept_depths.plane_sweep import FEWEST, SweptView, swept_depths
+
+Size = tuple[int, int]
+
+
+class SweptDepths:
+    """Depths of the training views, by spectrum.
+
+    Args:
+        weights: Weight of each spectrum's loss.
+        found: By spectrum and height and width of the images [px], log z of views, [n, H, W], NaN where unknown.
+        rows: By the same, the place of each training frame among these views, [F] int64; -1 of others.
+    """
+
+    def __init__(
+        self,
+        weights: Mapping[str, float],
+        found: Mapping[tuple[str, Size], Tensor],
+        rows: Mapping[tuple[str, Size], Tensor],
+    ) -> None:
+        self._weights, self._found, self._rows = weights, found, rows
+
+    @classmethod
+    @torch.no_grad()
+    def of(
+        cls,
+        frames: TrainFrames,
+        spectra: Mapping[str, SpectrumConfig],
+        points: Tensor,
+        say: Callable[[str], object] = print,
+    ) -> Self:
+        """Sweep the training images of the spectra that ask for it (``SpectrumConfig.swept_depth``).
+
+        Views with a lens or whose lines are read one after the other are left out. So are all where images are read
+        from the disk while training, or the device has no room for depths.
+
+        Args:
+            frames: The training frames.
+            spectra: The modelled spectra by name.
+            points: The scene's sparse points, [P, 3] [world units].
+            say: Tells the user what was found.
+        """
+        weights = {name: one.swept_depth for name, one in spectra.items() if one.swept_depth > 0}
+        found: dict[tuple[str, Size], Tensor] = {}
+        rows: dict[tuple[str, Size], Tensor] = {}
+        for name in weights:
+            known = _known_depths(frames, name, points.to(frames.device))
+            for size in {depth.shape for depth in known.values()}:
+                some = [i for i, depth in known.items() if depth.shape == size]
+                key = name, (size[0], size[1])
+                found[key] = torch.stack([known[i] for i in some])
+                rows[key] = torch.full((len(frames),), -1, device=frames.device)
+                rows[key][some] = torch.arange(len(some), device=frames.device)
+            share = torch.cat([~depth.isnan().flatten() for depth in known.values()]).float().mean() if known else 0.0
+            say(f"Depths of {len(known)} {label(name)} images by plane sweeps: {float(share):.0%} of their pixels.")
+        return cls(weights, found, rows)
+
+    def losses(self, rendered: RenderedFrame, index: Tensor) -> dict[str, Tensor]:
+        """Weighted loss terms of one training frame at full size.
+
+        Args:
+            rendered: The render, with blended log-depths.
+            index: Its place among the training frames, int64 scalar on the device.
+        """
+        terms = {}
+        for name, log_depth in rendered.log_depths.items():
+            key = name, (log_depth.shape[0], log_depth.shape[1])
+            if key not in self._found:
+                continue
+            row = self._rows[key].index_select(0, index.reshape(1))
+            target = torch.where(row[:, None] < 0, torch.nan, self._found[key].index_select(0, row.clamp(min=0))[0])
+            loss = swept_depth_loss(log_depth, rendered.alphas[name], target)
+            terms[f"{name}_swept_depth"] = self._weights[name] * loss
+        return terms
+
+
+def _known_depths(frames: TrainFrames, name: str, points: Tensor) -> dict[int, Tensor]:
+    """log z of a spectrum's training views by their frame's index, [H, W] each, NaN where unknown."""
+    if frames.from_disk is not None:
+        return {}
+    views = {i: frames[i].views[name] for i, frame in enumerate(frames.frames) if name in frame.views}
+    views = {i: view for i, view in views.items() if _is_plain(view)}
+    room = 4 * sum(view.width * view.height for view in views.values())
+    if len(views) <= FEWEST or not frames.reserve(room):
+        return {}
+    swept = [SweptView.of(view) for view in views.values()]
+    agreed = agreed_depths(swept, [swept_depths(one, swept, points) for one in swept])
+    return {i: _enlarged(depth, view).log() for (i, view), depth in zip(views.items(), agreed, strict=True)}
+
+
+def _is_plain(view: ViewTensors) -> bool:
+    """Whether a pinhole camera took the image at once."""
+    return view.image is not None and view.lens is None and view.distortion is None and view.readout is None
+
+
+def _enlarged(depth: Tensor, view: ViewTensors) -> Tensor:
+    """A depth for each pixel of the view, NaN where unknown, of depths of a smaller image."""
+    known = torch.where(depth > 0, depth, torch.nan)
+    return torch.nn.functional.interpolate(known[None, None], (view.height, view.width), mode="nearest")[0, 0]

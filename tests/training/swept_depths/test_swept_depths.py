@@ -1,0 +1,145 @@
+"""Depths that sweeps find in training images, and what draws a scene to them."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from rendered_capture import relief_capture
+from thermosplat.datasets.capture import Capture
+from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.training.frames.train_frames import TrainFrames
+from thermosplat.training.swept_depths.swept_depths import SweptDepths
+from thermosplat.training.trainer import Trainer
+from toy_run import many_frames, toy_run_config, toy_trainer, without
+from toy_scene import toy_capture
+
+CPU = torch.device("cpu")
+SWEPT = {"thermal": {"swept_depth": 0.5}}
+
+
+def found_of(capture: Capture, said: list[str] | None = None) -> SweptDepths:
+    """Depths of a capture's thermal training images."""
+    frames = TrainFrames(capture, ("rgb", "thermal"), CPU)
+    spectra = toy_run_config(spectra=SWEPT).modelled
+    return SweptDepths.of(frames, spectra, torch.from_numpy(capture.points), [].append if said is None else said.append)
+
+
+def at_log_depth(log_depth: Tensor) -> RenderedFrame:
+    """A render whose thermal pixels lie at log-depths [H, W]."""
+    alpha = torch.full_like(log_depth, 0.9)[..., None]
+    return RenderedFrame(alphas={"thermal": alpha}, log_depths={"thermal": 0.9 * log_depth[..., None]})
+
+
+def true_depths(capture: Capture, scene: dict[str, Tensor], tmp_path: Path) -> tuple[Trainer, list[Tensor]]:
+    """A trainer that has the true scene, and the depths of its thermal training views."""
+    config = toy_run_config(spectra=SWEPT)
+    trainer = toy_trainer(tmp_path / "true", config, capture)
+    trainer.model.load_state_dict(scene)
+    with torch.no_grad():
+        views = [frame.views["thermal"] for frame in trainer.frames]
+        return trainer, [trainer.model.render_depth("thermal", view, expected=True) for view in views]
+
+
+def test_a_relief_is_found(tmp_path: Path) -> None:
+    """Most of each image is known, and there the loss of the true depths is small; of depths 5% off it is that."""
+    capture, scene = relief_capture()
+    said: list[str] = []
+    swept = found_of(capture, said)
+    _, depths = true_depths(capture, scene, tmp_path)
+    assert len(said) == 1
+    assert said[0].startswith("Depths of 4 thermal images by plane sweeps: ")
+    for i, depth in enumerate(depths):
+        exact, off = (
+            swept.losses(at_log_depth(depth.log() + shift), torch.tensor(i))["thermal_swept_depth"].item()
+            for shift in (0.0, 0.05)
+        )
+        assert exact < 0.5 * 0.01
+        assert off > 0.5 * 0.025
+
+
+def test_each_frame_has_its_own(tmp_path: Path) -> None:
+    """Frames without the spectrum have no row among those that have it; other sizes have no term."""
+    capture, _ = relief_capture(times=2)
+    first, *others = capture.train
+    capture = dataclasses.replace(capture, train=(*others, dataclasses.replace(first, name="again"), first))
+    capture = dataclasses.replace(capture, train=(without(capture.train[0], "thermal"), *capture.train[1:]))
+    swept = found_of(capture)
+    view = capture.train[1].views["thermal"]
+    pixels = torch.zeros(view.camera.height, view.camera.width)
+    assert swept.losses(at_log_depth(pixels), torch.tensor(0))["thermal_swept_depth"].item() == 0.0
+    assert swept.losses(at_log_depth(pixels), torch.tensor(1))["thermal_swept_depth"].item() > 0.0
+    assert swept.losses(at_log_depth(pixels[1:]), torch.tensor(1)) == {}
+
+
+def test_a_scene_is_drawn_to_them(tmp_path: Path) -> None:
+    """A relief that lies 3% too far is drawn back by this loss alone, to a third of that at most."""
+    capture, scene = relief_capture()
+    trainer, depths = true_depths(capture, scene, tmp_path)
+    config = trainer.config
+    held = {f.name: 0.0 for f in dataclasses.fields(config.optimizer) if f.name.endswith("_lr")}
+    spectra = {
+        name: dataclasses.replace(one, loss=1e-9, smoothness=0.0, features=None)
+        for name, one in config.spectra.items()
+    }
+    config = dataclasses.replace(
+        config,
+        max_steps=60,
+        spectra=spectra,
+        loss=dataclasses.replace(config.loss, depth_spread_from=0.0),
+        optimizer=dataclasses.replace(config.optimizer, **(held | {"means_lr": 1e-2, "means_lr_final": 1e-3})),
+        densification=dataclasses.replace(config.densification, enabled=False),
+    )
+    run = toy_trainer(tmp_path / "drawn", config, capture)
+    run.model.load_state_dict(scene)
+    view = run.frames[0].views["thermal"]
+
+    def error() -> float:
+        with torch.no_grad():
+            return (run.model.render_depth("thermal", view, expected=True) / depths[0] - 1).median().item()
+
+    with torch.no_grad():
+        means = run.model.gaussians("shared").means
+        R, t = view.viewmat[:3, :3], view.viewmat[:3, 3]
+        means.copy_(((means @ R.T + t) * 1.03 - t) @ R)
+    assert error() == pytest.approx(0.03, abs=0.005)
+    for _ in range(60):
+        run._train_step()
+    assert abs(error()) < 0.01
+
+
+def test_they_count_late(tmp_path: Path) -> None:
+    """From ``loss.depth_spread_from`` on they are a loss, swept when they are first asked for, and never twice."""
+    config = toy_run_config(max_steps=8, spectra=SWEPT)
+    config = dataclasses.replace(config, loss=dataclasses.replace(config.loss, depth_spread_from=0.75))
+    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture()))
+    terms = []
+    for _ in range(8):
+        trainer._train_step()
+        terms.append(trainer.device_step.swept)
+    assert terms[:6] == [None] * 6
+    assert terms[6] is terms[7] is not None
+
+
+def test_no_room_and_no_pinholes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is no room, or cameras have lenses, nothing is known, and training has no such term."""
+    capture, _ = relief_capture(times=2)
+    monkeypatch.setattr(TrainFrames, "reserve", lambda self, size: False)
+    said: list[str] = []
+    swept = found_of(capture, said)
+    assert said == ["Depths of 0 thermal images by plane sweeps: 0% of their pixels."]
+    assert swept.losses(at_log_depth(torch.zeros(24, 32)), torch.tensor(0)) == {}
+
+
+def test_unknown_pixels_are_nan() -> None:
+    """What a sweep does not know is not drawn anywhere: a target of NaN has no term."""
+    swept = SweptDepths(
+        {"thermal": 1.0},
+        {("thermal", (2, 3)): torch.full((1, 2, 3), math.nan)},
+        {("thermal", (2, 3)): torch.tensor([0])},
+    )
+    loss = swept.losses(at_log_depth(torch.zeros(2, 3)), torch.tensor(0))["thermal_swept_depth"]
+    assert loss.item() == 0.0
