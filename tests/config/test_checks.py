@@ -147,7 +147,7 @@ def test_depths_are_blended_with_features() -> None:
         check_config(replace(config, model=replace(config.model, feature_dim=0)))
     config = with_spectra(TrainConfig(), thermal={"swept_depth": 0.1})
     check_config(config)
-    with pytest.raises(UserError, match=r"--spectra\.thermal\.swept-depth is 0\.1, but depths are blended"):
+    with pytest.raises(UserError, match=r"--thermal\.swept-depth is 0\.1, but depths are blended"):
         check_config(replace(config, model=replace(config.model, feature_dim=0)))
 
 
