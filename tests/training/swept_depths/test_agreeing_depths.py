@@ -23,7 +23,7 @@ def test_chance_is_averaged_and_errors_go() -> None:
     assert errors(found).median() < errors(noisy).median() / 2
     assert errors(noisy).max() > 0.4
     assert errors(found).quantile(0.99) < 0.02
-    assert (found[4] > 0).float().mean() > 0.8
+    assert (found[4] > 0).float().mean() > 0.6
 
 
 def test_what_nobody_shares_is_unknown() -> None:

@@ -82,8 +82,7 @@ def test_a_scene_is_drawn_to_them(tmp_path: Path) -> None:
     config = trainer.config
     held = {f.name: 0.0 for f in dataclasses.fields(config.optimizer) if f.name.endswith("_lr")}
     spectra = {
-        name: dataclasses.replace(one, loss=1e-9, smoothness=0.0, features=None)
-        for name, one in config.spectra.items()
+        name: dataclasses.replace(one, loss=1e-9, smoothness=0.0, features=None) for name, one in config.spectra.items()
     }
     config = dataclasses.replace(
         config,

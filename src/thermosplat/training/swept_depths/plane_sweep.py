@@ -25,9 +25,9 @@ ALONG = 0.5
 """Least cosine of the angle between the axes of two views that are compared."""
 FEWEST = 3
 """Views that must show a place."""
-BRIGHTNESS = 0.1
+BRIGHTNESS = 0.05
 """Largest difference of brightness that counts [of the range]."""
-SLOPES = 0.03
+SLOPES = 0.02
 """Largest difference of its slopes that counts [of the range per pixel]."""
 MOST_PIXELS = 400_000
 """Larger images are shrunk for a sweep, by a whole number."""
@@ -86,13 +86,6 @@ class SweptView:
         """Places of the scene at depths [H, W] along the rays of the pixels, [H, W, 3] [world units]."""
         return (self.rays() * depths[..., None] - self.viewmat[:3, 3]) @ self.viewmat[:3, :3]
 
-    def seen(self, places: Tensor) -> tuple[Tensor, Tensor]:
-        """Where places [..., 3] lie in the image, [..., 2] from -1 to 1, and their depths [...]."""
-        in_camera = places @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
-        height, width = self.size
-        at = (in_camera @ self.K.T)[..., :2] / in_camera[..., 2:].clamp(min=1e-6)
-        return at / at.new_tensor([width, height]) * 2 - 1, in_camera[..., 2]
-
 
 def neighbors(view: SweptView, others: Sequence[SweptView], most: int) -> list[SweptView]:
     """The nearest of other views that look about the same way.
@@ -126,15 +119,15 @@ def swept_depths(view: SweptView, others: Sequence[SweptView], points: Tensor) -
     inverse = torch.linspace(1 / first, 1 / last, DEPTHS, device=points.device)
     rays, sizes = view.rays(), sorted({one.size for one in near})
     groups = [_Group.of([one for one in near if one.size == size]) for size in sizes]
-    costs, known = [], []
+    errors, known = [], []
     for one in inverse:
         places = (rays / one - view.viewmat[:3, 3]) @ view.viewmat[:3, :3]
-        errors, counts = zip(*(group.errors(places, view.looks) for group in groups), strict=True)
-        error, count = torch.stack(errors).sum(0), torch.stack(counts).sum(0)
+        sums, counts = zip(*(group.errors(places, view.looks) for group in groups), strict=True)
+        total, count = torch.stack(sums).sum(0), torch.stack(counts).sum(0)
         known.append(count >= FEWEST)
-        error = torch.where(known[-1], error / count.clamp(min=1), _WORST)
-        costs.append(torch.stack([_averaged(error, _window(share, view.size[1])) for share in WINDOWS]).sum(0))
-    return _lowest(torch.stack(costs), torch.stack(known), inverse)
+        errors.append(torch.where(known[-1], total / count.clamp(min=1), _WORST))
+    costs = [_averaged(torch.stack(errors), _window(share, view.size[1])) for share in WINDOWS]
+    return _lowest(torch.stack(costs).sum(0), torch.stack(known), inverse)
 
 
 def _lowest(costs: Tensor, known: Tensor, inverse: Tensor) -> Tensor:
@@ -198,7 +191,8 @@ def _window(share: float, width: int) -> int:
     return 2 * round(share * width / 2 - 0.5) + 1
 
 
-def _averaged(image: Tensor, window: int) -> Tensor:
-    """The mean over a square window around each pixel of [H, W]."""
-    padded = F.pad(image[None, None], (window // 2,) * 4, mode="replicate")
-    return F.avg_pool2d(padded, window, stride=1)[0, 0]
+def _averaged(images: Tensor, window: int) -> Tensor:
+    """The mean over a square window around each pixel of [D, H, W], by rows and then by columns."""
+    padded = F.pad(images[:, None], (window // 2,) * 4, mode="replicate")
+    by_rows = F.avg_pool2d(padded, (1, window), stride=1)
+    return F.avg_pool2d(by_rows, (window, 1), stride=1)[:, 0]
