@@ -36,6 +36,8 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ("sh_degree", 5, "--sh-degree must be at most 4"),
         ("loss.ssim_lambda", 1.5, "--loss.ssim-lambda must lie between 0 and 1"),
         ("loss.depth_spread_from", 2.0, "--loss.depth-spread-from must lie between 0 and 1"),
+        ("loss.swept_depth_limit", 0.0, "--loss.swept-depth-limit must be positive"),
+        ("spectra.thermal.swept_depth", -1.0, "--thermal.swept-depth must be zero or positive"),
         ("spectra.thermal.loss", -1.0, "--thermal.loss must be zero or positive"),
         ("optimizer.means_lr", float("nan"), "--optimizer.means-lr must be finite, found nan"),
         ("optimizer.means_lr", -1e-4, "--optimizer.means-lr must be zero or positive"),

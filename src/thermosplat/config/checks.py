@@ -87,6 +87,7 @@ _POSITIVE = (
     "image_memory",
     "gpu_memory",
     "model.init_scale",
+    "loss.swept_depth_limit",
     "optimizer.eps",
     "optimizer.means_lr_final",
     "optimizer.features_lr_final",

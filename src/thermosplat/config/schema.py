@@ -92,6 +92,9 @@ class LossConfig:
     depth_spread_from: float = 0.5
     """Share of the steps before depths count: their spread, and how far they lie from swept ones
     (``SpectrumConfig.swept_depth``). Open choice."""
+    swept_depth_limit: float = 0.1
+    """Difference of log z from swept depths (``SpectrumConfig.swept_depth``) from which on more does not count: there
+    the sweep found another surface, or is wrong. Open choice."""
     balance: bool = False
     """Multiply the losses of a separate set by the other sets' share of all Gaussians. ThermalGaussian MSMG."""
 

@@ -353,7 +353,7 @@ class Trainer:
         if self.config.refine:
             return None
         points = torch.from_numpy(self.capture.points)
-        return SweptDepths.of(self.frames, self.config.modelled, points, lambda line: self.logger.say(line))
+        return SweptDepths.of(self.frames, self.config, points, lambda line: self.logger.say(line))
 
     def _start_anew(self, why: str, kept: Sequence[Scene] = ()) -> None:
         """Forget the scene; begin from the capture's points, with the cameras that were found.

@@ -24,8 +24,8 @@ SWEPT = {"thermal": {"swept_depth": 0.5}}
 def found_of(capture: Capture, said: list[str] | None = None) -> SweptDepths:
     """Depths of a capture's thermal training images."""
     frames = TrainFrames(capture, ("rgb", "thermal"), CPU)
-    spectra = toy_run_config(spectra=SWEPT).modelled
-    return SweptDepths.of(frames, spectra, torch.from_numpy(capture.points), [].append if said is None else said.append)
+    config = toy_run_config(spectra=SWEPT)
+    return SweptDepths.of(frames, config, torch.from_numpy(capture.points), [].append if said is None else said.append)
 
 
 def at_log_depth(log_depth: Tensor) -> RenderedFrame:
@@ -137,6 +137,7 @@ def test_unknown_pixels_are_nan() -> None:
     """What a sweep does not know is not drawn anywhere: a target of NaN has no term."""
     swept = SweptDepths(
         {"thermal": 1.0},
+        0.1,
         {("thermal", (2, 3)): torch.full((1, 2, 3), math.nan)},
         {("thermal", (2, 3)): torch.tensor([0])},
     )

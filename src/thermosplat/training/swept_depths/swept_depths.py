@@ -10,10 +10,11 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.losses.swept_depth import swept_depth_loss
 from thermosplat.scene.rendered_frame import RenderedFrame
-from thermosplat.spectra import SpectrumConfig, label
+from thermosplat.spectra import label
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.swept_depths.agreeing_depths import agreed_depths
 from thermosplat.training.swept_depths.plane_sweep import FEWEST, SweptView, swept_depths
@@ -26,6 +27,7 @@ class SweptDepths:
 
     Args:
         weights: Weight of each spectrum's loss.
+        limit: As ``swept_depth_loss`` takes it.
         found: By spectrum and height and width of the images [px], log z of views, [n, H, W], NaN where unknown.
         rows: By the same, the place of each training frame among these views, [F] int64; -1 of others.
     """
@@ -33,17 +35,18 @@ class SweptDepths:
     def __init__(
         self,
         weights: Mapping[str, float],
+        limit: float,
         found: Mapping[tuple[str, Size], Tensor],
         rows: Mapping[tuple[str, Size], Tensor],
     ) -> None:
-        self._weights, self._found, self._rows = weights, found, rows
+        self._weights, self._limit, self._found, self._rows = weights, limit, found, rows
 
     @classmethod
     @torch.no_grad()
     def of(
         cls,
         frames: TrainFrames,
-        spectra: Mapping[str, SpectrumConfig],
+        config: TrainConfig,
         points: Tensor,
         say: Callable[[str], object] = print,
     ) -> Self:
@@ -54,11 +57,11 @@ class SweptDepths:
 
         Args:
             frames: The training frames.
-            spectra: The modelled spectra by name.
+            config: The whole configuration.
             points: The scene's sparse points, [P, 3] [world units].
             say: Tells the user what was found.
         """
-        weights = {name: one.swept_depth for name, one in spectra.items() if one.swept_depth > 0}
+        weights = {name: one.swept_depth for name, one in config.modelled.items() if one.swept_depth > 0}
         found: dict[tuple[str, Size], Tensor] = {}
         rows: dict[tuple[str, Size], Tensor] = {}
         for name in weights:
@@ -71,7 +74,7 @@ class SweptDepths:
                 rows[key][some] = torch.arange(len(some), device=frames.device)
             share = torch.cat([~depth.isnan().flatten() for depth in known.values()]).float().mean() if known else 0.0
             say(f"Depths of {len(known)} {label(name)} images by plane sweeps: {float(share):.0%} of their pixels.")
-        return cls(weights, found, rows)
+        return cls(weights, config.loss.swept_depth_limit, found, rows)
 
     def losses(self, rendered: RenderedFrame, index: Tensor) -> dict[str, Tensor]:
         """Weighted loss terms of one training frame at full size.
@@ -87,7 +90,7 @@ class SweptDepths:
                 continue
             row = self._rows[key].index_select(0, index.reshape(1))
             target = torch.where(row[:, None] < 0, torch.nan, self._found[key].index_select(0, row.clamp(min=0))[0])
-            loss = swept_depth_loss(log_depth, rendered.alphas[name], target)
+            loss = swept_depth_loss(log_depth, rendered.alphas[name], target, self._limit)
             terms[f"{name}_swept_depth"] = self._weights[name] * loss
         return terms
 
