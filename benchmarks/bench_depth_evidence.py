@@ -8,8 +8,10 @@ compared with it. The depths are the true one, that of the other spectrum's surf
 spectrum that agrees no better at its own depth than at another one cannot be taught which it is.
 
 The second table is of a plane sweep (scenes/swept_depths.py): the depth at which the nearest training images agree best
-over a window around each pixel. Errors are relative, over all pixels; shares are of the pixels that lie nearer to the
-spectrum's own surface than to the other's. bench_depths.py has the same numbers of trained scenes.
+over a window around each pixel. The third one is of the depths that training draws scenes to
+(``SpectrumConfig.swept_depth``), where they are known: sweeps that compare each view's own image too, and what views
+agree on; here the held-out views take part as well. Errors are relative, over all pixels; shares are of the pixels that
+lie nearer to the spectrum's own surface than to the other's. bench_depths.py has the same numbers of trained scenes.
 """
 
 import argparse
@@ -28,9 +30,13 @@ from scenes.surface_points import surface_points
 from scenes.swept_depths import carried, in_unit_range, swept_depths
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture, View
+from thermosplat.datasets.frame_tensors import view_tensors
 from thermosplat.datasets.ground_truth import LABELS
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.environment import environment
+from thermosplat.training.swept_depths import plane_sweep
+from thermosplat.training.swept_depths.agreeing_depths import agreed_depths
+from thermosplat.training.swept_depths.plane_sweep import SweptView
 
 Array = NDArray[np.float64]
 FACTORS = (0.95, 0.98, 0.99, 1.01, 1.02, 1.05)
@@ -98,6 +104,31 @@ def sweeps(capture: Capture, windows: Sequence[int]) -> list[dict[str, Any]]:
     return rows
 
 
+@torch.no_grad()
+def agreed(capture: Capture) -> list[dict[str, Any]]:
+    """A row for each spectrum: share of the held-out pixels with a depth that views agree on, and its errors."""
+    rows = []
+    for name in capture.spectra:
+        views = list(held_out(capture, name))
+        if not views:
+            continue
+        all_views = [*training_views(capture, name), *(one.view for one in views)]
+        seen = [SweptView.of(view_tensors(view, capture.scales[name], "cpu")) for view in all_views]
+        points = torch.from_numpy(capture.points)
+        depths = agreed_depths(seen, [plane_sweep.swept_depths(one, seen, points) for one in seen])
+        found = [(one, depth.double().numpy()) for one, depth in zip(views, depths[-len(views) :], strict=True)]
+        known = np.concatenate([depth[one.own > 0] > 0 for one, depth in found])
+        error = np.concatenate([one.relative_errors(depth) for one, depth in found])[known]
+        row: dict[str, Any] = {"capture": capture.name, "spectrum": name, "known": float(known.mean())}
+        row |= {"median": float(np.median(error)), "mean": float(error.mean())}
+        for label, kind in LABELS.items():
+            right = [one.on_own_surface(depth)[one.differing(label) & (depth > 0)] for one, depth in found]
+            if any(map(len, right)):
+                row[kind] = float(np.concatenate(right).mean())
+        rows.append(row)
+    return rows
+
+
 def swept_span(view: View, points: Array) -> tuple[float, float]:
     """Smallest and largest depth that a sweep tries [world units]."""
     depths = points @ view.viewmat[2, :3] + view.viewmat[2, 3]
@@ -123,9 +154,13 @@ def main() -> None:
     swept = [row for capture in captures for row in sweeps(capture, arguments.windows)]
     words = dict.fromkeys(("capture", "spectrum", "window"), "{}") | dict.fromkeys(("median", "mean"), "{:.2%}")
     kinds = [kind for kind in LABELS.values() if any(kind in row for row in swept)]
-    print("\n" + markdown_table(swept, words | dict.fromkeys(kinds, "{:.1%}")))
+    print("\n" + markdown_table(swept, words | dict.fromkeys(kinds, "{:.1%}")), flush=True)
+    shared = [row for capture in captures for row in agreed(capture)]
+    words = dict.fromkeys(("capture", "spectrum"), "{}") | {"known": "{:.1%}"}
+    words |= dict.fromkeys(("median", "mean"), "{:.2%}")
+    print("\n" + markdown_table(shared, words | dict.fromkeys(kinds, "{:.1%}")))
     if arguments.json is not None:
-        report = {"environment": environment(torch.device("cpu")), "agreement": seen, "sweeps": swept}
+        report = {"environment": environment(torch.device("cpu")), "agreement": seen, "sweeps": swept, "agreed": shared}
         write_text(arguments.json, json.dumps(report, indent=1) + "\n")
 
 

@@ -4,6 +4,8 @@ Where images show little, each view errs by chance. The median of what many view
 in the fusion of depth maps by consistency (Merrell et al. 2007, "Real-time visibility-based fusion of depth maps"), and
 so is the mean over pixels of one surface. Means are of inverse depths, which are linear in the image where a surface is
 flat.
+
+All numbers below are open choices (benchmarks/records/thermosplat-plus-preset.md, "Swept depths").
 """
 
 from collections.abc import Sequence

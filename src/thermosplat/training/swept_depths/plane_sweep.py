@@ -4,6 +4,8 @@ Collins 1996, "A space-sweep approach to true multi-image matching". Depths are 
 disparities are. What two images differ by at a place is the difference of their brightness and of its slopes, each up
 to a limit, so that what hides the place in one image does not decide. It is averaged over a small and a large window
 around each pixel: the small one sees edges, the large one what flat surfaces still show.
+
+All numbers below are open choices (benchmarks/records/thermosplat-plus-preset.md, "Swept depths").
 """
 
 import math

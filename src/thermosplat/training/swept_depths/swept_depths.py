@@ -4,6 +4,7 @@ Images that show little say little about depth: Gaussians of one colour do as we
 sweep asks one view after the other at which depth the images agree, and what many views agree on is exact.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Self
 
@@ -20,6 +21,8 @@ from thermosplat.training.swept_depths.agreeing_depths import agreed_depths
 from thermosplat.training.swept_depths.plane_sweep import FEWEST, SweptView, swept_depths
 
 Size = tuple[int, int]
+MOST_POINTS = 100_000
+"""Of more points, evenly chosen ones say between which depths to search."""
 
 
 class SweptDepths:
@@ -61,11 +64,12 @@ class SweptDepths:
             points: The scene's sparse points, [P, 3] [world units].
             say: Tells the user what was found.
         """
+        some_points = points[:: math.ceil(max(len(points), 1) / MOST_POINTS)].to(frames.device)
         weights = {name: one.swept_depth for name, one in config.modelled.items() if one.swept_depth > 0}
         found: dict[tuple[str, Size], Tensor] = {}
         rows: dict[tuple[str, Size], Tensor] = {}
         for name in weights:
-            known = _known_depths(frames, name, points.to(frames.device))
+            known = _known_depths(frames, name, some_points)
             for size in {depth.shape for depth in known.values()}:
                 some = [i for i, depth in known.items() if depth.shape == size]
                 key = name, (size[0], size[1])
