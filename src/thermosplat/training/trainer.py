@@ -348,10 +348,8 @@ class Trainer:
             self._end_scene()
 
     @cached_property
-    def _swept_depths(self) -> SweptDepths | None:
-        """Depths of the training views, swept when they are first asked for; None while cameras are corrected."""
-        if self.config.refine:
-            return None
+    def _swept_depths(self) -> SweptDepths:
+        """Depths of the training views, swept when they are first asked for."""
         points = torch.from_numpy(self.capture.points)
         return SweptDepths.of(self.frames, self.config, points, lambda line: self.logger.say(line))
 

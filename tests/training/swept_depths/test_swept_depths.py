@@ -3,28 +3,30 @@
 import dataclasses
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from rendered_capture import relief_capture
+from thermosplat.datasets.cameras import LensCoefficients
 from thermosplat.datasets.capture import Capture
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.trainer import Trainer
-from toy_run import many_frames, toy_run_config, toy_trainer, without
+from toy_run import many_frames, through, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture
 
 CPU = torch.device("cpu")
 SWEPT = {"thermal": {"swept_depth": 0.5}}
 
 
-def found_of(capture: Capture, said: list[str] | None = None) -> SweptDepths:
+def found_of(capture: Capture, said: list[str] | None = None, **changes: Any) -> SweptDepths:
     """Depths of a capture's thermal training images."""
     frames = TrainFrames(capture, ("rgb", "thermal"), CPU)
-    config = toy_run_config(spectra=SWEPT)
+    config = toy_run_config(spectra=SWEPT, **changes)
     return SweptDepths.of(frames, config, torch.from_numpy(capture.points), [].append if said is None else said.append)
 
 
@@ -123,14 +125,28 @@ def test_they_count_late(tmp_path: Path) -> None:
     assert terms[6] is terms[7] is not None
 
 
-def test_no_room_and_no_pinholes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where there is no room, or cameras have lenses, nothing is known, and training has no such term."""
+def test_what_is_not_swept_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cameras with lenses or that are corrected, and no room: one line says why, and there is no such term."""
     capture, _ = relief_capture(times=2)
-    monkeypatch.setattr(TrainFrames, "reserve", lambda self, size: False)
+    view = capture.train[0].views["thermal"]
+    pixels = torch.zeros(view.camera.height, view.camera.width)
     said: list[str] = []
-    swept = found_of(capture, said)
-    assert said == ["Depths of 0 thermal images by plane sweeps: 0% of their pixels."]
-    assert swept.losses(at_log_depth(torch.zeros(24, 32)), torch.tensor(0)) == {}
+
+    def nothing_is_found(capture: Capture, **changes: Any) -> None:
+        assert found_of(capture, said, **changes).losses(at_log_depth(pixels), torch.tensor(0)) == {}
+
+    nothing_is_found(
+        through(capture, {"thermal": LensCoefficients("pinhole", (0.1, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0))})
+    )
+    nothing_is_found(capture, refine=("poses",))
+    monkeypatch.setattr(TrainFrames, "reserve", lambda self, size: False)
+    nothing_is_found(capture)
+    start = "Depths of thermal images are not swept: "
+    assert said == [
+        f"{start}more than 3 views of pinhole cameras are needed, found 0.",
+        f"{start}cameras are corrected while training.",
+        f"{start}there is no memory left for them.",
+    ]
 
 
 def test_unknown_pixels_are_nan() -> None:

@@ -51,33 +51,37 @@ class SweptDepths:
         frames: TrainFrames,
         config: TrainConfig,
         points: Tensor,
-        say: Callable[[str], object] = print,
+        say: Callable[[str], object],
     ) -> Self:
         """Sweep the training images of the spectra that ask for it (``SpectrumConfig.swept_depth``).
 
-        Views with a lens or whose lines are read one after the other are left out. So are all where images are read
-        from the disk while training, or the device has no room for depths.
+        Views with a lens or whose lines are read one after the other are left out. So are all while cameras are
+        corrected, where images are read from the disk, or where the device has no room for depths.
 
         Args:
             frames: The training frames.
             config: The whole configuration.
             points: The scene's sparse points, [P, 3] [world units].
-            say: Tells the user what was found.
+            say: Tells the user what was found, or why nothing was.
         """
         some_points = points[:: math.ceil(max(len(points), 1) / MOST_POINTS)].to(frames.device)
         weights = {name: one.swept_depth for name, one in config.modelled.items() if one.swept_depth > 0}
         found: dict[tuple[str, Size], Tensor] = {}
         rows: dict[tuple[str, Size], Tensor] = {}
         for name in weights:
-            known = _known_depths(frames, name, some_points)
+            views = _plain_views(frames, name)
+            if (why_not := _why_not(frames, config, views)) is not None:
+                say(f"Depths of {label(name)} images are not swept: {why_not}.")
+                continue
+            known = _known_depths(views, some_points)
             for size in {depth.shape for depth in known.values()}:
                 some = [i for i, depth in known.items() if depth.shape == size]
                 key = name, (size[0], size[1])
                 found[key] = torch.stack([known[i] for i in some])
                 rows[key] = torch.full((len(frames),), -1, device=frames.device)
                 rows[key][some] = torch.arange(len(some), device=frames.device)
-            share = torch.cat([~depth.isnan().flatten() for depth in known.values()]).float().mean() if known else 0.0
-            say(f"Depths of {len(known)} {label(name)} images by plane sweeps: {float(share):.0%} of their pixels.")
+            share = torch.cat([~depth.isnan().flatten() for depth in known.values()]).float().mean().item()
+            say(f"Depths of {len(known)} {label(name)} images by plane sweeps: {share:.0%} of their pixels.")
         return cls(weights, config.loss.swept_depth_limit, found, rows)
 
     def losses(self, rendered: RenderedFrame, index: Tensor) -> dict[str, Tensor]:
@@ -99,23 +103,36 @@ class SweptDepths:
         return terms
 
 
-def _known_depths(frames: TrainFrames, name: str, points: Tensor) -> dict[int, Tensor]:
-    """log z of a spectrum's training views by their frame's index, [H, W] each, NaN where unknown."""
+def _plain_views(frames: TrainFrames, name: str) -> dict[int, ViewTensors]:
+    """A spectrum's training views that a pinhole camera took at once, by their frame's index."""
     if frames.from_disk is not None:
         return {}
     views = {i: frames[i].views[name] for i, frame in enumerate(frames.frames) if name in frame.views}
-    views = {i: view for i, view in views.items() if _is_plain(view)}
-    room = 4 * sum(view.width * view.height for view in views.values())
-    if len(views) <= FEWEST or not frames.reserve(room):
-        return {}
+    return {
+        i: view
+        for i, view in views.items()
+        if view.image is not None and view.lens is None and view.distortion is None and view.readout is None
+    }
+
+
+def _why_not(frames: TrainFrames, config: TrainConfig, views: Mapping[int, ViewTensors]) -> str | None:
+    """What keeps views from being swept; None: nothing, and room for their depths is taken."""
+    if config.refine:
+        return "cameras are corrected while training"
+    if frames.from_disk is not None:
+        return "images are read from the disk while training"
+    if len(views) <= FEWEST:
+        return f"more than {FEWEST} views of pinhole cameras are needed, found {len(views)}"
+    if not frames.reserve(4 * sum(view.width * view.height for view in views.values())):
+        return "there is no memory left for them"
+    return None
+
+
+def _known_depths(views: Mapping[int, ViewTensors], points: Tensor) -> dict[int, Tensor]:
+    """log z of views by their frame's index, [H, W] each, NaN where unknown."""
     swept = [SweptView.of(view) for view in views.values()]
     agreed = agreed_depths(swept, [swept_depths(one, swept, points) for one in swept])
     return {i: _enlarged(depth, view).log() for (i, view), depth in zip(views.items(), agreed, strict=True)}
-
-
-def _is_plain(view: ViewTensors) -> bool:
-    """Whether a pinhole camera took the image at once."""
-    return view.image is not None and view.lens is None and view.distortion is None and view.readout is None
 
 
 def _enlarged(depth: Tensor, view: ViewTensors) -> Tensor:
