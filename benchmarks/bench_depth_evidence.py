@@ -34,16 +34,12 @@ from thermosplat.datasets.frame_tensors import view_tensors
 from thermosplat.datasets.ground_truth import LABELS
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.environment import environment
-from thermosplat.training.swept_depths import plane_sweep
-from thermosplat.training.swept_depths.agreeing_depths import agreed_depths
-from thermosplat.training.swept_depths.plane_sweep import SweptView
+from thermosplat.training.swept_depths.plane_sweep import SPAN
+from thermosplat.training.swept_depths.swept_depths import depths_of_views
 
 Array = NDArray[np.float64]
 FACTORS = (0.95, 0.98, 0.99, 1.01, 1.02, 1.05)
 """Wrong depths, as shares of the true ones."""
-SWEPT = 0.7, 1.5
-"""A sweep begins at this share of the smallest depth among the sparse points that a view may see, and ends at this one
-of the largest. One point of a hundred at either end does not count."""
 
 
 def agreement(
@@ -113,9 +109,8 @@ def agreed(capture: Capture) -> list[dict[str, Any]]:
         if not views:
             continue
         all_views = [*training_views(capture, name), *(one.view for one in views)]
-        seen = [SweptView.of(view_tensors(view, capture.scales[name], "cpu")) for view in all_views]
-        points = torch.from_numpy(capture.points)
-        depths = agreed_depths(seen, [plane_sweep.swept_depths(one, seen, points) for one in seen])
+        tensors = [view_tensors(view, capture.scales[name], "cpu") for view in all_views]
+        depths = depths_of_views(tensors, torch.from_numpy(capture.points))
         found = [(one, depth.double().numpy()) for one, depth in zip(views, depths[-len(views) :], strict=True)]
         known = np.concatenate([depth[one.own > 0] > 0 for one, depth in found])
         error = np.concatenate([one.relative_errors(depth) for one, depth in found])[known]
@@ -130,10 +125,10 @@ def agreed(capture: Capture) -> list[dict[str, Any]]:
 
 
 def swept_span(view: View, points: Array) -> tuple[float, float]:
-    """Smallest and largest depth that a sweep tries [world units]."""
+    """Smallest and largest depth that a sweep tries [world units] (``SPAN``)."""
     depths = points @ view.viewmat[2, :3] + view.viewmat[2, 3]
     nearest, farthest = np.percentile(depths[depths > 0], (1, 99))
-    return SWEPT[0] * float(nearest), SWEPT[1] * float(farthest)
+    return SPAN[0] * float(nearest), SPAN[1] * float(farthest)
 
 
 def main() -> None:

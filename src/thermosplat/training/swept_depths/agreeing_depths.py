@@ -73,12 +73,11 @@ def _said_by(views: Sequence[SweptView], depths: Tensor, places: Tensor) -> tupl
     Returns:
         Places [k, h, w, 3], NaN where unknown, and whether the places asked for lie in their images, [k, h, w].
     """
-    viewmats, Ks = torch.stack([one.viewmat for one in views]), torch.stack([one.K for one in views])
+    viewmats, to_units = torch.stack([one.viewmat for one in views]), torch.stack([one.to_unit for one in views])
     turns, moves = viewmats[:, None, None, :3, :3], viewmats[:, None, None, :3, 3]
     in_camera = (turns @ places[..., None])[..., 0] + moves
     rays = in_camera / in_camera[..., 2:].clamp(min=1e-6)
-    pixels = (Ks[:, None, None] @ rays[..., None])[..., 0]
-    at = pixels[..., :2] / pixels.new_tensor(views[0].size[::-1]) * 2 - 1
+    at = (to_units[:, None, None] @ rays[..., None])[..., :2, 0]
     inside = (at.abs().amax(-1) < 1) & (in_camera[..., 2] > 0)
     theirs = F.grid_sample(depths[:, None], at, mode="nearest", align_corners=False)[:, 0]
     there = rays * torch.where(theirs > 0, theirs, torch.nan)[..., None] - moves

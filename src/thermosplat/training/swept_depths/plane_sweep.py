@@ -77,6 +77,12 @@ class SweptView:
         """The camera's centre, [3] [world units]."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
+    @property
+    def to_unit(self) -> Tensor:
+        """``K`` to coordinates from -1 to 1 over the image, as ``grid_sample`` takes them, [3, 3]."""
+        height, width = self.size
+        return self.K.new_tensor([[2 / width, 0, -1], [0, 2 / height, -1], [0, 0, 1]]) @ self.K
+
     def rays(self) -> Tensor:
         """Directions through the pixels' centres with z = 1, [H, W, 3], in camera axes."""
         height, width = self.size
@@ -158,10 +164,7 @@ class _Group:
     @classmethod
     def of(cls, views: Sequence[SweptView]) -> "_Group":
         """That of views."""
-        height, width = views[0].size
-        # pixels to the range that grid_sample takes
-        to_unit = views[0].K.new_tensor([[2 / width, 0, -1], [0, 2 / height, -1], [0, 0, 1]])
-        projections = torch.stack([to_unit @ one.K @ one.viewmat[:3] for one in views])
+        projections = torch.stack([one.to_unit @ one.viewmat[:3] for one in views])
         return cls(projections, torch.stack([one.looks for one in views]))
 
     def errors(self, places: Tensor, looks: Tensor) -> tuple[Tensor, Tensor]:

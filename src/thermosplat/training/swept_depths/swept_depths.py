@@ -5,10 +5,11 @@ sweep asks one view after the other at which depth the images agree, and what ma
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Self
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from thermosplat.config import TrainConfig
@@ -64,7 +65,6 @@ class SweptDepths:
             points: The scene's sparse points, [P, 3] [world units].
             say: Tells the user what was found, or why nothing was.
         """
-        some_points = points[:: math.ceil(max(len(points), 1) / MOST_POINTS)].to(frames.device)
         weights = {name: one.swept_depth for name, one in config.modelled.items() if one.swept_depth > 0}
         found: dict[tuple[str, Size], Tensor] = {}
         rows: dict[tuple[str, Size], Tensor] = {}
@@ -73,7 +73,7 @@ class SweptDepths:
             if (why_not := _why_not(frames, config, views)) is not None:
                 say(f"Depths of {label(name)} images are not swept: {why_not}.")
                 continue
-            known = _known_depths(views, some_points)
+            known = _known_depths(views, points)
             for size in {depth.shape for depth in known.values()}:
                 some = [i for i, depth in known.items() if depth.shape == size]
                 key = name, (size[0], size[1])
@@ -103,6 +103,18 @@ class SweptDepths:
         return terms
 
 
+def depths_of_views(views: Sequence[ViewTensors], points: Tensor) -> list[Tensor]:
+    """z-depths that views of one spectrum agree on, [H, W] each [world units], 0 where unknown.
+
+    Args:
+        views: The views, of pinhole cameras, with images in [0, 1]. Large ones have smaller depths (``SweptView.of``).
+        points: The scene's sparse points, [P, 3] [world units].
+    """
+    swept = [SweptView.of(view) for view in views]
+    some = points[:: math.ceil(max(len(points), 1) / MOST_POINTS)].to(swept[0].viewmat.device)
+    return agreed_depths(swept, [swept_depths(one, swept, some) for one in swept])
+
+
 def _plain_views(frames: TrainFrames, name: str) -> dict[int, ViewTensors]:
     """A spectrum's training views that a pinhole camera took at once, by their frame's index."""
     if frames.from_disk is not None:
@@ -130,12 +142,11 @@ def _why_not(frames: TrainFrames, config: TrainConfig, views: Mapping[int, ViewT
 
 def _known_depths(views: Mapping[int, ViewTensors], points: Tensor) -> dict[int, Tensor]:
     """log z of views by their frame's index, [H, W] each, NaN where unknown."""
-    swept = [SweptView.of(view) for view in views.values()]
-    agreed = agreed_depths(swept, [swept_depths(one, swept, points) for one in swept])
-    return {i: _enlarged(depth, view).log() for (i, view), depth in zip(views.items(), agreed, strict=True)}
+    depths = depths_of_views(list(views.values()), points)
+    return {i: _enlarged(depth, view).log() for (i, view), depth in zip(views.items(), depths, strict=True)}
 
 
 def _enlarged(depth: Tensor, view: ViewTensors) -> Tensor:
     """A depth for each pixel of the view, NaN where unknown, of depths of a smaller image."""
     known = torch.where(depth > 0, depth, torch.nan)
-    return torch.nn.functional.interpolate(known[None, None], (view.height, view.width), mode="nearest")[0, 0]
+    return F.interpolate(known[None, None], (view.height, view.width), mode="nearest")[0, 0]
