@@ -86,7 +86,7 @@ class SpectrumConfig:
     large differences count for more. 0: plain L1. Open choice."""
     swept_depth: float = 0.0
     """Weight of how far its depths lie from those that a plane sweep of its training images finds, as differences of
-    log z, from ``loss.depth_spread_from`` on. 0: no sweep. Open choice."""
+    log z, with images of full size. 0: no sweep. Open choice."""
     exposure: Exposure = "fixed"
     """What differs between its training images though the scene does not; held-out images are rendered without.
     "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of

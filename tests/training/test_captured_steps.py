@@ -91,7 +91,7 @@ def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str)
 def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
     """MCMC's noise is drawn anew in every replay, the same as without graphs; every frame's exposure learns.
 
-    In the second half depths are blended too, which is another graph, and swept ones draw them.
+    Swept depths draw the scene; in the second half the spread of depths counts, too, which is another graph.
     """
     mcmc = DensificationConfig(strategy="mcmc", max_gaussians=300, start_step=4, stop_step=60, every=10)
 
@@ -108,7 +108,7 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
 
     plain, captured = run("plain", False), run("captured", True)
     assert isinstance(captured.steps, CapturedSteps)
-    assert {work.kind.depths for work in captured.steps._graphs} == {True}
+    assert {(work.kind.swept_depths, work.kind.depth_spread) for work in captured.steps._graphs} == {(True, True)}
     assert captured.guard.first_bad() is None
     assert captured.model.num_gaussians == plain.model.num_gaussians > 60
     ours, theirs = captured.state.exposures, plain.state.exposures

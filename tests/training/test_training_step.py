@@ -27,8 +27,8 @@ def test_depths_are_drawn_together_late(tmp_path: Path) -> None:
     config = toy_run_config(max_steps=8, log_every=1)
     loss = dataclasses.replace(config.loss, depth_spread=0.1, depth_spread_from=0.75)
     config = dataclasses.replace(config, loss=loss)
-    assert [StepKind.at(config, step, densifying=False).depths for step in (1, 6, 7, 8)] == [0, 0, 1, 1]
-    assert not StepKind.at(toy_run_config(), 12, densifying=False).depths
+    assert [StepKind.at(config, step, densifying=False).depth_spread for step in (1, 6, 7, 8)] == [0, 0, 1, 1]
+    assert not StepKind.at(toy_run_config(), 12, densifying=False).depth_spread
     toy_trainer(tmp_path, config, many_frames(toy_capture())).train()
     lines = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines if "depth_spread" in line] == [7, 8]
@@ -85,7 +85,7 @@ def test_terms_have_their_weights(tmp_path: Path) -> None:
         trainer = toy_trainer(tmp_path / name, config, capture)
         first = trainer.model.gaussians(next(iter(trainer.model.gaussian_sets)))
         prune(first, gaussian_optimizers(first, config.optimizer), torch.arange(60) < 20)  # of two sets, 40 and 60
-        kind = StepKind(1, densifying=False, depths=loss.depth_spread > 0)
+        kind = StepKind(1, densifying=False, depth_spread=loss.depth_spread > 0)
         done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
         return {term: value.item() for term, value in done.losses.items()}
 

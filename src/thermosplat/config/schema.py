@@ -90,9 +90,8 @@ class LossConfig:
     """v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet
     in a pixel, count for less: half of one and half of another 1.88 times as far is 0.1. 0: v itself. Open choice."""
     depth_spread_from: float = 0.5
-    """Share of the steps before depths count: their spread, and how far they lie from swept ones
-    (``SpectrumConfig.swept_depth``). Open choice."""
-    swept_depth_limit: float = 0.1
+    """Share of the steps before that spread counts. Open choice."""
+    swept_depth_limit: float = 0.03
     """Difference of log z from swept depths (``SpectrumConfig.swept_depth``) from which on more does not count: there
     the sweep found another surface, or is wrong. Open choice."""
     balance: bool = False

@@ -316,7 +316,7 @@ class Trainer:
         if state.kept_scenes:  # scenes that become one have the same decoders
             rates = replace(rates, decoders_lr=0.0)
         state.begin_step(step, rates, self.capture.scene_extent)
-        if kind.depths:
+        if kind.swept_depths:
             self.device_step.swept = self._swept_depths
 
         with self._first_step(), self.steps.run(frame, kind) as values:

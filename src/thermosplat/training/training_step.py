@@ -53,8 +53,10 @@ class StepKind:
     """Degree of the spherical harmonics in use."""
     densifying: bool
     """Note gradients for the next refinement."""
-    depths: bool = False
-    """Blend depths, too, for what is asked of them."""
+    depth_spread: bool = False
+    """Let the spread of depths along rays be a loss."""
+    swept_depths: bool = False
+    """Let depths be drawn to those that plane sweeps found."""
     refining: bool = False
     """Correct the cameras."""
     geometry_held: bool = False
@@ -84,15 +86,17 @@ class StepKind:
                 trains the scene with them.
             taught: As the field.
         """
-        asked = config.loss.depth_spread > 0 or any(one.swept_depth > 0 for one in config.modelled.values())
+        loss, swept = config.loss, any(one.swept_depth > 0 for one in config.modelled.values())
+        factor = image_factor(config, step) if cameras_found_at is None else cameras_found_at
         refining = bool(config.refine) and step > config.refine_from
         return cls(
             sh_degree_at(config, step),
             densifying,
-            depths=asked and step > config.loss.depth_spread_from * config.max_steps,
+            depth_spread=loss.depth_spread > 0 and step > loss.depth_spread_from * config.max_steps,
+            swept_depths=swept and factor == 1.0,
             refining=refining,
             geometry_held=cameras_found_at is not None,
-            image_factor=image_factor(config, step) if cameras_found_at is None else cameras_found_at,
+            image_factor=factor,
             taught=taught,
         )
 
@@ -240,7 +244,7 @@ class TrainingStep:
             sh_degree=kind.sh_degree,
             absgrad=config.densification.absgrad,
             deterministic=config.deterministic,
-            depth_spread_limit=config.loss.depth_spread_limit if kind.depths else None,
+            depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread or kind.swept_depths else None,
             shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
         )
         if part.calls is None:
@@ -272,9 +276,9 @@ class TrainingStep:
         losses = dict(compared.losses)
         if part.penalised is None:
             losses |= self._feature_norm()
-        if self.swept is not None and frame.index is not None and kind.image_factor == 1.0:
+        if kind.swept_depths and self.swept is not None and frame.index is not None:
             losses |= self.swept.losses(rendered, frame.index)
-        if rendered.depth_spreads and config.loss.depth_spread > 0:
+        if kind.depth_spread and rendered.depth_spreads:
             losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
         if config.loss.balance:
             numbers = {name: state.num_gaussians(name) for name in state.gaussian_sets}

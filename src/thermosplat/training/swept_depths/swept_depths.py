@@ -63,7 +63,7 @@ class SweptDepths:
             frames: The training frames.
             config: The whole configuration.
             points: The scene's sparse points, [P, 3] [world units].
-            say: Tells the user what was found, or why nothing was.
+            say: Tells the user what is done and found, or why nothing is.
         """
         weights = {name: one.swept_depth for name, one in config.modelled.items() if one.swept_depth > 0}
         found: dict[tuple[str, Size], Tensor] = {}
@@ -73,6 +73,7 @@ class SweptDepths:
             if (why_not := _why_not(frames, config, views)) is not None:
                 say(f"Depths of {label(name)} images are not swept: {why_not}.")
                 continue
+            say(f"Sweeping {len(views)} {label(name)} images for depths.")
             known = _known_depths(views, points)
             for size in {depth.shape for depth in known.values()}:
                 some = [i for i, depth in known.items() if depth.shape == size]
@@ -81,7 +82,7 @@ class SweptDepths:
                 rows[key] = torch.full((len(frames),), -1, device=frames.device)
                 rows[key][some] = torch.arange(len(some), device=frames.device)
             share = torch.cat([~depth.isnan().flatten() for depth in known.values()]).float().mean().item()
-            say(f"Depths of {len(known)} {label(name)} images by plane sweeps: {share:.0%} of their pixels.")
+            say(f"They agree on depths in {share:.0%} of their pixels.")
         return cls(weights, config.loss.swept_depth_limit, found, rows)
 
     def losses(self, rendered: RenderedFrame, index: Tensor) -> dict[str, Tensor]:
