@@ -31,7 +31,7 @@ BRIGHTNESS = 0.05
 """Largest difference of brightness that counts [of the range]."""
 SLOPES = 0.02
 """Largest difference of its slopes that counts [of the range per pixel]."""
-MOST_PIXELS = 400_000
+MOST_PIXELS = 150_000
 """Larger images are shrunk for a sweep, by a whole number."""
 WINDOWS = 0.0225, 0.0675
 """Sides of the two windows [of an image's width]: 9 and 27 of 400 pixels."""
