@@ -87,6 +87,9 @@ class SpectrumConfig:
     swept_depth: float = 0.0
     """Weight of how far its depths lie from those that a plane sweep of its training images finds, as differences of
     log z, with images of full size. 0: no sweep. Open choice."""
+    point_spread: float = 0.0
+    """Blur of its images to begin with, as the standard deviation of a Gaussian [of an image's width]; it is learnt
+    with the scene. 0: none. Open choice."""
     exposure: Exposure = "fixed"
     """What differs between its training images though the scene does not; held-out images are rendered without.
     "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of
@@ -130,6 +133,8 @@ class Spectrum:
     """First latent channel that is supervised with its images, and one beyond the last; equal: none is."""
     modulated_by: str | None
     """Spectrum whose prior modulates its decoded image; None: it has a prior of its own."""
+    point_spread: float = 0.0
+    """Blur of its images before training [of an image's width]; 0: none."""
 
     @property
     def is_photograph(self) -> bool:
@@ -177,6 +182,7 @@ def model_spectra(
             opacity="shared" if place == 0 else spectrum.opacity,
             latent=latent[name],
             modulated_by=_modulating(name, spectra),
+            point_spread=spectrum.point_spread,
         )
         for place, (name, spectrum) in enumerate(spectra.items())
     )

@@ -38,6 +38,7 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ("loss.depth_spread_from", 2.0, "--loss.depth-spread-from must lie between 0 and 1"),
         ("loss.swept_depth_limit", 0.0, "--loss.swept-depth-limit must be positive"),
         ("spectra.thermal.swept_depth", -1.0, "--thermal.swept-depth must be zero or positive"),
+        ("spectra.thermal.point_spread", -1.0, "--thermal.point-spread must be zero or positive"),
         ("spectra.thermal.loss", -1.0, "--thermal.loss must be zero or positive"),
         ("optimizer.means_lr", float("nan"), "--optimizer.means-lr must be finite, found nan"),
         ("optimizer.means_lr", -1e-4, "--optimizer.means-lr must be zero or positive"),
@@ -141,16 +142,20 @@ def test_decomposition_is_of_two_spectra() -> None:
     check_config(replace(config, without=("nir",)))
 
 
-def test_depths_are_blended_with_features() -> None:
-    """A penalty on them where there are no features is refused, and says why."""
+def test_what_needs_features() -> None:
+    """Blended depths and blur where there are no features are refused, and the sentence says why."""
     config = changed("loss.depth_spread", 0.1)
     check_config(config)
     with pytest.raises(UserError, match=r"--loss\.depth-spread is 0\.1, but depths are blended with features"):
         check_config(replace(config, model=replace(config.model, feature_dim=0)))
-    config = with_spectra(TrainConfig(), thermal={"swept_depth": 0.1})
-    check_config(config)
-    with pytest.raises(UserError, match=r"--thermal\.swept-depth is 0\.1, but depths are blended"):
-        check_config(replace(config, model=replace(config.model, feature_dim=0)))
+    for field, flag, why in (
+        ("swept_depth", "swept-depth", "depths are blended"),
+        ("point_spread", "point-spread", "blur is of features"),
+    ):
+        config = with_spectra(TrainConfig(), thermal={field: 0.1})
+        check_config(config)
+        with pytest.raises(UserError, match=rf"--thermal\.{flag} is 0\.1, but {why}"):
+            check_config(replace(config, model=replace(config.model, feature_dim=0)))
 
 
 def test_decomposition_needs_directions() -> None:

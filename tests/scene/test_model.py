@@ -9,6 +9,7 @@ import torch
 from rolling_captures import shaken
 from thermosplat.datasets.cameras import LensCoefficients
 from thermosplat.errors import UserError
+from thermosplat.fused.point_spread import blurred_by_gaussian
 from thermosplat.runs.checkpoint import Checkpoint, SavedTraining
 from thermosplat.scene.model import SceneModel
 from toy_run import through
@@ -45,6 +46,36 @@ def test_single_views_equal_the_joint_traversal() -> None:
             expected = getattr(both, kind)[name]
             torch.testing.assert_close(getattr(alone, kind)[name], expected, atol=2e-6, rtol=1e-5)
             torch.testing.assert_close(getattr(apart, kind)[name], expected, atol=2e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("branches", ["joined", "separate"])
+def test_a_camera_that_blurs(branches: str) -> None:
+    """Features of its spectrum are blurred before they are decoded, in photographs SH colours, too; others stay."""
+    capture, decoder = toy_capture(), {"branches": branches, "modulation": branches == "joined"}
+    frame, sharp = toy_frame(capture), render(toy_model(toy_config(decoder=decoder), capture), toy_frame(capture))
+    model = toy_model(toy_config(decoder=decoder, spectra={"thermal": {"point_spread": 0.05}}), capture)
+    rendered = render(model, frame)
+    torch.testing.assert_close(rendered.images["rgb"], sharp.images["rgb"])
+    blurred = blurred_by_gaussian(sharp.features["thermal"], torch.tensor(0.05 * 24), radius=8)
+    torch.testing.assert_close(rendered.features["thermal"], blurred)
+    decoded = model.decoders.image("thermal", blurred)
+    torch.testing.assert_close(rendered.images["thermal"], rendered.alphas["thermal"] * decoded)
+    assert model.point_spreads == pytest.approx({"thermal": 0.05})
+    largest = largest_gradients(model, rendered.images["thermal"].square().sum())
+    assert largest["decoders.point_spreads.log_widths.thermal"] > 0.0
+    both = toy_model(toy_config(decoder=decoder, spectra={"rgb": {"point_spread": 0.05}}), capture)
+    difference = render(both, frame).images["rgb"] - sharp.images["rgb"]
+    assert difference.abs().max() > 0.01
+
+
+def test_maps_are_not_blurred() -> None:
+    """No camera takes them, and they are rendered tile by tile."""
+    capture = toy_capture()
+    frame, spectra = toy_frame(capture), {"thermal": {"point_spread": 0.05}}
+    above = {name: dataclasses.replace(view, orthographic=True) for name, view in frame.views.items()}
+    frame = dataclasses.replace(frame, views=above)
+    sharp, model = render(toy_model(toy_config(), capture), frame), toy_model(toy_config(spectra=spectra), capture)
+    torch.testing.assert_close(render(model, frame).images, sharp.images)
 
 
 @pytest.mark.parametrize("feature_dim", [16, 80])

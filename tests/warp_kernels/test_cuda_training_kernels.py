@@ -16,6 +16,7 @@ from warp_kernels.training.density_notes import density_kernel
 from warp_kernels.training.depth_spread import moment_kernels, spread_kernels
 from warp_kernels.training.finite_check import note_bad_kernel
 from warp_kernels.training.gaussian_penalties import penalty_kernels
+from warp_kernels.training.point_spread import point_spread_kernels
 from warp_kernels.training.position_noise import noise_kernel
 from warp_kernels.training.row_adam import row_adam_kernel
 from warp_kernels.training.row_fetch import row_fetch_kernel
@@ -35,9 +36,10 @@ def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
     ("dtype", "arch"), [*((wp.float32, arch) for arch in ARCHITECTURES), (wp.float64, 75), (wp.float64, 90)]
 )
 def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
-    """Losses, covered images, and what density control notes."""
+    """Losses, covered and blurred images, and what density control notes."""
     kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), image_loss_adjoint_kernel(dtype, 1.5)]
-    compile_all([*kernels, *covering_kernels(dtype), density_kernel(dtype)], arch, tmp_path)
+    images = [*covering_kernels(dtype), *point_spread_kernels(dtype)]
+    compile_all([*kernels, *images, density_kernel(dtype)], arch, tmp_path)
 
 
 @pytest.mark.slow

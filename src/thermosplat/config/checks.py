@@ -235,18 +235,25 @@ def _check_model(config: TrainConfig, name: Any) -> None:
             f"Separate Gaussians have no shared features, but {name('model.feature_dim')} is {model.feature_dim}.",
             "Set it to 0, as --config 3dgs does.",
         )
-    depths = {"loss.depth_spread": config.loss.depth_spread}
-    depths |= {f"spectra.{spectrum}.swept_depth": one.swept_depth for spectrum, one in config.modelled.items()}
-    for field, weight in depths.items():
-        if weight > 0 and not model.feature_dim:
+    for field, (value, why) in _needing_features(config).items():
+        if value > 0 and not model.feature_dim:
             raise UserError(
-                f"{name(field)} is {weight}, but depths are blended with features, and {name('model.feature_dim')} "
-                "is 0.",
+                f"{name(field)} is {value}, but {why}, and {name('model.feature_dim')} is 0.",
                 "Leave it at 0.",
             )
     separate = model.gaussian_sets == "separate" and len(config.modelled) > 1
     if config.loss.balance and not separate:
         raise UserError(f"{name('loss.balance')} is about separate sets of Gaussians, one per spectrum.")
+
+
+def _needing_features(config: TrainConfig) -> dict[str, tuple[float, str]]:
+    """Settings that only models with latent features know: their values, and why that is so."""
+    blended, blurred = "depths are blended with features", "blur is of features"
+    found = {"loss.depth_spread": (config.loss.depth_spread, blended)}
+    for spectrum, one in config.modelled.items():
+        found[f"spectra.{spectrum}.swept_depth"] = one.swept_depth, blended
+        found[f"spectra.{spectrum}.point_spread"] = one.point_spread, blurred
+    return found
 
 
 def _channels(first: int, beyond: int) -> str:

@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
+from thermosplat.scene.point_spread import PointSpreads
 from thermosplat.spectra import Spectrum
 
 
@@ -25,6 +26,7 @@ class Decoders(nn.Module):
         modulations: By the spectrum that is modulated, Φ_mod, h_p -> [γ, β], linear; starts as the identity, γ = 1 and
             β = 0. Empty without modulation.
         heads: By spectrum, hidden -> channels, linear; a sigmoid follows.
+        point_spreads: How the cameras blur the features before anything is decoded.
 
     Args:
         config: Widths and ablation switches.
@@ -43,6 +45,7 @@ class Decoders(nn.Module):
         self.priors = nn.ModuleDict()
         self.modulations = nn.ModuleDict()
         self.heads = nn.ModuleDict()
+        self.point_spreads = PointSpreads(spectra)
         self.modulated_by = {spectrum.name: spectrum.modulated_by for spectrum in spectra}
         for spectrum in spectra:
             prior = spectrum.modulated_by or spectrum.name

@@ -150,6 +150,11 @@ class SceneModel(nn.Module):
         }
 
     @property
+    def point_spreads(self) -> dict[str, float]:
+        """By spectrum whose images are blurred, the standard deviation [of an image's width]."""
+        return {} if self.decoders is None else self.decoders.point_spreads.widths()
+
+    @property
     def pixel_filter(self) -> PixelFilter:
         """How footprints are widened, in every render."""
         return PixelFilter(self.config.rasterize_mode, self.config.eps2d)
@@ -274,6 +279,10 @@ class SceneModel(nn.Module):
     ) -> None:
         """Spectra of one camera: features blended at each opacity, then decoded."""
         features, colors = blend_features(sets[SHARED], names, self.photograph, view, how, rendered)
+        if not view.orthographic:  # a map, which no camera takes
+            features = {name: decoders.point_spreads(name, image) for name, image in features.items()}
+            if colors is not None and self.photograph is not None:
+                colors = decoders.point_spreads(self.photograph, colors)
         decoded = decoders.decode({name: self.decoder_input(view, features[name]) for name in names})
         for name in sorted(names, key=lambda name: name == self.photograph):  # the photograph last
             hybrid = name == self.photograph and self.decoder_config.hybrid

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from thermosplat.config import DecoderConfig
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
 from thermosplat.scene.fourier_features import num_inputs
+from thermosplat.scene.point_spread import PointSpreads
 from thermosplat.spectra import Spectrum
 
 
@@ -21,6 +22,7 @@ class SpectrumDecoders(nn.Module):
 
     Attributes:
         networks: By spectrum.
+        point_spreads: As of ``Decoders``.
 
     Args:
         config: Widths.
@@ -31,6 +33,7 @@ class SpectrumDecoders(nn.Module):
     def __init__(self, config: DecoderConfig, input_dim: int, spectra: Sequence[Spectrum]) -> None:
         super().__init__()
         self.networks = nn.ModuleDict()
+        self.point_spreads = PointSpreads(spectra)
         for spectrum in spectra:
             self.networks[spectrum.name] = network = _network(config, input_dim, spectrum.channels)
             if config.hybrid and may_be_hybrid(spectrum, spectra):

@@ -40,4 +40,5 @@ def run_metrics(
         "model_bytes": model.num_bytes,
         "feature_channels": model.feature_channels,
         "opacity_offsets_kept": model.offsets_kept,
+        "point_spreads": model.point_spreads,
     }

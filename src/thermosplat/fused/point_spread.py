@@ -1,0 +1,71 @@
+"""Images as a camera blurs them, as a torch function of Warp kernels."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from thermosplat.torch_bridge.arrays import strided_view
+from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.training.point_spread import spread, spread_adjoint
+
+
+def blurred_by_gaussian(image: Tensor, sigma: Tensor, radius: int) -> Tensor:
+    """An image under a Gaussian point spread, whose weights are those of the pixels' centres.
+
+    What lies beyond the border does not count: weights are divided by the sum of those that are left.
+
+    Args:
+        image: Shape [H, W, C]. Receives a gradient.
+        sigma: Standard deviation [px], > 0, scalar. Receives a gradient.
+        radius: Pixels that count on each side, >= 1.
+    """
+    return _Blur.apply(image.contiguous(), sigma, radius)
+
+
+class _Blur(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, sigma: Tensor, radius: int) -> Tensor:
+        table = _table(sigma, radius)
+        across, both = torch.empty_like(image), torch.empty_like(image)
+        (along, width), (down, height) = _axes(image)
+        with launches_on_torch_stream(image.device):
+            weights = strided_view(table)
+            spread(_numbers(image), weights, along, width, _numbers(across))
+            spread(_numbers(across), weights, down, height, _numbers(both))
+        ctx.save_for_backward(image, across, both, table)
+        return both
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, v_both: Tensor) -> tuple[Tensor | None, ...]:
+        image, across, both, table = ctx.saved_tensors
+        v_both = v_both.contiguous()
+        v_across, v_image, down_slopes, across_slopes = (torch.empty_like(image) for _ in range(4))
+        (along, width), (down, height) = _axes(image)
+        with launches_on_torch_stream(image.device):
+            weights, between = strided_view(table), (_numbers(across), _numbers(v_across))
+            given = between[0], _numbers(both), weights, down, height, _numbers(v_both)
+            spread_adjoint(*given, between[1], _numbers(down_slopes))
+            given = _numbers(image), between[0], weights, along, width, between[1]
+            spread_adjoint(*given, _numbers(v_image), _numbers(across_slopes))
+        return v_image, down_slopes.sum() + across_slopes.sum(), None
+
+
+def _table(sigma: Tensor, radius: int) -> Tensor:
+    """Weights of pixels 0 to R apart as ``warp_kernels.training.point_spread.TABLE_ROWS`` says, [4, R + 1]."""
+    squares = torch.arange(radius + 1, device=sigma.device, dtype=sigma.dtype).square()
+    weights = torch.exp(-0.5 * squares / sigma.square())
+    rows = torch.stack([weights, weights * squares / sigma**3])
+    return torch.stack([rows, rows.cumsum(dim=1)], dim=1).reshape(4, -1)
+
+
+def _axes(image: Tensor) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Stride and pixels along the image's width and height."""
+    height, width, channels = image.shape
+    return (channels, width), (width * channels, height)
+
+
+def _numbers(image: Tensor) -> Any:
+    return strided_view(image.view(-1))
