@@ -56,7 +56,7 @@ def test_a_camera_that_blurs(branches: str) -> None:
     model = toy_model(toy_config(decoder=decoder, spectra={"thermal": {"point_spread": 0.05}}), capture)
     rendered = render(model, frame)
     torch.testing.assert_close(rendered.images["rgb"], sharp.images["rgb"])
-    blurred = blurred_by_gaussian(sharp.features["thermal"], torch.tensor(0.05 * 24), radius=8)
+    blurred = blurred_by_gaussian(sharp.features["thermal"], torch.tensor(0.05 * 24), radius=5)
     torch.testing.assert_close(rendered.features["thermal"], blurred)
     decoded = model.decoders.image("thermal", blurred)
     torch.testing.assert_close(rendered.images["thermal"], rendered.alphas["thermal"] * decoded)

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from thermosplat.fused.point_spread import blurred_by_gaussian
 from thermosplat.spectra import Spectrum
 
-REACH = 6.0
-"""Pixels count up to this many times the width that training begins with: wide enough for twice of it, to a hundredth.
-Open choice."""
+REACH = 4.0
+"""Pixels count up to this many times the deviation that training begins with. Open choice: of a blur that turns out to
+be twice as wide a twentieth is left out."""
 
 
 class PointSpreads(nn.Module):
