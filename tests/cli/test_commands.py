@@ -44,12 +44,14 @@ def test_training_leaves_everything_behind(finished: Path) -> None:
 
 
 def test_size_of_the_model_is_said(run: Run, tmp_path: Path) -> None:
-    """Gaussians and bytes; with a budget also what it has left of latent channels and opacity offsets."""
+    """Gaussians and bytes; with a budget what it has left of latent channels and offsets; the blur of cameras."""
     words = ["sample", *QUICK, "--max-steps", 1, "--result-dir"]
     _, printed = run(train.main, *words, tmp_path / "fixed")
     metrics = json.loads((tmp_path / "fixed" / "metrics.json").read_text())
     assert f"Model: {metrics['num_gaussians']:,} Gaussians; {metrics['model_bytes'] / 1e6:.1f} MB." in printed
-    _, printed = run(train.main, *words, tmp_path / "auto", "--budget", "auto")
+    assert "Blur" not in printed
+    _, printed = run(train.main, *words, tmp_path / "auto", "--budget", "auto", "--thermal.point-spread", "0.003")
+    assert "Blur of thermal images: 0.30% of their width (standard deviation)." in printed
     metrics = json.loads((tmp_path / "auto" / "metrics.json").read_text())
     kept = metrics["opacity_offsets_kept"]["thermal"]
     left = f"{metrics['feature_channels']} of 8 latent channels, {kept:.0%} of the thermal"

@@ -42,15 +42,17 @@ class _Blur(torch.autograd.Function):
     def backward(ctx: Any, v_both: Tensor) -> tuple[Tensor | None, ...]:
         image, across, both, table = ctx.saved_tensors
         v_both = v_both.contiguous()
-        v_across, v_image, down_slopes, across_slopes = (torch.empty_like(image) for _ in range(4))
+        v_across, v_image, shares = (torch.empty_like(image) for _ in range(3))
         (along, width), (down, height) = _axes(image)
         with launches_on_torch_stream(image.device):
-            weights, between = strided_view(table), (_numbers(across), _numbers(v_across))
-            given = between[0], _numbers(both), weights, down, height, _numbers(v_both)
-            spread_adjoint(*given, between[1], _numbers(down_slopes))
-            given = _numbers(image), between[0], weights, along, width, between[1]
-            spread_adjoint(*given, _numbers(v_image), _numbers(across_slopes))
-        return v_image, down_slopes.sum() + across_slopes.sum(), None
+            weights = strided_view(table)
+            given = _numbers(across), _numbers(both), weights, down, height, _numbers(v_both)
+            spread_adjoint(*given, _numbers(v_across), _numbers(shares))
+        v_sigma = shares.sum()
+        with launches_on_torch_stream(image.device):
+            given = _numbers(image), _numbers(across), weights, along, width, _numbers(v_across)
+            spread_adjoint(*given, _numbers(v_image), _numbers(shares))
+        return v_image, v_sigma + shares.sum(), None
 
 
 def _table(sigma: Tensor, radius: int) -> Tensor:

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 
 from thermosplat.training.session.run_metrics import run_metrics
@@ -31,6 +32,7 @@ def test_what_a_run_says_of_itself(tmp_path: Path) -> None:
     assert found["gaussians"] == {"shared": 60}
     assert found["model_bytes"] == state.model.num_bytes > 0
     assert found["opacity_offsets_kept"] == {"thermal": 0.0}
+    assert found["point_spreads"] == {}
     assert found["feature_channels"] == 8
     assert found["lens"] == "direct"
     assert found["scenes"] == 2
@@ -39,11 +41,19 @@ def test_what_a_run_says_of_itself(tmp_path: Path) -> None:
 
 
 def test_offsets_of_every_spectrum(tmp_path: Path) -> None:
-    """The share of offsets that are left, of spectra that have offsets; own logits and shared opacities have none."""
-    spectra: dict[str, dict[str, Any]] = {"thermal": {}, "nir": {"opacity": "offset"}, "red": {"opacity": "own"}}
+    """The share of offsets that are left, of spectra that have offsets; own logits and shared opacities have none.
+
+    And how far cameras blur, of those that do.
+    """
+    spectra: dict[str, dict[str, Any]] = {
+        "thermal": {"point_spread": 0.02},
+        "nir": {"opacity": "offset"},
+        "red": {"opacity": "own"},
+    }
     capture = many_frames(toy_capture(others=("nir", "red", "blue")))
     state = toy_trainer(tmp_path, toy_run_config(spectra=spectra | {"blue": {}}), capture).state
     with torch.no_grad():
         state.gaussian_sets["shared"].nir_opacity_offsets[:15] = 0.5
     found = run_metrics({}, state, torch.device("cpu"), None, toy_run_config())
     assert found["opacity_offsets_kept"] == {"thermal": 0.0, "nir": 0.25}
+    assert found["point_spreads"] == pytest.approx({"thermal": 0.02})
