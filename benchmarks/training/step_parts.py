@@ -39,7 +39,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
         "decoders",
         (
             *("decode_", "gemm", "triton", "_Branch"),
-            *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu", "cover_"),
+            *("cutlass", "nvjet", "splitK", "aten::mm", "addmm", "silu", "cover_", "point_spread"),
         ),
     ),
 )

@@ -74,7 +74,7 @@ def test_files_are_found_from_anywhere(run_folder: Path, tmp_path: Path, monkeyp
         "--thermal.source raw --thermal.unit centikelvin --thermal.range 10 30 --thermal.aligned",
         "--spectra.thermal.source raw --spectra.thermal.no-aligned --spectra.rgb.loss 0.5",
         "--model.gaussian-sets separate --model.feature-dim 0 --thermal.opacity shared "
-        "--loss.depth-spread 0 --thermal.swept-depth 0",
+        "--loss.depth-spread 0 --thermal.swept-depth 0 --thermal.point-spread 0",
         "--without thermal",
         "--densification.max-gaussians 1000 --optimizer.means-lr 1e-4 --decoder.no-modulation --overwrite",
     ],
