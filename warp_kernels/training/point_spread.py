@@ -3,16 +3,15 @@
 Weights beyond the image's border are left out and the others divided by their sum, so that an even image stays even.
 With w_k of pixels k apart, x the image along the axis and the sums over pixels that exist,
 
-    y_i = Σ_k w_k x_{i+k} / D_i,     D_i = Σ_k w_k.
+    y_i = Σ_k w_k x_{i+k} / D_i,     D_i = Σ_k w_k,     dy_i/dσ = (Σ_k w'_k x_{i+k} - y_i Σ_k w'_k) / D_i.
+
+Tables of weights have four rows, for k from 0 to the radius R: w_k, Σ_{j≤k} w_j, w'_k = dw_k/dσ and Σ_{j≤k} w'_j.
 """
 
 import warp as wp
 
 from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
-
-TABLE_ROWS = 4
-"""Of a table of weights: w_k, Σ_{j≤k} w_j, and the same of their derivatives with respect to the deviation."""
 
 
 @made_once
@@ -94,7 +93,7 @@ def spread(image: wp.array, table: wp.array, stride: int, length: int, blurred: 
 
     Args:
         image: [H * W * C].
-        table: [4, R + 1], as ``TABLE_ROWS``.
+        table: [4, R + 1], weights.
         stride: numbers from one pixel to the next along the axis.
         length: pixels along it.
         blurred: [H * W * C], output.

@@ -56,7 +56,7 @@ class _Blur(torch.autograd.Function):
 
 
 def _table(sigma: Tensor, radius: int) -> Tensor:
-    """Weights of pixels 0 to R apart as ``warp_kernels.training.point_spread.TABLE_ROWS`` says, [4, R + 1]."""
+    """w = exp(-k² / 2σ²) and dw/dσ = w k² / σ³ of pixels 0 to R apart, each with its sums below it, [4, R + 1]."""
     squares = torch.arange(radius + 1, device=sigma.device, dtype=sigma.dtype).square()
     weights = torch.exp(-0.5 * squares / sigma.square())
     rows = torch.stack([weights, weights * squares / sigma**3])

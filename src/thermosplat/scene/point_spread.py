@@ -1,8 +1,8 @@
 """How far each spectrum's camera blurs what it sees: a Gaussian whose width is learnt with the scene.
 
-A thermal camera's pixels are large and its lens is diffracted by waves twenty times as long as light, so its images are
-softer than photographs of the same place. Gaussians and decoders know no neighbours; without this they can only show
-a soft edge where surfaces fade, which other views contradict.
+A thermal camera's pixels are large, and its lens diffracts waves twenty times as long as light's. So its images are
+softer than photographs of the same place. Decoders see one pixel at a time, and Gaussians have one shape for all
+spectra. Without a point spread they can show a soft edge only where surfaces fade, which other views contradict.
 """
 
 import math
