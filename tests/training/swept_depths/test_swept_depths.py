@@ -126,6 +126,25 @@ def test_they_count_with_images_of_full_size(tmp_path: Path) -> None:
     assert terms[6] is terms[7] is not None
 
 
+def test_depths_are_blended_for_what_was_swept_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing could be swept, steps blend no depths for it."""
+    config = toy_run_config(max_steps=2, spectra=SWEPT)
+    blended: list[bool] = []
+    for refine in ((), ("poses",)):
+        some = dataclasses.replace(config, refine=refine, loss=dataclasses.replace(config.loss, depth_spread=0.0))
+        trainer = toy_trainer(tmp_path / str(len(refine)), some, many_frames(toy_capture()))
+        rendered = trainer.model.render
+
+        def render(*args: Any, rendered: Any = rendered, **how: Any) -> RenderedFrame:
+            frame = rendered(*args, **how)
+            blended.append(bool(frame.log_depths))
+            return frame
+
+        monkeypatch.setattr(trainer.model, "render", render)
+        trainer._train_step()
+    assert blended == [True, False]
+
+
 def test_what_is_not_swept_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cameras with lenses or that are corrected, and no room: one line says why, and there is no such term."""
     capture, _ = relief_capture(times=2)

@@ -45,6 +45,10 @@ class SweptDepths:
     ) -> None:
         self._weights, self._limit, self._found, self._rows = weights, limit, found, rows
 
+    def __bool__(self) -> bool:
+        """Whether any view was swept."""
+        return bool(self._found)
+
     @classmethod
     @torch.no_grad()
     def of(
