@@ -90,6 +90,9 @@ class SpectrumConfig:
     point_spread: float = 0.0
     """Blur of its images to begin with, as the standard deviation of a Gaussian [of an image's width]; it is learnt
     with the scene. 0: none. Open choice."""
+    point_spread_noise: float = 0.0
+    """Noise of the training images (measured as for ``smoothness_noise``) from which on there is none: noise rewards
+    blur. 0: whatever the noise. Open choice."""
     exposure: Exposure = "fixed"
     """What differs between its training images though the scene does not; held-out images are rendered without.
     "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of

@@ -67,6 +67,7 @@ def test_nothing_to_train() -> None:
         ({"features": -0.5}, "--nir.features must be zero or positive, found -0.5."),
         ({"smoothness": -0.1}, "--nir.smoothness must be zero or positive"),
         ({"smoothness_noise": -0.1}, "--nir.smoothness-noise must be zero or positive"),
+        ({"point_spread_noise": -0.1}, "--nir.point-spread-noise must be zero or positive"),
         ({"smoothness_least": -0.1}, "--nir.smoothness-least must be zero or positive"),
         ({"charbonnier": -0.1}, "--nir.charbonnier must be zero or positive"),
         ({"squared": -1.0}, "--nir.squared must be zero or positive"),

@@ -1,4 +1,4 @@
-"""The noise of training images is measured, stripes included; smoothness and the weight of a loss follow it."""
+"""The noise of training images is measured, stripes included; smoothness, the weight of a loss and blur follow it."""
 
 import dataclasses
 from pathlib import Path
@@ -8,9 +8,11 @@ import pytest
 import torch
 
 from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.evaluation.loaded_run import load_run
 from thermosplat.spectra import SpectrumConfig
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.image_noise import image_noise, loss_for_noise, smoothness_for_noise, training_noise
+from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
 from toy_run import many_frames, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture
@@ -101,7 +103,7 @@ def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
     (note,) = trainer.noise_notes
     assert note.startswith("Noise of the thermal images 0.03")
     assert note.endswith("smoothness weight 0.300.")
-    assert trainer.config == config
+    assert trainer.asked == config
     rgb_alone = toy_run_config(spectra={"thermal": MEASURED}, without=("thermal",))
     assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).noise_notes == ()
     plain = toy_trainer(tmp_path / "c", toy_run_config(), many_frames(toy_capture()))
@@ -136,6 +138,29 @@ def test_both_weights_are_said_in_one_line(tmp_path: Path) -> None:
     config = toy_run_config(spectra={"thermal": {**MEASURED, "loss": 2.0, "loss_noise": 0.0125}})
     (note,) = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=8)).noise_notes
     assert note.endswith("loss weight 1.000, smoothness weight 0.300.")
+
+
+def test_no_blur_is_learnt_of_noise(tmp_path: Path) -> None:
+    """Where images are noisy the model has no point spread, and says so; its checkpoint is read back without one."""
+    config = toy_run_config(
+        spectra={"thermal": {"smoothness": 0.0, "point_spread": 0.05, "point_spread_noise": 0.0125}}
+    )
+    runs = {sigma: noisy(many_frames(toy_capture()), thermal=sigma) for sigma in (1, 8)}
+    clean = toy_trainer(tmp_path / "clean", config, runs[1])
+    assert clean.model.point_spreads == pytest.approx({"thermal": 0.05})
+    assert clean.noise_notes == ()
+
+    trainer = toy_trainer(tmp_path / "noisy", config, runs[8])
+    assert trainer.model.point_spreads == {}
+    (note,) = trainer.noise_notes
+    assert note.endswith("): no point spread.")
+    trainer.train()
+    resumed = Trainer.resume(dataclasses.replace(config, max_steps=14), runs[8], trainer.run)
+    resumed.train()
+    assert resumed.model.point_spreads == {}
+    loaded = load_run(trainer.run.path, device="cpu")
+    assert (loaded.step, loaded.model.point_spreads) == (14, {})
+    assert loaded.config.spectra["thermal"].point_spread == 0.05  # as it was asked for
 
 
 def test_every_spectrum_is_measured_by_itself(tmp_path: Path) -> None:

@@ -371,7 +371,7 @@ class SceneModel(nn.Module):
         """
         config, saved = checkpoint.config, checkpoint.model
         with damage_explained("model"):
-            spectra = model_spectra(config.modelled, saved.color_spaces)
+            spectra = _as_learnt(model_spectra(config.modelled, saved.color_spaces), saved.decoders)
             gaussian_sets = restored_sets(saved.gaussian_sets, config, spectra)
             if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
                 _check_decoders(saved.decoders, config, spectra)
@@ -381,6 +381,14 @@ class SceneModel(nn.Module):
             if model.decoders is not None and saved.decoders is not None:
                 model.decoders.load_state_dict(saved.decoders)
         return model.to(device)
+
+
+def _as_learnt(spectra: Sequence[Spectrum], decoders: Mapping[str, Tensor] | None) -> tuple[Spectrum, ...]:
+    """The spectra, those without a saved blur without it: their images were too noisy for one."""
+    learnt = decoders or {}
+    return tuple(
+        one if f"point_spreads.log_widths.{one.name}" in learnt else replace(one, point_spread=0.0) for one in spectra
+    )
 
 
 def _check_decoders(saved: Mapping[str, Tensor] | None, config: TrainConfig, spectra: Sequence[Spectrum]) -> None:

@@ -1,4 +1,4 @@
-"""How noisy the images of a spectrum are, and how much they count and are smoothed for it.
+"""How noisy the images of a spectrum are, and what that means for their losses and for their camera's blur.
 
 The noise of an image is estimated from the image alone (Immerkær 1996): the mask [1 -2 1]ᵀ [1 -2 1] leaves noise and
 little of the scene, and a mean |response| r of Gaussian noise stands for σ = √(π/2) r / 6. It does not see what is
@@ -103,8 +103,8 @@ def loss_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
     return spectrum.loss - share * max(spectrum.loss - 1.0, 0.0)
 
 
-def with_measured_weights(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:
-    """The configuration with the weights that the training images ask for, where it wants them measured.
+def fitted_to_noise(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:
+    """The configuration with the weights and point spreads that the training images ask for, where it wants that.
 
     Args:
         config: The whole configuration.
@@ -117,7 +117,8 @@ def with_measured_weights(config: TrainConfig, noise_of: NoiseOf) -> tuple[Train
     for name, spectrum in config.modelled.items():
         weighs = spectrum.loss_noise > 0 and spectrum.loss > 1
         smooths = spectrum.smoothness_noise > 0 and spectrum.smoothness > 0
-        if not (weighs or smooths) or (noise := noise_of(name)) is None:
+        blurs = spectrum.point_spread_noise > 0 and spectrum.point_spread > 0
+        if not (weighs or smooths or blurs) or (noise := noise_of(name)) is None:
             continue
         said = []
         if weighs:
@@ -126,6 +127,11 @@ def with_measured_weights(config: TrainConfig, noise_of: NoiseOf) -> tuple[Train
         if smooths:
             spectrum = replace(spectrum, smoothness=smoothness_for_noise(spectrum, noise.total))
             said.append(f"smoothness weight {spectrum.smoothness:.3f}")
+        if blurs and noise.total >= spectrum.point_spread_noise:
+            spectrum = replace(spectrum, point_spread=0.0)
+            said.append("no point spread")
+        if not said:
+            continue
         spectra[name] = spectrum
         notes.append(
             f"Noise of the {label(name)} images {noise.total:.4f} of the range (pixels {noise.pixels:.4f}, stripes "

@@ -48,7 +48,7 @@ from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.resolution_schedule import most_gaussians, resolution_note
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
-from thermosplat.training.image_noise import training_noise, with_measured_weights
+from thermosplat.training.image_noise import fitted_to_noise, training_noise
 from thermosplat.training.joined_scenes import Scene, joined_sets, kept_scene, seed_of_scene, steps_of_scene
 from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
@@ -99,6 +99,9 @@ class Trainer:
         if self.device.type == "cuda" and config.gpu_memory is not None:
             limit_device_memory(self.device, config.gpu_memory)
         self.frames = TrainFrames(capture, config.modelled, self.device)
+        noise_of = cache(partial(training_noise, self.frames))
+        config, notes_of_noise = fitted_to_noise(config, noise_of)
+        self.config = config
         self.schedule = SpectrumSchedule(config, self.frames)
         self.budget: Budget | None = None
         self.offloaded: Offloaded | None = None
@@ -116,15 +119,13 @@ class Trainer:
         self._begin_scene()
         self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
-        noise_of = cache(partial(training_noise, self.frames))
-        measured, weight_notes = with_measured_weights(config, noise_of)
         floors, floor_notes = noise_floors(config, noise_of)
-        self.noise_notes = (*weight_notes, *floor_notes)
+        self.noise_notes = (*notes_of_noise, *floor_notes)
         if floors and self.state.noise_watch is None:
             self.state.noise_watch = NoiseWatch(floors, len(self.frames), self.device)
             if not self.state.growing:
                 self.state.noise_watch.end()
-        self.device_step = TrainingStep(measured, self.state, self.guard, PairCapacity(self.device))
+        self.device_step = TrainingStep(config, self.state, self.guard, PairCapacity(self.device))
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
         fast = fast_decoders(self.model.decoders, config, self.device)
