@@ -384,7 +384,7 @@ class SceneModel(nn.Module):
 
 
 def _as_learnt(spectra: Sequence[Spectrum], decoders: Mapping[str, Tensor] | None) -> tuple[Spectrum, ...]:
-    """The spectra, those without a saved blur without it: their images were too noisy for one."""
+    """The spectra as they were trained: without a blur where none is saved, since images were too noisy for one."""
     learnt = decoders or {}
     return tuple(
         one if f"point_spreads.log_widths.{one.name}" in learnt else replace(one, point_spread=0.0) for one in spectra

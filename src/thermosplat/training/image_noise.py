@@ -104,7 +104,7 @@ def loss_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
 
 
 def fitted_to_noise(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:
-    """The configuration with the weights and point spreads that the training images ask for, where it wants that.
+    """The configuration with the weights and point spreads that the noise of the training images allows.
 
     Args:
         config: The whole configuration.
