@@ -70,6 +70,19 @@ def test_decoders_of_another_size_are_refused_before_memory_is_taken() -> None:
         SceneModel.from_checkpoint(_checkpoint(nothing), "cpu")
 
 
+def test_a_blur_may_be_missing_where_noise_keeps_it_from_being_learnt() -> None:
+    """Elsewhere the file is damaged."""
+    saved = MODEL.checkpoint_state()  # of a model without a blur
+    for point_spread_noise in (0.0, 0.01):
+        thermal = {"point_spread": 0.05, "point_spread_noise": point_spread_noise}
+        checkpoint = Checkpoint(3, toy_config(spectra={"thermal": thermal}), 1, saved, {}, SavedTraining())
+        if point_spread_noise > 0:
+            assert SceneModel.from_checkpoint(checkpoint, "cpu").point_spreads == {}
+        else:
+            with pytest.raises(UserError, match=r"point_spreads\.log_widths\.thermal has the shape None"):
+                SceneModel.from_checkpoint(checkpoint, "cpu")
+
+
 def test_values_that_are_not_finite_are_counted() -> None:
     """One NaN or infinity in any parameter makes a Gaussian one that is not drawn."""
     model = SceneModel.from_checkpoint(_checkpoint(MODEL.checkpoint_state()), "cpu")

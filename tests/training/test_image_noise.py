@@ -103,7 +103,7 @@ def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
     (note,) = trainer.noise_notes
     assert note.startswith("Noise of the thermal images 0.03")
     assert note.endswith("smoothness weight 0.300.")
-    assert trainer.asked == config
+    assert trainer.config == config
     rgb_alone = toy_run_config(spectra={"thermal": MEASURED}, without=("thermal",))
     assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).noise_notes == ()
     plain = toy_trainer(tmp_path / "c", toy_run_config(), many_frames(toy_capture()))
@@ -121,6 +121,8 @@ def test_a_run_weighs_what_its_images_ask_for(tmp_path: Path) -> None:
     weight = trainer.device_step.config.spectra["thermal"].loss
     assert weight == pytest.approx(2 - noise.total / 0.0125)
     assert 1.2 < weight < 1.9
+    trainer.save()
+    assert load_run(trainer.run.path, device="cpu").config.spectra["thermal"].loss == 2.0  # as it was asked for
     (note,) = trainer.noise_notes
     assert note.endswith(f"): loss weight {weight:.3f}.")
     once = toy_trainer(tmp_path / "b", toy_run_config(spectra={"thermal": {"smoothness": 0.0}}), capture)

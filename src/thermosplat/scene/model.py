@@ -43,7 +43,7 @@ from thermosplat.scene.views import (
     Rendering,
     render_view_depth,
 )
-from thermosplat.spectra import Spectrum, model_spectra
+from thermosplat.spectra import Spectrum, SpectrumConfig, model_spectra
 
 if TYPE_CHECKING:
     from thermosplat.datasets.capture import Capture
@@ -371,7 +371,7 @@ class SceneModel(nn.Module):
         """
         config, saved = checkpoint.config, checkpoint.model
         with damage_explained("model"):
-            spectra = _as_learnt(model_spectra(config.modelled, saved.color_spaces), saved.decoders)
+            spectra = model_spectra(_as_trained(config.modelled, saved.decoders), saved.color_spaces)
             gaussian_sets = restored_sets(saved.gaussian_sets, config, spectra)
             if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
                 _check_decoders(saved.decoders, config, spectra)
@@ -383,12 +383,17 @@ class SceneModel(nn.Module):
         return model.to(device)
 
 
-def _as_learnt(spectra: Sequence[Spectrum], decoders: Mapping[str, Tensor] | None) -> tuple[Spectrum, ...]:
-    """The spectra as they were trained: without a blur where none is saved, since images were too noisy for one."""
-    learnt = decoders or {}
-    return tuple(
-        one if f"point_spreads.log_widths.{one.name}" in learnt else replace(one, point_spread=0.0) for one in spectra
-    )
+def _as_trained(
+    spectra: Mapping[str, SpectrumConfig], decoders: Mapping[str, Tensor] | None
+) -> dict[str, SpectrumConfig]:
+    """The spectra by name; where noise may have kept a blur from being learnt, and none is saved, without it."""
+    saved = decoders or {}
+    return {
+        name: replace(one, point_spread=0.0)
+        if one.point_spread_noise > 0 and f"point_spreads.log_widths.{name}" not in saved
+        else one
+        for name, one in spectra.items()
+    }
 
 
 def _check_decoders(saved: Mapping[str, Tensor] | None, config: TrainConfig, spectra: Sequence[Spectrum]) -> None:

@@ -319,7 +319,6 @@ class Trainer:
         state.begin_step(step, rates, self.capture.scene_extent)
         if kind.swept_depths:
             self.device_step.swept = self._swept_depths
-            kind = replace(kind, swept_depths=bool(self._swept_depths))  # where nothing could be, none are blended
 
         with self._first_step(), self.steps.run(frame, kind) as values:
             if self._looks_at_guard(step):

@@ -239,12 +239,13 @@ class TrainingStep:
     def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part) -> RenderedFrame:
         """The frame's images as the losses see them: before random colours, with the exposures of its photographs."""
         config, state = self.config, self.state
+        blends_depths = kind.depth_spread or (kind.swept_depths and self.swept)
         render = partial(
             state.model.render,
             sh_degree=kind.sh_degree,
             absgrad=config.densification.absgrad,
             deterministic=config.deterministic,
-            depth_spread_limit=config.loss.depth_spread_limit if kind.depth_spread or kind.swept_depths else None,
+            depth_spread_limit=config.loss.depth_spread_limit if blends_depths else None,
             shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
         )
         if part.calls is None:
@@ -276,7 +277,7 @@ class TrainingStep:
         losses = dict(compared.losses)
         if part.penalised is None:
             losses |= self._feature_norm()
-        if kind.swept_depths and self.swept is not None and frame.index is not None:
+        if kind.swept_depths and self.swept and frame.index is not None:
             losses |= self.swept.losses(rendered, frame.index)
         if kind.depth_spread and rendered.depth_spreads:
             losses["depth_spread"] = config.loss.depth_spread * torch.stack(rendered.depth_spreads).sum()
