@@ -274,7 +274,7 @@ def test_steps_must_be_left_for_what_they_become(share: float) -> None:
 
 
 def test_presets() -> None:
-    """thermosplat_plus has two scenes; thermosplat_fast is one of them, with fewer steps. Both grow until rates fall."""
+    """thermosplat_plus has two scenes; thermosplat_fast is one, with fewer steps. Both grow until rates fall."""
     plus, fast = load_config("thermosplat_plus"), load_config("thermosplat_fast")
     assert (plus.scenes, fast.scenes) == (2, 1)
     for config, steps in ((plus, 4800), (fast, 3200)):
