@@ -85,14 +85,14 @@ class SpectrumConfig:
     """k of |d| + k d² in place of |d| in the loss on its images, in their units (0 to 1): PSNR is of squares, in which
     large differences count for more. 0: plain L1. Open choice."""
     swept_depth: float = 0.0
-    """Weight of how far its depths lie from those that a plane sweep of its training images finds, as differences of
-    log z, with images of full size. 0: no sweep. Open choice."""
+    """Weight of the loss on its depths, the mean difference of log z from those that a plane sweep of its training
+    images finds. It counts in steps with images of full size. 0: no sweep. Open choice."""
     point_spread: float = 0.0
     """Blur of its images to begin with, as the standard deviation of a Gaussian [of an image's width]; it is learnt
     with the scene. 0: none. Open choice."""
     point_spread_noise: float = 0.0
-    """Noise of the training images (measured as for ``smoothness_noise``) from which on there is none: noise rewards
-    blur. 0: whatever the noise. Open choice."""
+    """Noise of the training images (measured as for ``smoothness_noise``) from which on there is no point spread, since
+    noise rewards blur. 0: there is one whatever the noise. Open choice."""
     exposure: Exposure = "fixed"
     """What differs between its training images though the scene does not; held-out images are rendered without.
     "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of

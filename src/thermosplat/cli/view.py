@@ -20,7 +20,7 @@ class ViewArguments:
 
     Examples:
       thermosplat-view results/shed/thermosplat_plus
-      thermosplat-view results/shed/thermosplat_plus/ckpts/step_009000.pt
+      thermosplat-view results/shed/thermosplat_plus/ckpts/step_006000.pt
       thermosplat-view splat.ply
     """
 

@@ -92,7 +92,7 @@ class LossConfig:
     depth_spread_from: float = 0.5
     """Share of the steps before that spread counts. Open choice."""
     swept_depth_limit: float = 0.03
-    """Difference of log z from swept depths (``SpectrumConfig.swept_depth``) from which on more does not count: there
+    """Largest difference of log z from a swept depth (``SpectrumConfig.swept_depth``) that counts. Where it is larger
     the sweep found another surface, or is wrong. Open choice."""
     balance: bool = False
     """Multiply the losses of a separate set by the other sets' share of all Gaussians. ThermalGaussian MSMG."""
@@ -115,11 +115,11 @@ class OptimizerConfig:
     sh0_lr: float = 2.5e-3
     """SH degree 0, of every spectrum that has SH colours. 3DGS."""
     shN_lr: float = 2.5e-3 / 20
-    """SH degrees 1 to 3, of every spectrum that has SH colours. 3DGS."""
+    """SH degrees 1 and above, of every spectrum that has SH colours. 3DGS."""
     shN_decay: float = 0.0
-    """Decay of SH degrees 1 to 3: each step they lose this times their rate of themselves (AdamW, Loshchilov & Hutter
-    2019). What the images do not ask for becomes zero, so that ``--budget auto`` stores fewer of them. Open choice: 4;
-    benchmarks/records/thermosplat-plus-preset.md."""
+    """Decay of SH degrees 1 and above: each step they lose this times their rate of themselves (AdamW, Loshchilov &
+    Hutter 2019). What the images do not ask for becomes zero, so that ``--budget auto`` stores fewer of them. Open
+    choice: 4; benchmarks/records/thermosplat-plus-preset.md."""
     features_lr: float = 5e-3
     """Latent features. Open choice: MS-Splatting's."""
     features_lr_final: float = 5e-4
@@ -226,7 +226,7 @@ class DensificationConfig:
 @dataclass(frozen=True)
 class ResolutionConfig:
     """Early steps on smaller images, which take less time and show what there is to learn first (DashGaussian, Chen et
-    al. 2025). Off by default. Evaluation, validation views and the search for cameras have images of full size."""
+    al. 2025). Off in thermosplat. Evaluation, validation views and the search for cameras have images of full size."""
 
     factors: tuple[float, ...] = ()
     """The sides of training images are divided by these, one after the other, before steps at full size. No side
@@ -287,9 +287,9 @@ class AutoBudgetConfig:
     spectrum_patience: int = 1000
     """So many steps it must have been best ago. Open choice."""
     few_views_until: float = 0.33
-    """Share of the run up to which the validation views stay withheld, where growth ends earlier and they are more than
-    a twentieth of a spectrum's views: a scene may fit few views ever better and be ever worse, and they say so. 0: up
-    to the end of growth. Open choice; benchmarks/records/low-light.md."""
+    """Share of the run up to which the validation views stay withheld if they are more than a twentieth of a spectrum's
+    views, also where growth ends earlier. A scene may fit few views ever better and be ever worse, and they say so. 0:
+    up to the end of growth. Open choice; benchmarks/records/low-light.md."""
     fallen_views_until: float = 0.5
     """Share of the run up to which they stay withheld where a spectrum has fallen (``spectrum_fall``) by then: it goes
     back only if it is as far below its best there, since a scene may be worse for a while. Open choice;
@@ -298,9 +298,9 @@ class AutoBudgetConfig:
     """Fall of such a capture's validation views in one spectrum [dB] from which on it goes back to where it was best,
     whatever its noise: in all of the last ``spectrum_patience`` steps before they are released. Open choice."""
     held_change: float = 0.02
-    """Largest difference of a view from what the scene showed when a spectrum was best, measured as for
-    ``prune_change``, that has no gradient once the spectrum goes back to that: as long as it is less, the other spectra
-    alone shape the scene. Open choice; benchmarks/records/low-light.md."""
+    """A spectrum that went back is compared with what the scene showed when it was best. A view that differs from that
+    by less than this, measured as for ``prune_change``, has no gradient in it: the other spectra alone shape the scene.
+    Open choice; benchmarks/records/low-light.md."""
 
 
 @dataclass(frozen=True)
@@ -323,8 +323,8 @@ class TrainConfig:
     ``refine`` and ``log_every`` stay. gsplat."""
     steps_for_views: int | None = None
     """Training views that these numbers of steps are meant for. With more, all of them are multiplied as by
-    ``steps_scaler``, so that each view is seen as often, up to 30,000 steps in all. None: whatever the views. A file or
-    command that gives ``max_steps`` and not this means None. Open choice."""
+    ``steps_scaler``, so that each view is seen as often, up to 30,000 of each scene. None: whatever the views. A file
+    or command that gives ``max_steps`` and not this means None. Open choice."""
     scenes: int = 1
     """Scenes that are trained one after the other, from the same points with other random numbers, each up to
     ``optimizer.cooldown_from``. There they become one, with the Gaussians of all, which takes the steps that are left.

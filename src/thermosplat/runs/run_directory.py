@@ -1,6 +1,6 @@
 """The folder a training run writes, and what lies where in it.
 
-ckpts/step_009000.pt   checkpoints           config.yaml       the resolved configuration; reproduces the run
+ckpts/step_006000.pt   checkpoints           config.yaml       the resolved configuration; reproduces the run
 stats/                 metrics per step      environment.json  versions, device and threads
 renders/               PNG strips            metrics.jsonl     one line per log interval and evaluation
 ply/                   exported Gaussians    metrics.json      the final numbers
