@@ -165,6 +165,22 @@ def test_no_blur_is_learnt_of_noise(tmp_path: Path) -> None:
     assert loaded.config.spectra["thermal"].point_spread == 0.05  # as it was asked for
 
 
+@pytest.mark.parametrize(("then", "now"), [(1, 8), (8, 1)])
+def test_noise_of_other_images_changes_no_model(tmp_path: Path, then: int, now: int) -> None:
+    """A run that goes on with smaller, less noisy images keeps its blur, or has none, in the next scene, too."""
+    config = toy_run_config(
+        spectra={"thermal": {"smoothness": 0.0, "point_spread": 0.05, "point_spread_noise": 0.0125}}, scenes=2
+    )
+    config = dataclasses.replace(config, optimizer=dataclasses.replace(config.optimizer, cooldown_from=0.5))
+    trainer = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=then))
+    trainer._train_step()
+    trainer.save()
+    resumed = Trainer.resume(config, noisy(many_frames(toy_capture()), thermal=now), trainer.run)
+    resumed.train()
+    assert list(resumed.model.point_spreads) == list(trainer.model.point_spreads) == ([] if then == 8 else ["thermal"])
+    assert load_run(trainer.run.path, device="cpu").step == config.max_steps
+
+
 def test_every_spectrum_is_measured_by_itself(tmp_path: Path) -> None:
     """Each has its own noise, its own setting and its own weight; one without the setting keeps what it has."""
     capture = noisy(many_frames(toy_capture(others=("nir", "red"))), rgb=2, thermal=8, nir=1)

@@ -1,6 +1,7 @@
 """Scenes that are trained apart and become one: what the union shows, and the run that makes it."""
 
 import dataclasses
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,12 @@ from thermosplat.runs.checkpoint_file import load_checkpoint, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.offloaded import OffloadedParameter
+from thermosplat.stop_signals import stopped_by_signals
 from thermosplat.torch_bridge.host_rows import on_cpu
 from thermosplat.training.joined_scenes import joined, seed_of_scene, steps_of_scene, thinned_logits
+from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.trainer import Trainer
+from thermosplat.training.training_step import StepValues
 from toy_run import assert_same_state, many_frames, state_tensors, stopped_and_resumed, toy_run_config, toy_trainer
 from toy_scene import toy_capture, toy_config, toy_model
 
@@ -154,6 +158,52 @@ def test_an_interrupted_run_goes_on_exactly(tmp_path: Path, capture: Capture, pa
     assert second.state.seed == first.state.seed
     second.train()
     assert_same_state(state_tensors(second), state_tensors(whole))
+
+
+def stopped(trainer: Trainer) -> Path:
+    """The checkpoint that a run leaves which SIGTERM stops."""
+    with pytest.raises(TrainingInterrupted) as caught, stopped_by_signals():
+        trainer.train()
+    return caught.value.checkpoint
+
+
+@pytest.mark.parametrize("passed", [16, 16 + 16])
+def test_a_scene_that_a_signal_ends_is_left_when_the_run_goes_on(
+    tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch, passed: int
+) -> None:
+    """Stopped in its last step, when it is not yet kept or joined: with the same numbers as if nothing had stopped."""
+    config = scenes_config()
+    whole = toy_trainer(tmp_path / "whole", config, capture)
+    whole.train()
+    first = toy_trainer(tmp_path / "parts", config, capture)
+    update, updates = first.device_step.update, []
+
+    def update_and_stop(*arguments: Any) -> StepValues:
+        updates.append(update(*arguments))
+        if len(updates) == passed:
+            signal.raise_signal(signal.SIGTERM)
+        return updates[-1]
+
+    monkeypatch.setattr(first.device_step, "update", update_and_stop)
+    assert stopped(first).name == "step_000016.pt"
+    second = Trainer.resume(config, capture, first.run)
+    second.train()
+    assert_same_state(state_tensors(second), state_tensors(whole))
+
+
+def test_a_stop_while_the_next_scene_starts_leaves_that_one(tmp_path: Path, capture: Capture) -> None:
+    """An older checkpoint of more steps is gone, so that the run goes on with the next scene."""
+    first = stopped_and_resumed(tmp_path, scenes_config(), capture, 10)
+    begin = first._begin_scene
+
+    def begin_and_stop() -> None:
+        begin()
+        signal.raise_signal(signal.SIGTERM)
+
+    first._begin_scene = begin_and_stop  # type: ignore[method-assign]
+    assert stopped(first).name == "step_000000.pt"
+    second = Trainer.resume(scenes_config(), capture, first.run)
+    assert (second.step, len(second.state.kept_scenes)) == (0, 1)
 
 
 def test_a_budget_looks_once_more_at_what_they_became(tmp_path: Path) -> None:

@@ -185,6 +185,14 @@ def test_no_loss_is_an_error(tmp_path: Path, capture: Capture) -> None:
     assert caught.value.hint == "Set the loss of a spectrum, such as --rgb.loss 1."
 
 
+def test_steps_follow_the_views_that_are_trained_on(tmp_path: Path, capture: Capture) -> None:
+    """Frames of a spectrum that is left out ask for no steps."""
+    frames = tuple(without(frame, name) for frame in many_frames(capture, 13).train for name in ("rgb", "thermal"))
+    config = toy_run_config(20, steps_for_views=12, without=("thermal",))
+    trainer = toy_trainer(tmp_path, config, dataclasses.replace(capture, train=frames))
+    assert (len(trainer.frames), trainer.config.max_steps) == (12, 20)
+
+
 def test_frames_of_one_spectrum_train_what_they_show(tmp_path: Path, capture: Capture) -> None:
     """A frame without a thermal image trains the rest; both kinds of frames in one run."""
     frames = tuple(without(frame, "thermal") if index % 2 else frame for index, frame in enumerate(capture.train))

@@ -371,7 +371,7 @@ class SceneModel(nn.Module):
         """
         config, saved = checkpoint.config, checkpoint.model
         with damage_explained("model"):
-            spectra = model_spectra(_as_trained(config.modelled, saved.decoders), saved.color_spaces)
+            spectra = model_spectra(as_trained(config.modelled, saved.decoders), saved.color_spaces)
             gaussian_sets = restored_sets(saved.gaussian_sets, config, spectra)
             if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
                 _check_decoders(saved.decoders, config, spectra)
@@ -383,17 +383,22 @@ class SceneModel(nn.Module):
         return model.to(device)
 
 
-def _as_trained(
+def as_trained(
     spectra: Mapping[str, SpectrumConfig], decoders: Mapping[str, Tensor] | None
 ) -> dict[str, SpectrumConfig]:
-    """The spectra by name; where noise may have kept a blur from being learnt, and none is saved, without it."""
+    """The spectra by name with the blur that a saved model has, or has not: noise decides no more.
+
+    Args:
+        spectra: As they were asked for.
+        decoders: The saved decoders; None: there are none.
+    """
     saved = decoders or {}
-    return {
-        name: replace(one, point_spread=0.0)
-        if one.point_spread_noise > 0 and f"point_spreads.log_widths.{name}" not in saved
-        else one
-        for name, one in spectra.items()
-    }
+    trained = dict(spectra)
+    for name, one in spectra.items():
+        if one.point_spread_noise > 0:
+            learnt = f"point_spreads.log_widths.{name}" in saved
+            trained[name] = replace(one, point_spread=one.point_spread if learnt else 0.0, point_spread_noise=0.0)
+    return trained
 
 
 def _check_decoders(saved: Mapping[str, Tensor] | None, config: TrainConfig, spectra: Sequence[Spectrum]) -> None:

@@ -29,7 +29,7 @@ from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import FolderGoneError, RunDirectory
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.model import SceneModel
+from thermosplat.scene.model import SceneModel, as_trained
 from thermosplat.scene.offloaded import offload
 from thermosplat.stop_signals import deferred_interrupts, raise_lost_stop, signal_of
 from thermosplat.training.batch_steps import BatchSteps
@@ -70,6 +70,11 @@ from thermosplat.training.training_state import TrainingState
 from thermosplat.training.training_step import StepKind, TrainingStep, sh_degree_at
 
 
+def number_of_views(config: TrainConfig, capture: Capture) -> int:
+    """Frames that are trained on: those with images of a spectrum that is modelled."""
+    return len(capture.training_frames(config.modelled))
+
+
 class Trainer:
     """A training run.
 
@@ -91,7 +96,7 @@ class Trainer:
     ) -> None:
         self.asked = config
         """The configuration as it was given and is kept; ``config`` is what it means for this capture and batches."""
-        self.config = config = with_limit(run_schedule(config, len(capture.train)), capture)
+        self.config = config = with_limit(run_schedule(config, number_of_views(config, capture)), capture)
         self.capture = capture
         self.run = run
         self.device = self._choose_device()
@@ -100,6 +105,9 @@ class Trainer:
             limit_device_memory(self.device, config.gpu_memory)
         self.frames = TrainFrames(capture, config.modelled, self.device)
         noise_of = cache(partial(training_noise, self.frames))
+        if checkpoint is not None:  # its noise has decided, whatever that of images of another size would
+            trained = as_trained(config.modelled, checkpoint.model.decoders)
+            config = replace(config, spectra={**config.spectra, **trained})
         config, notes_of_noise = fitted_to_noise(config, noise_of)
         self.config = config
         self.schedule = SpectrumSchedule(config, self.frames)
@@ -121,7 +129,9 @@ class Trainer:
         self.guard = FiniteGuard(self.device)
         floors, floor_notes = noise_floors(config, noise_of)
         self.noise_notes = (*notes_of_noise, *floor_notes)
-        if floors and self.state.noise_watch is None:
+        if self.state.noise_watch is not None:
+            self.state.noise_watch.measured_anew(floors)
+        elif floors:
             self.state.noise_watch = NoiseWatch(floors, len(self.frames), self.device)
             if not self.state.growing:
                 self.state.noise_watch.end()
@@ -209,7 +219,7 @@ class Trainer:
             UserError: If there is no checkpoint, or it is of another model or capture than is asked for.
         """
         checkpoint = newest_checkpoint(run)
-        check_resumable(checkpoint, run_schedule(config, len(capture.train)), run, capture)
+        check_resumable(checkpoint, run_schedule(config, number_of_views(config, capture)), run, capture)
         return cls(config, capture, run, logger, checkpoint)
 
     @property
@@ -246,6 +256,7 @@ class Trainer:
             self._keep_images()
             if self.budget is not None:
                 self.budget.do_what_is_due(self.sh_degree)
+            self._leave_what_ended()  # of a resumed run that was stopped in its last step
             if self.results.lack_evaluation():  # a resumed run that was killed between a checkpoint and its evaluation
                 self.results.evaluate()
             while state.step < config.max_steps:
@@ -343,16 +354,24 @@ class Trainer:
         losses, errors = values.losses, values.squared_errors
         number = sum(map(state.num_gaussians, state.gaussian_sets))
         self.logger.step(StepRecord(step, losses, errors, number, kind.sh_degree, state.seconds.train))
-        if self.camera_rounds.pass_ends(step):
+        self._leave_what_ended()
+
+    def _leave_what_ended(self) -> None:
+        """Go on to what follows a pass of the cameras, or a scene, that is as far as it comes by itself."""
+        if self.camera_rounds.pass_ends(self.state.step):
             self._start_anew("The scene starts anew with the cameras that were found.")
-        elif self._scene_ends(step):
+        elif self._scene_ends(self.state.step):
             self._end_scene()
 
     @cached_property
     def _swept_depths(self) -> SweptDepths:
         """Depths of the training views, swept when they are first asked for."""
         points = torch.from_numpy(self.capture.points)
-        return SweptDepths.of(self.frames, self.config, points, lambda line: self.logger.say(line))
+        return SweptDepths.of(self.frames, self.config, points, lambda line: self.logger.say(line), self._all_can)
+
+    def _all_can(self, can: bool) -> bool:
+        """Whether all who train this scene can do something that this one can, or cannot."""
+        return can
 
     def _start_anew(self, why: str, kept: Sequence[Scene] = ()) -> None:
         """Forget the scene; begin from the capture's points, with the cameras that were found.
@@ -366,11 +385,11 @@ class Trainer:
             self._forget_scene(kept)
             self._begin_scene()
             self.logger.start_again()
-        self.logger.say(why)
-        saved = self._save()
-        for found_so_far in self.run.checkpoints():
-            if found_so_far != saved:
-                found_so_far.unlink(missing_ok=True)
+            self.logger.say(why)
+            saved = self._save()
+            for found_so_far in self.run.checkpoints():  # of more steps, so that one of them would be resumed from
+                if found_so_far != saved:
+                    found_so_far.unlink(missing_ok=True)
 
     def _forget_scene(self, kept: Sequence[Scene] = ()) -> None:
         state = self.state
@@ -448,7 +467,7 @@ class Trainer:
         numbers = map(self.state.num_gaussians, self.state.gaussian_sets)
         counts = {"num_frames": len(self.frames), "num_gaussians": sum(numbers)}
         about = greeting(self.config, self.capture, self.run, self.device, step=self.state.step, **counts)
-        of_views = views_note(self.asked, len(self.capture.train))
+        of_views = views_note(self.asked, number_of_views(self.asked, self.capture))
         notes = (*self.capture.notes, *of_views, *self.noise_notes, *self.offload_notes)
         for line in (*notes, lpips, *about, *resolution_note(self.config)):
             self.logger.say(line)
@@ -503,6 +522,7 @@ class Trainer:
             or any(step == span.start for span in self.state.spans.values())
             or any(strategy.refines_at(step) or strategy.resets_at(step) for strategy in self.state.strategies.values())
             or (self.budget is not None and self.budget.acts_at(step))
+            or self.camera_rounds.pass_ends(step)
             or self._scene_ends(step)
         )
 
@@ -550,4 +570,5 @@ class Trainer:
             f"Checkpoint saved to {self._save()}.",
             self.run.resume_command(),
             can_offload=self.device.type == "cuda" and self.offloaded != "all" and refused(self.config) is None,
+            scenes=self.config.scenes if self.state.scenes_left > 0 else 1,
         )

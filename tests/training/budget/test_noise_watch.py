@@ -133,6 +133,17 @@ def test_state_goes_on() -> None:
         NoiseWatch(watch.noise, 3, torch.device("cpu")).load_state_dict(watch.state_dict())
 
 
+def test_floors_follow_the_noise() -> None:
+    """A run that goes on with other images is fitted up to their noise, as before where they are the same."""
+    watch = watch_with([0.02, 0.02])
+    watch.floors["rgb"].copy_(torch.tensor([0.01, 0.03]))
+    watch.measured_anew({"rgb": 0.01, "thermal": 1.0})
+    assert watch.floors["rgb"].tolist() == pytest.approx([0.01, 0.03])
+    watch.measured_anew({"rgb": 0.0025})
+    assert watch.noise == {"rgb": 0.0025}
+    assert watch.floors["rgb"].tolist() == pytest.approx([0.0025, 0.0075])
+
+
 @pytest.fixture
 def worse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Withheld views lose a decibel of RGB in every step."""
@@ -256,8 +267,11 @@ def test_a_held_spectrum_goes_back_at_the_last_removal(
 
 
 @pytest.mark.parametrize("batch_size", [None, 2])
-def test_resumed_run_is_the_same(tmp_path: Path, worse: None, batch_size: int | None) -> None:
+def test_resumed_run_is_the_same(
+    tmp_path: Path, worse: None, monkeypatch: pytest.MonkeyPatch, batch_size: int | None
+) -> None:
     """Cut before a spectrum is held, after that, and when it has gone back to its best."""
+    monkeypatch.setattr("thermosplat.training.trainer.noise_floors", lambda *of: ({"rgb": NOISE}, ()))
     config = dataclasses.replace(watched(spectrum_patience=4), batch_size=batch_size)
     capture = many_frames(toy_capture(), FRAMES)
     end = 24 if batch_size is None else 12

@@ -48,3 +48,4 @@ def test_message_names_step_size_and_flags() -> None:
     assert "thermosplat-train --resume a" in error.hint
     assert "--offload" not in error.hint
     assert "--offload on" in out_of_memory_error(*found, "", can_offload=True).hint
+    assert "--densification.max-gaussians 6000000" in out_of_memory_error(*found, "", scenes=2).hint  # for each half

@@ -95,6 +95,7 @@ def test_other_models_are_refused(tmp_path: Path, changes: dict[str, object], me
             "with spectra.nir.modulated_by=None, .* for thermal",
         ),
         (THREE, with_spectra(THREE, nir={"start": "rgb"}), "with spectra.nir.start=points, .* for rgb"),
+        (THREE, with_spectra(THREE, nir={"point_spread": 0.01}), "with spectra.nir.point_spread=0.0, .* for 0.01"),
         (THREE, with_spectra(THREE, nir={"features": None}), "with spectra.nir.features=a number, .* for null"),
     ],
 )

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,14 @@ CPU = torch.device("cpu")
 SWEPT = {"thermal": {"swept_depth": 0.5}}
 
 
-def found_of(capture: Capture, said: list[str] | None = None, **changes: Any) -> SweptDepths:
+def found_of(
+    capture: Capture, said: list[str] | None = None, all_can: Callable[[bool], bool] = bool, **changes: Any
+) -> SweptDepths:
     """Depths of a capture's thermal training images."""
     frames = TrainFrames(capture, ("rgb", "thermal"), CPU)
     config = toy_run_config(spectra=SWEPT, **changes)
-    return SweptDepths.of(frames, config, torch.from_numpy(capture.points), [].append if said is None else said.append)
+    points, say = torch.from_numpy(capture.points), [].append if said is None else said.append
+    return SweptDepths.of(frames, config, points, say, all_can)
 
 
 def at_log_depth(log_depth: Tensor) -> RenderedFrame:
@@ -146,7 +150,8 @@ def test_depths_are_blended_for_what_was_swept_alone(tmp_path: Path, monkeypatch
 
 
 def test_what_is_not_swept_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cameras with lenses or that are corrected, and no room: one line says why, and there is no such term."""
+    """Cameras with lenses or that are corrected, and no room, here or on another device: one line says why, and there
+    is no such term."""
     capture, _ = relief_capture(times=2)
     view = capture.train[0].views["thermal"]
     pixels = torch.zeros(view.camera.height, view.camera.width)
@@ -159,12 +164,14 @@ def test_what_is_not_swept_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         through(capture, {"thermal": LensCoefficients("pinhole", (0.1, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0))})
     )
     nothing_is_found(capture, refine=("poses",))
+    nothing_is_found(capture, all_can=lambda can: not can)
     monkeypatch.setattr(TrainFrames, "reserve", lambda self, size: False)
     nothing_is_found(capture)
     start = "Depths of thermal images are not swept: "
     assert said == [
         f"{start}more than 3 views of pinhole cameras are needed, found 0.",
         f"{start}cameras are corrected while training.",
+        f"{start}another device has no memory left for them.",
         f"{start}there is no memory left for them.",
     ]
 

@@ -62,6 +62,17 @@ class NoiseWatch:
         self.teachers: dict[str, Teacher] = {}
         self.over = False
 
+    def measured_anew(self, noise: Mapping[str, float]) -> None:
+        """Let floors follow the noise of the images as they are now: a resumed run may have them smaller.
+
+        Args:
+            noise: As that of the class.
+        """
+        for name in self.noise.keys() & noise.keys():
+            if noise[name] != self.noise[name]:
+                self.floors[name] *= noise[name] / self.noise[name]
+                self.noise[name] = noise[name]
+
     def forget(self) -> None:
         """Begin again with a new scene."""
         for name, floors in self.floors.items():

@@ -25,6 +25,7 @@ def out_of_memory_error(
     resume_command: str,
     *,
     can_offload: bool = False,
+    scenes: int = 1,
 ) -> UserError:
     """The error to show.
 
@@ -36,6 +37,7 @@ def out_of_memory_error(
         saved: One sentence about the checkpoint.
         resume_command: The command line that goes on from it.
         can_offload: Whether moving parameters to the host's memory would help.
+        scenes: Among how many a limit of the Gaussians is divided.
     """
     where = "memory"
     if device.type == "cuda":
@@ -46,7 +48,7 @@ def out_of_memory_error(
         f"Out of {where} at step {step:,} with {num_gaussians:,} Gaussians at {image_size}. {saved}",
         f"Go on with: {resume_command} and --data-factor 2 (smaller images), "
         f"{'--offload on (spherical harmonics and features in the host memory), ' if can_offload else ''}"
-        f"or --densification.max-gaussians {_round_down(num_gaussians)} (no more Gaussians than that).",
+        f"or --densification.max-gaussians {scenes * _round_down(num_gaussians)} (no more Gaussians than that).",
     )
 
 

@@ -21,7 +21,7 @@ _IMAGES = {
     None: "no {} images",
 }
 """By the kind of their scale."""
-_SPECTRUM_STRUCTURE = ("opacity", "modulated_by", "start", "exposure")
+_SPECTRUM_STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "point_spread_noise")
 """Fields of SpectrumConfig that decide which parameters there are."""
 
 

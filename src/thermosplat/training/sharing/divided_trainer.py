@@ -50,7 +50,7 @@ from thermosplat.training.sharing.shares import (
     whole_checkpoint,
 )
 from thermosplat.training.sharing.stopping import StopWish, stop_wishes
-from thermosplat.training.trainer import Trainer
+from thermosplat.training.trainer import Trainer, number_of_views
 
 GATHERING = 5.0
 """How long a checkpoint that is being gathered is waited for where a rank has failed, which may have its part [s]."""
@@ -107,7 +107,7 @@ class DividedTrainer(Trainer):
 
         def read() -> None:
             checkpoint = newest_checkpoint(run)
-            check_resumable(checkpoint, run_schedule(config, len(capture.train)), run, capture)
+            check_resumable(checkpoint, run_schedule(config, number_of_views(config, capture)), run, capture)
             shares.extend(shares_of(checkpoint, team.size))
 
         team.asked_of_first(read)
@@ -147,6 +147,9 @@ class DividedTrainer(Trainer):
     def _teaches(self) -> bool:
         """Ranks would have to render the scene of then together, too: they hold spectra by floors."""
         return False
+
+    def _all_can(self, can: bool) -> bool:
+        return all(number for (number,) in self.team.numbers([can]))
 
     def _make_camera_rounds(self) -> CameraRounds:
         return CameraRounds(self.config, self.state, self.frames, self.team)
@@ -207,6 +210,7 @@ class DividedTrainer(Trainer):
             self._keep_images()
             if self.budget is not None:
                 self.budget.do_what_is_due(self.sh_degree)
+            self._leave_what_ended()
             if self.team.object_of_first(first and self.results.lack_evaluation()):
                 self._evaluate_whole()
             while state.step < config.max_steps:
@@ -376,7 +380,8 @@ class DividedTrainer(Trainer):
         camera = next(iter(self.schedule.frame(self.state.step).views.values())).camera
         where = f"On rank {self.team.rank} of {self.team.size}, with a share of the Gaussians. {self._what_is_saved()}"
         size, resume = f"{camera.width}x{camera.height}", self.run.resume_command()
-        return out_of_memory_error(self.state.step + 1, sum(numbers), size, self.device, where, resume)
+        scenes = self.config.scenes if self.state.scenes_left > 0 else 1
+        return out_of_memory_error(self.state.step + 1, sum(numbers), size, self.device, where, resume, scenes=scenes)
 
 
 def given(checkpoint: Checkpoint | None) -> Checkpoint:

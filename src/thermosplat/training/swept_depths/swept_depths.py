@@ -57,6 +57,7 @@ class SweptDepths:
         config: TrainConfig,
         points: Tensor,
         say: Callable[[str], object],
+        all_can: Callable[[bool], bool] = bool,
     ) -> Self:
         """Sweep the training images of the spectra that ask for it (``SpectrumConfig.swept_depth``).
 
@@ -68,14 +69,17 @@ class SweptDepths:
             config: The whole configuration.
             points: The scene's sparse points, [P, 3] [world units].
             say: Tells the user what is done and found, or why nothing is.
+            all_can: Whether all processes of the training can, asked by each that can or cannot: none sweeps alone.
         """
         weights = {name: one.swept_depth for name, one in config.modelled.items() if one.swept_depth > 0}
         found: dict[tuple[str, Size], Tensor] = {}
         rows: dict[tuple[str, Size], Tensor] = {}
         for name in weights:
             views = _plain_views(frames, name)
-            if (why_not := _why_not(frames, config, views)) is not None:
-                say(f"Depths of {label(name)} images are not swept: {why_not}.")
+            why_not = _why_not(frames, config, views)
+            if not all_can(why_not is None):
+                reason = why_not or "another device has no memory left for them"
+                say(f"Depths of {label(name)} images are not swept: {reason}.")
                 continue
             say(f"Sweeping {len(views)} {label(name)} images for depths.")
             known = _known_depths(views, points)
