@@ -75,6 +75,11 @@ def number_of_views(config: TrainConfig, capture: Capture) -> int:
     return len(capture.training_frames(config.modelled))
 
 
+def schedule_for(config: TrainConfig, capture: Capture) -> TrainConfig:
+    """The schedule that a run on a capture follows."""
+    return run_schedule(config, number_of_views(config, capture))
+
+
 class Trainer:
     """A training run.
 
@@ -96,7 +101,7 @@ class Trainer:
     ) -> None:
         self.asked = config
         """The configuration as it was given and is kept; ``config`` is what it means for this capture and batches."""
-        self.config = config = with_limit(run_schedule(config, number_of_views(config, capture)), capture)
+        self.config = config = with_limit(schedule_for(config, capture), capture)
         self.capture = capture
         self.run = run
         self.device = self._choose_device()
@@ -219,7 +224,7 @@ class Trainer:
             UserError: If there is no checkpoint, or it is of another model or capture than is asked for.
         """
         checkpoint = newest_checkpoint(run)
-        check_resumable(checkpoint, run_schedule(config, number_of_views(config, capture)), run, capture)
+        check_resumable(checkpoint, schedule_for(config, capture), run, capture)
         return cls(config, capture, run, logger, checkpoint)
 
     @property
@@ -404,6 +409,11 @@ class Trainer:
         state = self.state
         return state.scenes_left > 0 and not state.finds_cameras and step >= steps_of_scene(self.config)
 
+    @property
+    def _scenes_of_limit(self) -> int:
+        """Among how many scenes the limit of the Gaussians is divided now."""
+        return self.config.scenes if self.state.scenes_left > 0 else 1
+
     def _end_scene(self) -> None:
         """Keep the scene and start another one, or let all become one. Until that is done the state is as it was."""
         state, scenes = self.state, self.config.scenes
@@ -570,5 +580,5 @@ class Trainer:
             f"Checkpoint saved to {self._save()}.",
             self.run.resume_command(),
             can_offload=self.device.type == "cuda" and self.offloaded != "all" and refused(self.config) is None,
-            scenes=self.config.scenes if self.state.scenes_left > 0 else 1,
+            scenes=self._scenes_of_limit,
         )

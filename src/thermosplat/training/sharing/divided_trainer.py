@@ -17,7 +17,6 @@ import torch
 from rich.console import Console
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.run_schedule import run_schedule
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.kept_images import forget_images
 from thermosplat.datasets.stored_pixels import ImageLostError
@@ -50,7 +49,7 @@ from thermosplat.training.sharing.shares import (
     whole_checkpoint,
 )
 from thermosplat.training.sharing.stopping import StopWish, stop_wishes
-from thermosplat.training.trainer import Trainer, number_of_views
+from thermosplat.training.trainer import Trainer, schedule_for
 
 GATHERING = 5.0
 """How long a checkpoint that is being gathered is waited for where a rank has failed, which may have its part [s]."""
@@ -107,7 +106,7 @@ class DividedTrainer(Trainer):
 
         def read() -> None:
             checkpoint = newest_checkpoint(run)
-            check_resumable(checkpoint, run_schedule(config, number_of_views(config, capture)), run, capture)
+            check_resumable(checkpoint, schedule_for(config, capture), run, capture)
             shares.extend(shares_of(checkpoint, team.size))
 
         team.asked_of_first(read)
@@ -380,8 +379,8 @@ class DividedTrainer(Trainer):
         camera = next(iter(self.schedule.frame(self.state.step).views.values())).camera
         where = f"On rank {self.team.rank} of {self.team.size}, with a share of the Gaussians. {self._what_is_saved()}"
         size, resume = f"{camera.width}x{camera.height}", self.run.resume_command()
-        scenes = self.config.scenes if self.state.scenes_left > 0 else 1
-        return out_of_memory_error(self.state.step + 1, sum(numbers), size, self.device, where, resume, scenes=scenes)
+        step, scenes = self.state.step + 1, self._scenes_of_limit
+        return out_of_memory_error(step, sum(numbers), size, self.device, where, resume, scenes=scenes)
 
 
 def given(checkpoint: Checkpoint | None) -> Checkpoint:
