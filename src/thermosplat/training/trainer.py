@@ -101,7 +101,7 @@ class Trainer:
     ) -> None:
         self.asked = config
         """The configuration as it was given and is kept; ``config`` is what it means for this capture and batches."""
-        self.config = config = with_limit(schedule_for(config, capture), capture)
+        self.config = config = schedule_for(config, capture)
         self.capture = capture
         self.run = run
         self.device = self._choose_device()
@@ -114,6 +114,7 @@ class Trainer:
             trained = as_trained(config.modelled, checkpoint.model.decoders)
             config = replace(config, spectra={**config.spectra, **trained})
         config, notes_of_noise = fitted_to_noise(config, noise_of)
+        config, notes_of_limit = with_limit(config, capture, noise_of)
         self.config = config
         self.schedule = SpectrumSchedule(config, self.frames)
         self.budget: Budget | None = None
@@ -133,7 +134,7 @@ class Trainer:
         self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
         floors, floor_notes = noise_floors(config, noise_of)
-        self.noise_notes = (*notes_of_noise, *floor_notes)
+        self.noise_notes = (*notes_of_noise, *floor_notes, *notes_of_limit)
         if self.state.noise_watch is not None:
             self.state.noise_watch.measured_anew(floors)
         elif floors:

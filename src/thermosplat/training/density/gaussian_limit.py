@@ -5,6 +5,8 @@ from dataclasses import replace
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
+from thermosplat.spectra import label
+from thermosplat.training.image_noise import NoiseOf
 
 LEAST = 300_000
 """What images of 400x300 were tried with (benchmarks/records/thermosplat-plus-preset.md)."""
@@ -12,22 +14,41 @@ MOST = 3_000_000
 """About what 3DGS ends with for Mip-NeRF 360 in the mean: 734 MB of 236 bytes each. Kerbl et al. 2023, table 1."""
 
 
-def with_limit(config: TrainConfig, capture: Capture) -> TrainConfig:
+def with_limit(config: TrainConfig, capture: Capture, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:
     """The configuration with the limit of each scene, which MCMC needs: it grows until there is one.
 
     Of a limit that is given, each of several scenes has its part. Where none is, MCMC's is one Gaussian for each pixel
     of the largest training image, from ``LEAST`` to ``MOST``. For images of 1297x840 that is the million which gsplat's
-    trainer has for Mip-NeRF 360.
+    trainer has for Mip-NeRF 360. With ``--budget auto`` it is half of that where images are noisy.
 
     Args:
         config: The whole configuration.
         capture: Its training frames, of the size that is trained with.
+        noise_of: The noise of a spectrum's training images.
+
+    Returns:
+        The configuration, and what to tell the user about it.
     """
     densification, limit = config.densification, config.densification.max_gaussians
+    notes: tuple[str, ...] = ()
     if densification.strategy == "mcmc" and limit is None:
         frames = capture.train
         cameras = [view.camera for frame in frames for name, view in frame.views.items() if name in config.modelled]
         limit = min(max([LEAST, *(camera.width * camera.height for camera in cameras)]), MOST)
+        if noisy := _noisy_spectra(config, noise_of):
+            limit //= 2
+            notes = (
+                f"{' and '.join(map(label, noisy))} images are so noisy that the scene may have half as many Gaussians "
+                f"as it could without: at most {limit:,}.",
+            )
     if limit is None:
-        return config
-    return replace(config, densification=replace(densification, max_gaussians=math.ceil(limit / config.scenes)))
+        return config, notes
+    return replace(config, densification=replace(densification, max_gaussians=math.ceil(limit / config.scenes))), notes
+
+
+def _noisy_spectra(config: TrainConfig, noise_of: NoiseOf) -> list[str]:
+    """The spectra whose noise halves the limit."""
+    most = config.auto_budget.half_limit_noise
+    if config.budget != "auto" or most == 0:
+        return []
+    return [name for name in config.modelled if (noise := noise_of(name)) is not None and noise.plain >= most]
