@@ -49,7 +49,7 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.sh_change": 0,
     "auto_budget.rounding_change": 0,
     "auto_budget.noise_floor": 0,
-    "auto_budget.half_limit_noise": 0,
+    "auto_budget.sparse_noise": 0,
     "auto_budget.measured_views": 1,
     "auto_budget.validation_views": 0,
     "auto_budget.validate_every": 1,

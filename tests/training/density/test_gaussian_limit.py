@@ -8,7 +8,7 @@ import pytest
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import load_config
-from thermosplat.training.density.gaussian_limit import LEAST, MOST, with_limit
+from thermosplat.training.density.gaussian_limit import LEAST, LEAST_OF_NOISY, MOST, with_limit
 from thermosplat.training.image_noise import ImageNoise
 from toy_scene import toy_capture
 
@@ -56,22 +56,27 @@ def test_each_scene_has_its_part(given: int | None) -> None:
     assert limit(config, 1280, 1024) == (436_907 if given is None else 3334)
 
 
-def test_half_as_many_where_photographs_are_noise() -> None:
+def test_fewer_where_photographs_are_noise() -> None:
     """From the noise that the settings name; measured where the scene is plain, since texture is no noise."""
-    config = load_config("thermosplat_plus")
-    assert limit(config, 1280, 1024, noise=0.0329) == 1280 * 1024 // 2
-    noisy, notes = limit_and_notes(config, 1280, 1024, noise=0.033)
-    assert noisy == 1280 * 1024 // 4
-    assert notes == (
-        "RGB images are so noisy that the scene may have half as many Gaussians as it could without: at most 655,360.",
-    )
+    config = replace(load_config("thermosplat_plus"), scenes=1)
+    assert limit_and_notes(config, 400, 300, noise=0.0329) == (LEAST, ())
+    most, notes = limit_and_notes(config, 400, 300, noise=0.033)
+    assert most == LEAST_OF_NOISY
+    assert notes == ("RGB images are so noisy that 150,000 Gaussians at most are made.",)
+
+
+def test_noisy_images_have_one_for_each_pixel() -> None:
+    """As others have: only what is the least differs."""
+    config = replace(load_config("thermosplat_plus"), scenes=1)
+    assert limit(config, 500, 400, noise=0.1) == 500 * 400
+    assert limit_and_notes(config, 1280, 1024, noise=0.1) == (1280 * 1024, ())
 
 
 @pytest.mark.parametrize(
     "changes",
     [
         {"budget": "fixed"},
-        {"auto_budget": replace(load_config("thermosplat_plus").auto_budget, half_limit_noise=0.0)},
+        {"auto_budget": replace(load_config("thermosplat_plus").auto_budget, sparse_noise=0.0)},
         {"densification": replace(load_config("thermosplat_plus").densification, max_gaussians=300_000)},
     ],
     ids=["fixed", "never", "given"],

@@ -10,6 +10,8 @@ from thermosplat.training.image_noise import NoiseOf
 
 LEAST = 300_000
 """What images of 400x300 were tried with (benchmarks/records/thermosplat-plus-preset.md)."""
+LEAST_OF_NOISY = 150_000
+"""Likewise where they are noisy (benchmarks/records/low-light.md)."""
 MOST = 3_000_000
 """About what 3DGS ends with for Mip-NeRF 360 in the mean: 734 MB of 236 bytes each. Kerbl et al. 2023, table 1."""
 
@@ -18,8 +20,8 @@ def with_limit(config: TrainConfig, capture: Capture, noise_of: NoiseOf) -> tupl
     """The configuration with the limit of each scene, which MCMC needs: it grows until there is one.
 
     Of a limit that is given, each of several scenes has its part. Where none is, MCMC's is one Gaussian for each pixel
-    of the largest training image, from ``LEAST`` to ``MOST``. For images of 1297x840 that is the million which gsplat's
-    trainer has for Mip-NeRF 360. With ``--budget auto`` it is half of that where images are noisy.
+    of the largest training image, from ``LEAST`` to ``MOST``; with ``--budget auto`` from ``LEAST_OF_NOISY`` where
+    images are noisy. For images of 1297x840 that is the million which gsplat's trainer has for Mip-NeRF 360.
 
     Args:
         config: The whole configuration.
@@ -34,21 +36,19 @@ def with_limit(config: TrainConfig, capture: Capture, noise_of: NoiseOf) -> tupl
     if densification.strategy == "mcmc" and limit is None:
         frames = capture.train
         cameras = [view.camera for frame in frames for name, view in frame.views.items() if name in config.modelled]
-        limit = min(max([LEAST, *(camera.width * camera.height for camera in cameras)]), MOST)
-        if noisy := _noisy_spectra(config, noise_of):
-            limit //= 2
-            notes = (
-                f"{' and '.join(map(label, noisy))} images are so noisy that the scene may have half as many Gaussians "
-                f"as it could without: at most {limit:,}.",
-            )
+        pixels = max((camera.width * camera.height for camera in cameras), default=0)
+        limit = min(max(LEAST, pixels), MOST)
+        if pixels < LEAST and (noisy := _noisy_spectra(config, noise_of)):
+            limit = max(LEAST_OF_NOISY, pixels)
+            notes = (f"{' and '.join(noisy)} images are so noisy that {limit:,} Gaussians at most are made.",)
     if limit is None:
         return config, notes
     return replace(config, densification=replace(densification, max_gaussians=math.ceil(limit / config.scenes))), notes
 
 
 def _noisy_spectra(config: TrainConfig, noise_of: NoiseOf) -> list[str]:
-    """The spectra whose noise halves the limit."""
-    most = config.auto_budget.half_limit_noise
+    """Labels of the spectra whose noise makes the limit smaller."""
+    most = config.auto_budget.sparse_noise
     if config.budget != "auto" or most == 0:
         return []
-    return [name for name in config.modelled if (noise := noise_of(name)) is not None and noise.plain >= most]
+    return [label(name) for name in config.modelled if (noise := noise_of(name)) is not None and noise.plain >= most]
