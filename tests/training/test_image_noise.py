@@ -165,6 +165,17 @@ def test_no_blur_is_learnt_of_noise(tmp_path: Path) -> None:
     assert loaded.config.spectra["thermal"].point_spread == 0.05  # as it was asked for
 
 
+@pytest.mark.parametrize(("sigma", "most"), [(1, 300_000), (16, 150_000)])
+def test_noisy_images_get_fewer_gaussians(tmp_path: Path, sigma: float, most: int) -> None:
+    """The limit that a run takes from its images, and what it tells the user."""
+    without_limit = dataclasses.replace(toy_run_config().densification, strategy="mcmc", max_gaussians=None)
+    config = toy_run_config(budget="auto", densification=without_limit)
+    trainer = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), rgb=1, thermal=sigma))
+    assert trainer.config.densification.max_gaussians == most
+    said = "At most 150,000 Gaussians are made, since thermal images are noisy."
+    assert (said in trainer.noise_notes) == (most == 150_000)
+
+
 @pytest.mark.parametrize(("then", "now"), [(1, 8), (8, 1)])
 def test_noise_of_other_images_changes_no_model(tmp_path: Path, then: int, now: int) -> None:
     """A run that goes on with smaller, less noisy images keeps its blur, or has none, in the next scene, too."""

@@ -62,7 +62,7 @@ def test_fewer_where_photographs_are_noise() -> None:
     assert limit_and_notes(config, 400, 300, noise=0.0329) == (LEAST, ())
     most, notes = limit_and_notes(config, 400, 300, noise=0.033)
     assert most == LEAST_OF_NOISY
-    assert notes == ("RGB images are so noisy that 150,000 Gaussians at most are made.",)
+    assert notes == ("At most 150,000 Gaussians are made, since RGB images are noisy.",)
 
 
 def test_noisy_images_have_one_for_each_pixel() -> None:
