@@ -33,10 +33,13 @@ def test_flags_override_the_preset() -> None:
 
 @pytest.mark.parametrize("flag", ["--max-steps=7000", "--max_steps=7000"])
 def test_steps_that_are_given_are_meant(flag: str) -> None:
-    """However many views the capture has, unless steps are said to be for so many views; other flags change nothing."""
-    assert parse_train_arguments(["data/shed", "--seed", "1"]).steps_for_views == 45
-    assert parse_train_arguments(["data/shed", flag]).steps_for_views is None
-    assert parse_train_arguments(["data/shed", flag, "--steps-for-views", "10"]).steps_for_views == 10
+    """Whatever the capture's images, unless what they ask for is given, too; other flags change nothing."""
+    seeded = parse_train_arguments(["data/shed", "--seed", "1"])
+    assert (seeded.steps_for_views, seeded.noisy_steps) == (45, 1.5)
+    given = parse_train_arguments(["data/shed", flag])
+    assert (given.steps_for_views, given.noisy_steps) == (None, 1.0)
+    both = parse_train_arguments(["data/shed", flag, "--steps-for-views", "10", "--noisy-steps", "2"])
+    assert (both.steps_for_views, both.noisy_steps) == (10, 2.0)
 
 
 def test_sample_takes_the_demo_preset() -> None:
@@ -180,11 +183,11 @@ def test_resume_may_go_on_longer(run_folder: Path) -> None:
 
 
 def test_resume_for_a_number_of_steps_ends_there(run_folder: Path) -> None:
-    """Also where the run was to have as many as its views ask for."""
+    """Also where the run was to have as many as its images ask for."""
     (run_folder / "config.yaml").write_text(to_yaml(replace(load_config("thermosplat_plus"), data="data/shed")))
     assert parse_train_arguments(["--resume", str(run_folder)]).steps_for_views == 45
     longer = parse_train_arguments(["--resume", str(run_folder), "--max-steps", "20000"])
-    assert (longer.max_steps, longer.steps_for_views) == (20_000, None)
+    assert (longer.max_steps, longer.steps_for_views, longer.noisy_steps) == (20_000, None, 1.0)
 
 
 @pytest.mark.parametrize("flag", ["--data-factor", "--densification.max-gaussians", "--optimizer.means-lr"])

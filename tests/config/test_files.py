@@ -84,11 +84,19 @@ def test_file_states_only_differences(tmp_path: Path) -> None:
 
 
 def test_steps_of_a_file_are_meant(tmp_path: Path) -> None:
-    """A base's number of views is that of the base's steps."""
-    assert load_config(write(tmp_path, "base: thermosplat_plus\nseed: 1\n")).steps_for_views == 45
-    assert load_config(write(tmp_path, "base: thermosplat_plus\nmax_steps: 9000\n")).steps_for_views is None
-    both = "base: thermosplat_plus\nmax_steps: 900\nsteps_for_views: 10\n"
-    assert load_config(write(tmp_path, both)).steps_for_views == 10
+    """What images ask for in a base belongs to the base's steps."""
+    seeded = load_config(write(tmp_path, "base: thermosplat_plus\nseed: 1\n"))
+    assert (seeded.steps_for_views, seeded.noisy_steps) == (45, 1.5)
+    given = load_config(write(tmp_path, "base: thermosplat_plus\nmax_steps: 9000\n"))
+    assert (given.steps_for_views, given.noisy_steps) == (None, 1.0)
+    both = load_config(write(tmp_path, "base: thermosplat_plus\nmax_steps: 900\nsteps_for_views: 10\nnoisy_steps: 2\n"))
+    assert (both.steps_for_views, both.noisy_steps) == (10, 2.0)
+
+
+@pytest.mark.parametrize("preset", ["demo", "thermosplat", "thermosplat_fast", "3dgs"])
+def test_noise_asks_other_presets_for_no_steps(preset: str) -> None:
+    """Only thermosplat_plus was measured with more."""
+    assert load_config(preset).noisy_steps == 1.0
 
 
 def test_a_further_spectrum_is_a_few_lines(tmp_path: Path) -> None:

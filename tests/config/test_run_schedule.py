@@ -6,7 +6,7 @@ import math
 import pytest
 
 from thermosplat.config import OptimizerConfig, TrainConfig
-from thermosplat.config.run_schedule import adam_betas, run_schedule, scaled_steps, views_note
+from thermosplat.config.run_schedule import adam_betas, run_schedule, scaled_steps, steps_note
 
 
 def test_one_frame_per_step_and_no_scaler_change_nothing() -> None:
@@ -74,7 +74,7 @@ def test_more_views_ask_for_more_steps(views: int, steps: int) -> None:
     assert scaled.max_steps == steps
     assert scaled.save_steps == (steps / 2,)
     assert scaled.densification.stop_step == math.ceil(15_000 * steps / 9000)
-    assert bool(views_note(config, views)) == (steps > 9000)
+    assert bool(steps_note(config, views, ())) == (steps > 9000)
     assert run_schedule(TrainConfig(max_steps=9000), views).max_steps == 9000
 
 
@@ -82,16 +82,40 @@ def test_views_count_beside_scaler_and_batches() -> None:
     """90 views double the steps, a scaler of a half halves them, and steps of three frames are a third of both."""
     config = TrainConfig(max_steps=9000, steps_for_views=45, steps_scaler=0.5, batch_size=3)
     assert run_schedule(config, 90).max_steps == 3000
-    (note,) = views_note(config, 90)
+    (note,) = steps_note(config, 90, ())
     assert note.startswith("90 training views, more than 45: 9,000 steps of one frame in place of 4,500 (")
 
 
 def test_what_was_scaled_is_not_scaled_again() -> None:
     """The result is the schedule as it is run."""
-    config = TrainConfig(max_steps=9000, steps_for_views=45, steps_scaler=0.5)
-    scaled = run_schedule(config, 90)
-    assert (scaled.max_steps, scaled.steps_scaler, scaled.steps_for_views) == (9000, 1.0, None)
-    assert run_schedule(scaled, 90) is scaled
+    config = TrainConfig(max_steps=9000, steps_for_views=45, steps_scaler=0.5, noisy_steps=1.5)
+    scaled = run_schedule(config, 90, is_noisy=True)
+    assert (scaled.max_steps, scaled.steps_scaler, scaled.steps_for_views) == (13_500, 1.0, None)
+    assert run_schedule(scaled, 90, is_noisy=True) is scaled
+
+
+@pytest.mark.parametrize(
+    ("views", "noisy", "steps", "why"),
+    [
+        (45, ("rgb",), 9000, "Noisy RGB images"),
+        (90, (), 12_000, "90 training views, more than 45"),
+        (90, ("rgb", "thermal"), 18_000, "90 training views, more than 45, and noisy RGB and thermal images"),
+        (999, ("thermal",), 30_000, "999 training views, more than 45, and noisy thermal images"),
+    ],
+)
+def test_noise_asks_for_more_steps(views: int, noisy: tuple[str, ...], steps: int, why: str) -> None:
+    """So many times those that the views ask for, up to the longest; the user is told why."""
+    config = TrainConfig(max_steps=6000, steps_for_views=45, noisy_steps=1.5)
+    assert run_schedule(config, views, is_noisy=bool(noisy)).max_steps == steps
+    (note,) = steps_note(config, views, noisy)
+    assert note.startswith(f"{why}: {steps:,} steps of one frame in place of 6,000 (")
+
+
+def test_noise_changes_no_schedule_that_does_not_say_so() -> None:
+    """Nor one that is as long as any."""
+    for config in (TrainConfig(max_steps=6000), TrainConfig(max_steps=30_000, noisy_steps=1.5)):
+        assert run_schedule(config, 45, is_noisy=True) is config
+        assert steps_note(config, 45, ("rgb",)) == ()
 
 
 def test_a_schedule_longer_than_the_longest_stays() -> None:

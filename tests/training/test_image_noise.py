@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import load_run
 from thermosplat.spectra import SpectrumConfig
 from thermosplat.training.frames.train_frames import TrainFrames
@@ -100,14 +101,14 @@ def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
     config = toy_run_config(spectra={"thermal": MEASURED})
     trainer = toy_trainer(tmp_path / "a", config, noisy(many_frames(toy_capture()), thermal=8))
     assert trainer.device_step.config.spectra["thermal"].smoothness == 0.3
-    (note,) = trainer.noise_notes
+    (note,) = trainer.image_notes
     assert note.startswith("Noise of the thermal images 0.03")
     assert note.endswith("smoothness weight 0.300.")
     assert trainer.config == config
     rgb_alone = toy_run_config(spectra={"thermal": MEASURED}, without=("thermal",))
-    assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).noise_notes == ()
+    assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).image_notes == ()
     plain = toy_trainer(tmp_path / "c", toy_run_config(), many_frames(toy_capture()))
-    assert plain.noise_notes == ()
+    assert plain.image_notes == ()
     assert plain.device_step.config.spectra["thermal"].smoothness == 0.3
 
 
@@ -123,10 +124,10 @@ def test_a_run_weighs_what_its_images_ask_for(tmp_path: Path) -> None:
     assert 1.2 < weight < 1.9
     trainer.save()
     assert load_run(trainer.run.path, device="cpu").config.spectra["thermal"].loss == 2.0  # as it was asked for
-    (note,) = trainer.noise_notes
+    (note,) = trainer.image_notes
     assert note.endswith(f"): loss weight {weight:.3f}.")
     once = toy_trainer(tmp_path / "b", toy_run_config(spectra={"thermal": {"smoothness": 0.0}}), capture)
-    assert once.noise_notes == ()
+    assert once.image_notes == ()
     kind = StepKind(0, densifying=False)
     terms, of_once = (
         run.device_step.gradients(run.frames[0], kind, fixed_capacity=False).losses["thermal"]
@@ -138,7 +139,7 @@ def test_a_run_weighs_what_its_images_ask_for(tmp_path: Path) -> None:
 def test_both_weights_are_said_in_one_line(tmp_path: Path) -> None:
     """Noise is measured once for both."""
     config = toy_run_config(spectra={"thermal": {**MEASURED, "loss": 2.0, "loss_noise": 0.0125}})
-    (note,) = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=8)).noise_notes
+    (note,) = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=8)).image_notes
     assert note.endswith("loss weight 1.000, smoothness weight 0.300.")
 
 
@@ -150,11 +151,11 @@ def test_no_blur_is_learnt_of_noise(tmp_path: Path) -> None:
     runs = {sigma: noisy(many_frames(toy_capture()), thermal=sigma) for sigma in (1, 8)}
     clean = toy_trainer(tmp_path / "clean", config, runs[1])
     assert clean.model.point_spreads == pytest.approx({"thermal": 0.05})
-    assert clean.noise_notes == ()
+    assert clean.image_notes == ()
 
     trainer = toy_trainer(tmp_path / "noisy", config, runs[8])
     assert trainer.model.point_spreads == {}
-    (note,) = trainer.noise_notes
+    (note,) = trainer.image_notes
     assert note.endswith("): no point spread.")
     trainer.train()
     resumed = Trainer.resume(dataclasses.replace(config, max_steps=14), runs[8], trainer.run)
@@ -173,7 +174,26 @@ def test_noisy_images_get_fewer_gaussians(tmp_path: Path, sigma: float, most: in
     trainer = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), rgb=1, thermal=sigma))
     assert trainer.config.densification.max_gaussians == most
     said = "At most 150,000 Gaussians are made, since thermal images are noisy."
-    assert (said in trainer.noise_notes) == (most == 150_000)
+    assert (said in trainer.image_notes) == (most == 150_000)
+
+
+def test_noisy_images_get_more_steps(tmp_path: Path) -> None:
+    """A run that was interrupted after its usual number of steps goes on to those that noise asks for."""
+    config = toy_run_config(6, budget="auto", noisy_steps=1.5)
+    capture = noisy(many_frames(toy_capture()), rgb=16, thermal=1)
+    trainer = toy_trainer(tmp_path / "noisy", config, capture)
+    assert trainer.image_notes[0].startswith("Noisy RGB images: 9 steps of one frame in place of 6 (")
+    while trainer.step < 7:
+        trainer._train_step()
+    trainer.save()
+    resumed = Trainer.resume(config, capture, trainer.run)
+    assert resumed.train()["steps"] == 9
+    with pytest.raises(UserError, match="has done 9 steps, the command asks for 8 in all"):
+        Trainer.resume(dataclasses.replace(config, max_steps=8, noisy_steps=1.0), capture, trainer.run)
+    for changes in ({"budget": "fixed"}, {"noisy_steps": 1.0}):
+        other = dataclasses.replace(config, **changes)  # type: ignore[arg-type]
+        assert toy_trainer(tmp_path / next(iter(changes)), other, capture).config.max_steps == 6
+    assert toy_trainer(tmp_path / "clean", config, noisy(capture, rgb=1)).config.max_steps == 6
 
 
 @pytest.mark.parametrize(("then", "now"), [(1, 8), (8, 1)])
@@ -204,7 +224,7 @@ def test_every_spectrum_is_measured_by_itself(tmp_path: Path) -> None:
         assert weights[name] == pytest.approx(0.3 * noise.total / 0.0125)
     assert 0.3 > weights["rgb"] > 1.5 * weights["nir"] > 1.5 * 0.05
     assert (weights["thermal"], weights["red"]) == (0.3, 0.0)
-    assert [note.split(" images")[0] for note in trainer.noise_notes] == ["Noise of the RGB", "Noise of the NIR"]
+    assert [note.split(" images")[0] for note in trainer.image_notes] == ["Noise of the RGB", "Noise of the NIR"]
     terms = trainer.device_step.gradients(trainer.frames[0], StepKind(0, densifying=False), fixed_capacity=False).losses
     assert [name for name in terms if name.endswith("smoothness")] == [
         "rgb_smoothness",

@@ -28,6 +28,7 @@ MAY_CHANGE_ON_RESUME = frozenset(
         "data",
         "max_steps",
         "steps_for_views",
+        "noisy_steps",
         "eval_steps",
         "save_steps",
         "log_every",

@@ -17,6 +17,7 @@ from warp_kernels.constants import SH_DEGREE_MAX
 _AT_LEAST: dict[str, float] = {
     "max_steps": 1,
     "steps_for_views": 1,
+    "noisy_steps": 1,
     "scenes": 1,
     "batch_size": 1,
     "data_factor": 1,

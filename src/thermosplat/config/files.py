@@ -95,12 +95,12 @@ def to_yaml(config: TrainConfig) -> str:
 
 
 def with_given_steps(values: dict[str, Any]) -> dict[str, Any]:
-    """Settings that give a number of steps mean it, however many views the steps of their base are meant for.
+    """Settings that give a number of steps mean it, whatever the steps of their base are meant for.
 
     Args:
         values: Some settings, by today's names.
     """
-    return {"steps_for_views": None, **values} if "max_steps" in values else values
+    return {"steps_for_views": None, "noisy_steps": 1.0, **values} if "max_steps" in values else values
 
 
 def _load(name_or_path: str, visited: tuple[Path, ...]) -> TrainConfig:

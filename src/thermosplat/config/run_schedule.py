@@ -1,5 +1,5 @@
 """The schedule that a run follows, where its configuration speaks of steps of one frame, of ``steps_scaler``, and of so
-many training views.
+many training views without much noise.
 
 Grendel (Zhao et al. 2024, "On Scaling Up 3D Gaussian Splatting Training", section 4) counts training in images, divides
 a step's loss by its number of frames B, and scales Adam so that B steps of one frame and one step of B lead about as
@@ -8,15 +8,17 @@ it takes √B, too.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
 from thermosplat.config.schema import TrainConfig
+from thermosplat.spectra import listed
 
 ADAM_BETAS = (0.9, 0.999)
 """Decay of Adam's moments in a step of one frame. 3DGS: torch's defaults."""
 LONGEST = 30_000
-"""Steps of one frame up to which more training views ask for more of them. 3DGS's number, whatever the capture."""
+"""Steps of one frame up to which a capture may ask for more of them. 3DGS's number, whatever the capture."""
 _OF_RUN = ("max_steps", "sh_degree_interval", "refine_from")
 _OF_CAMERAS = ("refine_every", "refine_first", "refine_rounds_from")
 """How long finding cameras takes, however long the scene is trained."""
@@ -29,49 +31,59 @@ def scaled_steps(steps: int, factor: float) -> int:
     return math.ceil(round(steps * factor, 6))
 
 
-def _views_factor(config: TrainConfig, views: int) -> float:
-    """How many times the configuration's steps so many training views ask for (``steps_for_views``).
+def _capture_factor(config: TrainConfig, views: int, *, is_noisy: bool) -> float:
+    """How many times the configuration's steps a capture asks for (``steps_for_views``, ``noisy_steps``).
 
     Args:
         config: The configuration.
         views: Training views of the capture, a frame with images of several spectra being one.
+        is_noisy: Whether its images are noisy.
     """
-    if config.steps_for_views is None:
-        return 1.0
-    return max(1.0, min(views / config.steps_for_views, LONGEST / config.max_steps))
+    factor = 1.0 if config.steps_for_views is None else max(1.0, views / config.steps_for_views)
+    if is_noisy:
+        factor *= config.noisy_steps
+    return max(1.0, min(factor, LONGEST / config.max_steps))
 
 
-def views_note(config: TrainConfig, views: int) -> tuple[str, ...]:
-    """What to tell a user whose training views ask for more steps; nothing where they do not.
+def steps_note(config: TrainConfig, views: int, noisy: Sequence[str]) -> tuple[str, ...]:
+    """What to tell a user whose capture asks for more steps; nothing where it does not.
 
     Args:
         config: The configuration as it was given.
         views: Training views of the capture.
+        noisy: The spectra whose images are noisy.
     """
-    factor = _views_factor(config, views)
+    factor = _capture_factor(config, views, is_noisy=bool(noisy))
     if factor == 1:
         return ()
+    reasons = []
+    if config.steps_for_views is not None and views > config.steps_for_views:
+        reasons.append(f"{views:,} training views, more than {config.steps_for_views:,}")
+    if noisy and config.noisy_steps > 1:
+        reasons.append(f"noisy {listed(noisy)} images")
     usual = scaled_steps(config.max_steps, config.steps_scaler)
     longer = scaled_steps(config.max_steps, config.steps_scaler * factor)
+    why = ", and ".join(reasons)
     return (
-        f"{views:,} training views, more than {config.steps_for_views:,}: {longer:,} steps of one frame in place of "
-        f"{usual:,} (--max-steps gives another number).",
+        f"{why[0].upper()}{why[1:]}: {longer:,} steps of one frame in place of {usual:,} (--max-steps gives another "
+        "number).",
     )
 
 
-def run_schedule(config: TrainConfig, views: int = 0) -> TrainConfig:
-    """What a run does: with ``steps_scaler``, for its training views, and in steps of its ``batch_size`` frames.
+def run_schedule(config: TrainConfig, views: int = 0, *, is_noisy: bool = False) -> TrainConfig:
+    """What a run does: with ``steps_scaler``, for its training images, and in steps of its ``batch_size`` frames.
 
     The result has nothing left to scale by, so that it is checked and kept as what is done.
 
     Args:
         config: The configuration; with nothing to scale by it is returned as it is.
         views: Training views of the capture; 0 where they are not known.
+        is_noisy: Whether their images are noisy.
     """
-    size, of_views = config.batch_size or 1, _views_factor(config, views)
-    if size == config.steps_scaler == of_views == 1:
+    size, of_capture = config.batch_size or 1, _capture_factor(config, views, is_noisy=is_noisy)
+    if size == config.steps_scaler == of_capture == 1:
         return config
-    factor = config.steps_scaler * of_views / size
+    factor = config.steps_scaler * of_capture / size
 
     def scaled(group: Any, names: tuple[str, ...], factor: float = factor) -> dict[str, Any]:
         return {name: scaled_steps(getattr(group, name), factor) for name in names}
@@ -82,6 +94,7 @@ def run_schedule(config: TrainConfig, views: int = 0) -> TrainConfig:
         config,
         steps_scaler=1.0,
         steps_for_views=None,
+        noisy_steps=1.0,
         **scaled(config, _OF_RUN),
         **scaled(config, _OF_CAMERAS, 1 / size),
         eval_steps=tuple(scaled_steps(step, factor) for step in config.eval_steps),

@@ -273,9 +273,10 @@ class AutoBudgetConfig:
     error is noise, which no other view has. 0: every view has one. Open choice; benchmarks/records/low-light.md."""
     sparse_noise: float = 0.033
     """Noise of a spectrum's images, measured as for ``noise_floor``, of the range, from which on the limit that the
-    MCMC strategy takes from the images begins at 150,000 Gaussians in place of 300,000: more of them hold noise. 0: it
-    never does. Open choice: photographs of desk, lab and yard have 0.038 to 0.044 at 140 electrons, 0.020 to 0.028 at
-    600 (benchmarks/records/low-light.md)."""
+    MCMC strategy takes from the images begins at 150,000 Gaussians in place of 300,000: more of them hold noise. From
+    it on ``noisy_steps`` counts, too, and validation views stay withheld up to the last pruning even where views are
+    few. 0: never. Open choice: photographs of desk, lab and yard have 0.038 to 0.044 at 140 electrons, 0.020 to 0.028
+    at 600 (benchmarks/records/low-light.md)."""
     validation_views: int = 2
     """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
     ends with ``densification.stop_step`` or the first pruning. None where that would be over a tenth. Open choice."""
@@ -293,8 +294,9 @@ class AutoBudgetConfig:
     """So many steps it must have been best ago. Open choice."""
     few_views_until: float = 0.33
     """Share of the run up to which the validation views stay withheld if they are more than a twentieth of a spectrum's
-    views, also where growth ends earlier. A scene may fit few views ever better and be ever worse, and they say so. 0:
-    up to the end of growth. Open choice; benchmarks/records/low-light.md."""
+    views and no images are noisy (``sparse_noise``), also where growth ends earlier. A scene may fit few views ever
+    better and be ever worse, and they say so. 0: up to the end of growth. Open choice;
+    benchmarks/records/low-light.md."""
     fallen_views_until: float = 0.5
     """Share of the run up to which they stay withheld where a spectrum has fallen (``spectrum_fall``) by then: it goes
     back only if it is as far below its best there, since a scene may be worse for a while. Open choice;
@@ -330,6 +332,10 @@ class TrainConfig:
     """Training views that these numbers of steps are meant for. With more, all of them are multiplied as by
     ``steps_scaler``, so that each view is seen as often, up to 30,000 of each scene. None: whatever the views. A file
     or command that gives ``max_steps`` and not this means None. Open choice."""
+    noisy_steps: float = 1.0
+    """What all numbers of steps are multiplied by in the same way, with ``--budget auto``, where images of a spectrum
+    are as noisy as ``auto_budget.sparse_noise``. A file or command that gives ``max_steps`` and not this means 1. Open
+    choice; benchmarks/records/low-light.md."""
     scenes: int = 1
     """Scenes that are trained one after the other, from the same points with other random numbers, each up to
     ``optimizer.cooldown_from``. There they become one, with the Gaussians of all, which takes the steps that are left.

@@ -103,6 +103,19 @@ def loss_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
     return spectrum.loss - share * max(spectrum.loss - 1.0, 0.0)
 
 
+def noisy_spectra(config: TrainConfig, noise_of: NoiseOf) -> tuple[str, ...]:
+    """The spectra whose images count as noisy: with ``--budget auto``, from ``sparse_noise`` on.
+
+    Args:
+        config: The whole configuration.
+        noise_of: The noise of a spectrum's training images.
+    """
+    least = config.auto_budget.sparse_noise
+    if config.budget != "auto" or least == 0:
+        return ()
+    return tuple(name for name in config.modelled if (noise := noise_of(name)) is not None and noise.plain >= least)
+
+
 def fitted_to_noise(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:
     """The configuration with the weights and point spreads that the noise of the training images allows.
 

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.run_schedule import run_schedule, views_note
+from thermosplat.config.run_schedule import run_schedule, steps_note
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.stored_pixels import ImageLostError
@@ -48,7 +48,7 @@ from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.resolution_schedule import most_gaussians, resolution_note
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
-from thermosplat.training.image_noise import fitted_to_noise, training_noise
+from thermosplat.training.image_noise import fitted_to_noise, noisy_spectra, training_noise
 from thermosplat.training.joined_scenes import Scene, joined_sets, kept_scene, seed_of_scene, steps_of_scene
 from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
@@ -62,22 +62,12 @@ from thermosplat.training.session.fatal_errors import image_lost_error, not_fini
 from thermosplat.training.session.greeting import greeting
 from thermosplat.training.session.interruption import TrainingInterrupted, meanwhile
 from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
-from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
+from thermosplat.training.session.resuming import check_resumable, check_steps_left, newest_checkpoint
 from thermosplat.training.session.run_logger import RunLogger, StepRecord
 from thermosplat.training.session.run_results import RunResults
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
 from thermosplat.training.training_step import StepKind, TrainingStep, sh_degree_at
-
-
-def number_of_views(config: TrainConfig, capture: Capture) -> int:
-    """Frames that are trained on: those with images of a spectrum that is modelled."""
-    return len(capture.training_frames(config.modelled))
-
-
-def schedule_for(config: TrainConfig, capture: Capture) -> TrainConfig:
-    """The schedule that a run on a capture follows."""
-    return run_schedule(config, number_of_views(config, capture))
 
 
 class Trainer:
@@ -99,18 +89,22 @@ class Trainer:
         logger: RunLogger | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        self.asked = config
+        self.asked = self.config = config
         """The configuration as it was given and is kept; ``config`` is what it means for this capture and batches."""
-        self.config = config = schedule_for(config, capture)
         self.capture = capture
         self.run = run
         self.device = self._choose_device()
-        self.logger = logger or self._make_logger()
         if self.device.type == "cuda" and config.gpu_memory is not None:
             limit_device_memory(self.device, config.gpu_memory)
         self.frames = TrainFrames(capture, config.modelled, self.device)
         noise_of = cache(partial(training_noise, self.frames))
-        if checkpoint is not None:  # its noise has decided, whatever that of images of another size would
+        views, noisy = len(self.frames), noisy_spectra(config, noise_of)
+        notes_of_steps = steps_note(config, views, noisy)
+        self.config = config = run_schedule(config, views, is_noisy=bool(noisy))
+        self.logger = logger or self._make_logger()
+        if checkpoint is not None:
+            check_steps_left(checkpoint, config, run)
+            # its noise has decided, whatever that of images of another size would
             trained = as_trained(config.modelled, checkpoint.model.decoders)
             config = replace(config, spectra={**config.spectra, **trained})
         config, notes_of_noise = fitted_to_noise(config, noise_of)
@@ -134,7 +128,8 @@ class Trainer:
         self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
         floors, floor_notes = noise_floors(config, noise_of)
-        self.noise_notes = (*notes_of_noise, *floor_notes, *notes_of_limit)
+        self.image_notes = (*notes_of_steps, *notes_of_noise, *floor_notes, *notes_of_limit)
+        """What training images, their number and their noise, make of the configuration."""
         if self.state.noise_watch is not None:
             self.state.noise_watch.measured_anew(floors)
         elif floors:
@@ -225,7 +220,7 @@ class Trainer:
             UserError: If there is no checkpoint, or it is of another model or capture than is asked for.
         """
         checkpoint = newest_checkpoint(run)
-        check_resumable(checkpoint, schedule_for(config, capture), run, capture)
+        check_resumable(checkpoint, config, run, capture)
         return cls(config, capture, run, logger, checkpoint)
 
     @property
@@ -478,8 +473,7 @@ class Trainer:
         numbers = map(self.state.num_gaussians, self.state.gaussian_sets)
         counts = {"num_frames": len(self.frames), "num_gaussians": sum(numbers)}
         about = greeting(self.config, self.capture, self.run, self.device, step=self.state.step, **counts)
-        of_views = views_note(self.asked, number_of_views(self.asked, self.capture))
-        notes = (*self.capture.notes, *of_views, *self.noise_notes, *self.offload_notes)
+        notes = (*self.capture.notes, *self.image_notes, *self.offload_notes)
         for line in (*notes, lpips, *about, *resolution_note(self.config)):
             self.logger.say(line)
         if self.state.finds_cameras:

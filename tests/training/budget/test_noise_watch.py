@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any
 
@@ -198,15 +199,32 @@ def test_views_stay_withheld_while_noise_may_be_learnt(tmp_path: Path, noise: fl
 
 @pytest.mark.parametrize("few_views_until", [0.0, 0.16])
 def test_few_views_stay_withheld_for_a_share_of_the_run(tmp_path: Path, few_views_until: float) -> None:
-    """Where two are more than a twentieth: noisy or not, up to that share of the run, or up to the end of growth."""
-    for noise in (NOISE, 1e-9):
-        config = watched(few_views_until=few_views_until)
-        trainer = advance(noisy_run(tmp_path / f"{noise}", config, noise, FRAMES - 2), 12)
+    """Where two are more than a twentieth: up to that share of the run, or up to the end of growth. Noise that is a
+    part of the error, and less than ``sparse_noise``, changes nothing."""
+    for noise, sparse_noise in ((NOISE, 2.0 * math.sqrt(NOISE)), (NOISE, 0.0), (1e-9, 0.033)):
+        config = watched(few_views_until=few_views_until, sparse_noise=sparse_noise)
+        trainer = advance(noisy_run(tmp_path / f"{noise} {sparse_noise}", config, noise, FRAMES - 2), 12)
         assert not trainer.state.growing
         assert trainer.state.noise_watch is not None
         assert trainer.state.noise_watch.over == (few_views_until == 0)
         advance(trainer, 16)
         assert trainer.state.noise_watch.over
+
+
+def test_few_noisy_views_stay_withheld_up_to_the_last_removal(
+    tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As many do: only they say when noise is learnt. RGB falls and goes back."""
+    config = watched(few_views_until=0.0, spectrum_patience=2, sparse_noise=0.9 * math.sqrt(NOISE))
+    trainer = advance(noisy_run(tmp_path, config, NOISE, FRAMES - 2), 19)
+    watch = trainer.state.noise_watch
+    assert watch is not None
+    assert not trainer.state.growing
+    assert not watch.over
+    advance(trainer, 20)
+    assert watch.over
+    assert trainer.state.taught == ("rgb",)
+    assert "Withheld RGB views were best after step" in capsys.readouterr().out
 
 
 def test_few_views_say_what_goes_back(tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]) -> None:

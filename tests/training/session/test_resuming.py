@@ -16,7 +16,7 @@ from thermosplat.runs.checkpoint_file import save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.spectra import ColorSpace
 from thermosplat.thermal.radiometry import PixelScale
-from thermosplat.training.session.resuming import check_resumable, newest_checkpoint
+from thermosplat.training.session.resuming import check_resumable, check_steps_left, newest_checkpoint
 from toy_scene import with_spectra
 
 CONFIG = TrainConfig(sh_degree=2)
@@ -62,7 +62,6 @@ CAPTURE = _capture("a", "b")
             "spectra.thermal.opacity=offset, the command asks for shared",
         ),
         ({"decoder": DecoderConfig(hidden_dim=32)}, "decoder.hidden_dim=64, the command asks for 32"),
-        ({"max_steps": 99}, "has done 100 steps, the command asks for 99 in all"),
     ],
 )
 def test_other_models_are_refused(tmp_path: Path, changes: dict[str, object], message: str) -> None:
@@ -71,6 +70,16 @@ def test_other_models_are_refused(tmp_path: Path, changes: dict[str, object], me
     with pytest.raises(UserError, match=message) as caught:
         check_resumable(newest_checkpoint(run), dataclasses.replace(CONFIG, **changes), run, CAPTURE)  # type: ignore[arg-type]
     assert caught.value.hint
+
+
+def test_fewer_steps_than_done_are_refused(tmp_path: Path) -> None:
+    """Both numbers are named; the step that is done is the least that can be asked for."""
+    run = _run(tmp_path)
+    checkpoint = newest_checkpoint(run)
+    with pytest.raises(UserError, match="has done 100 steps, the command asks for 99 in all") as caught:
+        check_steps_left(checkpoint, dataclasses.replace(CONFIG, max_steps=99), run)
+    assert caught.value.hint
+    check_steps_left(checkpoint, dataclasses.replace(CONFIG, max_steps=100), run)
 
 
 @pytest.mark.parametrize(

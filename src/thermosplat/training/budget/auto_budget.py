@@ -5,7 +5,8 @@
   growth stops and they are trained on like the others. Held-out test views steer nothing.
 - Where images are noisy they stay withheld up to the last removal: a spectrum that they say learns noise is held about
   where it was best (noise_watch.py), and then taught by the scene of that step (teacher.py).
-- Where views are few they stay withheld for some time beyond growth, and a spectrum that fell far goes back, too.
+- Where views are few, and not noisy, they stay withheld for some time beyond growth, and a spectrum that fell far goes
+  back, too.
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
   Nothing is removed while it still grows, which ends with the last share at the latest.
@@ -46,7 +47,8 @@ from thermosplat.training.training_state import TrainingState
 WITHHELD_ONE_IN = 10
 """At most one in so many of a spectrum's training views is withheld while Gaussians are added. Open choice."""
 WATCHED_ONE_IN = 20
-"""Where more than one in so many are withheld, views are few: a capture misses each of them. Open choice."""
+"""Where more than one in so many are withheld, views are few: a capture misses each of them, unless images are noisy.
+Open choice."""
 
 
 class Budget(Protocol):
@@ -101,8 +103,7 @@ class AutoBudget:
             [index for index, frame in enumerate(frames.frames) if name in frame.views] for name in state.model.spectra
         ]
         self.validation = _validation_views(self._having, self.settings.validation_views)
-        self._few_views = _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
-        self._watches_falls = self._few_views and teaches and self.settings.few_views_until > 0
+        self._withholds_many = _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
         self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
         self._last_removal = max(self._prune_steps, default=0)
         if not state.growing:  # a resumed run whose growth has ended
@@ -163,6 +164,22 @@ class AutoBudget:
         """Whether some training views are withheld after the steps done."""
         watch = self.state.noise_watch
         return bool(self.validation) and (self.state.growing or (watch is not None and not watch.over))
+
+    @property
+    def _few_views(self) -> bool:
+        """Whether a capture misses each of the withheld views: they are many of all, and images are not noisy."""
+        return self._withholds_many and not self._is_noisy()
+
+    @property
+    def _watches_falls(self) -> bool:
+        """Whether any spectrum may go back that the withheld views of few say has fallen."""
+        return self._few_views and self.teaches and self.settings.few_views_until > 0
+
+    def _is_noisy(self) -> bool:
+        """Whether images of a spectrum have ``sparse_noise``."""
+        watch, least = self.state.noise_watch, self.settings.sparse_noise
+        floor = self.settings.noise_floor * least**2
+        return watch is not None and least > 0 and any(noise >= floor for noise in watch.noise.values())
 
     def _validates_at(self, step: int) -> bool:
         if not (step % self.settings.validate_every == 0 and self.withholds()):

@@ -6,7 +6,7 @@ from dataclasses import replace
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.spectra import listed
-from thermosplat.training.image_noise import NoiseOf
+from thermosplat.training.image_noise import NoiseOf, noisy_spectra
 
 LEAST = 300_000
 """What images of 400x300 were tried with (benchmarks/records/thermosplat-plus-preset.md)."""
@@ -37,18 +37,10 @@ def with_limit(config: TrainConfig, capture: Capture, noise_of: NoiseOf) -> tupl
         frames = capture.train
         cameras = [view.camera for frame in frames for name, view in frame.views.items() if name in config.modelled]
         pixels = max((camera.width * camera.height for camera in cameras), default=0)
-        noisy = _noisy_spectra(config, noise_of)
+        noisy = noisy_spectra(config, noise_of)
         limit = min(max(LEAST_OF_NOISY if noisy else LEAST, pixels), MOST)
         if limit < LEAST:
             notes = (f"At most {limit:,} Gaussians are made, since {listed(noisy)} images are noisy.",)
     if limit is None:
         return config, notes
     return replace(config, densification=replace(densification, max_gaussians=math.ceil(limit / config.scenes))), notes
-
-
-def _noisy_spectra(config: TrainConfig, noise_of: NoiseOf) -> list[str]:
-    """The spectra whose noise makes the limit smaller."""
-    most = config.auto_budget.sparse_noise
-    if config.budget != "auto" or most == 0:
-        return []
-    return [name for name in config.modelled if (noise := noise_of(name)) is not None and noise.plain >= most]

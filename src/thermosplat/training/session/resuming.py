@@ -63,11 +63,6 @@ def check_resumable(checkpoint: Checkpoint, config: TrainConfig, run: RunDirecto
                 f"{run.path} was trained with {name}={value}, the command asks for {now.get(name)}.",
                 "Drop the flag, or start a new run with another --result-dir.",
             )
-    if config.max_steps < checkpoint.step:
-        raise UserError(
-            f"{run.path} has done {checkpoint.step:,} steps, the command asks for {config.max_steps:,} in all.",
-            "Give a larger --max-steps, or start a new run with another --result-dir.",
-        )
     difference = other_frames(checkpoint.train_frames, capture)
     if difference:
         raise UserError(
@@ -86,6 +81,24 @@ def check_resumable(checkpoint: Checkpoint, config: TrainConfig, run: RunDirecto
                 f"{capture.root} has {found.format(label(name))}.",
                 "Name the folder it was trained on, or start a new run with another --result-dir.",
             )
+
+
+def check_steps_left(checkpoint: Checkpoint, config: TrainConfig, run: RunDirectory) -> None:
+    """Refuse to go on to fewer steps than are done.
+
+    Args:
+        checkpoint: The state.
+        config: What the run does on its capture.
+        run: The run, for the message.
+
+    Raises:
+        UserError: Has both numbers.
+    """
+    if config.max_steps < checkpoint.step:
+        raise UserError(
+            f"{run.path} has done {checkpoint.step:,} steps, the command asks for {config.max_steps:,} in all.",
+            "Give a larger --max-steps, or start a new run with another --result-dir.",
+        )
 
 
 def _structure(config: TrainConfig) -> dict[str, Any]:

@@ -49,7 +49,7 @@ from thermosplat.training.sharing.shares import (
     whole_checkpoint,
 )
 from thermosplat.training.sharing.stopping import StopWish, stop_wishes
-from thermosplat.training.trainer import Trainer, schedule_for
+from thermosplat.training.trainer import Trainer
 
 GATHERING = 5.0
 """How long a checkpoint that is being gathered is waited for where a rank has failed, which may have its part [s]."""
@@ -106,7 +106,7 @@ class DividedTrainer(Trainer):
 
         def read() -> None:
             checkpoint = newest_checkpoint(run)
-            check_resumable(checkpoint, schedule_for(config, capture), run, capture)
+            check_resumable(checkpoint, config, run, capture)
             shares.extend(shares_of(checkpoint, team.size))
 
         team.asked_of_first(read)
