@@ -74,6 +74,7 @@ def test_a_model_alone_says_what_it_lacks() -> None:
         ("training__optimizers", {"shared": 5}, "training.optimizers must be"),
         ("training__strategies", None, "training.strategies must be"),
         ("training__growing", "yes", "training.growing must be true or false, found 'yes'"),
+        ("training__noisy", ("rgb\n",), "training.noisy must be names of spectra or None, found tuple"),
         ("training__best_validation", (1.0,), "training.best_validation must be"),
         ("training__noise_watch", [1.0], "training.noise_watch must be a dictionary or None, found list"),
         ("training__seconds", {"train": math.nan}, "training.seconds must be numbers of seconds"),

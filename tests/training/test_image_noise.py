@@ -2,17 +2,26 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from thermosplat.config import AutoBudgetConfig
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import load_run
 from thermosplat.spectra import SpectrumConfig
 from thermosplat.training.frames.train_frames import TrainFrames
-from thermosplat.training.image_noise import image_noise, loss_for_noise, smoothness_for_noise, training_noise
+from thermosplat.training.image_noise import (
+    ImageNoise,
+    image_noise,
+    loss_for_noise,
+    noisy_spectra,
+    smoothness_for_noise,
+    training_noise,
+)
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
 from toy_run import many_frames, toy_run_config, toy_trainer, without
@@ -177,6 +186,26 @@ def test_noisy_images_get_fewer_gaussians(tmp_path: Path, sigma: float, most: in
     assert (said in trainer.image_notes) == (most == 150_000)
 
 
+@pytest.mark.parametrize(
+    ("changes", "counts"),
+    [
+        ({}, ("rgb",)),
+        ({"budget": "fixed"}, ()),
+        ({"auto_budget": AutoBudgetConfig(sparse_noise=0.0)}, ()),
+        ({"auto_budget": AutoBudgetConfig(sparse_noise=0.0331)}, ()),
+    ],
+    ids=["auto", "fixed", "never", "more noise"],
+)
+def test_which_images_count_as_noisy(changes: dict[str, Any], counts: tuple[str, ...]) -> None:
+    """From the noise that the settings name; measured where the scene is plain, since texture is no noise."""
+
+    def noise_of(name: str) -> ImageNoise | None:
+        return {"rgb": ImageNoise(0.0, 0.0, 0.033), "thermal": ImageNoise(1.0, 1.0, 0.0329)}.get(name)
+
+    config = toy_run_config(spectra={"nir": {}}, **({"budget": "auto"} | changes))
+    assert noisy_spectra(config, noise_of) == counts
+
+
 def test_noisy_images_get_more_steps(tmp_path: Path) -> None:
     """A run that was interrupted after its usual number of steps goes on to those that noise asks for."""
     config = toy_run_config(6, budget="auto", noisy_steps=1.5)
@@ -186,7 +215,7 @@ def test_noisy_images_get_more_steps(tmp_path: Path) -> None:
     while trainer.step < 7:
         trainer._train_step()
     trainer.save()
-    resumed = Trainer.resume(config, capture, trainer.run)
+    resumed = Trainer.resume(config, noisy(capture, rgb=1), trainer.run)  # smaller ones have less noise
     assert resumed.train()["steps"] == 9
     with pytest.raises(UserError, match="has done 9 steps, the command asks for 8 in all"):
         Trainer.resume(dataclasses.replace(config, max_steps=8, noisy_steps=1.0), capture, trainer.run)

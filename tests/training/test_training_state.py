@@ -102,7 +102,7 @@ def test_checkpoints_of_the_first_version_load(tmp_path: Path) -> None:
     trainer = toy_trainer(tmp_path, config, capture)
     trainer._train_step()
     state = trainer.state.checkpoint(config, 0, {}).state()
-    for key in ("growing", "offsets_dropped", "trimmed", "corrections", "best_validation"):
+    for key in ("noisy", "growing", "offsets_dropped", "trimmed", "corrections", "best_validation"):
         del state["training"][key]
     for key in ("train_frames", "test_frames"):
         del state[key]

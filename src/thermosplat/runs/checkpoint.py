@@ -67,6 +67,8 @@ class SavedTraining:
     """Scenes that are to be trained before all become one, with the one that the steps done are of; 0: there is one."""
     kept_scenes: tuple[dict[str, dict[str, torch.Tensor]], ...] = ()
     """Those that are trained: parameters of each set, packed."""
+    noisy: tuple[str, ...] | None = None
+    """Spectra whose images counted as noisy when the run began; None: it does not say."""
     growing: bool = True
     """Whether density control may still add Gaussians."""
     offsets_dropped: bool = False
@@ -203,6 +205,7 @@ class _Reader:
             "camera_passes": (_is_count, "a whole number from 0"),
             "scenes_left": (_is_count, "a whole number from 0"),
             "kept_scenes": (_are_scenes, "scenes, each sets of tensors"),
+            "noisy": (_or_none(_are_spectra), "names of spectra or None"),
             "growing": (_is_bool, "true or false"),
             "offsets_dropped": (_is_bool, "true or false"),
             "budget_due": (_are_due, "parts of a budget"),
@@ -268,6 +271,10 @@ def _are_scenes(value: Any) -> bool:
 
 def _are_names(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(item, str) for item in value)
+
+
+def _are_spectra(value: Any) -> bool:
+    return isinstance(value, tuple) and all(isinstance(name, str) and name.isidentifier() for name in value)
 
 
 def _are_due(value: Any) -> bool:

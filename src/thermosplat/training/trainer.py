@@ -98,9 +98,10 @@ class Trainer:
             limit_device_memory(self.device, config.gpu_memory)
         self.frames = TrainFrames(capture, config.modelled, self.device)
         noise_of = cache(partial(training_noise, self.frames))
-        views, noisy = len(self.frames), noisy_spectra(config, noise_of)
-        notes_of_steps = steps_note(config, views, noisy)
-        self.config = config = run_schedule(config, views, is_noisy=bool(noisy))
+        known = None if checkpoint is None else checkpoint.training.noisy
+        noisy = noisy_spectra(config, noise_of) if known is None else known
+        notes_of_steps = steps_note(config, len(self.frames), noisy)
+        self.config = config = run_schedule(config, len(self.frames), is_noisy=bool(noisy))
         self.logger = logger or self._make_logger()
         if checkpoint is not None:
             check_steps_left(checkpoint, config, run)
@@ -108,7 +109,7 @@ class Trainer:
             trained = as_trained(config.modelled, checkpoint.model.decoders)
             config = replace(config, spectra={**config.spectra, **trained})
         config, notes_of_noise = fitted_to_noise(config, noise_of)
-        config, notes_of_limit = with_limit(config, capture, noise_of)
+        config, notes_of_limit = with_limit(config, capture, noisy)
         self.config = config
         self.schedule = SpectrumSchedule(config, self.frames)
         self.budget: Budget | None = None
@@ -119,6 +120,7 @@ class Trainer:
         self.offload_notes: tuple[str, ...] = ()
         self.model = self._make_model(checkpoint, of_passes(config) if finds_cameras(config) else config)
         self.state = TrainingState(self.model, config, capture, self.device)
+        self.state.noisy = noisy
         self.state.keep_moments_on_device(self.rows_on_device)
         if checkpoint is not None:
             self.state.load(checkpoint)

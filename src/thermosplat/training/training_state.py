@@ -68,6 +68,7 @@ class TrainingState:
         scenes_left: Scenes that are to be trained before all become one, with the one under way; 0: there is one.
         kept_scenes: Those that are trained, in the host's memory. Of ranks that share the model only the first has
             them; the others hold empty ones in their place.
+        noisy: Spectra whose images counted as noisy when the run began: those of a resumed one may be smaller.
         growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
         offsets_dropped: Whether opacity offsets that are zero stay zero.
         budget_due: What a budget is to leave out after the step done and has not left out yet: memory ended before.
@@ -131,6 +132,7 @@ class TrainingState:
         self.noise = torch.Generator(device)
         self.behind = torch.zeros(len(model.spectra), 3, device=device) if config.random_background else None
         self.seconds = Seconds()
+        self.noisy: tuple[str, ...] = ()
         self.counts: dict[str, list[int]] | None = None
         """Gaussians of each rank by set, where they are divided over ranks: this state then holds one rank's."""
 
@@ -297,6 +299,7 @@ class TrainingState:
             camera_passes=self.camera_passes,
             scenes_left=self.scenes_left,
             kept_scenes=tuple({name: dict(packed) for name, packed in scene.items()} for scene in self.kept_scenes),
+            noisy=self.noisy,
             growing=self.growing,
             offsets_dropped=self.offsets_dropped,
             budget_due=self.budget_due,
@@ -346,6 +349,7 @@ class TrainingState:
         self.scenes_left, self.kept_scenes = training.scenes_left, list(training.kept_scenes)
         for scene in filter(None, self.kept_scenes):
             restored_sets(scene, checkpoint.config, list(self.model.spectra.values()))  # whether it can be
+        self.noisy = self.noisy if training.noisy is None else training.noisy
         self.growing = training.growing
         self.offsets_dropped = training.offsets_dropped
         self.budget_due = training.budget_due

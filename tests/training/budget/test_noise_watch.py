@@ -2,7 +2,6 @@
 
 import copy
 import dataclasses
-import math
 from pathlib import Path
 from typing import Any
 
@@ -163,8 +162,9 @@ def watched(**changes: float) -> TrainConfig:
 
 
 def noisy_run(folder: Path, config: TrainConfig, noise: float, frames: int = FRAMES) -> Trainer:
-    """With that variance of noise in RGB, whatever its images have."""
+    """With that variance of noise in RGB, whatever its images have, which do not count as noisy."""
     trainer = toy_trainer(folder, config, many_frames(toy_capture(), frames))
+    trainer.state.noisy = ()
     trainer.state.noise_watch = NoiseWatch({"rgb": noise}, len(trainer.frames), trainer.device)
     return trainer
 
@@ -199,11 +199,11 @@ def test_views_stay_withheld_while_noise_may_be_learnt(tmp_path: Path, noise: fl
 
 @pytest.mark.parametrize("few_views_until", [0.0, 0.16])
 def test_few_views_stay_withheld_for_a_share_of_the_run(tmp_path: Path, few_views_until: float) -> None:
-    """Where two are more than a twentieth: up to that share of the run, or up to the end of growth. Noise that is a
-    part of the error, and less than ``sparse_noise``, changes nothing."""
-    for noise, sparse_noise in ((NOISE, 2.0 * math.sqrt(NOISE)), (NOISE, 0.0), (1e-9, 0.033)):
-        config = watched(few_views_until=few_views_until, sparse_noise=sparse_noise)
-        trainer = advance(noisy_run(tmp_path / f"{noise} {sparse_noise}", config, noise, FRAMES - 2), 12)
+    """Where two are more than a twentieth: up to that share of the run, or up to the end of growth, whatever part of
+    the error is noise."""
+    for noise in (NOISE, 1e-9):
+        config = watched(few_views_until=few_views_until)
+        trainer = advance(noisy_run(tmp_path / f"{noise}", config, noise, FRAMES - 2), 12)
         assert not trainer.state.growing
         assert trainer.state.noise_watch is not None
         assert trainer.state.noise_watch.over == (few_views_until == 0)
@@ -214,9 +214,10 @@ def test_few_views_stay_withheld_for_a_share_of_the_run(tmp_path: Path, few_view
 def test_few_noisy_views_stay_withheld_up_to_the_last_removal(
     tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As many do: only they say when noise is learnt. RGB falls and goes back."""
-    config = watched(few_views_until=0.0, spectrum_patience=2, sparse_noise=0.9 * math.sqrt(NOISE))
-    trainer = advance(noisy_run(tmp_path, config, NOISE, FRAMES - 2), 19)
+    """As many do, where images count as noisy: only they say when noise is learnt. RGB falls and goes back."""
+    trainer = noisy_run(tmp_path, watched(few_views_until=0.0, spectrum_patience=2), NOISE, FRAMES - 2)
+    trainer.state.noisy = ("rgb",)
+    advance(trainer, 19)
     watch = trainer.state.noise_watch
     assert watch is not None
     assert not trainer.state.growing

@@ -168,18 +168,12 @@ class AutoBudget:
     @property
     def _few_views(self) -> bool:
         """Whether a capture misses each of the withheld views: they are many of all, and images are not noisy."""
-        return self._withholds_many and not self._is_noisy()
+        return self._withholds_many and not self.state.noisy
 
     @property
     def _watches_falls(self) -> bool:
         """Whether any spectrum may go back that the withheld views of few say has fallen."""
         return self._few_views and self.teaches and self.settings.few_views_until > 0
-
-    def _is_noisy(self) -> bool:
-        """Whether images of a spectrum have ``sparse_noise``."""
-        watch, least = self.state.noise_watch, self.settings.sparse_noise
-        floor = self.settings.noise_floor * least**2
-        return watch is not None and least > 0 and any(noise >= floor for noise in watch.noise.values())
 
     def _validates_at(self, step: int) -> bool:
         if not (step % self.settings.validate_every == 0 and self.withholds()):
