@@ -89,9 +89,9 @@ def test_views_count_beside_scaler_and_batches() -> None:
 def test_what_was_scaled_is_not_scaled_again() -> None:
     """The result is the schedule as it is run."""
     config = TrainConfig(max_steps=9000, steps_for_views=45, steps_scaler=0.5, noisy_steps=1.5)
-    scaled = run_schedule(config, 90, is_noisy=True)
+    scaled = run_schedule(config, 90, ("rgb",))
     assert (scaled.max_steps, scaled.steps_scaler, scaled.steps_for_views) == (13_500, 1.0, None)
-    assert run_schedule(scaled, 90, is_noisy=True) is scaled
+    assert run_schedule(scaled, 90, ("rgb",)) is scaled
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_what_was_scaled_is_not_scaled_again() -> None:
 def test_noise_asks_for_more_steps(views: int, noisy: tuple[str, ...], steps: int, why: str) -> None:
     """So many times those that the views ask for, up to the longest; the user is told why."""
     config = TrainConfig(max_steps=6000, steps_for_views=45, noisy_steps=1.5)
-    assert run_schedule(config, views, is_noisy=bool(noisy)).max_steps == steps
+    assert run_schedule(config, views, noisy).max_steps == steps
     (note,) = steps_note(config, views, noisy)
     assert note.startswith(f"{why}: {steps:,} steps of one frame in place of 6,000 (")
 
@@ -114,7 +114,7 @@ def test_noise_asks_for_more_steps(views: int, noisy: tuple[str, ...], steps: in
 def test_noise_changes_no_schedule_that_does_not_say_so() -> None:
     """Nor one that is as long as any."""
     for config in (TrainConfig(max_steps=6000), TrainConfig(max_steps=30_000, noisy_steps=1.5)):
-        assert run_schedule(config, 45, is_noisy=True) is config
+        assert run_schedule(config, 45, ("rgb",)) is config
         assert steps_note(config, 45, ("rgb",)) == ()
 
 

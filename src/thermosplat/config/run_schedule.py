@@ -8,7 +8,7 @@ it takes √B, too.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -31,46 +31,54 @@ def scaled_steps(steps: int, factor: float) -> int:
     return math.ceil(round(steps * factor, 6))
 
 
-def _capture_factor(config: TrainConfig, views: int, *, is_noisy: bool) -> float:
-    """How many times the configuration's steps a capture asks for (``steps_for_views``, ``noisy_steps``).
+def _asked_by_capture(config: TrainConfig, views: int, noisy: Sequence[str]) -> dict[str, float]:
+    """Why a capture asks for more steps than the configuration's, and by each reason how many times as many.
+
+    Args:
+        config: The configuration; ``steps_for_views`` and ``noisy_steps`` say when.
+        views: Training views of the capture, a frame with images of several spectra being one.
+        noisy: The spectra whose images are noisy.
+    """
+    asked = {}
+    if config.steps_for_views is not None and views > config.steps_for_views:
+        asked[f"{views:,} training views, more than {config.steps_for_views:,}"] = views / config.steps_for_views
+    if noisy and config.noisy_steps > 1:
+        asked[f"noisy {listed(noisy)} images"] = config.noisy_steps
+    return asked
+
+
+def _capture_factor(config: TrainConfig, asked: Mapping[str, float]) -> float:
+    """How many times the configuration's steps a capture gets.
 
     Args:
         config: The configuration.
-        views: Training views of the capture, a frame with images of several spectra being one.
-        is_noisy: Whether its images are noisy.
+        asked: What it asks for.
     """
-    factor = 1.0 if config.steps_for_views is None else max(1.0, views / config.steps_for_views)
-    if is_noisy:
-        factor *= config.noisy_steps
-    return max(1.0, min(factor, LONGEST / config.max_steps))
+    return max(1.0, min(math.prod(asked.values()), LONGEST / config.max_steps))
 
 
 def steps_note(config: TrainConfig, views: int, noisy: Sequence[str]) -> tuple[str, ...]:
-    """What to tell a user whose capture asks for more steps; nothing where it does not.
+    """What to tell a user whose capture gets more steps; nothing where it does not.
 
     Args:
         config: The configuration as it was given.
         views: Training views of the capture.
         noisy: The spectra whose images are noisy.
     """
-    factor = _capture_factor(config, views, is_noisy=bool(noisy))
+    asked = _asked_by_capture(config, views, noisy)
+    factor = _capture_factor(config, asked)
     if factor == 1:
         return ()
-    reasons = []
-    if config.steps_for_views is not None and views > config.steps_for_views:
-        reasons.append(f"{views:,} training views, more than {config.steps_for_views:,}")
-    if noisy and config.noisy_steps > 1:
-        reasons.append(f"noisy {listed(noisy)} images")
     usual = scaled_steps(config.max_steps, config.steps_scaler)
     longer = scaled_steps(config.max_steps, config.steps_scaler * factor)
-    why = ", and ".join(reasons)
+    why = ", and ".join(asked)
     return (
         f"{why[0].upper()}{why[1:]}: {longer:,} steps of one frame in place of {usual:,} (--max-steps gives another "
         "number).",
     )
 
 
-def run_schedule(config: TrainConfig, views: int = 0, *, is_noisy: bool = False) -> TrainConfig:
+def run_schedule(config: TrainConfig, views: int = 0, noisy: Sequence[str] = ()) -> TrainConfig:
     """What a run does: with ``steps_scaler``, for its training images, and in steps of its ``batch_size`` frames.
 
     The result has nothing left to scale by, so that it is checked and kept as what is done.
@@ -78,9 +86,10 @@ def run_schedule(config: TrainConfig, views: int = 0, *, is_noisy: bool = False)
     Args:
         config: The configuration; with nothing to scale by it is returned as it is.
         views: Training views of the capture; 0 where they are not known.
-        is_noisy: Whether their images are noisy.
+        noisy: The spectra whose images are noisy.
     """
-    size, of_capture = config.batch_size or 1, _capture_factor(config, views, is_noisy=is_noisy)
+    size = config.batch_size or 1
+    of_capture = _capture_factor(config, _asked_by_capture(config, views, noisy))
     if size == config.steps_scaler == of_capture == 1:
         return config
     factor = config.steps_scaler * of_capture / size

@@ -101,7 +101,7 @@ class Trainer:
         known = None if checkpoint is None else checkpoint.training.noisy
         noisy = noisy_spectra(config, noise_of) if known is None else known
         notes_of_steps = steps_note(config, len(self.frames), noisy)
-        self.config = config = run_schedule(config, len(self.frames), is_noisy=bool(noisy))
+        self.config = config = run_schedule(config, len(self.frames), noisy)
         self.logger = logger or self._make_logger()
         if checkpoint is not None:
             check_steps_left(checkpoint, config, run)
