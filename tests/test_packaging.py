@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 import thermosplat
 from thermosplat.config.files import list_presets
@@ -40,6 +41,21 @@ def test_one_range_of_python_versions_everywhere() -> None:
     assert PROJECT["requires-python"] == f">={first},<3.{int(last.removeprefix('3.')) + 1}"
     for name in ("README.md", "docs/index.md", ".ci/run"):
         assert f"Python {' or '.join(classified)}" in (REPOSITORY / name).read_text(encoding="utf-8")
+
+
+def test_the_workflow_runs_everything_on_these_versions() -> None:
+    """GitHub gives the command that a developer gives, with every version of Python that is classified."""
+    (job,) = yaml.safe_load((REPOSITORY / ".github/workflows/ci.yml").read_text(encoding="utf-8"))["jobs"].values()
+    classified = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if "Python :: 3." in line]
+    assert job["strategy"]["matrix"]["python"] == classified
+    assert "bash .ci/run" in [step.get("run") for step in job["steps"]]
+
+
+def test_a_bug_report_asks_for_what_is_needed() -> None:
+    """The version, the command, the message and environment.json, none of which may be left out."""
+    form = yaml.safe_load((REPOSITORY / ".github/ISSUE_TEMPLATE/bug.yml").read_text(encoding="utf-8"))
+    required = {field["id"] for field in form["body"] if field.get("validations", {}).get("required")}
+    assert {"version", "command", "message", "environment"} <= required
 
 
 def test_public_names_are_listed_before_they_are_loaded() -> None:

@@ -24,6 +24,12 @@ def test_what_everybody_reads_is_short(name: str, lines: int) -> None:
     assert read(name).count("\n") <= lines
 
 
+def test_the_documents_can_be_read_in_an_afternoon() -> None:
+    """docs, records and notes together; what is replaced is in git's history."""
+    words = sum(len(read(name).split()) for name in NAMES if name.startswith(("docs/", "benchmarks/")))
+    assert words <= 70_000
+
+
 def test_the_readme_names_the_presets() -> None:
     """The presets the README offers exist."""
     offered = re.findall(r"`(\w+)`\s+\(", read("README.md").split("The presets:")[1].split("ablations")[0])
