@@ -23,19 +23,50 @@ def faint(opacity: float, thermal_opacity: float | None, scale: float) -> Gaussi
     return Gaussians(parameters)
 
 
+BOTH = torch.ones(2, dtype=torch.bool)
+
+
 def test_weighted_means_of_all_sets() -> None:
     """Each opacity there is counts by its mean; sets add up; scales count in scene extents."""
     config = LossConfig(opacity_reg=0.5, scale_reg=2.0)
-    shared = gaussian_penalties({"shared": faint(0.2, 0.6, 0.1)}, config, 1.0)
+    shared = gaussian_penalties({"shared": faint(0.2, 0.6, 0.1)}, config, 1.0, {"shared": BOTH})
     assert {name: term.item() for name, term in shared.items()} == pytest.approx({"opacity_reg": 0.4, "scale_reg": 0.2})
-    separate = gaussian_penalties({"rgb": faint(0.2, None, 0.1), "thermal": faint(0.6, None, 0.3)}, config, 2.0)
+    sets = {"rgb": faint(0.2, None, 0.1), "thermal": faint(0.6, None, 0.3)}
+    separate = gaussian_penalties(sets, config, 2.0, {"rgb": BOTH, "thermal": BOTH})
     assert separate["opacity_reg"].item() == pytest.approx(0.4)
     assert separate["scale_reg"].item() == pytest.approx(0.4)
 
 
 def test_no_weight_no_term() -> None:
     """By default there is no penalty."""
-    assert gaussian_penalties({"shared": faint(0.2, 0.6, 0.1)}, LossConfig(), 1.0) == {}
+    assert gaussian_penalties({"shared": faint(0.2, 0.6, 0.1)}, LossConfig(), 1.0, {"shared": BOTH}) == {}
+
+
+def test_only_what_is_seen_fades() -> None:
+    """Means are of the Gaussians that a step sees; others have no gradient; with none in view there is no penalty."""
+    config = LossConfig(opacity_reg=1.0, scale_reg=1.0)
+    gaussians = faint(0.2, 0.6, 0.1)
+    with torch.no_grad():
+        gaussians.logit_opacities[1], gaussians.log_scales[1] = 5.0, 3.0
+    first = torch.tensor([True, False])
+    found = gaussian_penalties({"shared": gaussians}, config, 1.0, {"shared": first})
+    assert {name: term.item() for name, term in found.items()} == pytest.approx({"opacity_reg": 0.8, "scale_reg": 0.1})
+    sum(found.values()).backward()
+    for parameter in (gaussians.logit_opacities, gaussians.get_parameter("logit_thermal_opacities")):
+        assert parameter.grad[0] > 0
+        assert parameter.grad[1] == 0
+    assert gaussians.log_scales.grad[1].abs().sum() == 0
+    nobody = gaussian_penalties({"shared": gaussians}, config, 1.0, {"shared": ~BOTH})
+    assert all(term.item() == 0 for term in nobody.values())
+
+
+def test_shares_of_several_processes_add_up() -> None:
+    """Divided by the number that all see, the penalties of two shares are those of the whole."""
+    config, numbers = LossConfig(opacity_reg=1.0, scale_reg=1.0), {"shared": torch.tensor(3.0)}
+    parts = [(faint(0.2, 0.6, 0.1), torch.tensor([True, False])), (faint(0.4, 0.3, 0.5), BOTH)]
+    found = [gaussian_penalties({"shared": one}, config, 1.0, {"shared": seen}, numbers) for one, seen in parts]
+    total = {name: sum(terms[name].item() for terms in found) for name in found[0]}
+    assert total == pytest.approx({"opacity_reg": (0.8 + 2 * 0.7) / 3, "scale_reg": (0.1 + 2 * 0.5) / 3})
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -53,11 +84,14 @@ def test_same_as_torch(
         return [tensor.to(device, dtype).requires_grad_() for tensor in drawn[: 2 if second == "none" else 3]]
 
     ours, exact = leaves(dtype), leaves(torch.float64)
-    found = mean_opacity_and_scale(*ours[:2], None if second == "none" else ours[2], second == "offsets")
+    seen = torch.rand(count, generator=generator).to(device) < 0.7
+    second_stored = None if second == "none" else ours[2]
+    found = mean_opacity_and_scale(*ours[:2], second_stored, second == "offsets", seen, seen.sum())
     opacities = exact[1].sigmoid()
     if second != "none":
         opacities = opacities + (exact[2] + (exact[1] if second == "offsets" else 0.0)).sigmoid()
-    expected = [opacities.mean(), exact[0].exp().mean()]
+    number = seen.sum().clamp(min=1)
+    expected = [opacities[seen].sum() / number, exact[0][seen].exp().mean(dim=1).sum() / number]
     slopes = torch.autograd.grad([found[0] * 0.7, found[1] * 3.0], ours)
     truth = torch.autograd.grad([expected[0] * 0.7, expected[1] * 3.0], exact)
     tolerance = 2e-6 if dtype is torch.float32 else 1e-14
@@ -72,7 +106,7 @@ def test_every_opacity_counts() -> None:
     """A set with three opacities is penalised for the sum of their means, and every one of them is trained."""
     parameters = dict(faint(0.2, 0.6, 0.1).named_parameters())
     gaussians = Gaussians(parameters | {"nir_opacity_offsets": torch.full((2,), 1.0)})
-    (penalty,) = gaussian_penalties({"shared": gaussians}, LossConfig(opacity_reg=1.0), 1.0).values()
+    (penalty,) = gaussian_penalties({"shared": gaussians}, LossConfig(opacity_reg=1.0), 1.0, {"shared": BOTH}).values()
     nir = torch.sigmoid(torch.logit(torch.tensor(0.2)) + 1.0).item()
     assert penalty.item() == pytest.approx(0.2 + 0.6 + nir)
     penalty.backward()

@@ -129,7 +129,7 @@ def test_drift_of_a_sensor_is_told_from_the_scene(tmp_path: Path) -> None:
 
     capture = dataclasses.replace(capture, train=tuple(map(drifted, capture.train, drift)))
     config = toy_run_config(200, spectra={"thermal": {"exposure": "level", "smoothness": 0.0}})
-    trainer = trained_on_the_true_scene(tmp_path, config, capture, scene, exposures_lr=3e-3)
+    trainer = trained_on_the_true_scene(tmp_path, config, capture, scene)
     assert trainer.state.exposures is not None
     assert set(trainer.state.exposures.maps) == {"thermal"}
     levels = trainer.state.exposures.maps["thermal"].detach().flatten()

@@ -1,4 +1,4 @@
-"""Mean opacity and size of Gaussians, from what is stored, and the adjoint: what penalties on Gaussians are made of.
+"""Mean opacity and size of the Gaussians that a step sees, and the adjoint: what penalties on Gaussians are made of.
 
 In place of torch's exponential, two sigmoids, means and their adjoints, each a kernel over all Gaussians.
 """
@@ -35,15 +35,16 @@ def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         log_scales: wp.array(dtype=vec3),  # [N]
         logits: wp.array(dtype=dtype),  # [N]
         seconds: wp.array(dtype=dtype),  # [N]; [0]: there is none
+        seen: wp.array(dtype=wp.bool),  # [N]
+        share: wp.array(dtype=dtype),  # [1]
         is_offset: bool,
-        share: dtype,
         lanes: int,
         # outputs
         parts: wp.array2d(dtype=dtype),  # [2, num_warps(N)]
     ):
         thread = wp.tid() + first
         opacity, scale = zero, zero
-        if thread < logits.shape[0]:
+        if thread < logits.shape[0] and seen[thread]:
             logit = logits[thread]
             opacity = sigmoid(logit)
             if seconds.shape[0] > 0:
@@ -53,8 +54,8 @@ def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         opacity = warp_total(opacity)
         scale = warp_total(scale)
         if thread % lanes == 0:
-            parts[0, thread // lanes] = share * opacity
-            parts[1, thread // lanes] = share * scale
+            parts[0, thread // lanes] = share[0] * opacity
+            parts[1, thread // lanes] = share[0] * scale
 
     @wp.kernel(name=f"gaussian_means_adjoint_{dtype.__name__}", enable_backward=False, module="unique")
     def adjoint_kernel(
@@ -62,9 +63,10 @@ def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         log_scales: wp.array(dtype=vec3),  # [N]
         logits: wp.array(dtype=dtype),  # [N]
         seconds: wp.array(dtype=dtype),  # [N]; [0]: there is none
+        seen: wp.array(dtype=wp.bool),  # [N]
+        share: wp.array(dtype=dtype),  # [1]
         is_offset: bool,
         v_means: wp.array(dtype=dtype),  # [2]
-        share: dtype,
         # outputs
         v_log_scales: wp.array(dtype=vec3),  # [N]
         v_logits: wp.array(dtype=dtype),  # [N]
@@ -73,8 +75,9 @@ def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         thread = wp.tid() + first
         inside = thread < logits.shape[0]
         gaussian = wp.min(thread, logits.shape[0] - 1)
-        v_opacity = share * v_means[0]
-        v_scale = third * share * v_means[1]
+        weight = wp.where(seen[gaussian], share[0], zero)
+        v_opacity = weight * v_means[0]
+        v_scale = third * weight * v_means[1]
         log_scale = log_scales[gaussian]
         v_log_scale = v_scale * vec3(wp.exp(log_scale[0]), wp.exp(log_scale[1]), wp.exp(log_scale[2]))
         store3(v_log_scales, wp.where(inside, gaussian, -1), v_log_scale)
@@ -90,20 +93,30 @@ def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     return means_kernel, adjoint_kernel
 
 
-def gaussian_means(log_scales: wp.array, logits: wp.array, seconds: wp.array, is_offset: bool, parts: wp.array) -> None:
+def gaussian_means(
+    log_scales: wp.array,
+    logits: wp.array,
+    seconds: wp.array,
+    seen: wp.array,
+    share: wp.array,
+    is_offset: bool,
+    parts: wp.array,
+) -> None:
     """Sums each warp's part of the means of α + α_t and of the scales.
 
     Args:
         log_scales: vec3 [N], logarithms of the standard deviations [log world units].
         logits: [N], of α.
         seconds: [N], what α_t is computed from; [0]: there is none.
+        seen: bool [N], those that the means are of.
+        share: [1], one by their number.
         is_offset: α_t = sigmoid(logit + second); else sigmoid(second).
         parts: [2, num_warps(N)], output; their sums are the means of α + α_t, or α alone, and of the three standard
             deviations [world units].
     """
     dtype, count, device = logits.dtype, len(logits), logits.device
     kernel, _ = penalty_kernels(dtype)
-    inputs = [log_scales, logits, seconds, is_offset, dtype(1.0 / max(count, 1)), lanes_of(device), parts]
+    inputs = [log_scales, logits, seconds, seen, share, is_offset, lanes_of(device), parts]
     launch(kernel, whole_warps(count, device), inputs, device)
 
 
@@ -111,6 +124,8 @@ def gaussian_means_adjoint(
     log_scales: wp.array,
     logits: wp.array,
     seconds: wp.array,
+    seen: wp.array,
+    share: wp.array,
     is_offset: bool,
     v_means: wp.array,
     v_log_scales: wp.array,
@@ -123,6 +138,8 @@ def gaussian_means_adjoint(
         log_scales: as in ``gaussian_means``.
         logits: as in ``gaussian_means``.
         seconds: as in ``gaussian_means``.
+        seen: as in ``gaussian_means``.
+        share: as in ``gaussian_means``.
         is_offset: as in ``gaussian_means``.
         v_means: [2].
         v_log_scales: vec3 [N], output.
@@ -131,5 +148,5 @@ def gaussian_means_adjoint(
     """
     dtype, count, device = logits.dtype, len(logits), logits.device
     _, kernel = penalty_kernels(dtype)
-    inputs = [log_scales, logits, seconds, is_offset, v_means, dtype(1.0 / max(count, 1))]
+    inputs = [log_scales, logits, seconds, seen, share, is_offset, v_means]
     launch(kernel, whole_warps(count, device), [*inputs, v_log_scales, v_logits, v_seconds], device)

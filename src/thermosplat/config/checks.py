@@ -94,7 +94,6 @@ _POSITIVE = (
     "optimizer.means_lr_final",
     "optimizer.features_lr_final",
     "optimizer.decoders_lr_final",
-    "optimizer.exposures_lr_final",
     "optimizer.poses_lr_final",
     "optimizer.cameras_lr_final",
     "optimizer.final_share",

@@ -133,10 +133,6 @@ class OptimizerConfig:
     """Decoder networks. Open choice: MS-Splatting's."""
     decoders_lr_final: float = 5e-4
     """Decoder networks at the last step (exponential decay). Open choice."""
-    exposures_lr: float = 1e-3
-    """Exposures of the training views (a spectrum's ``exposure``). Open choice: a tenth of 3DGS's."""
-    exposures_lr_final: float = 1e-4
-    """Exposures at the last step (exponential decay). Open choice: a tenth of 3DGS's."""
     poses_lr: float = 1e-4
     """Poses of the training frames (``refine``), in widths of the images. Open choice."""
     poses_lr_final: float = 2.5e-6

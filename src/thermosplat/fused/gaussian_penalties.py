@@ -1,8 +1,9 @@
-"""Mean opacity and size of Gaussians as a torch function of one Warp kernel each way."""
+"""Mean opacity and size of the Gaussians that are seen as a torch function of one Warp kernel each way."""
 
 from typing import Any
 
 import torch
+import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -14,9 +15,14 @@ from warp_kernels.training.gaussian_penalties import gaussian_means, gaussian_me
 
 
 def mean_opacity_and_scale(
-    log_scales: Tensor, logit_opacities: Tensor, stored_thermal: Tensor | None, is_offset: bool
+    log_scales: Tensor,
+    logit_opacities: Tensor,
+    stored_thermal: Tensor | None,
+    is_offset: bool,
+    seen: Tensor,
+    number: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Means over all Gaussians.
+    """Sums over the Gaussians that are seen, divided by a number: of one process alone, their means.
 
     Args:
         log_scales: Logarithms of the standard deviations along the axes [log world units], shape [N, 3], N > 0.
@@ -24,37 +30,54 @@ def mean_opacity_and_scale(
         logit_opacities: Logits of the visible opacity α, shape [N].
         stored_thermal: What the thermal opacity α_t is computed from, shape [N]; None: there is one opacity.
         is_offset: α_t is sigmoid(logit α + stored), otherwise sigmoid(stored).
+        seen: bool, shape [N].
+        number: What sums are divided by: how many Gaussians are seen, those of other processes, too. Scalar.
 
     Returns:
         The mean of α, plus that of α_t where there are two; the mean standard deviation [world units]. Scalars.
     """
-    means = _Means.apply(log_scales.contiguous(), logit_opacities.contiguous(), stored_thermal, is_offset)
+    share = number.to(logit_opacities.dtype).clamp(min=1.0).reciprocal().reshape(1)
+    stored = log_scales.contiguous(), logit_opacities.contiguous(), stored_thermal
+    means = _Means.apply(*stored, is_offset, seen.contiguous(), share)
     return means.unbind()
 
 
 class _Means(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, log_scales: Tensor, logits: Tensor, second: Tensor | None, is_offset: bool) -> Tensor:
+    def forward(
+        ctx: Any,
+        log_scales: Tensor,
+        logits: Tensor,
+        second: Tensor | None,
+        is_offset: bool,
+        seen: Tensor,
+        share: Tensor,
+    ) -> Tensor:
         stored = log_scales, logits, logits[:0] if second is None else second
         with launches_on_torch_stream(logits.device) as device:
             parts = logits.new_empty(2, num_warps(len(logits), device))
-            gaussian_means(*_arrays(*stored), is_offset, strided_view(parts))
+            gaussian_means(*_arrays(*stored), *_those_seen(seen, share), is_offset, strided_view(parts))
         ctx.is_offset = is_offset
-        ctx.save_for_backward(*stored)
+        ctx.save_for_backward(*stored, seen, share)
         return parts.sum(dim=1)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_means: Tensor) -> tuple[Tensor | None, ...]:
-        stored = ctx.saved_tensors
+        *stored, seen, share = ctx.saved_tensors
         v_stored = [torch.empty_like(tensor) for tensor in stored]
         v = v_means.contiguous()
         with launches_on_torch_stream(v.device):
-            gaussian_means_adjoint(*_arrays(*stored), ctx.is_offset, strided_view(v), *_arrays(*v_stored))
+            given = *_arrays(*stored), *_those_seen(seen, share)
+            gaussian_means_adjoint(*given, ctx.is_offset, strided_view(v), *_arrays(*v_stored))
         v_log_scales, v_logits, v_second = v_stored
-        return v_log_scales, v_logits, v_second if ctx.needs_input_grad[2] else None, None
+        return v_log_scales, v_logits, v_second if ctx.needs_input_grad[2] else None, None, None, None
 
 
 def _arrays(log_scales: Tensor, logits: Tensor, seconds: Tensor) -> tuple[ArrayView, ...]:
     """What is stored, or gradients to it, as the kernels take them."""
     return given_view(log_scales, kinds_of(log_scales.dtype).vec3), strided_view(logits), strided_view(seconds)
+
+
+def _those_seen(seen: Tensor, share: Tensor) -> tuple[ArrayView, ArrayView]:
+    return given_view(seen, wp.bool), strided_view(share)

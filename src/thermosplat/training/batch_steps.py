@@ -128,7 +128,7 @@ class BatchSteps:
         done: Differentiated | None = None
         for number, (groups, frame) in enumerate(zip(plan.rounds, frames, strict=True)):
             calls = None if team is None else self._calls(groups)
-            part = Part(1.0 / plan.frames, plan.penalised if number == 0 else (), calls)
+            part = Part(1.0 / plan.frames, plan.penalised if number == 0 else (), calls, team)
             done = None  # what it holds of the frame before is not needed while this one is rendered
             done = self.step.differentiate(frame, kind, part, fixed_capacity=fixed_capacity)
             overflows.append(capacity.overflow.clone())
@@ -199,13 +199,14 @@ class BatchSteps:
 
 def replicated_parameters(state: TrainingState) -> list[torch.nn.Parameter]:
     """What every rank has whole: decoders, exposures, and what is wrong with the cameras."""
-    return [
+    learnt = [
         parameter
         for owner, optimizers in state.optimizers.items()
         if owner not in state.gaussian_sets
         for optimizer in optimizers.values()
         for parameter in optimizer.param_groups[0]["params"]
     ]
+    return learnt if state.exposures is None else [*learnt, *state.exposures.parameters()]
 
 
 def set_betas(optimizers: Optimizers, betas: tuple[float, float]) -> None:

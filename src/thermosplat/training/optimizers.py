@@ -30,7 +30,7 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scale: fl
     """Learning rate of a parameter.
 
     Args:
-        name: Parameter name of a set of Gaussians, "decoders", "exposures", or of the cameras' corrections.
+        name: Parameter name of a set of Gaussians, "decoders", or of the cameras' corrections.
         config: The rates.
         progress: Share of the run that is done, 0 to 1.
         scale: What rates of lengths are multiples of: for means the radius of the cameras [world units] (3DGS), for
@@ -70,7 +70,7 @@ def parameter_optimizers(parameters: Mapping[str, nn.Parameter], config: Optimiz
 
 
 def network_optimizer(network: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
-    """One Adam for all parameters of the decoders, or of the exposures."""
+    """One Adam for all parameters of the decoders."""
     return _adam(list(network.parameters()), config)
 
 

@@ -100,7 +100,6 @@ class TrainingState:
         if exposed:
             levels = [name for name, spectrum in config.modelled.items() if spectrum.exposure == "level"]
             self.exposures = Exposures(len(capture.training_frames(model.spectra)), exposed, levels).to(device)
-            self.optimizers["exposures"] = {"exposures": network_optimizer(self.exposures, config.optimizer)}
         self.corrections: CameraCorrections | None = None
         if config.refine:
             self.corrections = CameraCorrections(config.refine, capture, list(model.spectra)).to(device)
@@ -239,6 +238,8 @@ class TrainingState:
 
     def clear_gradients(self) -> None:
         """Forget all gradients, and free their memory."""
+        for maps in [] if self.exposures is None else self.exposures.parameters():
+            maps.grad = None
         for optimizers in self.optimizers.values():
             for optimizer in optimizers.values():
                 if isinstance(optimizer, RowAdam):

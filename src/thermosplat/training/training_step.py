@@ -4,6 +4,7 @@ Nothing in here reads a value back, so the same lines run one by one or, capture
 (captured_steps.py).
 """
 
+import functools
 from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from torch import Tensor
 
 from thermosplat.config import LossConfig, TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors, with_unit_images
+from thermosplat.distributed.team import Team
 from thermosplat.errors import UserError
 from thermosplat.losses.feature_norm import feature_norm_loss
 from thermosplat.losses.gaussian_penalties import gaussian_penalties
@@ -25,11 +27,12 @@ from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.budget.noise_floor import gradient_shares
 from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
+from thermosplat.training.exposures import FROM as EXPOSED_FROM
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.resolution_schedule import image_factor
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
-from thermosplat.training.sharing.calls import Calls, render_with_others
+from thermosplat.training.sharing.calls import Calls, Group, render_with_others
 from thermosplat.training.sharing.taking_part import TakingPart
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
@@ -59,6 +62,8 @@ class StepKind:
     """Let depths be drawn to those that plane sweeps found."""
     refining: bool = False
     """Correct the cameras."""
+    exposing: bool = False
+    """Let the exposures of the frame follow its images."""
     geometry_held: bool = False
     """Let the images of the first spectrum alone shape the Gaussians, and leave opacity offsets at zero."""
     image_factor: float = 1.0
@@ -95,6 +100,7 @@ class StepKind:
             depth_spread=loss.depth_spread > 0 and step > loss.depth_spread_from * config.max_steps,
             swept_depths=swept and factor == 1.0,
             refining=refining,
+            exposing=step > EXPOSED_FROM * config.max_steps,
             geometry_held=cameras_found_at is not None,
             image_factor=factor,
             taught=taught,
@@ -111,6 +117,8 @@ class Part:
     """The sets of Gaussians whose own penalties come with this frame; None: those that it renders."""
     calls: Calls | None = None
     """The groups of spectra that this rank and the others render now; None: the Gaussians are not divided."""
+    team: Team | None = None
+    """The ranks; None: there is one."""
 
 
 WHOLE_STEP = Part()
@@ -258,6 +266,8 @@ class TrainingStep:
                 if name in rendered.images:
                     rendered.put_behind(name, color)
         if state.exposures is not None and frame.index is not None:
+            if kind.exposing:
+                state.exposures.compare(rendered, frame)
             rendered = state.exposures(rendered, frame.index)
         return rendered
 
@@ -288,29 +298,35 @@ class TrainingStep:
             losses = {name: part.weight * loss for name, loss in losses.items()}
         # of sets that this step renders: nothing would hold others against their penalties
         if part.penalised is None:
+            seen = {name: _seen(rendered, name, len(state.gaussian_sets[name])) for name in rendered.infos}
             rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
-            losses |= gaussian_penalties(rendered_sets, _of_penalties(config, kind), state.scene_extent)
+            losses |= gaussian_penalties(rendered_sets, _of_penalties(config, kind), state.scene_extent, seen)
         else:
-            losses |= self._penalties_of_shares(part.penalised, _of_penalties(config, kind))
+            losses |= self._penalties_of_shares(part, _of_penalties(config, kind), rendered)
         if part.calls is not None:
             # Every image takes part, so that every rank's backward pass makes the same exchanges.
             seen = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
             losses[TAKING_PART] = TakingPart.apply(*seen)
         return replace(compared, losses=losses)
 
-    def _penalties_of_shares(self, names: Collection[str], weights: LossConfig) -> dict[str, Tensor]:
-        """Penalties on this rank's share of some sets, which over all ranks add up to those on the sets."""
-        state = self.state
-        total: dict[str, Tensor] = {}
-        for name in names:
-            share = len(state.gaussian_sets[name]) / max(state.num_gaussians(name), 1)
-            if share == 0.0:
-                continue
-            penalties = gaussian_penalties({name: state.gaussian_sets[name]}, weights, state.scene_extent)
-            if name == SHARED:
-                penalties |= self._feature_norm()
-            for term, penalty in penalties.items():
-                total[term] = share * penalty + total.get(term, 0.0)
+    def _penalties_of_shares(self, part: Part, weights: LossConfig, rendered: RenderedFrame) -> dict[str, Tensor]:
+        """Penalties on this rank's share of some sets, which over all ranks add up to those on the sets.
+
+        Whichever rank renders it, the first frame of a step says which Gaussians are seen.
+        """
+        state, names = self.state, list(part.penalised or ())
+        if not names:
+            return {}
+        shares = {name: state.gaussian_sets[name] for name in names}
+        groups = None if part.calls is None else part.calls.of_ranks[0]
+        seen = {name: _seen(rendered, name, len(share), groups) for name, share in shares.items()}
+        numbers = torch.stack([of_set.sum() for of_set in seen.values()]).float()
+        if part.team is not None:
+            part.team.sum_in_place([numbers])
+        total = gaussian_penalties(shares, weights, state.scene_extent, seen, dict(zip(names, numbers)))
+        if SHARED in shares:
+            share = len(shares[SHARED]) / max(state.num_gaussians(SHARED), 1)
+            total |= {term: share * penalty for term, penalty in self._feature_norm().items()}
         return total
 
     def _feature_norm(self) -> dict[str, Tensor]:
@@ -335,6 +351,8 @@ class TrainingStep:
             for gaussians in state.gaussian_sets.values():
                 hold_zeros(gaussians)
         step_unless(blocked, state.optimizers)
+        if state.exposures is not None:
+            state.exposures.follow(blocked)
         state.step += 1
         for name, strategy in state.strategies.items():
             moves = strategy.moves_gaussians and not kind.geometry_held
@@ -350,6 +368,26 @@ class TrainingStep:
                     strategy.observe(infos.get(name, []), blocked)
         losses = {name: loss.detach() for name, loss in done.losses.items()}
         return StepValues(losses, done.squared_errors)
+
+
+def _seen(rendered: RenderedFrame, name: str, number: int, groups: Collection[Group] | None = None) -> Tensor:
+    """Which Gaussians of a set the first camera of its calls sees, bool [N].
+
+    Args:
+        rendered: A render.
+        name: The set's name.
+        number: Of its Gaussians here.
+        groups: Of calls that ranks make together, those of the frame that decides; None: all.
+    """
+    infos = [info for info in rendered.infos.get(name, []) if groups is None or info["group"] in groups]
+    found = [info["visible"].flatten(0, -2)[0] for info in infos]
+    if not found:
+        return torch.zeros(number, dtype=torch.bool, device=next(iter(rendered.images.values())).device)
+    seen = functools.reduce(torch.logical_or, found)
+    if name not in rendered.in_view:
+        return seen
+    whole = torch.zeros(number, dtype=torch.bool, device=seen.device)
+    return whole.index_copy_(0, rendered.in_view[name].indices, seen)
 
 
 def _errors_of_images(rendered: RenderedFrame, frame: FrameTensors, names: Collection[str]) -> dict[str, Tensor]:

@@ -10,9 +10,11 @@ import torch
 
 from thermosplat.config import AutoBudgetConfig, LossConfig, TrainConfig
 from thermosplat.errors import UserError
+from thermosplat.evaluation.training_views import LEARNT
 from thermosplat.image_quality.metrics import psnr
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.scene.model import SceneModel
+from thermosplat.training.budget import image_change
 from thermosplat.training.budget.auto_budget import AutoBudget
 from thermosplat.training.budget.image_change import ImageChange
 from thermosplat.training.budget.offset_shrinkage import drop_offsets
@@ -436,3 +438,22 @@ def test_resumed_run_is_the_same(tmp_path: Path, stop: int, spectra: dict[str, d
     assert resumed.state.best_validation == half.state.best_validation
     advance(resumed, 36)
     assert_same_state(state_tensors(resumed), state_tensors(whole))
+
+
+def test_nothing_goes_of_a_scene_that_is_not_learnt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where renders are no nearer to the images than one colour, their error is no measure of what may go."""
+    monkeypatch.setattr(image_change, "LEARNT", LEARNT)
+    trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
+    advance(trainer, 17)
+    before = trainer.model.num_gaussians
+    advance(trainer, 18)
+    assert trainer.model.num_gaussians == before
+    assert not trainer.state.growing
+    assert "No Gaussians are removed: the scene has not learnt its thermal and RGB images" in capsys.readouterr().out
+    assert trainer.budget is not None
+    degrees = [gaussians.shN.clone() for gaussians in trainer.state.gaussian_sets.values()]
+    trainer.budget.finish(trainer.sh_degree)
+    for gaussians, shN in zip(trainer.state.gaussian_sets.values(), degrees, strict=True):
+        assert torch.equal(gaussians.shN, shN)

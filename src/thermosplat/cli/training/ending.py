@@ -23,7 +23,11 @@ def say_what_and_where(trainer: "Trainer", metrics: dict[str, Any]) -> None:
     print(f"Model: {', '.join(size)}; {metrics['model_bytes'] / 1e6:.1f} MB.")
     for name, width in metrics["point_spreads"].items():
         print(f"Blur of {label(name)} images: {width:.2%} of their width (standard deviation).")
-    for sentence in (*unrefined_sentences(metrics), *correction_sentences(metrics.get("refined", {}))):
+    for sentence in (
+        *unrefined_sentences(metrics),
+        *correction_sentences(metrics.get("refined", {})),
+        *metrics["remarks"],
+    ):
         print(sentence)
     run = trainer.run
     pictures = len(list(run.renders.glob("*.png")))

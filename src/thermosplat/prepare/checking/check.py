@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.colmap.model import find_model, read_model
 from thermosplat.datasets.images.image_files import read_image
+from thermosplat.datasets.parallax import Seen, parallax_remark, triangulation_angle
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, PairRow
 from thermosplat.prepare.checking.check_page import check_page
 from thermosplat.prepare.checking.contact_sheet import row, sheet, shown_thermal
@@ -134,6 +135,13 @@ def _model_findings(capture: CaptureFolder) -> list[Finding]:
     model = read_model(folder)
     names = {str(image.name) for image in model.images}
     found = [Finding("fact", f"{counted(len(model.points), 'sparse point')}.")]
+    cameras = [
+        Seen(image.viewmat, image.lens.colmap_camera().calibration_matrix(), image.lens.width, image.lens.height)
+        for image in model.images
+    ]
+    remark = parallax_remark(triangulation_angle(cameras, model.points))
+    if remark is not None:
+        found.append(Finding("warning", remark))
     for spectrum in (LEADING, OTHER):
         files = [one.file for one in capture.read_frames(spectrum)]
         posed = [file for file in files if f"{spectrum}/{file}" in names]

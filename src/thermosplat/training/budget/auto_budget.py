@@ -9,7 +9,8 @@
   back, too.
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
-  Nothing is removed while it still grows, which ends with the last share at the latest.
+  Nothing is removed while it still grows, which ends with the last share at the latest, nor of a scene that is not
+  learnt: what it may lose is measured against its error.
 - Opacity offsets shrink, and at the last removal those that do next to nothing go (offset_shrinkage.py).
 - At the last removal latent channels become as few as are needed (feature_channels.py).
 - At the end spherical harmonics are dropped (sh_bands.py) and parameters rounded (rounding.py) as far as those images
@@ -27,7 +28,7 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.image_quality.metrics import psnr
 from thermosplat.scene.initial_gaussians import SHARED
-from thermosplat.spectra import label
+from thermosplat.spectra import label, listed
 from thermosplat.training.budget.contributions import contributions
 from thermosplat.training.budget.feature_channels import reduce_features
 from thermosplat.training.budget.image_change import ImageChange
@@ -156,8 +157,10 @@ class AutoBudget:
             return
         model, settings = self.state.model, self.settings
         with kept_on_failure(model.gaussian_sets.parameters()):
-            drop_bands(model, self.frames, sh_degree, self.images(sh_degree), settings.sh_change)
-            round_to_half(model, self.images(sh_degree), settings.rounding_change)
+            change = self.images(sh_degree)
+            if not change.not_learnt:
+                drop_bands(model, self.frames, sh_degree, change, settings.sh_change)
+                round_to_half(model, self.images(sh_degree), settings.rounding_change)
         self.state.trimmed = True
 
     def withholds(self) -> bool:
@@ -292,6 +295,8 @@ class AutoBudget:
         if not any(map(offset_spectra, state.gaussian_sets.values())):
             return
         change = self.images(sh_degree)
+        if change.not_learnt:
+            return
         for name, sensitivities in self._sensitivities(sh_degree, change).items():
             gaussians = state.gaussian_sets[name]
             for spectrum in offset_spectra(gaussians):
@@ -309,6 +314,8 @@ class AutoBudget:
         if state.model.decoders is None:
             return
         change = self.images(sh_degree, self.config)
+        if change.not_learnt:
+            return
         reduce_features(state.model, state.optimizers[SHARED], change, self.settings.feature_change)
 
     def images(self, sh_degree: int, losses: TrainConfig | None = None) -> ImageChange:
@@ -323,6 +330,12 @@ class AutoBudget:
 
     def _prune(self, sh_degree: int) -> None:
         change = self.images(sh_degree)
+        if change.not_learnt:
+            self._say(
+                f"No Gaussians are removed: the scene has not learnt its {listed(change.not_learnt)} images, so that "
+                "nobody knows which of them it needs."
+            )
+            return
         self.remove(
             {
                 name: dispensable(self.state.gaussian_sets[name], values, change, self.settings.prune_change)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
+from thermosplat.evaluation.training_views import LEARNT, one_color_error
 from thermosplat.losses.image_terms import image_terms
 from thermosplat.scene.model import SceneModel
 
@@ -36,14 +37,23 @@ class ImageChange:
         self.losses = losses
         self._before: list[dict[str, Tensor]] = []
         errors: dict[str, list[Tensor]] = {}
+        targets: dict[str, list[Tensor]] = {}
         for frame in frames:
             compared = self._compared(frame)
             self._before.append({name: image for name, (image, _) in compared.items()})
             for name, (image, target) in compared.items():
                 errors.setdefault(name, []).append((image - target).square().mean())
+                if name in model.spectra:
+                    targets.setdefault(name, []).append(target)
         self.errors = {name: max(_mean(found), 1e-12) for name, found in errors.items()}
         """Mean squared error of the images from before, by name of what has ground truth: a spectrum, and by the loss's
         name the channels that it looks at."""
+        least = 10 ** (-LEARNT / 10)
+        self.not_learnt = tuple(
+            name for name, found in targets.items() if self.errors[name] > least * one_color_error(found)
+        )
+        """The spectra whose images are little nearer to the ground truth than one colour is: their error is no measure
+        of what the model may lose."""
 
     def now(self) -> float:
         """Squared change of the images since then, as a share of their squared error; the largest of all."""

@@ -4,6 +4,7 @@ import torch
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.parallax import Seen, parallax_remark, triangulation_angle
 from thermosplat.runs.run_directory import RunDirectory
 
 
@@ -41,4 +42,7 @@ def greeting(
         f"{capture.name}: {num_frames} training and {len(capture.test)} held-out frames, "
         f"{num_gaussians:,} Gaussians{f', from step {step:,}' if step else ''}; results go to {run.path}"
     )
-    return lines
+    views = (next(iter(frame.views.values())) for frame in capture.train)
+    seen = [Seen(view.viewmat, view.camera.K, view.camera.width, view.camera.height) for view in views]
+    remark = parallax_remark(triangulation_angle(seen, capture.points))
+    return lines if remark is None else [*lines, remark]

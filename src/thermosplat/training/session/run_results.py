@@ -1,6 +1,7 @@
 """What a training makes of its model: evaluations of held-out views, and the files of a finished run."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,6 +11,7 @@ from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.evaluation.held_out_poses import Judged, evaluate_refined
 from thermosplat.evaluation.labelled_regions import write_regions
+from thermosplat.evaluation.training_views import remarks, training_views
 from thermosplat.export.scene import scene_splats, write_scene
 from thermosplat.image_quality.lpips import Lpips, find_lpips
 from thermosplat.refinement.camera_report import write_cameras
@@ -65,7 +67,7 @@ class RunResults:
         """Judge the model by the held-out views, say and write the numbers.
 
         Args:
-            at_the_end: Also write strips and the numbers of every view.
+            at_the_end: Also write strips and the numbers of every view, and look at training views beside them.
         """
         step = self._state.step
         judged = evaluate_refined(
@@ -78,6 +80,12 @@ class RunResults:
             strips_dir=self._run.renders if at_the_end else None,
             csv_path=self._run.stats / "per_view.csv" if at_the_end else None,
         )
+        if at_the_end:
+            degree = sh_degree_at(self._config, step)
+            known = training_views(self._state.model, judged.capture, sh_degree=degree, device=self._device)
+            judged = replace(judged, metrics={**judged.metrics, "training_views": known})
+            lines = remarks(judged.metrics, self._config.budget == "fixed")
+            judged = replace(judged, metrics={**judged.metrics, "remarks": lines})
         self._logger.evaluation(step, judged.metrics)
         self._run.write_json(self._run.stats / f"step_{step:06d}.json", judged.metrics)
         return judged

@@ -24,6 +24,9 @@ from thermosplat.training.swept_depths.plane_sweep import FEWEST, SweptView, swe
 Size = tuple[int, int]
 MOST_POINTS = 100_000
 """Of more points, evenly chosen ones say between which depths to search."""
+AGREED = 0.05
+"""Share of their pixels in which views must agree on depths, or none of them is used: what a few agree on by chance is
+wrong. Open choice: captures taken in walking have 0.3 and more, one taken by turning on the spot 0.00."""
 
 
 class SweptDepths:
@@ -83,13 +86,16 @@ class SweptDepths:
                 continue
             say(f"Sweeping {len(views)} {label(name)} images for depths.")
             known = _known_depths(views, points)
+            share = torch.cat([~depth.isnan().flatten() for depth in known.values()]).float().mean().item()
+            if share < AGREED:
+                say(f"They agree on depths in {share:.0%} of their pixels, too few: no depths are used.")
+                continue
             for size in {depth.shape for depth in known.values()}:
                 some = [i for i, depth in known.items() if depth.shape == size]
                 key = name, (size[0], size[1])
                 found[key] = torch.stack([known[i] for i in some])
                 rows[key] = torch.full((len(frames),), -1, device=frames.device)
                 rows[key][some] = torch.arange(len(some), device=frames.device)
-            share = torch.cat([~depth.isnan().flatten() for depth in known.values()]).float().mean().item()
             say(f"They agree on depths in {share:.0%} of their pixels.")
         return cls(weights, config.loss.swept_depth_limit, found, rows)
 
