@@ -11,20 +11,23 @@ from numpy.typing import NDArray
 
 from thermosplat.config.values import shown
 from thermosplat.errors import UserError
-from thermosplat.spectra import CELSIUS, COUNTS, TEMPERATURE_UNITS
+from thermosplat.spectra import CELSIUS, COUNTS, TEMPERATURE_UNITS, unit_named
 
 _TO_CELSIUS: dict[str, tuple[float, float]] = {
     "kelvin": (1.0, -273.15),
     "decikelvin": (0.1, -273.15),
     "centikelvin": (0.01, -273.15),
+    "millikelvin": (0.001, -273.15),
     "celsius": (1.0, 0.0),
+    "decicelsius": (0.1, 0.0),
     "centicelsius": (0.01, 0.0),
+    "fahrenheit": (5 / 9, -32 * 5 / 9),
 }
 """Factor and offset of each unit with degrees."""
-_SPELLINGS = {"k": "kelvin", "c": "celsius", "degc": "celsius", "°c": "celsius", "dn": COUNTS}
 _POSSIBLE_CELSIUS = (-150.0, 3000.0)
 """Temperatures [°C] outside of which a stated unit must be wrong; a clear sky reads as low as about -100."""
-_ABSOLUTE_ZERO = -273.15
+ABSOLUTE_ZERO = -273.15
+"""[°C]."""
 _HOTTEST_RANGE = 10_000.0
 """Highest end of a stated range [°C]: beyond the range of any thermal camera."""
 _LARGEST_JSON = 1 << 26
@@ -83,6 +86,40 @@ def judge_unit(low: float, high: float, *, integer: bool) -> str:
     return COUNTS
 
 
+def fill_value(values: NDArray[Any], *, integer: bool, unit: str | None) -> float | None:
+    """The value that stands for none, where the others can be temperatures and all together cannot.
+
+    Args:
+        values: The values, [N]. One that stands for none is the lowest or the highest of them.
+        integer: The files hold integers.
+        unit: The stated unit; None: usual temperatures of any unit are looked for.
+    """
+
+    def are_temperatures(some: NDArray[Any]) -> bool:
+        ends = value_ends(some)
+        return judge_unit(*ends, integer=integer) != COUNTS if unit is None else is_plausible(*ends, unit)
+
+    if unit == COUNTS or are_temperatures(values):
+        return None
+    for end in (values.min(), values.max()):
+        others = values[values != end]
+        if len(others) and are_temperatures(others):
+            return float(end)
+    return None
+
+
+def value_ends(values: NDArray[Any]) -> tuple[float, float]:
+    """Low and high end of values [N] without their tails, in which dead pixels are."""
+    low, high = (float(end) for end in np.percentile(values, [1, 99]))
+    return low, high
+
+
+def is_plausible(low: float, high: float, unit: str) -> bool:
+    """Whether a range of values can be temperatures in a unit."""
+    factor, offset = _TO_CELSIUS[unit]
+    return low * factor + offset >= _POSSIBLE_CELSIUS[0] and high * factor + offset <= _POSSIBLE_CELSIUS[1]
+
+
 def check_plausible(low: float, high: float, unit: str, folder: str, spectrum: str) -> None:
     """Refuse a stated unit in which the values are impossible.
 
@@ -96,10 +133,7 @@ def check_plausible(low: float, high: float, unit: str, folder: str, spectrum: s
     Raises:
         UserError: The values are outside of what anything measured can be; the hint names the unit they look like.
     """
-    if unit == COUNTS:
-        return
-    factor, offset = _TO_CELSIUS[unit]
-    if low * factor + offset >= _POSSIBLE_CELSIUS[0] and high * factor + offset <= _POSSIBLE_CELSIUS[1]:
+    if unit == COUNTS or is_plausible(low, high, unit):
         return
     if low == high == 0:
         raise UserError(
@@ -168,9 +202,9 @@ def celsius_range(content: dict[str, Any], path: Path, low_key: str, high_key: s
         raise UserError(f"{path} must give both {low_key} and {high_key} as numbers [°C].") from error
     if not low < high:
         raise UserError(f"{path}: {low_key} ({low:g}) must be below {high_key} ({high:g}).")
-    if low < _ABSOLUTE_ZERO or high > _HOTTEST_RANGE:
+    if low < ABSOLUTE_ZERO or high > _HOTTEST_RANGE:
         raise UserError(
-            f"{path}: {low_key} ({low:g}) and {high_key} ({high:g}) must lie between {_ABSOLUTE_ZERO:g} and "
+            f"{path}: {low_key} ({low:g}) and {high_key} ({high:g}) must lie between {ABSOLUTE_ZERO:g} and "
             f"{_HOTTEST_RANGE:,.0f} °C.",
             "Are they in °C?",
         )
@@ -178,14 +212,11 @@ def celsius_range(content: dict[str, Any], path: Path, low_key: str, high_key: s
 
 
 def _unit(stated: Any, path: Path, spectrum: str) -> str:
-    """A unit by its name, whatever the case and hyphenation ("centi-Kelvin")."""
-    plain = (
-        (stated if isinstance(stated, str) else "").strip().lower().replace("-", "").replace("_", "").replace(" ", "")
-    )
-    if plain in _SPELLINGS:
-        return _SPELLINGS[plain]
-    for unit in (*_TO_CELSIUS, COUNTS):
-        if plain == unit:
-            return unit
-    known = ", ".join((*_TO_CELSIUS, COUNTS))
-    raise UserError(f"{path} names the unit {shown(stated)}; known are {known}.", f"Or say it with --{spectrum}.unit.")
+    """A unit by its name, in any usual spelling."""
+    unit = unit_named(stated) if isinstance(stated, str) else None
+    if unit not in _TO_CELSIUS and unit != COUNTS:
+        known = ", ".join((*_TO_CELSIUS, COUNTS))
+        raise UserError(
+            f"{path} names the unit {shown(stated)}; known are {known}.", f"Or say it with --{spectrum}.unit."
+        )
+    return unit

@@ -27,7 +27,7 @@ from thermosplat.prepare.importing.thermal_values import (
 from thermosplat.prepare.progress import tracked
 from thermosplat.prepare.whole_files import write_png
 from thermosplat.runs.atomic_writes import write_bytes
-from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, THERMAL
+from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, THERMAL, unit_named
 from thermosplat.thermal.planck_counts import ZERO_CELSIUS
 from thermosplat.thermal.radiometry import Palette
 
@@ -62,6 +62,8 @@ class ThermalOptions:
     mirror: bool = False
 
     def __post_init__(self) -> None:
+        if self.unit is not None:
+            object.__setattr__(self, "unit", unit_named(self.unit))
         if self.unit is not None and self.unit not in (*TEMPERATURE_UNITS, COUNTS):
             known = ", ".join((*TEMPERATURE_UNITS, COUNTS))
             raise UserError(f"--unit {self.unit} is not known.", f"Known are {known}.")
