@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from thermosplat.config.values import shown
 from thermosplat.errors import UserError
+from thermosplat.regular_files import read_regular
 from thermosplat.spectra import CELSIUS, COUNTS, TEMPERATURE_UNITS, unit_named
 
 _TO_CELSIUS: dict[str, tuple[float, float]] = {
@@ -86,13 +87,18 @@ def judge_unit(low: float, high: float, *, integer: bool) -> str:
     return COUNTS
 
 
-def fill_value(values: NDArray[Any], *, integer: bool, unit: str | None) -> float | None:
-    """The value that stands for none, where the others can be temperatures and all together cannot.
+def check_filled(values: NDArray[Any], unit: str | None, folder: str, flag: str, *, integer: bool) -> None:
+    """Refuse values of which many stand for none: without their lowest or highest they could be temperatures.
 
     Args:
-        values: The values, [N]. One that stands for none is the lowest or the highest of them.
-        integer: The files hold integers.
+        values: The values, [N].
         unit: The stated unit; None: usual temperatures of any unit are looked for.
+        folder: Where the values come from, for the message.
+        flag: What says that they are counts.
+        integer: The files hold integers.
+
+    Raises:
+        UserError: All together they cannot be temperatures, and without that value they can.
     """
 
     def are_temperatures(some: NDArray[Any]) -> bool:
@@ -100,12 +106,17 @@ def fill_value(values: NDArray[Any], *, integer: bool, unit: str | None) -> floa
         return judge_unit(*ends, integer=integer) != COUNTS if unit is None else is_plausible(*ends, unit)
 
     if unit == COUNTS or are_temperatures(values):
-        return None
+        return
     for end in (values.min(), values.max()):
-        others = values[values != end]
-        if len(others) and are_temperatures(others):
-            return float(end)
-    return None
+        filled = values == end
+        if not filled.all() and are_temperatures(values[~filled]):
+            otherwise = f" If they are measured values of a sensor: {flag}" if unit is None else ""
+            raise UserError(
+                f"{filled.mean():.1%} of the values in {folder} are {end:,.6g}, and all others can be temperatures: "
+                "these pixels are without a value.",
+                "Fill them, export the files again, or say with masks that they do not count (docs/data-layouts.md)."
+                + otherwise,
+            )
 
 
 def value_ends(values: NDArray[Any]) -> tuple[float, float]:
@@ -177,9 +188,10 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _LARGEST_JSON:
             raise ValueError(f"it has more than {_LARGEST_JSON:,} bytes")
-        content = json.loads(path.read_bytes())  # in UTF-8, with a byte-order mark or without, or UTF-16
+        content = json.loads(read_regular(path))  # in UTF-8, with a byte-order mark or without, or UTF-16
     except (OSError, ValueError, RecursionError) as error:
         reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        reason = getattr(error, "strerror", None) or reason
         raise UserError(f"{path} is not readable JSON: {reason}.", "Restore it, or export it again.") from error
     if not isinstance(content, dict):
         raise UserError(f"{path} must hold a JSON object, found a {type(content).__name__}.", "Is it the right file?")

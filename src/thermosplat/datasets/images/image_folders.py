@@ -82,9 +82,11 @@ def _images_in(folder: Path) -> str | None:
         return None
     images = list_images(folder, recursive=True)
     unread = unread_note(folder)
-    if images or unread is not None:
-        first = f" (first: {shown_path(images[0], folder.parent)})" if images else ""
-        return " ".join([f"{folder.name}/ holds {len(images)} images{first}.", *filter(None, [unread])])
+    if images:
+        first = f"{folder.name}/ holds {len(images)} images (first: {shown_path(images[0], folder.parent)})."
+        return first if unread is None else f"{first} {unread}"
+    if unread is not None:
+        return unread
     files = files_below(folder)
     if not files:
         return f"{folder.name}/ is empty."

@@ -110,7 +110,7 @@ def read_shot(shot: Shot, source: Source) -> SpectrumFile:
     """
     path, image, mask = shot.path, *_read(shot.path, shot.mask)
     if source == "photograph":
-        return SpectrumFile(path, _as_rgb(path, image), mask=mask)
+        return SpectrumFile(path, as_rgb(path, image), mask=mask)
     raw_path = None if shot.raw == path else shot.raw
     beside, beside_mask = (None, None) if raw_path is None else _read(raw_path, shot.mask)
     if beside is not None and not is_radiometric(beside):
@@ -145,8 +145,16 @@ def _in_words(image: NDArray[Any]) -> str:
     return f"an image of {image.shape[2] if image.ndim == 3 else 1} channels ({image.dtype})"
 
 
-def _as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
-    """8-bit RGB of a photograph: 16 bits are reduced, grey is repeated."""
+def as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
+    """8-bit RGB [H, W, 3] of a photograph: 16 bits are reduced, grey is repeated.
+
+    Args:
+        path: Its file, for messages.
+        image: What was read of it.
+
+    Raises:
+        UserError: It has other values.
+    """
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     image = _require_8bit(path, image)

@@ -24,8 +24,8 @@ from thermosplat.spectra import CELSIUS, COUNTS, SpectrumConfig, folder_names, l
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermal.temperature_units import (
     RadiometricStatement,
+    check_filled,
     check_plausible,
-    fill_value,
     judge_unit,
     may_be_temperature,
     measured_unit,
@@ -153,15 +153,7 @@ def _unit_of(
     low, high = value_ends(values)
     folder, integer = _folder_name(raws[0].raw_path or raws[0].path), values.dtype.kind in "iu"
     stated = config.unit if config.unit != "auto" else statement.unit
-    fill = fill_value(values, integer=integer, unit=stated)
-    if fill is not None:
-        otherwise = f" If they are measured values of a sensor: --{name}.unit counts" if stated is None else ""
-        raise UserError(
-            f"{np.mean(values == fill):.1%} of the values in {folder} are {fill:,.6g}, and all others can be "
-            "temperatures: these pixels are without a value.",
-            "Fill them, export the files again, or say with masks that they do not count (docs/data-layouts.md)."
-            f"{otherwise}",
-        )
+    check_filled(values, stated, folder, f"--{name}.unit counts", integer=integer)
     if stated is not None:
         check_plausible(low, high, stated, folder, name)
         unit = stated

@@ -38,7 +38,10 @@ _COMPRESSIONS = {
 }
 CMYK = 5
 _COLORS = {CMYK: "CMYK", 8: "CIE L*a*b*", 32803: "a colour filter array", 34892: "linear raw"}
-_REMEDY = "Save it anew as grey, RGB or one band of values: gdal_translate -b 1 IN.tif OUT.tif"
+_REMEDY = (
+    "Save it anew as grey or RGB (magick IN.tif -colorspace sRGB OUT.png), or one band of it: "
+    "gdal_translate -b 1 IN.tif OUT.tif"
+)
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said here
 
@@ -94,15 +97,17 @@ def _unread(tags: TiffTags) -> str | None:
 
 _OF_OPENCV = (1, 5, 6, 7, 8, 32773, 32946)
 """Compressions that the wheels of OpenCV have."""
+_NUMBERS_OF_OPENCV = ((16, UNSIGNED), (16, SIGNED), (32, SIGNED), (32, FLOATING), (64, FLOATING))
+"""Those of more than 8 bits, since OpenCV 4.10."""
 
 
 def _opencv_is_right(tags: TiffTags) -> bool:
     """Whether OpenCV gives the samples as they are stored: measured on every combination of the tags (the tests)."""
     in_one_place = not tags.planar
-    if tags.bits in (16, 32, 64):
+    if (tags.bits, tags.sample_format) in _NUMBERS_OF_OPENCV:
         colored = tags.samples in (3, 4) and tags.photometric == RGB
         grey = tags.samples == 1 and tags.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO)
-        return in_one_place and (colored or grey) and (tags.bits, tags.sample_format) != (16, FLOATING)
+        return in_one_place and (colored or grey)
     if tags.bits == 8 and tags.sample_format == UNSIGNED:
         if tags.samples == 1:
             return tags.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO, PALETTE)
