@@ -62,4 +62,6 @@ def test_links_to_folders(tmp_path: Path) -> None:
     for name, target in links.items():
         (inside / name).symlink_to(target)
     (tmp_path / "disk" / "back").symlink_to(inside)
+    assert files_below(inside / "1") == [inside / "1" / "a", inside / "1" / "back" / "b"]
+    assert [files_below(inside / name) for name in "34567"] == [[]] * 5
     assert files_below(tmp_path / "capture") == [inside / "1" / "a", inside / "b"]

@@ -60,8 +60,8 @@ def files_in(folder: Path) -> list[Path]:
 def files_below(folder: Path) -> list[Path]:
     """The regular files of a folder at any depth, sorted, also in folders that are links.
 
-    Each folder counts once, as links may go in a circle. Links to folders that the folder itself lies in, and to the
-    system's own, are not followed.
+    Each folder counts once, as links may go in a circle. A link to a folder that it lies in, and one to the system's
+    own, is not followed.
 
     Args:
         folder: The folder; need not exist.
@@ -70,17 +70,23 @@ def files_below(folder: Path) -> list[Path]:
 
 
 def _walk(folder: Path) -> Iterator[Path]:
+    place_of_link = os.path.realpath(folder.parent) if os.path.islink(folder) else None
     top = os.path.realpath(folder)
     seen = set()
     for place, folders, files in os.walk(folder, followlinks=True):
         real = os.path.realpath(place)
-        above = real != top and os.path.commonpath([real, top]) == real
-        if real in seen or above or any(os.path.commonpath([real, system]) == system for system in _SYSTEM):
+        inside = top if real != top else place_of_link
+        if real in seen or (inside is not None and _holds(real, inside)) or any(_holds(one, real) for one in _SYSTEM):
             folders.clear()
             continue
         seen.add(real)
         folders.sort()
         yield from (path for name in files if os.path.isfile(path := Path(place, name)))
+
+
+def _holds(folder: str, path: str) -> bool:
+    """Whether a path is a folder or lies in it."""
+    return os.path.commonpath([folder, path]) == folder
 
 
 def _check_regular(path: Path, mode: int) -> None:

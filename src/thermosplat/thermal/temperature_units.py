@@ -112,8 +112,8 @@ def check_filled(values: NDArray[Any], unit: str | None, folder: str, flag: str,
         if not filled.all() and are_temperatures(values[~filled]):
             otherwise = f" If they are measured values of a sensor: {flag}" if unit is None else ""
             raise UserError(
-                f"{filled.mean():.1%} of the values in {folder} are {end:,.6g}, and all others can be temperatures: "
-                "these pixels are without a value.",
+                f"About {filled.mean():.1%} of the values in {folder} are {end:,.6g}, and all others can be "
+                "temperatures: these pixels are without a value.",
                 "Fill them, export the files again, or say with masks that they do not count (docs/data-layouts.md)."
                 + otherwise,
             )

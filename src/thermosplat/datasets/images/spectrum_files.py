@@ -74,14 +74,14 @@ def read_spectrum(
 
 
 def _constant_notes(name: str, files: Sequence[SpectrumFile]) -> list[str]:
-    """A warning (none or one) of images that show one value everywhere."""
+    """A warning (none or one) of images that have one value everywhere."""
     constant = [file for file in files if _is_constant(file)]
     if not constant:
         return []
-    which = f"All {len(files)}" if len(constant) == len(files) else f"{len(constant)} of {len(files)}"
+    have = "has" if len(constant) == 1 else "have"
     return [
-        f"{which} {label(name)} images show one value everywhere (first: {constant[0].path.name}): was the shutter "
-        "closed, or the lens covered? Nothing can be learnt from them."
+        f"{len(constant)} of {len(files)} {label(name)} images {have} one value everywhere (first: "
+        f"{constant[0].path.name}): a closed shutter, a covered lens or a damaged file? Nothing can be learnt there."
     ]
 
 

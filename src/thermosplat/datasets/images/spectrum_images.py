@@ -255,7 +255,7 @@ def _far_notes(files: Sequence[SpectrumFile], name: str) -> list[str]:
         return []
     others = values[values != far]
     return [
-        f"{np.mean(values == far):.1%} of the {label(name)} values are {far:,.6g}, far from all others "
+        f"About {np.mean(values == far):.1%} of the {label(name)} values are {far:,.6g}, far from all others "
         f"({others.min():,.6g} to {others.max():,.6g}): without a value, or saturated? Mask them "
         f"(docs/data-layouts.md), or state the range: --{name}.range MIN MAX"
     ]
