@@ -137,7 +137,7 @@ def _thermal_images(capture: CaptureFolder, names: Sequence[str]) -> list[NDArra
                 image = read_image(path)
             except UserError as error:
                 raise UserError(
-                    f"A thermal image of pairs.csv cannot be used. {error.message}",
+                    f"{path} is listed in pairs.csv and cannot be read. {error.message}",
                     f"Import and pair again: thermosplat-prepare pair {capture.root}",
                 ) from error
             read.append(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
