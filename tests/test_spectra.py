@@ -18,6 +18,7 @@ from thermosplat.spectra import (
     listed,
     model_spectra,
     unit_label,
+    unit_named,
 )
 
 NIR = SpectrumConfig()
@@ -117,3 +118,25 @@ def test_lists_of_labels() -> None:
 def test_units_for_people() -> None:
     """Temperatures have a sign; other units are their name."""
     assert (unit_label("celsius"), unit_label("reflectance")) == ("°C", "reflectance")
+
+
+@pytest.mark.parametrize(
+    ("unit", "words"),
+    [
+        ("kelvin", ["Kelvin", "K", "kelvins", " degK ", "°K", "deg K"]),
+        ("centikelvin", ["centikelvins", "Centi-Kelvin", "centi_kelvin", "cK", "centiK"]),
+        ("decikelvin", ["decikelvin", "dK"]),
+        ("millikelvin", ["mK", "milli kelvin"]),
+        ("celsius", ["Celsius", "C", "°C", "degC", "deg_C", "℃", "degrees Celsius", "Centigrade", "º C"]),
+        ("centicelsius", ["centi-degrees C", "centidegC", "centicelsius"]),
+        ("fahrenheit", ["F", "°F", "degF", "Fahrenheit", "℉"]),
+        ("counts", ["counts", "Count", "DN", "ADU", "digital numbers"]),
+        ("auto", ["auto", "Auto"]),
+        ("reflectance", ["reflectance"]),
+        ("W/m2", ["W/m2"]),
+    ],
+)
+def test_units_in_any_usual_spelling(unit: str, words: list[str]) -> None:
+    """A spectrum has the unit by its own name, however it was written; another word is a unit of the user's own."""
+    assert [unit_named(word) for word in words] == [unit] * len(words)
+    assert SpectrumConfig(unit=words[0]).unit == unit

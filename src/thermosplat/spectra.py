@@ -6,6 +6,7 @@ adds others in a few lines (docs/spectra.md). Nothing in the package asks for a 
 This file imports nothing heavy, so that ``thermosplat-train --help`` answers at once.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -17,7 +18,10 @@ ColorSpace = Literal["photograph", "color", "scalar"]
 
 CELSIUS = "celsius"
 """The unit in which temperatures are kept and reported."""
-TEMPERATURE_UNITS = ("kelvin", "decikelvin", "centikelvin", CELSIUS, "centicelsius")
+TEMPERATURE_UNITS = (
+    *("kelvin", "decikelvin", "centikelvin", "millikelvin"),
+    *(CELSIUS, "decicelsius", "centicelsius", "fahrenheit"),
+)
 """Units of radiometric files that are turned into °C."""
 BUILT_IN_PALETTES = ("grey", "iron")
 """Names of palettes that need no file."""
@@ -25,6 +29,12 @@ MAE = "mae_"
 """Begin of the name of a mean absolute error of measured values; the unit follows: mae_celsius."""
 COUNTS = "counts"
 """The unit of raw sensor values: none."""
+_SPELLINGS = {
+    **{"k": "kelvin", "dk": "decikelvin", "ck": "centikelvin", "mk": "millikelvin"},
+    **{"c": CELSIUS, "centigrade": CELSIUS, "f": "fahrenheit"},
+    **{"count": COUNTS, "dn": COUNTS, "adu": COUNTS, "rawcounts": COUNTS, "digitalnumber": COUNTS},
+}
+"""Other words for units, without case, signs, "degrees" and a plural's s."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +48,9 @@ class SpectrumConfig:
     """What its images are. "photograph": colours. "color": pseudo-colours, whose palette gives a scalar. "raw": one
     value per pixel. "auto": pseudo-colours where the capture has them, else values."""
     unit: str = COUNTS
-    """Unit of its values. kelvin, decikelvin, centikelvin, celsius, centicelsius: temperatures, reported in °C.
-    "auto": the capture's own statement (units.json), else judged by the values. "counts": none. Any other word is the
-    unit's name, such as reflectance."""
+    """Unit of its values. kelvin, celsius, their tenths, hundredths and (of kelvin) thousandths such as centikelvin,
+    fahrenheit: temperatures, reported in °C, in any usual spelling. "auto": the capture's own statement (units.json),
+    else judged by the values. "counts": none. Any other word is the unit's name, such as reflectance."""
     factor: float = 1.0
     """What values of its files are multiplied by to be in that unit; not for temperatures."""
     range: tuple[float, float] | None = None
@@ -103,6 +113,25 @@ class SpectrumConfig:
     thermal."""
     train_until: float = 1.0
     """Share of the steps after the last that trains on its images. ThermalGaussian MFTG 0.5 for RGB."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", unit_named(self.unit))
+
+
+def unit_named(word: str) -> str:
+    """A unit by any usual spelling: "Kelvin", "°C", "deg C", "centi-kelvins", "mK"; another word as it is.
+
+    Args:
+        word: What somebody calls it; what is no text stays for the check of types.
+    """
+    plain = re.sub(r"[\s_°º.-]", "", str(word).replace("℃", "C").replace("℉", "F")).lower()
+    plain = re.sub(r"^(deci|centi|milli|)(degrees?|deg)", r"\1", plain)
+    for name in (plain, plain.removesuffix("s")):
+        unit = re.sub(r"^(deci|centi|milli)(k|c|centigrade)$", lambda parts: parts[1] + _SPELLINGS[parts[2]], name)
+        unit = _SPELLINGS.get(unit, unit)
+        if unit in (*TEMPERATURE_UNITS, COUNTS, "auto"):
+            return unit
+    return word
 
 
 RGB = SpectrumConfig(

@@ -21,6 +21,7 @@ from capture_folders import (
 )
 from thermosplat.datasets import Capture, large_captures, load_capture
 from thermosplat.datasets.images import spectrum_files
+from thermosplat.datasets.images.image_files import ImagePixels
 from thermosplat.datasets.large_captures import GIGABYTE, allowed_memory
 from thermosplat.errors import UserError
 
@@ -124,11 +125,11 @@ def test_few_images_are_read_at_the_start(tmp_path: Path, monkeypatch: pytest.Mo
     write_rgbt_scenes(tmp_path, 20, folders=False)
     read = []
 
-    def read_image(path: Path, usual=spectrum_files.read_image) -> np.ndarray:
+    def read_pixels(path: Path, usual=spectrum_files.read_pixels) -> ImagePixels:
         read.append(path)
         return usual(path)
 
-    monkeypatch.setattr(spectrum_files, "read_image", read_image)
+    monkeypatch.setattr(spectrum_files, "read_pixels", read_pixels)
     capture = load_capture(tmp_path, image_memory=NOTHING)
     assert sorted(f"{path.parent.name}/{path.stem}" for path in read) == [
         f"{folder}/{number}" for folder in ("rgb", "thermal") for number in ("0000", "0010", "0019")

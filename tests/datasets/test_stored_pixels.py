@@ -12,7 +12,7 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.images import jpeg_warnings
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.read_ahead import read_ahead
-from thermosplat.datasets.stored_pixels import ImageLostError
+from thermosplat.datasets.stored_pixels import ImageLostError, TrainedPixels
 from thermosplat.spectra import DEFAULT_SPECTRA
 
 
@@ -30,7 +30,7 @@ def test_what_training_takes(capture: Capture) -> None:
     """Bytes, and of pseudo-colours their intensity, as it is found in memory."""
     views = capture.train[0].views
     assert views["rgb"].stored.read_to_train().intensity is None
-    image, intensity = views["thermal"].stored.read_to_train()
+    image, intensity, _ = views["thermal"].stored.read_to_train()
     assert image.dtype == np.uint8
     np.testing.assert_array_equal(intensity, capture.scales["thermal"].palette.to_intensity(image), strict=True)
     assert views["thermal"].stored.trained_bytes == image.nbytes + intensity.nbytes
@@ -42,7 +42,7 @@ def test_a_kept_image_outlives_its_file(capture: Capture, tmp_path: Path) -> Non
     (tmp_path / "run").mkdir()
     assert "until the training ends" in keep_images(capture, tmp_path / "run")[0]
     stored = capture.train[0].views["thermal"].stored
-    image, intensity = stored.read_to_train()
+    image, intensity, _ = stored.read_to_train()
     values = stored.read().values
     for path in capture.root.rglob("*.png"):
         path.unlink()
@@ -68,7 +68,7 @@ def test_what_is_damaged_on_the_disk_is_made_again(capture: Capture, tmp_path: P
         whole = file.read_bytes()
         file.write_bytes(whole[:200] + bytes(len(whole) - 200))
         image, intensity = np.zeros_like(expected.image), np.zeros_like(expected.intensity)
-        stored.read_into(image, intensity)
+        stored.read_into(TrainedPixels(image, intensity))
         np.testing.assert_array_equal(image, expected.image)
         np.testing.assert_array_equal(intensity, expected.intensity)
         np.testing.assert_array_equal(stored.read().values, values, strict=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
 from thermosplat.evaluation.held_out import evaluate
 from thermosplat.image_quality.metrics import psnr, ssim
@@ -60,6 +60,35 @@ def test_temperature_error(kind: str) -> None:
     render = hotter[..., None] if kind == "scalar" else torch.as_tensor(FLIR_IRON.to_color(hotter.numpy()))
     metrics = run(FixedImages(torch.zeros(HEIGHT, WIDTH, 3), render), capture)
     assert metrics["thermal"]["mae_celsius"] == pytest.approx(2.0, abs=1e-4 if kind == "scalar" else 0.02)
+
+
+def test_masked_pixels_do_not_count(tmp_path: Path) -> None:
+    """Whatever is rendered there: all numbers and the strip are those of the other pixels."""
+    mask = np.ones((HEIGHT, WIDTH), np.bool_)
+    mask[:, WIDTH // 2 :] = False
+
+    def masked(frame: Frame) -> Frame:
+        thermal = frame.views["thermal"]
+        values = np.where(mask, np.float32(20), np.float32(np.nan))
+        views = {"rgb": frame.views["rgb"], "thermal": dataclasses.replace(thermal, values=values)}
+        return dataclasses.replace(frame, views={n: dataclasses.replace(v, mask=mask) for n, v in views.items()})
+
+    capture = toy_capture(thermal_kind="scalar")
+    capture = dataclasses.replace(capture, test=tuple(map(masked, capture.train)))
+    seen = torch.as_tensor(mask)[..., None]
+    found = []
+    for beyond in (0.0, 1.0):
+        images = [torch.where(seen, 0.5, beyond).expand(-1, -1, channels) for channels in (3, 1)]
+        folder = tmp_path / str(beyond)
+        found.append(run(FixedImages(*images), capture, lpips=lambda one, other: float((one - other).mean())))
+        run(FixedImages(*images), capture, strips_dir=folder)
+    assert found[0] == found[1]
+    assert found[0]["thermal"]["mae_celsius"] is not None
+    strips = [cv2.imread(str(next((tmp_path / name).glob("*.png")))) for name in ("0.0", "1.0")]
+    assert (strips[0] != strips[1]).any()  # the render itself is shown as it is
+    half = torch.full((HEIGHT, WIDTH, 3), 0.5)
+    target = torch.as_tensor(capture.test[0].views["rgb"].image / 255.0, dtype=torch.float32)
+    assert found[0]["rgb"]["psnr"] == pytest.approx(psnr(half[:, : WIDTH // 2], target[:, : WIDTH // 2]), abs=1e-4)
 
 
 def test_means_csv_and_clamping(tmp_path: Path) -> None:

@@ -1,9 +1,13 @@
 """Changed images of every format: pixels, or one sentence; never other pixels where there is a checksum."""
 
+import importlib.util
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import tifffile
 
 from capture_folders import rgb_image, temperatures
 from fuzzing import Fuzzer, changed_bytes, main, number_of_cases, run_apart
@@ -35,10 +39,32 @@ def formats() -> dict[str, list[bytes]]:
             encoded(".tiff", np.float32(celsius)),
             *(encoded(".tiff", np.uint16(100 * celsius), cv2.IMWRITE_TIFF_COMPRESSION, kind) for kind in (1, 5, 8)),
             encoded(".tiff", color),
+            *_of_tifffile(color, celsius),
         ],
         ".bmp": [encoded(".bmp", color), encoded(".bmp", grey)],
         ".webp": [encoded(".webp", color), encoded(".webp", alpha, cv2.IMWRITE_WEBP_QUALITY, 101)],
     }
+
+
+def _of_tifffile(color: np.ndarray, celsius: np.ndarray) -> list[bytes]:
+    """Kinds that OpenCV does not read: planes, alpha, NoData, orientation, tiles, numbers of 64 bits."""
+    levels = np.uint16(100 * celsius)
+    with_alpha = np.dstack([levels, np.full_like(levels, 65535)])
+    kinds: list[tuple[np.ndarray, dict[str, Any]]] = [
+        (np.moveaxis(np.uint16(color) * 257, -1, 0), {"photometric": "rgb", "planarconfig": "separate"}),
+        (with_alpha, {"photometric": "minisblack", "planarconfig": "contig", "extrasamples": ["unassalpha"]}),
+        (np.dstack([color, color[..., :2]]), {"photometric": "rgb", "tile": (16, 16), "extrasamples": [2, 0]}),
+        (np.float16(celsius), {"bigtiff": True, "extratags": [(42113, 2, 0, "-9999", True)]}),
+        (np.int16(levels), {"byteorder": ">", "extratags": [(274, 3, 1, 6, True)], "rowsperstrip": 7}),
+    ]
+    if importlib.util.find_spec("imagecodecs") is not None:
+        kinds += [(image, {**how, "compression": code}) for image, how in kinds[:3] for code in ("lzw", "zlib", "zstd")]
+    files = []
+    for image, how in kinds:
+        file = BytesIO()
+        tifffile.imwrite(file, image, metadata=None, **how)
+        files.append(file.getvalue())
+    return files
 
 
 def make(root: Path) -> Fuzzer:

@@ -33,6 +33,21 @@ def test_psnr_clamps_the_render() -> None:
     assert psnr(torch.tensor([-3.0, 7.0]).expand(4, 4, 2), target) == math.inf
 
 
+def test_masked_pixels_do_not_count() -> None:
+    """PSNR is that of the others alone; SSIM's windows that reach beyond them find the truth there."""
+    generator = torch.Generator().manual_seed(2)
+    target = torch.rand(30, 25, 3, generator=generator)
+    render = (target + 0.1 * torch.randn(30, 25, 3, generator=generator)).clamp(0, 1)
+    mask = torch.ones(30, 25, dtype=torch.bool)
+    mask[:12] = False
+    wrong = torch.where(mask[..., None], render, 0.0)
+    assert psnr(wrong, target, mask) == pytest.approx(psnr(render[12:], target[12:]), abs=1e-4)
+    right = torch.where(mask[..., None], render, target)
+    assert ssim(wrong, target, mask) == ssim(right, target, mask) < ssim(right, target)
+    assert ssim(wrong, target, torch.ones_like(mask)) == ssim(wrong, target)
+    assert math.isnan(psnr(wrong, target, torch.zeros_like(mask)))
+
+
 def test_psnr_of_a_broken_render() -> None:
     """A single NaN makes it NaN: it must not pass for a perfect image."""
     render = torch.full((4, 4, 3), 0.5)

@@ -130,6 +130,66 @@ def test_one_spectrum_alone() -> None:
     assert list(frame_losses(thermal, frame, TrainConfig())) == ["thermal", "features_thermal", "thermal_smoothness"]
 
 
+def masked_frame(frame: FrameTensors) -> tuple[FrameTensors, torch.Tensor]:
+    """The frame with the same mask in all views, and the mask."""
+    mask = torch.ones(frame.views["rgb"].image.shape[:2], dtype=torch.bool)
+    mask[: len(mask) // 2, 3:] = False
+    views = {name: dataclasses.replace(view, mask=mask) for name, view in frame.views.items()}
+    return dataclasses.replace(frame, views=views), mask
+
+
+@pytest.mark.parametrize("fused", [False, True])
+@pytest.mark.parametrize("capture", [{}, {"thermal_kind": "scalar"}])
+def test_masked_pixels_are_not_seen(capture: dict, fused: bool) -> None:
+    """Whatever image and truth are there: losses, errors and gradients are those of the other pixels."""
+    rendered, frame = rendered_and_frame(**capture)
+    frame, mask = masked_frame(frame)
+    found = []
+    for truth in (0.0, 0.7):
+        images = {
+            name: torch.where(mask[..., None], image, 0.3).detach().requires_grad_()
+            for name, image in rendered.images.items()
+        }
+        features = {
+            name: torch.where(mask[..., None], image, 0.6).detach().requires_grad_()
+            for name, image in rendered.features.items()
+        }
+        views = {
+            name: dataclasses.replace(
+                view,
+                image=torch.where(mask[..., None], view.image, truth),
+                intensity=None if view.intensity is None else torch.where(mask, view.intensity, truth),
+            )
+            for name, view in frame.views.items()
+        }
+        seen = dataclasses.replace(rendered, images=images, features=features)
+        compared = compare_frame(seen, dataclasses.replace(frame, views=views), TrainConfig(), fused=fused)
+        sum(loss for name, loss in compared.losses.items() if name != "thermal_smoothness").backward()
+        gradients = [image.grad for image in (*images.values(), *features.values())]
+        for gradient in gradients:
+            assert gradient[~mask].abs().max() == 0
+            assert gradient[mask].abs().max() > 0
+        found.append((list(compared.losses.values()), list(compared.squared_errors.values()), gradients))
+        for name, error in compared.squared_errors.items():
+            counting = (images[name].detach().clamp(0, 1) - views[name].image)[mask]
+            torch.testing.assert_close(error, counting.square().mean())
+    for one, other in zip(*found):
+        torch.testing.assert_close(one, other)
+
+
+def test_a_mask_that_is_white_changes_nothing() -> None:
+    """Term by term."""
+    rendered, frame = rendered_and_frame()
+    white = {
+        name: dataclasses.replace(view, mask=torch.ones(view.image.shape[:2], dtype=torch.bool))
+        for name, view in frame.views.items()
+    }
+    plain = compare_frame(rendered, frame, TrainConfig())
+    compared = compare_frame(rendered, dataclasses.replace(frame, views=white), TrainConfig())
+    torch.testing.assert_close(compared.losses, plain.losses)
+    torch.testing.assert_close(compared.squared_errors, plain.squared_errors)
+
+
 def test_total_trains_every_gaussian_parameter() -> None:
     """The sum of all terms reaches every parameter of the Gaussians."""
     toy = toy_capture()

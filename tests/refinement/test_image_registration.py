@@ -9,7 +9,7 @@ import torch
 
 from rendered_capture import disturbed, relief_capture
 from thermosplat.config import Refined
-from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.capture import Capture, View
 from thermosplat.refinement.camera_corrections import CameraCorrections
 from thermosplat.refinement.corrected_capture import corrected_capture
 from thermosplat.refinement.image_registration import PASSES, Sharpness, register_cameras, sharpness_at
@@ -101,6 +101,29 @@ def test_images_that_say_nothing_move_nothing(relief: Relief) -> None:
     with torch.no_grad():
         empty.gaussians("shared").logit_opacities.fill_(-20.0)
     assert not registered(capture, empty, RIG_AND_FOCAL, [COARSE, FINE]).cameras.any()
+
+
+def test_masked_pixels_say_nothing(relief: Relief) -> None:
+    """A part of the images that shows something else, moved to the side, leaves cameras alone where it is masked."""
+    capture, model = relief
+
+    def with_visitor(view: View, *, masked: bool) -> View:
+        image, mask = view.image.copy(), np.ones(view.image.shape[:2], np.bool_)
+        part = len(image) // 2
+        image[part:], mask[part:] = np.roll(image[part:], 3, axis=1), False
+        return dataclasses.replace(view, image=image, mask=mask if masked else None)
+
+    moved = []
+    for masked in (False, True):
+        frames = [
+            dataclasses.replace(
+                frame, views={**frame.views, "thermal": with_visitor(frame.views["thermal"], masked=masked)}
+            )
+            for frame in capture.train
+        ]
+        visited = dataclasses.replace(capture, train=tuple(frames))
+        moved.append(errors(visited, registered(visited, model, RIG_AND_FOCAL, [COARSE, FINE]), capture)[0])
+    assert moved[1] < 0.1 * moved[0]
 
 
 def test_rounds_become_finer() -> None:

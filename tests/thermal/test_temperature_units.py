@@ -19,7 +19,11 @@ from thermosplat.thermal.temperature_units import (
 
 
 @pytest.mark.parametrize(
-    ("unit", "value"), [("kelvin", 300.0), ("centikelvin", 30000), ("celsius", 26.85), ("centicelsius", 2685)]
+    ("unit", "value"),
+    [
+        *(("kelvin", 300.0), ("decikelvin", 3000), ("centikelvin", 30000), ("millikelvin", 300000)),
+        *(("celsius", 26.85), ("decicelsius", 268.5), ("centicelsius", 2685), ("fahrenheit", 80.33)),
+    ],
 )
 def test_every_unit_gives_the_same_temperature(unit, value):
     """300 K in each unit is 26.85 °C."""
@@ -126,7 +130,7 @@ def test_missing_statement_states_nothing(tmp_path):
     assert statement.palette_celsius is None
 
 
-@pytest.mark.parametrize("text", ['{"unit": "fahrenheit"}', "[1]", "{"])
+@pytest.mark.parametrize("text", ['{"unit": "rankine"}', '{"unit": 5}', "[1]", "{"])
 def test_bad_statements_are_named(tmp_path, text):
     """An unknown unit, a list, broken JSON: each names the file."""
     path = tmp_path / "units.json"
@@ -138,8 +142,8 @@ def test_bad_statements_are_named(tmp_path, text):
 def test_an_unknown_unit_names_the_spectrums_flag(tmp_path):
     """What the file says is quoted, what is known is listed."""
     path = tmp_path / "units.json"
-    path.write_text('{"unit": "fahrenheit"}')
-    with pytest.raises(UserError, match=r"'fahrenheit'; known are kelvin, decikelvin, centikelvin, .*counts") as caught:
+    path.write_text('{"unit": "rankine"}')
+    with pytest.raises(UserError, match=r"'rankine'; known are kelvin, decikelvin, centikelvin, .*counts") as caught:
         read_statement(path, "lwir")
     assert caught.value.hint == "Or say it with --lwir.unit."
 

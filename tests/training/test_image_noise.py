@@ -49,6 +49,17 @@ def test_noise_of_pixels(sigma: float) -> None:
     assert noise.stripes < 0.2 * sigma
 
 
+def test_noise_of_what_counts() -> None:
+    """A sky that was painted black has no noise, and hides none."""
+    torch.manual_seed(0)
+    image, mask = scene() + 0.02 * torch.randn(HEIGHT, WIDTH, 3), torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
+    mask[: 2 * HEIGHT // 3] = False
+    image[~mask] = 0
+    assert image_noise(image, mask).plain == pytest.approx(0.02, rel=0.1)
+    assert image_noise(image).plain < 0.002
+    assert image_noise(image, torch.zeros_like(mask)) == image_noise(image)
+
+
 @pytest.mark.parametrize("along", [0, 1])
 def test_noise_of_stripes(along: int) -> None:
     """What is constant along columns, or rows, is found as stripes, beside the pixels' own noise."""

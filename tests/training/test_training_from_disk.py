@@ -5,10 +5,11 @@ from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
-from capture_folders import write_rgbt_scenes
+from capture_folders import HEIGHT, WIDTH, write_image, write_rgbt_scenes
 from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
@@ -50,11 +51,20 @@ NOISY = {"thermal": {"smoothness_noise": 0.02}}
         toy_run_config(8, budget="auto", auto_budget=BUDGET),
         toy_run_config(6, refine=("poses", "rig"), refine_from=1, refine_every=1, refine_first=3),
         toy_run_config(4, batch_size=3),
+        toy_run_config(6, data_factor=1, eval_steps=(4,)),
     ],
-    ids=["plain", "budget", "refined", "batches"],
+    ids=["plain", "budget", "refined", "batches", "masked"],
 )
-def test_the_same_digits(tmp_path: Path, root: Path, config: TrainConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_digits(
+    tmp_path: Path,
+    root: Path,
+    config: TrainConfig,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> None:
     """The same frames at the same steps, the same measurements between them, the same evaluations."""
+    if "masked" in request.node.name:
+        _write_masks(root)
     monkeypatch.setattr("thermosplat.evaluation.held_out_poses.STEPS", 3)
     held = toy_trainer(tmp_path / "held", config, load_capture(root))
     read = toy_trainer(tmp_path / "read", config, on_disk(root))
@@ -63,6 +73,16 @@ def test_the_same_digits(tmp_path: Path, root: Path, config: TrainConfig, monkey
     for name in ("rgb", "thermal"):
         assert found[name] == expected[name]
     assert not (tmp_path / "read" / "pixels").exists()
+
+
+def _write_masks(root: Path) -> None:
+    """Of every image, half of it; of odd frames the other half."""
+    for number in range(24):
+        for folder in ("rgb", "thermal"):
+            mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+            mask[:, :16] *= number % 2
+            mask[:, 16:] *= 1 - number % 2
+            write_image(root / "masks" / folder / f"{number:04d}.png", mask)
 
 
 def test_an_image_that_vanishes(tmp_path: Path, root: Path) -> None:

@@ -1,13 +1,14 @@
 """What the list of spectra must satisfy: names, ranges, schedules, and what one says of another."""
 
 import dataclasses
+import difflib
 import re
 from collections.abc import Callable, Mapping
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.values import nearest
 from thermosplat.errors import UserError
-from thermosplat.spectra import SpectrumConfig, folder_names, label
+from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, SpectrumConfig, folder_names, label
 
 RESERVED = frozenset(
     {
@@ -35,6 +36,10 @@ _AT_LEAST_ZERO = (
     *("charbonnier", "squared", "swept_depth", "point_spread", "point_spread_noise"),
 )
 _SHARES = ("train_from", "train_until")
+_TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")
+"""In a unit's name it says that values are temperatures."""
+_LIKE_A_UNIT = 0.75
+"""Likeness (difflib's ratio) from which on a word is a mistyped unit: "celcius", not "reflectance" or "percent"."""
 
 Name = Callable[[str], str]
 
@@ -98,6 +103,7 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
         )
     if not re.fullmatch("[A-Za-z0-9_/^-]+", settings.unit):
         raise UserError(f"{called('unit')} must be one word, found {settings.unit!r}.", "For example: reflectance")
+    _check_unit(settings.unit, called("unit"))
     for folder in settings.folders:
         if folder in ("", ".", "..") or "/" in folder or "\\" in folder:
             raise UserError(f"{called('folders')} must be names of folders inside the capture, found {folder!r}.")
@@ -109,6 +115,19 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
                 f"{called(field)} must be another spectrum, found {value!r}{nearest(value, known)}.",
                 f"There are: {', '.join(known) or 'no others'}.",
             )
+
+
+def _check_unit(unit: str, called: str) -> None:
+    """Refuse a word that is nearly a known unit: as a word of the user's own, nothing would be converted."""
+    known = (*TEMPERATURE_UNITS, COUNTS)
+    plain = unit.lower()
+    if unit in (*known, "auto"):
+        return
+    if _TEMPERATURE.search(plain) or difflib.get_close_matches(plain, known, n=1, cutoff=_LIKE_A_UNIT):
+        raise UserError(
+            f"{called}: {unit} is no unit that is known{nearest(unit, known)}.",
+            f"Known are {', '.join(known)} and auto. Another quantity is called by another word, such as reflectance.",
+        )
 
 
 def _check_folders(spectra: Mapping[str, SpectrumConfig], name: Name) -> None:

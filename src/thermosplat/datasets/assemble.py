@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from thermosplat.config import LensUse
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame, View
-from thermosplat.datasets.capture_notes import distortion_notes, pairing_notes
+from thermosplat.datasets.capture_notes import distortion_notes, mask_notes, pairing_notes
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.images.image_folders import shown_path
 from thermosplat.datasets.images.jpeg_warnings import check_jpegs
@@ -101,6 +101,7 @@ def assemble(
     notes = [
         *listing.notes,
         *pairing_notes(views, spectra),
+        *mask_notes(views, frames, root),
         *distortion_notes(frames, lens),
         *shutter_notes,
         *outlying_notes(frames, root),
@@ -209,7 +210,7 @@ def _point_notes(usable: NDArray[np.bool_]) -> list[str]:
 def _files(frames: Sequence[FrameFiles], spectrum: str) -> list[Path]:
     """The image files of one spectrum."""
     shots = [frame.shots[spectrum] for frame in frames if spectrum in frame.shots]
-    return [path for shot in shots for path in (shot.path, shot.raw) if path]
+    return [path for shot in shots for path in shot.files]
 
 
 def _edge_notes(readings: Mapping[str, SpectrumReading]) -> list[str]:
@@ -331,7 +332,7 @@ def _view(
     if isinstance(exposure, UnreadPixels):
         return View(*about, None, stored=exposure.seen_by(camera, straightened_from), readout=readout)
     pixels = seen_by(camera, straightened_from, exposure)
-    return View(*about, pixels.image, pixels.values, readout=readout)
+    return View(*about, pixels.image, pixels.values, pixels.mask, readout=readout)
 
 
 def _untouched_camera(shot: Shot, width: int, height: int) -> Camera:

@@ -32,6 +32,7 @@ class View:
             None where the pixels stay on the disk.
         values: float32 [H, W], measured values in the unit of the spectrum's scale, such as °C, where the data has
             them and they do not stay on the disk.
+        mask: bool [H, W], where pixels are trained on and count in metrics; None: everywhere, or it stays on the disk.
         stored: Where the pixels are that stay on the disk.
         readout: How its lines were read one after the other; None: all at once.
     """
@@ -43,6 +44,7 @@ class View:
     viewmat: NDArray[np.float64]
     image: NDArray[np.uint8] | NDArray[np.float32] | None
     values: NDArray[np.float32] | None = None
+    mask: NDArray[np.bool_] | None = None
     stored: StoredPixels | None = None
     readout: Readout | None = None
 
@@ -56,12 +58,12 @@ class View:
         return self.image.shape[2] if self.stored is None else self.stored.channels  # type: ignore[union-attr]
 
     def pixels(self) -> SpectrumPixels:
-        """Image and values, read from the disk where they stay there.
+        """Image, values and mask, read from the disk where they stay there.
 
         Raises:
             ImageLostError: They cannot be read any more.
         """
-        return self.stored.read() if self.image is None else SpectrumPixels(self.image, self.values)  # type: ignore[union-attr]
+        return self.stored.read() if self.image is None else SpectrumPixels(self.image, self.values, self.mask)  # type: ignore[union-attr]
 
     def __repr__(self) -> str:
         channels = "1 channel" if self.channels == 1 else f"{self.channels} channels"

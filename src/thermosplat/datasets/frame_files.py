@@ -22,12 +22,24 @@ class Shot:
         lens: Its calibrated camera.
         viewmat: [4, 4] float64, world to camera.
         raw: Values of the same exposure, where there are any (may be `path` itself).
+        mask: An image that is black where pixels of this one do not count, where there is one.
     """
 
     path: Path
     lens: Lens
     viewmat: NDArray[np.float64]
     raw: Path | None = None
+    mask: Path | None = None
+
+    @property
+    def images(self) -> tuple[Path, ...]:
+        """The files of `path` and `raw`, each once."""
+        return tuple(dict.fromkeys(path for path in (self.path, self.raw) if path is not None))
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files, each once."""
+        return self.images if self.mask is None else (*self.images, self.mask)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ class ViewTensors:
             without an image (novel views).
         intensity: [H, W] float32 scalar intensity in [0, 1]; None of photographs.
         values: [H, W] float32 measured values in the unit of the spectrum's scale; of views that have them only.
+        mask: [H, W] bool, where pixels are compared; None: everywhere.
         distortion: [2] float32, k1 and k2 of a lens that is no pinhole (``scene.lens_distortion``).
         lens: [8] float32, k1 to k6, p1 and p2 of the lens that the view is rendered through; None: of none.
         fisheye: The lens is OpenCV's fisheye model, of k1 to k4.
@@ -47,6 +48,7 @@ class ViewTensors:
     image: Tensor | None = None
     intensity: Tensor | None = None
     values: Tensor | None = None
+    mask: Tensor | None = None
     distortion: Tensor | None = None
     orthographic: bool = False
     lens: Tensor | None = None
@@ -80,7 +82,7 @@ class FrameTensors:
         tensors = [
             tensor
             for view in views
-            for tensor in (view.viewmat, view.K, view.image, view.intensity, view.lens, view.readout)
+            for tensor in (view.viewmat, view.K, view.image, view.intensity, view.mask, view.lens, view.readout)
         ]
         return [tensor for tensor in (*tensors, self.index) if tensor is not None]
 
@@ -133,12 +135,12 @@ def _placed(frame: FrameTensors, memory: Tensor, place: Callable[[Tensor], Tenso
     """The frame with other tensors for those that can be packed."""
 
     def placed(view: ViewTensors) -> ViewTensors:
-        image, intensity, lens, readout = (
+        image, intensity, mask, lens, readout = (
             None if tensor is None else place(tensor)
-            for tensor in (view.image, view.intensity, view.lens, view.readout)
+            for tensor in (view.image, view.intensity, view.mask, view.lens, view.readout)
         )
         moved = replace(view, viewmat=place(view.viewmat), K=place(view.K), image=image, intensity=intensity)
-        return replace(moved, lens=lens, readout=readout)
+        return replace(moved, mask=mask, lens=lens, readout=readout)
 
     index = None if frame.index is None else place(frame.index)
     return replace(frame, views={name: placed(v) for name, v in frame.views.items()}, index=index, memory=memory)
@@ -191,6 +193,7 @@ def view_tensors(
         image=image,
         intensity=_intensity(held.image, unit_image(image), scale) if scale is not None and is_scalar else None,
         values=None if held.values is None else torch.tensor(held.values, device=device),
+        mask=None if held.mask is None else torch.tensor(held.mask, device=device),
     )
 
 
@@ -209,7 +212,9 @@ def without_pixels(view: View, device: torch.device | str) -> ViewTensors:
     )
 
 
-def with_pixels(camera: ViewTensors, image: Tensor, intensity: Tensor | None, scale: PixelScale) -> ViewTensors:
+def with_pixels(
+    camera: ViewTensors, image: Tensor, intensity: Tensor | None, scale: PixelScale, mask: Tensor | None = None
+) -> ViewTensors:
     """A view with pixels as they are stored, the same as ``view_tensors`` makes of them ``as_bytes``.
 
     Args:
@@ -217,10 +222,11 @@ def with_pixels(camera: ViewTensors, image: Tensor, intensity: Tensor | None, sc
         image: uint8 or float32 [H, W, C], on the camera's device.
         intensity: float32 [H, W] of pseudo-colours; None of others.
         scale: What the pixels mean.
+        mask: bool [H, W], where pixels are compared; None: everywhere.
     """
     if intensity is None and scale.kind != "photograph":
         intensity = pixel_intensity(unit_image(image), scale)
-    return replace(camera, image=image, intensity=intensity)
+    return replace(camera, image=image, intensity=intensity, mask=mask)
 
 
 def with_unit_images(frame: FrameTensors) -> FrameTensors:

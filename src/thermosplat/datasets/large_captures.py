@@ -56,7 +56,7 @@ class Headers:
     """
 
     def __init__(self, frames: Sequence[FrameFiles]) -> None:
-        paths = {path for frame in frames for shot in frame.shots.values() for path in _files(shot)}
+        paths = {path for frame in frames for shot in frame.shots.values() for path in shot.files}
         with ThreadPoolExecutor() as pool:
             self._found = dict(zip(paths, pool.map(_header_if_any, paths)))
 
@@ -70,11 +70,12 @@ class Headers:
         """
         total = 0
         for shot in (shot for frame in frames for shot in frame.shots.values()):
-            found = [header for path in _files(shot) if (header := self._found[path][0]) is not None]
+            found = [header for path in shot.images if (header := self._found[path][0]) is not None]
             total += sum(header.decoded_bytes for header in found)
             radiometric = any(header.is_radiometric or header.channels == 1 for header in found)
             pixels = max((header.width * header.height for header in found), default=0) / data_factor**2
-            total += int(pixels * (_VALUES_BYTES if radiometric else 3))
+            masked = shot.mask is not None or any(header.has_alpha for header in found)
+            total += int(pixels * ((_VALUES_BYTES if radiometric else 3) + masked))
         return total
 
     def of(self, path: Path) -> ImageHeader:
@@ -105,10 +106,6 @@ class Headers:
     def display_of(self, shot: Shot) -> Path | None:
         """The displayable file of an exposure."""
         return None if self.of(shot.path).is_radiometric else shot.path
-
-
-def _files(shot: Shot) -> tuple[Path, ...]:
-    return tuple(dict.fromkeys(path for path in (shot.path, shot.raw) if path is not None))
 
 
 def _header_if_any(path: Path) -> tuple[ImageHeader | None, FileStamp | None]:
@@ -247,5 +244,5 @@ def unread_pixels(
         path = headers.values_of(shot) if meaning.of_values else headers.display_of(shot)
     if path is None:
         return None
-    stamps = tuple(headers.stamp(file) for file in _files(shot) if headers.of(file))
+    stamps = tuple(headers.stamp(file) for file in shot.files if headers.of(file))
     return UnreadPixels(shot, headers.of(path), stamps, spectrum.source, meaning, cache)

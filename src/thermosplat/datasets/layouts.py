@@ -23,6 +23,7 @@ from thermosplat.datasets.images.image_folders import (
     spectrum_folder,
     values_folder,
 )
+from thermosplat.datasets.images.unread_formats import unread_note
 from thermosplat.datasets.transforms.reader import find_transforms, list_transforms
 from thermosplat.errors import UserError
 from thermosplat.spectra import SpectrumConfig, folder_names
@@ -42,6 +43,14 @@ def list_capture(root: Path, spectra: Mapping[str, SpectrumConfig]) -> Listing:
     Raises:
         UserError: No layout fits.
     """
+    listing = _list_layout(root, spectra)
+    folders = {folder for name, settings in spectra.items() for folder in folder_names(name, settings)}
+    inside = [path for path in root.iterdir() if path.name.lower().removesuffix("_raw") in {*folders, "images"}]
+    unread = [unread_note(folder) for folder in sorted(inside) if folder.is_dir()]
+    return replace(listing, notes=(*listing.notes, *filter(None, unread)))
+
+
+def _list_layout(root: Path, spectra: Mapping[str, SpectrumConfig]) -> Listing:
     model_folder = find_model(root)
     transforms = find_transforms(root)
     leading, *others = spectra

@@ -40,6 +40,6 @@ def in_memory(frame: Frame) -> Frame:
         if view.stored is not None:
             view.stored.check()
             pixels = view.stored.read()
-            view = replace(view, image=pixels.image, values=pixels.values, stored=None)
+            view = replace(view, image=pixels.image, values=pixels.values, mask=pixels.mask, stored=None)
         views[name] = view
     return replace(frame, views=views)

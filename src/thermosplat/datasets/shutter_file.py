@@ -8,6 +8,7 @@ Without "interval" the times are those of ``frames.csv``. "poses" in place of "r
 """
 
 import csv
+import io
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -24,6 +25,7 @@ from thermosplat.datasets.frame_files import FrameFiles, Shot
 from thermosplat.datasets.images.image_files import list_images
 from thermosplat.datasets.readouts import LineOrder, Readout, motion_of, paces
 from thermosplat.errors import UserError
+from thermosplat.regular_files import read_regular
 from thermosplat.spectra import label
 from thermosplat.thermal.temperature_units import read_json
 
@@ -237,7 +239,7 @@ def _table(root: Path, spectrum: str) -> dict[str, dict[str, str]]:
     if not path.is_file():
         return {}
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with io.StringIO(read_regular(path).decode("utf-8-sig"), newline="") as file:
             rows = [row for row in csv.DictReader(file) if row.get("spectrum") == spectrum and row.get("file")]
     except (OSError, ValueError, csv.Error) as error:
         raise UserError(f"Cannot read {path}: {error}.", "Make it again: thermosplat-prepare import.") from error

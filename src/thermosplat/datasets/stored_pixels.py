@@ -1,7 +1,7 @@
 """Pixels of a view that stay on the disk until they are needed, and the way from a file's pixels to a view's."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,7 +13,13 @@ from thermosplat.datasets.frame_files import Shot
 from thermosplat.datasets.images.image_bytes import FileStamp, ImageHeader
 from thermosplat.datasets.images.image_files import resize
 from thermosplat.datasets.images.jpeg_warnings import check_jpegs, refusing_damage
-from thermosplat.datasets.images.pixel_meaning import PixelMeaning, SpectrumPixels, check_finite
+from thermosplat.datasets.images.masks import levels_of_mask, whole_pixels
+from thermosplat.datasets.images.pixel_meaning import (
+    PixelMeaning,
+    SpectrumPixels,
+    check_finite,
+    check_temperatures,
+)
 from thermosplat.datasets.images.spectrum_files import read_shot
 from thermosplat.datasets.lens import Lens, rectification
 from thermosplat.datasets.pixel_cache import PixelCache
@@ -35,6 +41,8 @@ class TrainedPixels(NamedTuple):
     """As ``SpectrumPixels.image``."""
     intensity: NDArray[np.float32] | None
     """Scalar intensity [H, W] of pseudo-colours; None of others, whose images say it themselves."""
+    mask: NDArray[np.bool_] | None = None
+    """As ``SpectrumPixels.mask``, where there may be one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +66,18 @@ def seen_by(camera: Camera, lens: Lens | None, pixels: SpectrumPixels) -> Spectr
         lens: The lens whose distortion is taken out; None: it stays.
         pixels: The file's pixels.
     """
-    image, values = pixels.image, pixels.values
-    height, width, channels = image.shape
-    if lens is not None:
-        ideal = rectification(lens, width, height)
-        image, values = ideal.apply(image), None if values is None else ideal.apply(values)
-    image = resize(image, camera.width, camera.height).reshape(camera.height, camera.width, channels)
-    return SpectrumPixels(image, None if values is None else resize(values, camera.width, camera.height))
+    height, width, channels = pixels.image.shape
+    ideal = None if lens is None else rectification(lens, width, height)
+
+    def seen(array: NDArray[Any]) -> NDArray[Any]:
+        return resize(array if ideal is None else ideal.apply(array), camera.width, camera.height)
+
+    image = seen(pixels.image).reshape(camera.height, camera.width, channels)
+    values = None if pixels.values is None else seen(pixels.values)
+    mask = None if pixels.mask is None else whole_pixels(seen(levels_of_mask(pixels.mask)))
+    if values is not None and mask is not None:
+        values = np.where(mask, values, np.float32(np.nan))
+    return SpectrumPixels(image, values, mask)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +115,17 @@ class StoredPixels:
         return self.meaning.kind == "color"
 
     @property
+    def may_be_masked(self) -> bool:
+        """Pixels may be masked: there is a mask, or the file has an alpha channel or the like."""
+        return self.shot.mask is not None or self.header.has_alpha
+
+    @property
     def trained_bytes(self) -> int:
         """Memory that ``read_to_train`` returns [bytes]."""
         per_pixel = 4
         if self.meaning.has_colors:
             per_pixel = 7 if self.has_intensity else 3
-        return per_pixel * self.camera.width * self.camera.height
+        return (per_pixel + self.may_be_masked) * self.camera.width * self.camera.height
 
     @property
     def kept_bytes(self) -> int:
@@ -131,7 +149,7 @@ class StoredPixels:
     @cached_property
     def key(self) -> str:
         """A name of what the pixels are made of."""
-        made_of = (self.shot.path, self.shot.raw, self.stamps, self.source, self.lens, self.camera)
+        made_of = (*self.shot.files, self.stamps, self.source, self.lens, self.camera)
         return hashlib.sha256(repr((made_of, self.meaning.described())).encode("utf-8", "replace")).hexdigest()[:32]
 
     def read(self) -> SpectrumPixels:
@@ -140,9 +158,10 @@ class StoredPixels:
         Raises:
             ImageLostError: A file cannot be read, or its image is not what it was.
         """
-        kept, values = (self.cache.load(self.key, part) for part in ("image", "values"))
-        if kept is not None and (values is not None or not self.cache.has(self.key, "values")):
-            return SpectrumPixels(kept, values)
+        kept, values, mask = (self.cache.load(self.key, part) for part in ("image", "values", "mask"))
+        lost = (values is None and self.cache.has(self.key, "values")) or (mask is None and self.may_be_masked)
+        if kept is not None and not lost:
+            return SpectrumPixels(kept, values, mask)
         try:
             with refusing_damage(self.shot.path):
                 pixels = self._pixels_of_files()
@@ -150,6 +169,10 @@ class StoredPixels:
             raise ImageLostError(error.message, "Restore it.") from error
         if pixels.values is not None:
             self.cache.keep(self.key, "values", pixels.values)
+        if self.may_be_masked:
+            mask = np.ones(pixels.image.shape[:2], np.bool_) if pixels.mask is None else pixels.mask
+            pixels = replace(pixels, mask=mask)
+            self.cache.keep(self.key, "mask", mask)
         self.cache.keep(self.key, "image", pixels.image)  # last: where it is, all is
         return pixels
 
@@ -159,33 +182,33 @@ class StoredPixels:
         Raises:
             ImageLostError: As ``read``.
         """
-        kept = self.cache.load(self.key, "image")
-        image = self.read().image if kept is None else kept
+        image, mask = (self.cache.load(self.key, part) for part in ("image", "mask"))
+        if image is None or (mask is None and self.may_be_masked):
+            pixels = self.read()
+            image, mask = pixels.image, pixels.mask
         if not self.has_intensity:
-            return TrainedPixels(image, None)
+            return TrainedPixels(image, None, mask)
         intensity = self.cache.load(self.key, "intensity")
         if intensity is None:
             intensity = self.meaning.scale.palette.to_intensity(np.asarray(image, np.uint8))
             self.cache.keep(self.key, "intensity", intensity)
-        return TrainedPixels(image, intensity)
+        return TrainedPixels(image, intensity, mask)
 
-    def read_into(self, image: NDArray[Any], intensity: NDArray[np.float32] | None) -> None:
+    def read_into(self, parts: TrainedPixels) -> None:
         """Write what a training step compares with to memory that is there.
 
         Args:
-            image: Of the shape and type of ``TrainedPixels.image``, in one piece.
-            intensity: float32 [H, W] in one piece for pseudo-colours; None for others.
+            parts: Arrays, each in one piece, of the shapes and types of what ``read_to_train`` returns.
 
         Raises:
             ImageLostError: As ``read``.
         """
-        parts = {"image": image} if intensity is None else {"image": image, "intensity": intensity}
-        if all(self.cache.load_into(self.key, part, array) for part, array in parts.items()):
+        wanted = {name: array for name, array in parts._asdict().items() if array is not None}
+        if all(self.cache.load_into(self.key, name, array) for name, array in wanted.items()):
             return
-        found = self.read_to_train()
-        image[...] = found.image
-        if intensity is not None:
-            intensity[...] = found.intensity
+        found = self.read_to_train()._asdict()
+        for name, array in wanted.items():
+            array[...] = found[name]
 
     @property
     def is_kept(self) -> bool:
@@ -205,13 +228,14 @@ class StoredPixels:
         """
         if not self.is_kept:
             try:
-                check_jpegs([path for path in (self.shot.path, self.shot.raw) if path is not None])
+                check_jpegs(self.shot.files)
             except (UserError, OSError) as error:
                 raise ImageLostError(getattr(error, "message", str(error)), "Restore it.") from error
 
     def _pixels_of_files(self) -> SpectrumPixels:
         file = read_shot(self.shot, self.source)
         check_finite(file)
+        check_temperatures(file, self.meaning.unit)
         pixels = self.meaning.pixels(file)
         expected = f"{self.header.width}x{self.header.height}"
         if pixels is None:

@@ -16,7 +16,7 @@ from torch import Tensor
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.datasets.read_ahead import read_ahead
-from thermosplat.image_quality.metrics import mean_absolute_error, psnr, ssim
+from thermosplat.image_quality.metrics import mean_absolute_error, psnr, right_outside, ssim
 from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
 from thermosplat.pictures.image_display import spectrum_bytes, write_png
 from thermosplat.runs.atomic_writes import write_text
@@ -50,6 +50,16 @@ class RenderedView:
     """What pixel values mean."""
     values: Tensor | None
     """[H, W]; where there are measured values."""
+
+    @property
+    def mask(self) -> Tensor | None:
+        """bool [H, W], which pixels count; None: all."""
+        return self.camera.mask
+
+    @property
+    def counted(self) -> Tensor:
+        """The image with its target in place of pixels that do not count, [H, W, C]."""
+        return right_outside(self.image, self.target, self.mask)
 
     @cached_property
     def intensity(self) -> Tensor:
@@ -141,7 +151,7 @@ def frame_comparisons(
         device: Where the model is.
     """
     return {
-        result.spectrum: _comparison(result, _finite(psnr(result.image, result.target)))
+        result.spectrum: _comparison(result, _finite(psnr(result.image, result.target, result.mask)))
         for result in rendered_views(model, frame, scales, sh_degree, device)
     }
 
@@ -153,9 +163,9 @@ def file_stem(frame_name: str) -> str:
 
 def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | None]:
     numbers: dict[str, float | None] = {
-        "psnr": psnr(result.image, result.target),
-        "ssim": ssim(result.image, result.target),
-        "lpips": None if lpips is None else lpips(result.image, result.target),
+        "psnr": psnr(result.image, result.target, result.mask),
+        "ssim": ssim(result.image, result.target, result.mask),
+        "lpips": None if lpips is None else lpips(result.counted, result.target),
     }
     if result.scale.unit is not None:
         numbers[f"{MAE}{result.scale.unit}"] = None
@@ -172,7 +182,7 @@ def _finite(number: float | None) -> float | None:
 
 def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
     render, truth = result.image.cpu().numpy(), result.target.cpu().numpy()
-    error = np.abs(render - truth).mean(axis=-1)
+    error = (result.counted - result.target).abs().mean(dim=-1).cpu().numpy()
     without = "not finite" if np.isnan(error).any() else "exact"
     score = without if decibels is None else f"{decibels:.2f} dB"
     shown = spectrum_bytes(truth, result.scale), spectrum_bytes(render, result.scale)

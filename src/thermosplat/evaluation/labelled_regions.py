@@ -196,6 +196,8 @@ def _depth_errors(model: SceneModel, view: RenderedView, truth: _Truth) -> dict[
 
 def _image_errors(view: RenderedView) -> dict[str, Tensor]:
     difference = (view.image - view.target).double()
+    if view.mask is not None:
+        difference = difference.where(view.mask[..., None], torch.nan)
     errors = {"squared": difference.square().mean(dim=-1), "absolute": difference.abs().mean(dim=-1)}
     if view.scale.unit is not None:
         missed = torch.full_like(errors["absolute"], torch.nan)

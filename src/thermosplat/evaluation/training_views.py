@@ -49,7 +49,7 @@ def training_views(
     targets: dict[str, list[Tensor]] = {}
     for frame in capture.train[:: -(-len(capture.train) // LOOKED_AT)]:
         for view in rendered_views(model, frame, capture.scales, sh_degree, device):
-            errors.setdefault(view.spectrum, []).append((view.image - view.target).square().mean().item())
+            errors.setdefault(view.spectrum, []).append((view.counted - view.target).square().mean().item())
             targets.setdefault(view.spectrum, []).append(view.target)
     return {
         name: {

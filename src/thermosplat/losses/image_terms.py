@@ -88,20 +88,41 @@ def compare_frame(
     for name in config.modelled:
         image, view = rendered.images.get(name), frame.views.get(name)
         if image is not None and view is not None and view.image is not None:
-            known = found.squared_errors.get(name)
-            errors[name] = squared_error(image, view.image) if known is None else known
+            known = found.squared_errors.get(name) if view.mask is None else None
+            errors[name] = squared_error(image, view.image, view.mask) if known is None else known
     return ComparedFrame(losses, spectra, errors)
 
 
 @torch.no_grad()
-def squared_error(image: Tensor, target: Tensor) -> Tensor:
+def squared_error(image: Tensor, target: Tensor, mask: Tensor | None = None) -> Tensor:
     """Mean squared difference of an image clamped to [0, 1] from its target, a scalar; no gradient reaches it.
 
     Args:
-        image: Any shape.
+        image: [H, W, C].
         target: The same shape.
+        mask: bool [H, W], which pixels count; None: all.
     """
-    return (image.clamp(0.0, 1.0) - target).square().mean()
+    squares = (image.clamp(0.0, 1.0) - target).square()
+    if mask is None:
+        return squares.mean()
+    return torch.where(mask[..., None], squares, 0.0).sum() / (mask.sum().clamp(min=1) * image.shape[-1])
+
+
+def masked(image: Tensor, target: Tensor, mask: Tensor, first: int = 0) -> tuple[Tensor, Tensor]:
+    """An image and its target for losses that shall not see some pixels.
+
+    There the image gets no gradient, and the target is the image, which leaves no difference to any loss; a window of
+    SSIM that reaches beyond a mask's edge sees the same on both sides.
+
+    Args:
+        image: [H, W, X].
+        target: [H, W, C].
+        mask: bool [H, W], which pixels count.
+        first: The target is compared with the image's channels from this one on.
+    """
+    counts, held = mask[..., None], image.detach()
+    seen = held[..., first : first + target.shape[-1]].clamp(0.0, 1.0)
+    return torch.where(counts, image, held), torch.where(counts, target, seen)
 
 
 def _smoothness_name(spectrum: str) -> str:
@@ -147,13 +168,14 @@ def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainCon
         epsilon = spectrum.charbonnier
         image = rendered.images.get(name)
         if spectrum.loss > 0 and image is not None and view.image is not None:
-            images.append(
-                SpectrumTerm(name, spectrum.loss, image, view.image, 0, epsilon, spectrum.squared, spectrum=name)
-            )
+            compared, truth = (image, view.image) if view.mask is None else masked(image, view.image, view.mask)
+            images.append(SpectrumTerm(name, spectrum.loss, compared, truth, 0, epsilon, spectrum.squared, name))
         weight = config.loss.features * (spectrum.features or 0.0)
         blended, target = rendered.features.get(name), _supervising(view)
         if weight > 0 and blended is not None and target is not None:
             first = latent[name][0]
+            if view.mask is not None:
+                blended, target = masked(blended, target, view.mask, first)
             features.append(SpectrumTerm(f"features_{name}", weight, blended, target, first, epsilon, spectrum=name))
     return [*images, *features]
 

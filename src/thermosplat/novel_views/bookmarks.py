@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.cameras import Camera
 from thermosplat.errors import UserError
 from thermosplat.novel_views.camera_paths import Matrices, interpolated_path
+from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_text
 
 FORMAT, VERSION = "thermosplat-bookmarks", 1
@@ -81,7 +82,7 @@ def read_bookmarks(path: Path) -> list[Bookmark]:
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise UserError(f"{path} is too large for a bookmarks file: more than {LARGEST_FILE >> 20} MiB.", hint)
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_regular(path))
     except OSError as error:
         raise UserError(f"Cannot read the bookmarks {path}: {error.strerror or error}.", hint) from error
     except (ValueError, RecursionError) as error:

@@ -22,6 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar, get_args
 
 from thermosplat.errors import UserError
+from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_bytes
 
 LEADING = "rgb"
@@ -174,11 +175,11 @@ class CaptureFolder:
 
 def _read(path: Path, kind: type[Row], hint: str) -> list[Row]:
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_regular(path).decode("utf-8-sig")
     except FileNotFoundError as error:
         raise UserError(f"There is no {path.name} in {path.parent}.", hint) from error
     except (OSError, ValueError) as error:
-        raise UserError(f"Cannot read {path}: {error}.", hint) from error
+        raise UserError(f"Cannot read {path}: {getattr(error, 'strerror', None) or error}.", hint) from error
     rows = []
     reader = csv.DictReader(io.StringIO(text))
     for record in reader:

@@ -16,6 +16,7 @@ from typing import Any
 
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder
+from thermosplat.regular_files import files_below, read_regular
 from thermosplat.runs.atomic_writes import write_bytes
 
 STEPS = ("import", "pair", "calibrate", "sfm", "register", "check")
@@ -109,7 +110,7 @@ def read_marker(capture: CaptureFolder, step: str) -> dict[str, Any] | None:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_regular(path))
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) else None
@@ -133,7 +134,7 @@ def fingerprint(paths: Iterable[Path]) -> str:
     """A digest that changes when one of these files does; files that are not there count as such."""
     digest = hashlib.sha256()
     for path in paths:
-        files = sorted(inner for inner in path.rglob("*") if inner.is_file()) if path.is_dir() else [path]
+        files = files_below(path) if path.is_dir() else [path]
         for file in files:
             digest.update(str(file).encode(errors="surrogateescape"))
             try:

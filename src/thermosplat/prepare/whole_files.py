@@ -1,5 +1,6 @@
 """Images and links that are there whole or not at all."""
 
+import contextlib
 import os
 import secrets
 import shutil
@@ -59,7 +60,8 @@ def link_whole(source: Path, path: Path) -> None:
 
         write_atomically(path, copy)
     finally:
-        link.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # the folder is none
+            link.unlink()
 
 
 def not_written(path: Path, error: OSError) -> UserError:

@@ -212,7 +212,10 @@ def _equations(
     by_rendered, by_taken = (_interior(torch.stack(_slopes(m.permute(2, 0, 1)), dim=-1)) for m in moved)
     difference = _interior(torch.stack(_slopes(images[:1] - images[1:]), dim=-1))
     reach = min(round(2 * sigma), (min(depth.shape) - 1) // 4)
-    covered = -max_pool2d(-(alpha.square() * (depth > 0))[None, None], 2 * reach + 1, 1, reach)[0]
+    covers = alpha.square() * (depth > 0)
+    if view.mask is not None:
+        covers = covers * view.mask
+    covered = -max_pool2d(-covers[None, None], 2 * reach + 1, 1, reach)[0]
     weight = _interior(covered[..., None].expand(-1, -1, -1, 2))
     scale = (sharpness.tolerance * difference.abs().median()).clamp(min=_LEAST)
     weight = (weight / (1.0 + (difference / scale).square()))[0].double()

@@ -20,7 +20,7 @@ PAGE, PAGE_MARK = "index.html", "<!-- results of thermosplat -->"
 """The page of a result folder, and what tells it from other pages of that name."""
 PIXELS = "pixels"
 """The folder of undistorted images of a capture that does not fit the memory, as long as it is trained on."""
-KEPT_PIXELS = re.compile(r"[0-9a-f]{32}\.(image|values|intensity)\.npy")
+KEPT_PIXELS = re.compile(r"[0-9a-f]{32}\.(image|values|intensity|mask)\.npy")
 """Their names: what they were made of, and which array they hold."""
 CHECKPOINT_NAME = re.compile(r"step_(\d+)\.pt")
 """With the steps done."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermosplat.errors import UserError
+from thermosplat.regular_files import read_regular
 from thermosplat.spectra import CELSIUS, ColorSpace
 from thermosplat.thermal.level_table import LevelTable
 from thermosplat.thermal.palette_inverse import TABLE_SIZE, Curve, nearest_points
@@ -168,11 +169,9 @@ def load_palette(path: str | Path, spectrum: str) -> Palette:
     path = Path(path)
     hint = f'Give a JSON file {{"lut": [[r, g, b], ...]}} or a CSV with r,g,b rows (0-255) to --{spectrum}.palette.'
     try:
-        if path.exists() and not path.is_file():
-            raise UserError(f"Cannot read the palette {path}: it is no file.", hint)
         if path.stat().st_size > _LARGEST_PALETTE_FILE:
             raise ValueError("too large for a palette")
-        text = path.read_text(encoding="utf-8-sig")  # spreadsheets begin a CSV with a byte-order mark
+        text = read_regular(path).decode("utf-8-sig")  # spreadsheets begin a CSV with a byte-order mark
         rows = json.loads(text)["lut"] if path.suffix.lower() == ".json" else _csv_rows(text)
         levels = np.array(rows, np.float64)
     except UserError:

@@ -11,20 +11,24 @@ from numpy.typing import NDArray
 
 from thermosplat.config.values import shown
 from thermosplat.errors import UserError
-from thermosplat.spectra import CELSIUS, COUNTS, TEMPERATURE_UNITS
+from thermosplat.regular_files import read_regular
+from thermosplat.spectra import CELSIUS, COUNTS, TEMPERATURE_UNITS, unit_named
 
 _TO_CELSIUS: dict[str, tuple[float, float]] = {
     "kelvin": (1.0, -273.15),
     "decikelvin": (0.1, -273.15),
     "centikelvin": (0.01, -273.15),
+    "millikelvin": (0.001, -273.15),
     "celsius": (1.0, 0.0),
+    "decicelsius": (0.1, 0.0),
     "centicelsius": (0.01, 0.0),
+    "fahrenheit": (5 / 9, -32 * 5 / 9),
 }
 """Factor and offset of each unit with degrees."""
-_SPELLINGS = {"k": "kelvin", "c": "celsius", "degc": "celsius", "°c": "celsius", "dn": COUNTS}
 _POSSIBLE_CELSIUS = (-150.0, 3000.0)
 """Temperatures [°C] outside of which a stated unit must be wrong; a clear sky reads as low as about -100."""
-_ABSOLUTE_ZERO = -273.15
+ABSOLUTE_ZERO = -273.15
+"""[°C]."""
 _HOTTEST_RANGE = 10_000.0
 """Highest end of a stated range [°C]: beyond the range of any thermal camera."""
 _LARGEST_JSON = 1 << 26
@@ -83,6 +87,50 @@ def judge_unit(low: float, high: float, *, integer: bool) -> str:
     return COUNTS
 
 
+def check_filled(values: NDArray[Any], unit: str | None, folder: str, flag: str, *, integer: bool) -> None:
+    """Refuse values of which many stand for none: without their lowest or highest they could be temperatures.
+
+    Args:
+        values: The values, [N].
+        unit: The stated unit; None: usual temperatures of any unit are looked for.
+        folder: Where the values come from, for the message.
+        flag: What says that they are counts.
+        integer: The files hold integers.
+
+    Raises:
+        UserError: All together they cannot be temperatures, and without that value they can.
+    """
+
+    def are_temperatures(some: NDArray[Any]) -> bool:
+        ends = value_ends(some)
+        return judge_unit(*ends, integer=integer) != COUNTS if unit is None else is_plausible(*ends, unit)
+
+    if unit == COUNTS or are_temperatures(values):
+        return
+    for end in (values.min(), values.max()):
+        filled = values == end
+        if not filled.all() and are_temperatures(values[~filled]):
+            otherwise = f" If they are measured values of a sensor: {flag}" if unit is None else ""
+            raise UserError(
+                f"About {filled.mean():.1%} of the values in {folder} are {end:,.6g}, and all others can be "
+                "temperatures: these pixels are without a value.",
+                "Fill them, export the files again, or say with masks that they do not count (docs/data-layouts.md)."
+                + otherwise,
+            )
+
+
+def value_ends(values: NDArray[Any]) -> tuple[float, float]:
+    """Low and high end of values [N] without their tails, in which dead pixels are."""
+    low, high = (float(end) for end in np.percentile(values, [1, 99]))
+    return low, high
+
+
+def is_plausible(low: float, high: float, unit: str) -> bool:
+    """Whether a range of values can be temperatures in a unit."""
+    factor, offset = _TO_CELSIUS[unit]
+    return low * factor + offset >= _POSSIBLE_CELSIUS[0] and high * factor + offset <= _POSSIBLE_CELSIUS[1]
+
+
 def check_plausible(low: float, high: float, unit: str, folder: str, spectrum: str) -> None:
     """Refuse a stated unit in which the values are impossible.
 
@@ -96,10 +144,7 @@ def check_plausible(low: float, high: float, unit: str, folder: str, spectrum: s
     Raises:
         UserError: The values are outside of what anything measured can be; the hint names the unit they look like.
     """
-    if unit == COUNTS:
-        return
-    factor, offset = _TO_CELSIUS[unit]
-    if low * factor + offset >= _POSSIBLE_CELSIUS[0] and high * factor + offset <= _POSSIBLE_CELSIUS[1]:
+    if unit == COUNTS or is_plausible(low, high, unit):
         return
     if low == high == 0:
         raise UserError(
@@ -143,9 +188,10 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _LARGEST_JSON:
             raise ValueError(f"it has more than {_LARGEST_JSON:,} bytes")
-        content = json.loads(path.read_bytes())  # in UTF-8, with a byte-order mark or without, or UTF-16
+        content = json.loads(read_regular(path))  # in UTF-8, with a byte-order mark or without, or UTF-16
     except (OSError, ValueError, RecursionError) as error:
         reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        reason = getattr(error, "strerror", None) or reason
         raise UserError(f"{path} is not readable JSON: {reason}.", "Restore it, or export it again.") from error
     if not isinstance(content, dict):
         raise UserError(f"{path} must hold a JSON object, found a {type(content).__name__}.", "Is it the right file?")
@@ -168,9 +214,9 @@ def celsius_range(content: dict[str, Any], path: Path, low_key: str, high_key: s
         raise UserError(f"{path} must give both {low_key} and {high_key} as numbers [°C].") from error
     if not low < high:
         raise UserError(f"{path}: {low_key} ({low:g}) must be below {high_key} ({high:g}).")
-    if low < _ABSOLUTE_ZERO or high > _HOTTEST_RANGE:
+    if low < ABSOLUTE_ZERO or high > _HOTTEST_RANGE:
         raise UserError(
-            f"{path}: {low_key} ({low:g}) and {high_key} ({high:g}) must lie between {_ABSOLUTE_ZERO:g} and "
+            f"{path}: {low_key} ({low:g}) and {high_key} ({high:g}) must lie between {ABSOLUTE_ZERO:g} and "
             f"{_HOTTEST_RANGE:,.0f} °C.",
             "Are they in °C?",
         )
@@ -178,14 +224,11 @@ def celsius_range(content: dict[str, Any], path: Path, low_key: str, high_key: s
 
 
 def _unit(stated: Any, path: Path, spectrum: str) -> str:
-    """A unit by its name, whatever the case and hyphenation ("centi-Kelvin")."""
-    plain = (
-        (stated if isinstance(stated, str) else "").strip().lower().replace("-", "").replace("_", "").replace(" ", "")
-    )
-    if plain in _SPELLINGS:
-        return _SPELLINGS[plain]
-    for unit in (*_TO_CELSIUS, COUNTS):
-        if plain == unit:
-            return unit
-    known = ", ".join((*_TO_CELSIUS, COUNTS))
-    raise UserError(f"{path} names the unit {shown(stated)}; known are {known}.", f"Or say it with --{spectrum}.unit.")
+    """A unit by its name, in any usual spelling."""
+    unit = unit_named(stated) if isinstance(stated, str) else None
+    if unit not in _TO_CELSIUS and unit != COUNTS:
+        known = ", ".join((*_TO_CELSIUS, COUNTS))
+        raise UserError(
+            f"{path} names the unit {shown(stated)}; known are {known}.", f"Or say it with --{spectrum}.unit."
+        )
+    return unit

@@ -84,7 +84,8 @@ class Exposures(nn.Module):
             if view is None or view.image is None or image is None or frame.index is None:
                 continue
             lacking = view.image - _affine(image, _of_frame(maps, frame.index))
-            found = lacking.mean(dim=(0, 1))[:, None] if maps.shape[-1] == 1 else _solved(image, lacking)
+            counts = torch.ones_like(image[..., :1]) if view.mask is None else view.mask[..., None].to(image.dtype)
+            found = _solved(image, lacking, counts, level=maps.shape[-1] == 1)
             if maps.grad is None:
                 maps.grad = torch.zeros_like(maps)
             maps.grad.index_add_(0, frame.index.reshape(1), found[None])
@@ -101,12 +102,22 @@ class Exposures(nn.Module):
                 maps += (SHARE * (1.0 - blocked)) * maps.grad.nan_to_num(0.0, 0.0, 0.0)
 
 
-def _solved(image: Tensor, lacking: Tensor) -> Tensor:
-    """[A | b], shape [C, C + 1], with A C + b nearest to what is lacking, both images [H, W, C], by least squares."""
-    pixels = torch.cat([image, torch.ones_like(image[..., :1])], dim=-1).flatten(0, 1)
-    normal = pixels.T @ pixels / len(pixels)
+def _solved(image: Tensor, lacking: Tensor, counts: Tensor, *, level: bool) -> Tensor:
+    """[A | b], shape [C, C + 1], with A C + b nearest to what is lacking, by least squares; b alone, shape [C, 1].
+
+    Args:
+        image: [H, W, C].
+        lacking: [H, W, C].
+        counts: [H, W, 1], 1 for pixels that count and 0 for others.
+        level: Only b.
+    """
+    number = counts.sum().clamp(min=1.0)
+    if level:
+        return (counts * lacking).sum(dim=(0, 1))[:, None] / number
+    pixels = (counts * torch.cat([image, torch.ones_like(counts)], dim=-1)).flatten(0, 1)
+    normal = pixels.T @ pixels / number
     normal.diagonal().add_(_RIDGE)
-    rows = torch.cat([normal, pixels.T @ lacking.flatten(0, 1) / len(pixels)], dim=1)
+    rows = torch.cat([normal, pixels.T @ lacking.flatten(0, 1) / number], dim=1)
     # Gauss-Jordan elimination, which needs no pivots here: the matrix is positive definite
     for k in range(len(rows)):
         pivot = rows[k : k + 1] / rows[k, k]

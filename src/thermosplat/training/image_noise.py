@@ -47,16 +47,19 @@ NoiseOf = Callable[[str], ImageNoise | None]
 """The noise of a spectrum's training images, as ``training_noise`` measures it."""
 
 
-def image_noise(image: Tensor) -> ImageNoise:
+def image_noise(image: Tensor, mask: Tensor | None = None) -> ImageNoise:
     """The noise of one image, mean over its channels.
 
     Args:
         image: [H, W, C] in 0 to 1, H and W at least 3.
+        mask: bool [H, W], which pixels count; None: all. Those beyond have the noise of stripes alone.
     """
     across, down = image.diff(n=2, dim=1), image.diff(n=2, dim=0)
-    response = across.diff(n=2, dim=0)
+    response = across.diff(n=2, dim=0).flatten(0, 1)
+    if mask is not None and bool((counts := _whole_neighbourhoods(mask).flatten()).any()):
+        response = response[counts]
     stripes = math.hypot(_stripes(across, along=0), _stripes(down, along=1))
-    plain = _FROM_MEDIAN * response.abs().flatten(0, 1).median(dim=0).values / 6.0  # of each channel
+    plain = _FROM_MEDIAN * response.abs().median(dim=0).values / 6.0  # of each channel
     return ImageNoise(_FROM_MEAN * response.abs().mean().item() / 6.0, stripes, math.sqrt(plain.square().mean().item()))
 
 
@@ -69,8 +72,8 @@ def training_noise(frames: TrainFrames, spectrum: str) -> ImageNoise | None:
     """
     having = [index for index, frame in enumerate(frames.frames) if spectrum in frame.views]
     chosen = having[:: math.ceil(len(having) / _VIEWS)] if having else []
-    images = (frames[index].views[spectrum].image for index in chosen)
-    found = [image_noise(image) for image in images if image is not None]
+    views = (frames[index].views[spectrum] for index in chosen)
+    found = [image_noise(view.image, view.mask) for view in views if view.image is not None]
     if not found:
         return None
     return ImageNoise(
@@ -151,6 +154,11 @@ def fitted_to_noise(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig
             f"{noise.stripes:.4f}): {', '.join(said)}."
         )
     return replace(config, spectra=spectra), tuple(notes)
+
+
+def _whole_neighbourhoods(mask: Tensor) -> Tensor:
+    """Where the 3x3 pixels of a response all count, bool [H - 2, W - 2]."""
+    return mask.unfold(0, 3, 1).unfold(1, 3, 1).flatten(2).all(dim=-1)
 
 
 def _stripes(differences: Tensor, *, along: int) -> float:

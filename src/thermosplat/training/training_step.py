@@ -396,5 +396,5 @@ def _errors_of_images(rendered: RenderedFrame, frame: FrameTensors, names: Colle
     for name in names:
         image, view = rendered.images.get(name), frame.views.get(name)
         if image is not None and view is not None and view.image is not None:
-            found[name] = squared_error(image, view.image)
+            found[name] = squared_error(image, view.image, view.mask)
     return found

@@ -110,9 +110,11 @@ def test_images_that_cannot_be_read(tmp_path):
     root = write_colmap_folder(tmp_path)
     (root / "images").rename(root / "thermal")
     (root / "images").mkdir()
+    (root / "images" / "0000.xyz").write_bytes(b"x")
+    assert "images/ holds 1 files and no image (first: images/0000.xyz; read are .bmp .jfif" in lacking(root).message
     (root / "images" / "0000.heic").write_bytes(b"x")
-    error = lacking(root)
-    assert "images/ holds 1 files and no image (first: images/0000.heic; read are .bmp .jpeg" in error.message
+    message = lacking(root).message
+    assert f"1 picture of {root}/images is HEIC, which is not read (first: 0000.heic). Convert" in message
 
 
 def test_no_rgb_folder(tmp_path):

@@ -1,6 +1,7 @@
 """Files of one spectrum, with what its folder states of them."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from capture_folders import (
 )
 from thermosplat.datasets import load_capture
 from thermosplat.errors import UserError
+from tiff_files import tiff_file
 
 
 @pytest.mark.parametrize("spectrum", ["thermal", "nir"])
@@ -87,3 +89,82 @@ def test_a_palette_of_each_spectrum(tmp_path: Path) -> None:
     assert len(capture.scales["nir"].palette.colors) == 2
     capture = load_capture(root, spectra=spectra_with(nir={"palette": "iron"}, thermal={"palette": "iron"}))
     assert capture.scales["nir"].palette == capture.scales["thermal"].palette
+
+
+@pytest.mark.parametrize("which", [range(8), [3]])
+@pytest.mark.parametrize("folder", ["images", "thermal"])
+def test_images_of_one_value_are_told_of(tmp_path: Path, folder: str, which: list[int]) -> None:
+    """A closed shutter, a lens cap: of photographs and of values."""
+    root = write_colmap_folder(tmp_path)
+    for number in range(8):
+        write_image(root / "thermal" / f"{number:04d}.png", centikelvin(temperatures(number)))
+    constant = np.zeros((24, 32, 3), np.uint8) if folder == "images" else np.full((24, 32), 29_500, np.uint16)
+    for number in which:
+        write_image(root / folder / f"{number:04d}.png", constant)
+    count, have = ("8 of 8", "have") if len(which) == 8 else ("1 of 8", "has")
+    name = "RGB" if folder == "images" else "thermal"
+    start = f"{count} {name} images {have} one value everywhere (first: {which[0]:04d}.png): a closed shutter, a"
+    assert sum(note.startswith(start) for note in load_capture(root).notes) == 1
+
+
+def thermal_files(root: Path, values: Callable[[np.ndarray], np.ndarray], fill: float) -> Path:
+    """A capture whose thermal TIFFs have a value in place of an eighth of their pixels."""
+    write_colmap_folder(root)
+    (root / "thermal").mkdir()
+    for number in range(8):
+        image = values(temperatures(number))
+        image[:3] = fill
+        (root / "thermal" / f"{number:04d}.tif").write_bytes(tiff_file(image))
+    return root
+
+
+@pytest.mark.parametrize("unit", ["auto", "celsius"])
+@pytest.mark.parametrize(
+    ("fill", "match"),
+    [
+        (-9999, r"0000\.tif has 96 pixels without a value: they are not finite numbers or NoData"),
+        (-3.4e38, r"0000\.tif has 96 pixels without a value: they are not finite numbers or NoData"),
+        (np.nan, r"0000\.tif has 96 pixels without a value: they are not finite numbers or NoData"),
+        (-999, r"of the values in thermal/ are -999, and all others can be temperatures"),
+    ],
+)
+def test_values_that_stand_for_none(tmp_path: Path, unit: str, fill: float, match: str) -> None:
+    """They are an error, not a range that flattens all others; counts are no advice where °C are stated."""
+    root = thermal_files(tmp_path, np.float32, fill)
+    with pytest.raises(UserError, match=match) as caught:
+        load_capture(root, spectra=spectra_with(thermal={"unit": unit}))
+    assert "mask" in caught.value.hint
+    assert unit == "auto" or "counts" not in caught.value.hint
+
+
+@pytest.mark.parametrize("unit", ["auto", "centikelvin"])
+def test_zeros_among_temperatures(tmp_path: Path, unit: str) -> None:
+    """Of 16-bit values, which a mask may leave out."""
+    root = thermal_files(tmp_path, centikelvin, 0)
+    with pytest.raises(UserError, match="of the values in thermal/ are 0, and all others can be temperatures"):
+        load_capture(root, spectra=spectra_with(thermal={"unit": unit}))
+    for number in range(8):
+        mask = np.full((24, 32), 255, np.uint8)
+        mask[:3] = 0
+        write_image(root / "masks" / "thermal" / f"{number:04d}.png", mask)
+    low, _ = load_capture(root, spectra=spectra_with(thermal={"unit": unit})).scales["thermal"].range or (0, 0)
+    assert low > 10
+
+
+def test_a_few_cold_pixels_beside_each_other(tmp_path: Path) -> None:
+    """Too few for a percentile to see, and no lone dead pixels: nothing is colder than absolute zero."""
+    root = thermal_files(tmp_path, np.float32, 25)
+    image = np.float32(temperatures(3))
+    image[5:8, 5:8] = -500
+    (root / "thermal" / "0003.tif").write_bytes(tiff_file(image))
+    with pytest.raises(UserError, match=r"0003\.tif has 9 pixels without a value: they lie at absolute zero or below"):
+        load_capture(root)
+
+
+def test_many_values_far_from_all_others(tmp_path: Path) -> None:
+    """What may be saturated as well is told of, with the way out."""
+    root = thermal_files(tmp_path, centikelvin, 65_535)
+    notes = load_capture(root).notes
+    assert any("of the thermal values are 65,535, far from all others (28,8" in note for note in notes)
+    quiet = load_capture(root, spectra=spectra_with(thermal={"range": (15.0, 35.0)})).notes
+    assert not any("far from all others" in note for note in quiet)

@@ -193,7 +193,7 @@ def test_values_that_are_no_numbers():
     """NaN in a radiometric file is named, not trained on."""
     values = np.full((4, 5), 20, np.float32)
     values[2, 2] = np.nan
-    with pytest.raises(UserError, match="1 pixels that are not finite"):
+    with pytest.raises(UserError, match=r"0\.tiff has 1 pixels without a value: they are not finite"):
         read([SpectrumFile(Path("thermal/0.tiff"), None, values)])
 
 

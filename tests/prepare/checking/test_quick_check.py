@@ -33,13 +33,3 @@ def test_steady_and_drifting_sensors() -> None:
     assert "--thermal.exposure level" in note
     allowed = {**DEFAULT_SPECTRA, "thermal": replace(DEFAULT_SPECTRA["thermal"], exposure="level")}
     assert quick_notes(drifting, allowed) == []
-
-
-def test_constant_images() -> None:
-    """A closed shutter is named."""
-    capture = scalar(load_capture("sample"), 0.0)
-    first = capture.train[0]
-    blank = replace(first.views["thermal"], image=np.full_like(first.views["thermal"].image, 0.5))
-    capture = replace(capture, train=(replace(first, views={"thermal": blank}), *capture.train[1:]))
-    (note,) = quick_notes(capture, DEFAULT_SPECTRA)
-    assert f"(first: {blank.name})" in note

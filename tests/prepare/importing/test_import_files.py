@@ -1,6 +1,7 @@
 """Importing: which files are found in which folders, what becomes of them, and what is refused."""
 
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from thermosplat.prepare.importing import import_files as module
 from thermosplat.prepare.importing.import_files import ImportOptions, import_files
 from thermosplat.prepare.importing.thermal_images import ThermalOptions
 from thermosplat.thermal.radiometry import FLIR_IRON
+from tiff_files import NODATA, ORIENTATION, tiff_file
 
 COUNTS = (12_000 + np.arange(36 * 48)).astype(np.uint16).reshape(36, 48)
 
@@ -303,3 +305,91 @@ def test_capture_inside_the_folder_is_no_source(tmp_path: Path) -> None:
     again = CaptureFolder(tmp_path / "in" / "captures" / "two")
     import_files(tmp_path / "in", again)
     assert len(names(again, "rgb")) == module.LEAST_PHOTOGRAPHS + 1
+
+
+@pytest.mark.parametrize("count", [3, 9])
+def test_pictures_that_are_not_read(tmp_path: Path, capture: CaptureFolder, count: int) -> None:
+    """Some among the others are told of; where all photographs are, the error says what they are."""
+    folder = write_two_cameras(tmp_path / "in", 9)
+    for number in range(1, count + 1):
+        path = folder / "visible" / f"VIS_{number:04d}.jpg"
+        path.rename(path.with_suffix(".HEIC"))
+    start = f"{count} pictures of {folder} are HEIC, which is not read (first: visible/VIS_0001.HEIC). Convert them"
+    if count == 3:
+        assert any(sentence.startswith(start) for sentence in import_files(folder, capture).sentences)
+        return
+    with pytest.raises(UserError) as caught:
+        import_files(folder / "visible", capture)
+    assert "9 pictures of" in caught.value.message
+    assert "are HEIC, which is not read" in caught.value.message
+
+
+def test_photographs_that_are_called_jfif(tmp_path: Path, capture: CaptureFolder) -> None:
+    """They are JPEGs, and are called so in the capture."""
+    folder = write_two_cameras(tmp_path / "in")
+    for path in sorted((folder / "visible").iterdir()):
+        path.rename(path.with_suffix(".jfif"))
+    import_files(folder, capture)
+    assert names(capture, "rgb") == [f"VIS_{number:04d}.jpg" for number in range(1, 7)]
+
+
+@pytest.mark.timeout(60)
+def test_what_is_no_file_is_left_alone(tmp_path: Path, capture: CaptureFolder) -> None:
+    """A pipe among the images has no end, and the system's folders hold no photographs."""
+    folder = write_two_cameras(tmp_path / "in")
+    for name in ("visible/VIS_0007.jpg", "thermal/IR_0007.tiff", "thermal/x.mp4", "units.json"):
+        os.mkfifo(folder / name)
+    (folder / "proc").symlink_to("/proc")
+    (folder / "visible" / "root").symlink_to("/")
+    report = import_files(folder, capture)
+    assert "6 RGB images of 96x72 px and 6 thermal images of 48x36 px." in report.sentences
+
+
+@pytest.mark.parametrize(("filled", "tag"), [(0.005, "-9999"), (0.5, "-9999"), (0.005, None), (0.5, None)])
+def test_values_that_files_call_none(tmp_path: Path, capture: CaptureFolder, filled: float, tag: str | None) -> None:
+    """A few are filled from their neighbours, by GDAL's tag or a usual fill value; many are an error."""
+    folder = write_two_cameras(tmp_path / "in")
+    for number, path in enumerate(sorted((folder / "thermal").iterdir()), start=1):
+        values = celsius(number).astype(np.float32)
+        values.reshape(-1)[: int(filled * values.size)] = -9999
+        path.write_bytes(tiff_file(values, tags={} if tag is None else {NODATA: tag}))
+    if filled == 0.5:
+        with pytest.raises(UserError, match=r"864 of 1,728 pixels without a temperature"):
+            import_files(folder, capture)
+        return
+    report = import_files(folder, capture)
+    assert "48 pixels without a temperature were filled from the neighbours." in report.sentences
+    assert read_image(capture.images("thermal") / names(capture, "thermal")[0]).min() > 28_000
+
+
+def test_a_fill_value_that_nobody_knows(tmp_path: Path, capture: CaptureFolder) -> None:
+    """Temperatures among which many are -1000 are no counts."""
+    folder = write_two_cameras(tmp_path / "in")
+    for number, path in enumerate(sorted((folder / "thermal").iterdir()), start=1):
+        values = celsius(number).astype(np.float32)
+        values[:9] = -1000
+        path.write_bytes(tiff_file(values))
+    with pytest.raises(UserError, match="of the values in thermal/ are -1,000, and all others can be temperatures"):
+        import_files(folder, capture)
+
+
+def test_units_in_other_spellings(tmp_path: Path, capture: CaptureFolder) -> None:
+    """--unit takes what units.json takes."""
+    import_files(
+        write_two_cameras(tmp_path / "in"), capture, ImportOptions(thermal=ThermalOptions(unit="centi-Kelvins"))
+    )
+    assert np.array_equal(read_image(capture.images("thermal") / names(capture, "thermal")[0]), centikelvin(1))
+    with pytest.raises(UserError, match="--unit kelvn is not known"):
+        ThermalOptions(unit="kelvn")
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_turned_tiffs_keep_their_pixels(tmp_path: Path, capture: CaptureFolder, orientation: int) -> None:
+    """As the sentence says that is printed of them."""
+    folder = write_two_cameras(tmp_path / "in")
+    for number, path in enumerate(sorted((folder / "thermal").iterdir()), start=1):
+        path.write_bytes(tiff_file(centikelvin(number), tags={ORIENTATION: orientation}))
+    report = import_files(folder, capture)
+    assert any("pixels are used as they are stored" in sentence for sentence in report.sentences)
+    for number, name in enumerate(names(capture, "thermal"), start=1):
+        assert np.array_equal(read_image(capture.images("thermal") / name), centikelvin(number))

@@ -1,5 +1,6 @@
 """Poses of photographs, what is said where there are none, and a step that goes on after it was killed."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -47,6 +48,19 @@ def test_photographs_of_a_room_have_their_poses(room: tuple[SeenRoom, CaptureFol
         turn = cv2.Rodrigues(mine[:3, :3] @ true[:3, :3].T)[0]
         assert np.degrees(np.linalg.norm(turn)) < 0.2
     assert run_sfm(capture).before
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("kind", ["pipe", "missing"])
+def test_a_photograph_that_is_no_file(room: tuple[SeenRoom, CaptureFolder], tmp_path: Path, kind: str) -> None:
+    """It is named before COLMAP waits for it."""
+    capture = copied(room[1], tmp_path / "capture")
+    path = capture.images("rgb") / "003.jpg"
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    with pytest.raises(UserError, match=r"003\.jpg is listed in frames\.csv, and there is no such file"):
+        run_sfm(capture)
 
 
 def test_a_killed_step_goes_on(

@@ -61,7 +61,7 @@ def stored(root: Path) -> Stored:
 def assert_is(found: ReadFrame, frames: Stored, index: int) -> None:
     assert found.index == index
     for name, place in places_in_slot(frames[index]).items():
-        image, intensity = place.tensors(found.pixels)
+        image, intensity, _ = place.tensors(found.pixels)
         expected = frames[index][name].read_to_train()
         np.testing.assert_array_equal(image.numpy(), expected.image, strict=True)
         assert (intensity is None) == (expected.intensity is None)
@@ -171,7 +171,7 @@ def test_kept_frames_are_read_from_the_disk(tmp_path: Path) -> None:
         path.unlink()
     for found in loader.each(range(len(frames))):
         for name, place in places_in_slot(frames[found.index]).items():
-            image, intensity = place.arrays(found.pixels.numpy())
+            image, intensity, _ = place.arrays(found.pixels.numpy())
             np.testing.assert_array_equal(image, expected[found.index][name].image)
             if intensity is not None:
                 np.testing.assert_array_equal(intensity, expected[found.index][name].intensity)

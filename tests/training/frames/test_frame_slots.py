@@ -7,32 +7,36 @@ import numpy as np
 import pytest
 import torch
 
-from capture_folders import spectra_with, write_rgbt_scenes
+from capture_folders import HEIGHT, WIDTH, spectra_with, write_image, write_rgbt_scenes
 from thermosplat.datasets import load_capture
 from thermosplat.training.frames.frame_loader import stored_views
 from thermosplat.training.frames.frame_slots import FrameSlots, places_in_slot, slot_bytes
 
 
+@pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("source", ["color", "raw"])
-def test_pixels_have_their_places(tmp_path: Path, source: str) -> None:
+def test_pixels_have_their_places(tmp_path: Path, source: str, masked: bool) -> None:
     """Images as they are kept, side by side; what numpy writes torch reads."""
     root = write_rgbt_scenes(tmp_path, folders=False, raw=True)
+    if masked:
+        for folder in ("rgb", "thermal"):
+            write_image(root / "masks" / folder / "0001.png", np.tri(HEIGHT, WIDTH, dtype=np.uint8))
     capture = load_capture(root, image_memory=1e-9, spectra=spectra_with(thermal={"source": source}))
     stored = stored_views(capture.train[0])
     slot = FrameSlots(3, slot_bytes(stored))[1]
     places = places_in_slot(stored)
     for name, place in places.items():
-        stored[name].read_into(*place.arrays(slot))
+        stored[name].read_into(place.arrays(slot))
     for name, place in places.items():
-        image, intensity = place.tensors(torch.from_numpy(slot))
-        expected = stored[name].read_to_train()
-        np.testing.assert_array_equal(image.numpy(), expected.image, strict=True)
-        if expected.intensity is None:
-            assert intensity is None
-        else:
-            np.testing.assert_array_equal(intensity.numpy(), expected.intensity, strict=True)
+        found = place.tensors(torch.from_numpy(slot))
+        for part, expected in zip(found, stored[name].read_to_train(), strict=True):
+            assert (part is None) == (expected is None)
+            if part is not None:
+                np.testing.assert_array_equal(part.numpy(), expected, strict=True)
+        assert (found[2] is None) != masked
     assert [place.is_bytes for place in places.values()] == [True, source == "color"]
-    starts = [start for place in places.values() for start in (place.image, place.intensity) if start is not None]
+    parts = [start for place in places.values() for start in (place.image, place.intensity, place.mask)]
+    starts = [start for start in parts if start is not None]
     assert starts == sorted(starts)
     assert all(start % 64 == 0 for start in starts)
     assert max(place.end for place in places.values()) <= len(slot)

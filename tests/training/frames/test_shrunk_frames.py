@@ -1,5 +1,7 @@
 """Smaller images are area averages, seen by cameras as --data-factor makes them, and made once per size."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -53,6 +55,18 @@ def test_the_images_that_a_data_factor_makes(factor: int) -> None:
             assert torch.equal(found.viewmat, view.viewmat)
         photographs = frame.views["rgb"].image, expected[index].views["rgb"].image
         torch.testing.assert_close(*photographs, rtol=0, atol=0.5001 / 255)
+
+
+def test_a_pixel_counts_that_covers_counting_ones() -> None:
+    """Wholly: the average of what is masked and what is not is of neither."""
+    frames = frames_of(times=3)
+    frame, taken = frames[0], frames.frames[0]
+    mask = torch.ones(frame.views["rgb"].image.shape[:2], dtype=torch.bool)
+    mask[:5, :7] = False
+    view = shrunk_view(dataclasses.replace(frame.views["rgb"], mask=mask), taken.views["rgb"], 1.7)
+    expected = cv2.resize(mask.numpy().astype(np.float64), (view.width, view.height), interpolation=cv2.INTER_AREA)
+    assert view.mask is not None
+    np.testing.assert_array_equal(view.mask.numpy(), expected > 0.999)
 
 
 def test_each_spectrum_has_its_own_size_and_a_shortest_side() -> None:

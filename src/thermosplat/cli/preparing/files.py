@@ -30,7 +30,7 @@ class SourceArguments:
     """Folders of further spectra, such as nir=data/shed/nir."""
     unit: str | None = None
     """Unit of 16-bit and floating-point thermal values after --scale and --offset: kelvin, decikelvin, centikelvin,
-    celsius, centicelsius, or counts for none. None: units.json beside the files, else judged by the values."""
+    celsius, fahrenheit and others, or counts for none. None: units.json beside the files, else judged by the values."""
     scale: float | None = None
     """What thermal values are multiplied by to be in that unit."""
     offset: float | None = None

@@ -10,13 +10,14 @@ import pycolmap
 from thermosplat.datasets.colmap.record_lengths import MODEL_NAMES, wrong_lengths
 
 _NEEDED = ("cameras", "images", "points3D")
+_RIG = ("rigs", "frames")
 _POSE_FIELDS = 9
 """Numbers before the name in a line of images.txt: id, quaternion, translation, camera."""
 
 
 def damage_before_reading(folder: Path) -> str | None:
     """Missing files, and binary files that their records do not fill: on some pycolmap hangs or takes all memory."""
-    return _missing(folder) or wrong_lengths(folder)
+    return _special(folder) or _missing(folder) or wrong_lengths(folder)
 
 
 def damage_after_failure(folder: Path, error: Exception) -> str:
@@ -31,12 +32,18 @@ def damage_after_failure(folder: Path, error: Exception) -> str:
     return found or " ".join(str(error).rpartition("] ")[2].split()).rstrip(".") or type(error).__name__
 
 
+def _special(folder: Path) -> str | None:
+    """A name of the model's files under which something else lies, such as a pipe, which is read for ever."""
+    files = (f"{name}.{kind}" for name in (*_NEEDED, *_RIG) for kind in ("bin", "txt"))
+    return next((f"{file} is no file" for file in files if (folder / file).exists() != (folder / file).is_file()), None)
+
+
 def _missing(folder: Path) -> str | None:
     kinds = {kind: [name for name in _NEEDED if not (folder / f"{name}.{kind}").is_file()] for kind in ("bin", "txt")}
     kind = min(kinds, key=lambda kind: len(kinds[kind]))
     lacking = kinds[kind]
     if not lacking:  # a rig is in two files or, before COLMAP 3.12, in none
-        rig = [name for name in ("rigs", "frames") if not (folder / f"{name}.{kind}").is_file()]
+        rig = [name for name in _RIG if not (folder / f"{name}.{kind}").is_file()]
         lacking = rig if len(rig) == 1 else []
     if not lacking:
         return None

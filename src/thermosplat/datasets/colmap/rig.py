@@ -24,6 +24,7 @@ from thermosplat.datasets.images.image_names import (
     folders_of,
     frame_names,
 )
+from thermosplat.datasets.images.masks import masks_by_spectrum
 from thermosplat.errors import UserError
 from thermosplat.spectra import SpectrumConfig, folder_names, label
 
@@ -55,6 +56,7 @@ def list_colmap_rig(root: Path, model: ColmapModel, spectra: Mapping[str, Spectr
     values = {
         name: files_in(values_folder(root, name, spectrum), folders=skipped) for name, spectrum in spectra.items()
     }
+    masks = masks_by_spectrum(root, spectra)
     others = {
         name: files_in(spectrum_folder(root, name, spectrum), folders=skipped) or values[name]
         for name, spectrum in spectra.items()
@@ -74,8 +76,8 @@ def list_colmap_rig(root: Path, model: ColmapModel, spectra: Mapping[str, Spectr
                 without_file += 1
                 continue
             called = called or (spectrum, image.name)
-            raw = values[spectrum].get(image.name, named[spectrum])
-            shots[spectrum] = Shot(path, image.lens, image.viewmat, raw)
+            raw, mask = (found[spectrum].get(image.name, named[spectrum]) for found in (values, masks))
+            shots[spectrum] = Shot(path, image.lens, image.viewmat, raw, mask)
             folders = [part.lower() for part in path.parent.parts[len(root.parts) :]]
             split = split or next((s for s in SPLIT_FOLDERS if s in folders), None)
         used.update(shot.path.resolve() for shot in shots.values())  # one file may be below several folders by links
@@ -84,7 +86,8 @@ def list_colmap_rig(root: Path, model: ColmapModel, spectra: Mapping[str, Spectr
             for spectrum, files in others.items():
                 if (other := files.find(called[1], named[called[0]])) is not None:
                     lead = shots[called[0]]
-                    shots[spectrum] = Shot(files[other], lead.lens, lead.viewmat, values[spectrum].get(other, files))
+                    raw, mask = (found[spectrum].get(other, files) for found in (values, masks))
+                    shots[spectrum] = Shot(files[other], lead.lens, lead.viewmat, raw, mask)
             names.append(called[1])
             ordered = {spectrum: shots[spectrum] for spectrum in spectra if spectrum in shots}
             frames.append(FrameFiles("", ordered, split, own_cameras=own))

@@ -14,6 +14,7 @@ from thermosplat.datasets.images.image_names import (
     frame_names,
     stated_split,
 )
+from thermosplat.datasets.images.masks import masks_by_spectrum
 from thermosplat.spectra import SpectrumConfig
 
 
@@ -48,6 +49,7 @@ def frames_with_borrowed_cameras(
         UserError: Several images have one stem, and nothing tells which of them belong together.
     """
     files, values = files_of_spectra(root, folder, spectra)
+    masks = masks_by_spectrum(root, spectra)
     registered = named_images(images, folders_of(spectra))
     found, without_pose = [], []
     for exposure in exposures(files):
@@ -62,8 +64,8 @@ def frames_with_borrowed_cameras(
     for (exposure, image), frame in zip(found, called, strict=True):
         shots = {}
         for spectrum, name in exposure.names.items():
-            raw = values[spectrum].get(name, files[spectrum])
-            shots[spectrum] = Shot(files[spectrum][name], image.lens, image.viewmat, raw)
+            raw, mask = (named[spectrum].get(name, files[spectrum]) for named in (values, masks))
+            shots[spectrum] = Shot(files[spectrum][name], image.lens, image.viewmat, raw, mask)
         stated = [stated_split(name) for name in exposure.names.values()]
         frames.append(FrameFiles(frame, shots, next(filter(None, stated), None)))
     return frames, registration_notes(without_pose, len(registered) - len({image.name for _, image in found}))

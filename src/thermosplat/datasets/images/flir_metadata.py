@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermosplat.regular_files import read_regular
 from thermosplat.thermal.radiometry import Palette
 
 _MARK = b"FLIR\0"
@@ -20,7 +21,7 @@ _ENTRIES_AT = 0x70
 def read_flir_palette(path: Path) -> Palette | None:
     """The palette stored in a JPEG file, or None where there is none (any other file included)."""
     try:
-        record = fff_record(fff_file(path.read_bytes()), _PALETTE_RECORD)
+        record = fff_record(fff_file(read_regular(path)), _PALETTE_RECORD)
         count = record[0]
         ycc = np.frombuffer(record, np.uint8, 3 * count, _ENTRIES_AT).reshape(count, 3).astype(np.float64)
     except (OSError, struct.error, ValueError, IndexError, LookupError):

@@ -5,23 +5,28 @@ WebP specifications, ITU-T T.81 (JPEG), TIFF 6.0 and BigTIFF, Microsoft's BITMAP
 """
 
 import os
-import stat
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, overload
+from typing import BinaryIO
 
+from thermosplat.datasets.images.file_content import Content, FileBytes, unpacked
+from thermosplat.datasets.images.tiff_tags import read_tiff_tags
 from thermosplat.errors import UserError
+from thermosplat.regular_files import open_regular
 
 LARGEST = 1 << 30
 """Most bytes of an image, in the file and decoded: 350 megapixels of 8-bit colour."""
 _RESTORE = "Restore it, or remove it from the folder."
+TIFF_MARKS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""What TIFF and BigTIFF files begin with."""
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # without tables and extensions
 _WITHOUT_LENGTH = frozenset({0x01, *range(0xD0, 0xD9)})
-_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 4, 6: 4}
+_PNG_SAMPLES = {0: 1, 2: 3, 3: 3, 4: 4, 6: 4}
 """Channels that OpenCV gives of each colour type; a palette becomes colours, grey with alpha four channels."""
+_PNG_GREY, _PNG_ALPHA = (0, 4), (4, 6)
 
 
 @dataclass(frozen=True)
@@ -31,19 +36,25 @@ class ImageHeader:
     Args:
         width: [px].
         height: [px].
-        channels: Of the decoded image, at most: 1 for one value per pixel.
+        channels: Of the image without its alpha: 1 for one value per pixel, else 3.
         value_bytes: Bytes of a value: 1 for 8 bits and less.
+        decoded_bytes: Memory that decoding takes, with alpha and what is cut off [bytes].
+        has_alpha: The file says, or may say, of pixels that there is nothing.
     """
 
     width: int
     height: int
     channels: int
     value_bytes: int
+    decoded_bytes: int
+    has_alpha: bool = False
 
-    @property
-    def decoded_bytes(self) -> int:
-        """Memory that the decoded image takes [bytes]."""
-        return self.width * self.height * self.channels * self.value_bytes
+    @classmethod
+    def of(
+        cls, width: int, height: int, channels: int, samples: int, value_bytes: int = 1, *, has_alpha: bool = False
+    ) -> "ImageHeader":
+        """Of an image that is decoded to so many samples a pixel."""
+        return cls(width, height, channels, value_bytes, width * height * samples * value_bytes, has_alpha)
 
     @property
     def is_radiometric(self) -> bool:
@@ -71,10 +82,10 @@ def read_header(path: Path) -> tuple[ImageHeader | None, FileStamp]:
     Raises:
         UserError: As ``read_regular_file``.
     """
-    status = _status(path)
     try:
-        with open(path, "rb") as file:
-            return image_header(_FileBytes(file, status.st_size)), FileStamp(status.st_size, status.st_mtime_ns)
+        with open_regular(path) as file:
+            status = _status(path, file)
+            return image_header(FileBytes(file, status.st_size)), FileStamp(status.st_size, status.st_mtime_ns)
     except OSError as error:
         raise _unreadable(path, error) from error
 
@@ -88,15 +99,14 @@ def read_regular_file(path: Path) -> bytes:
     Raises:
         UserError: It cannot be read, is larger than ``LARGEST``, or is no regular file (a pipe would never end).
     """
-    status = _status(path)
     try:
-        with open(path, "rb") as file:
-            return file.read(status.st_size)  # no more: room for what is asked for is taken first
+        with open_regular(path) as file:
+            return file.read(_status(path, file).st_size)  # no more: room for what is asked for is taken first
     except OSError as error:
         raise _unreadable(path, error) from error
 
 
-def image_header(content: "Content") -> ImageHeader | None:
+def image_header(content: Content) -> ImageHeader | None:
     """What the content of a file says of its image; None where it is no JPEG, PNG, TIFF, BMP or WebP.
 
     Args:
@@ -109,16 +119,6 @@ def image_header(content: "Content") -> ImageHeader | None:
     except (struct.error, IndexError):  # the header is cut off
         pass
     return None
-
-
-def decoded_bytes(content: bytes) -> int | None:
-    """Memory that the decoded image takes [bytes]; None where the content is no JPEG, PNG, TIFF, BMP or WebP.
-
-    Args:
-        content: The whole file.
-    """
-    header = image_header(content)
-    return None if header is None else header.decoded_bytes
 
 
 def is_cut_or_changed(content: bytes) -> bool:
@@ -134,56 +134,63 @@ def is_cut_or_changed(content: bytes) -> bool:
     return False
 
 
+def is_grey16_with_alpha(content: bytes) -> bool:
+    """Whether this is a PNG whose 16-bit grey has an alpha channel.
+
+    Args:
+        content: The whole file.
+    """
+    return content.startswith(b"\x89PNG") and content[24:26] == b"\x10\x04"
+
+
+def transparent_level(content: bytes) -> int | None:
+    """The level that a grey PNG says is transparent, as it is decoded; None where there is none.
+
+    Args:
+        content: The whole file, whose chunks are whole.
+    """
+    if not content.startswith(b"\x89PNG") or content[25] != 0:
+        return None
+    for kind, begin, _ in _png_chunks(content):
+        if kind == b"IDAT":
+            break
+        if kind == b"tRNS":
+            depth, level = content[24], int.from_bytes(content[begin : begin + 2], "big")
+            return level if depth == 16 else (level & (1 << depth) - 1) * 255 // ((1 << depth) - 1)
+    return None
+
+
 def _png_is_whole(content: bytes) -> bool:
     """Every chunk up to the end has the checksum that it states."""
-    view, at = memoryview(content), 8
-    while at + 12 <= len(content):
-        (length,) = struct.unpack_from(">I", content, at)
-        end = at + 8 + length
-        if end + 4 > len(content) or zlib.crc32(view[at + 4 : end]) != struct.unpack_from(">I", content, end)[0]:
+    view = memoryview(content)
+    for kind, begin, end in _png_chunks(content):
+        if zlib.crc32(view[begin - 4 : end]) != struct.unpack_from(">I", content, end)[0]:
             return False
-        if content[at + 4 : at + 8] == b"IEND":
+        if kind == b"IEND":
             return True
-        at = end + 4
     return False
 
 
-class _FileBytes:
-    """A file as bytes that are read where they are looked at."""
-
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        self._file, self._size = file, size
-
-    def __len__(self) -> int:
-        return self._size
-
-    @overload
-    def __getitem__(self, key: int) -> int: ...
-    @overload
-    def __getitem__(self, key: slice) -> bytes: ...
-    def __getitem__(self, key: int | slice) -> int | bytes:
-        if isinstance(key, int):
-            return self[key : key + 1][0]
-        start, stop, _ = key.indices(self._size)
-        self._file.seek(start)
-        return self._file.read(max(stop - start, 0))
-
-
-Content = bytes | _FileBytes
-
-
-def _unpacked(layout: str, content: Content, at: int) -> tuple[Any, ...]:
-    """Numbers of a ``struct`` layout from a place on.
-
-    Raises:
-        struct.error: The content ends before.
-    """
-    return struct.unpack(layout, content[at : at + struct.calcsize(layout)])
+def _png_chunks(content: Content) -> Iterator[tuple[bytes, int, int]]:
+    """Kind of each whole chunk, where its data begin and where they end."""
+    at = 8
+    while at + 12 <= len(content):
+        end = at + 8 + unpacked(">I", content, at)[0]
+        if end + 4 > len(content):
+            return
+        yield content[at + 4 : at + 8], at + 8, end
+        at = end + 4
 
 
 def _png(content: Content) -> ImageHeader | None:
-    width, height, depth, color = _unpacked(">IIBB", content, 16)
-    return ImageHeader(width, height, _PNG_CHANNELS.get(color, 4), max(1, depth // 8))
+    width, height, depth, color = unpacked(">IIBB", content, 16)
+    channels, has_alpha = 1 if color in _PNG_GREY else 3, color in _PNG_ALPHA
+    for kind, _, _ in _png_chunks(content):
+        has_alpha |= kind == b"tRNS"
+        if kind == b"IDAT":
+            break
+    samples = 4 if has_alpha and channels == 3 else _PNG_SAMPLES.get(color, 4)
+    return ImageHeader.of(width, height, channels, samples, max(1, depth // 8), has_alpha=has_alpha)
 
 
 def _jpeg(content: Content) -> ImageHeader | None:
@@ -197,125 +204,70 @@ def _jpeg(content: Content) -> ImageHeader | None:
         elif marker in _WITHOUT_LENGTH:
             at += 2
         elif marker in _START_OF_FRAME:
-            depth, height, width, components = _unpacked(">BHHB", content, at + 4)
-            return ImageHeader(width, height, 1 if components == 1 else 4, 1 if depth == 8 else 2)
+            depth, height, width, components = unpacked(">BHHB", content, at + 4)
+            grey = components == 1
+            return ImageHeader.of(width, height, 1 if grey else 3, 1 if grey else 4, 1 if depth == 8 else 2)
         else:
-            at += 2 + _unpacked(">H", content, at + 2)[0]
+            at += 2 + unpacked(">H", content, at + 2)[0]
     return None
 
 
 def _bmp(content: Content) -> ImageHeader | None:
-    (header,) = _unpacked("<I", content, 14)
-    width, height = _unpacked("<HH" if header == 12 else "<ii", content, 18)
-    return ImageHeader(abs(width), abs(height), 4, 1)
+    (header,) = unpacked("<I", content, 14)
+    width, height = unpacked("<HH" if header == 12 else "<ii", content, 18)
+    return ImageHeader.of(abs(width), abs(height), 3, 4)
 
 
 def _webp(content: Content) -> ImageHeader | None:
-    kind, at = content[12:16], 20
+    kind, at, has_alpha = content[12:16], 20, False
     if content[8:12] != b"WEBP":
         return None
     if kind == b"VP8X":
         width, height = (int.from_bytes(content[at + k : at + k + 3], "little") + 1 for k in (4, 7))
+        has_alpha = bool(content[at] & 0x10)
     elif kind == b"VP8L":
-        (packed,) = _unpacked("<I", content, at + 1)
-        width, height = (packed & 0x3FFF) + 1, (packed >> 14 & 0x3FFF) + 1
+        (packed,) = unpacked("<I", content, at + 1)
+        width, height, has_alpha = (packed & 0x3FFF) + 1, (packed >> 14 & 0x3FFF) + 1, bool(packed >> 28 & 1)
     elif kind == b"VP8 ":
-        width, height = (side & 0x3FFF for side in _unpacked("<HH", content, at + 6))
+        width, height = (side & 0x3FFF for side in unpacked("<HH", content, at + 6))
     else:
         return None
-    return ImageHeader(width, height, 4, 1)
-
-
-_TIFF_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
-_MOST_TIFF_TAGS = 4096
-_WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 262, 277, 322, 323
-
-
-def lacks_photometric_tag(content: bytes) -> bool:
-    """Whether this is a TIFF that does not say what its values are, which OpenCV 5 refuses (Workswell cameras).
-
-    Args:
-        content: The whole file.
-    """
-    try:
-        return content.startswith((b"II*\0", b"MM\0*")) and _PHOTOMETRIC not in _tiff_tags(content)
-    except struct.error:
-        return False
+    return ImageHeader.of(width, height, 3, 4, has_alpha=has_alpha)
 
 
 def _tiff(content: Content) -> ImageHeader | None:
     """By the tags of the first image; a tile, which is decoded whole, counts where it is larger."""
-    tags = _tiff_tags(content)
-    if _WIDTH not in tags or _HEIGHT not in tags:
+    tags = read_tiff_tags(content)
+    if tags is None:
         return None
-    width, height = max(tags[_WIDTH], tags.get(_TILE_WIDTH, 0)), max(tags[_HEIGHT], tags.get(_TILE_HEIGHT, 0))
-    channels = tags.get(_SAMPLES, 1)
-    return ImageHeader(width, height, 1 if channels == 1 else max(channels, 4), max(1, tags.get(_BITS, 1) // 8))
-
-
-def _tiff_tags(content: Content) -> dict[int, int]:
-    """First value of each tag of the first image; 0 where it is no whole number.
-
-    Raises:
-        struct.error: The file ends before.
-    """
-    order = "<" if content[:2] == b"II" else ">"
-    (version,) = _unpacked(order + "H", content, 2)
-    number, count, size = ("I", "H", 12) if version == 42 else ("Q", "Q", 20)
-    room = struct.calcsize(order + number)
-    (at,) = _unpacked(order + number, content, room)
-    (entries,) = _unpacked(order + count, content, at)
-    at += struct.calcsize(order + count)
-    tags: dict[int, int] = {}
-    for place in range(at, at + min(entries, _MOST_TIFF_TAGS) * size, size):
-        tag, kind = _unpacked(order + "HH", content, place)
-        (values,) = _unpacked(order + number, content, place + 4)
-        letter = _TIFF_TYPES.get(kind)
-        if letter is None:
-            tags[tag] = 0
-            continue
-        value_at = place + 4 + room
-        if values * struct.calcsize(letter) > room:  # the values lie elsewhere
-            (value_at,) = _unpacked(order + number, content, value_at)
-        if value_at <= len(content):
-            (tags[tag],) = _unpacked(order + letter, content, value_at)
-    return tags
+    samples, value_bytes = 1 if tags.samples == 1 else max(tags.samples, 4), max(1, (tags.bits + 7) // 8)
+    padded = max(tags.width, tags.tile_width) * max(tags.height, tags.tile_height)
+    has_alpha = tags.alpha is not None or tags.nodata is not None
+    decoded_bytes = padded * samples * value_bytes
+    return ImageHeader(tags.width, tags.height, tags.channels, value_bytes, decoded_bytes, has_alpha)
 
 
 _READERS: dict[bytes, Callable[[Content], ImageHeader | None]] = {
     b"\xff\xd8": _jpeg,
     b"\x89PNG\r\n\x1a\n": _png,
-    b"II*\0": _tiff,
-    b"MM\0*": _tiff,
-    b"II+\0": _tiff,
-    b"MM\0+": _tiff,
+    **dict.fromkeys(TIFF_MARKS, _tiff),
     b"BM": _bmp,
     b"RIFF": _webp,
 }
 
 
-def _kind(mode: int) -> str:
-    kinds = (("pipe", stat.S_ISFIFO), ("folder", stat.S_ISDIR), ("socket", stat.S_ISSOCK))
-    return next((name for name, is_kind in kinds if is_kind(mode)), "device")
-
-
-def _status(path: Path) -> os.stat_result:
-    """Of a file that may be read.
+def _status(path: Path, file: BinaryIO) -> os.stat_result:
+    """Of an open file that may be read whole.
 
     Raises:
-        UserError: It is none.
+        UserError: It is too large.
     """
-    try:
-        status = os.stat(path)
-    except (OSError, ValueError) as error:
-        raise _unreadable(path, error) from error
-    if not stat.S_ISREG(status.st_mode):
-        raise UserError(f"Cannot read {path}: it is a {_kind(status.st_mode)}, not a file.", _RESTORE)
+    status = os.fstat(file.fileno())
     if status.st_size > LARGEST:
         raise UserError(f"{path} has {status.st_size:,} bytes; images have {LARGEST:,} at most.", _RESTORE)
     return status
 
 
-def _unreadable(path: Path, error: Exception) -> UserError:
+def _unreadable(path: Path, error: OSError) -> UserError:
     name = str(path) if len(str(path)) <= 300 else f"{str(path)[:300]}..."
-    return UserError(f"Cannot read {name}: {getattr(error, 'strerror', None) or error}.")
+    return UserError(f"Cannot read {name}: {error.strerror or error}.", _RESTORE)

@@ -1,9 +1,6 @@
 """Image files into arrays: 8-bit colour, 8-bit grey, 16-bit and floating-point, each as it is stored."""
 
-import os
-import warnings
-from collections.abc import Iterator
-from io import BytesIO
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,70 +10,138 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.images.image_bytes import (
     LARGEST,
-    decoded_bytes,
+    TIFF_MARKS,
+    ImageHeader,
+    image_header,
     is_cut_or_changed,
-    lacks_photometric_tag,
+    is_grey16_with_alpha,
     read_regular_file,
+    transparent_level,
 )
+from thermosplat.datasets.images.no_data import void_pixels
+from thermosplat.datasets.images.tiff_pixels import decode_tiff
+from thermosplat.datasets.images.tiff_tags import UNASSOCIATED, TiffTags, read_tiff_tags
+from thermosplat.datasets.images.unread_formats import unread_content
 from thermosplat.errors import UserError
+from thermosplat.regular_files import files_below, files_in
 
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
+JPEG_SUFFIXES = frozenset({".jpg", ".jpeg", ".jfif", ".jpe"})
+IMAGE_SUFFIXES = frozenset({*JPEG_SUFFIXES, ".png", ".tif", ".tiff", ".bmp", ".webp"})
+_RESTORE = "Restore it, or remove it from the folder."
 
-# `read_image` reports unreadable files, not OpenCV on the side. (OpenCV 4 and 5 name the function differently.)
+# `read_pixels` reports unreadable files, not OpenCV on the side. (OpenCV 4 and 5 name the function differently.)
 _set_log_level = cv2.setLogLevel if hasattr(cv2, "setLogLevel") else cv2.utils.logging.setLogLevel
 _set_log_level(1)  # fatal errors only
 
 
 def list_images(folder: Path, *, recursive: bool = False) -> list[Path]:
     """Image files in a folder, sorted by name; empty where there is no such folder."""
-    if not os.path.isdir(folder):  # also for a name that is too long
-        return []
-    entries = _files_below(folder) if recursive else folder.iterdir()
-    return sorted(path for path in entries if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."))
+    files = files_below(folder) if recursive else files_in(folder)
+    return [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")]
 
 
-def _files_below(folder: Path) -> Iterator[Path]:
-    """Files at any depth, also in folders that are links; each folder once, as links may go in a circle."""
-    seen = set()
-    for place, folders, files in os.walk(folder, followlinks=True):
-        real = os.path.realpath(place)
-        if real in seen:
-            folders.clear()
-            continue
-        seen.add(real)
-        folders.sort()
-        yield from (Path(place, name) for name in files)
+@dataclass(frozen=True, eq=False)
+class ImagePixels:
+    """What an image file holds.
+
+    Args:
+        image: [H, W] for one channel, [H, W, 3] RGB for colour, as the file stores it.
+        mask: bool [H, W], False where the file says that there is nothing (alpha); None: it is so nowhere.
+        void: bool [H, W], True where the file says that a value is none (NoData); None: nowhere.
+    """
+
+    image: NDArray[Any]
+    mask: NDArray[np.bool_] | None = None
+    void: NDArray[np.bool_] | None = None
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Pixels as the file stores them; EXIF orientation is ignored, as COLMAP ignores it.
+    """Pixels as the file stores them; orientation is ignored, as COLMAP ignores it.
+
+    Args:
+        path: The file.
 
     Returns:
-        [H, W] for one channel, [H, W, 3] RGB for colour (alpha is dropped); uint8, uint16, float32 or float64.
+        [H, W] for one channel, [H, W, 3] RGB for colour (alpha is dropped); uint8, uint16, float32 or another type of
+        numbers that TIFFs have. Values that the file calls none are NaN.
 
     Raises:
-        UserError: The file is missing, damaged, no image, or larger than ``LARGEST``. JPEG files whose decoder fills
-            gaps pass; ``check_jpegs`` finds them.
+        UserError: As ``read_pixels``.
+    """
+    pixels = read_pixels(path)
+    return pixels.image if pixels.void is None else np.where(pixels.void, np.float32(np.nan), pixels.image)
+
+
+def read_pixels(path: Path) -> ImagePixels:
+    """An image, and which of its pixels hold something.
+
+    Args:
+        path: The file.
+
+    Raises:
+        UserError: The file is missing, damaged, no image, larger than ``LARGEST``, or of a kind that is not read. JPEG
+            files whose decoder fills gaps pass; ``check_jpegs`` finds them.
     """
     content = read_regular_file(path)
-    memory = decoded_bytes(content)
-    if memory is not None and memory > LARGEST:
+    header = image_header(content)
+    if header is not None and header.decoded_bytes > LARGEST:
         raise UserError(
-            f"{path} would take {memory:,} bytes of memory; images take {LARGEST:,} at most.",
+            f"{path} would take {header.decoded_bytes:,} bytes of memory; images take {LARGEST:,} at most.",
             "Is it an image of the capture? Shrink it, or remove it from the folder.",
         )
-    image = None if memory is None or is_cut_or_changed(content) else _decode(path, content)
-    if image is None or image.size == 0:
-        size = f"{len(content):,} bytes"
-        raise UserError(f"{path} is damaged or not an image ({size}).", "Restore it, or remove it from the folder.")
-    if image.ndim == 3:
-        if image.shape[2] not in (3, 4):
-            raise UserError(f"{path} has {image.shape[2]} channels; 1 (values) or 3 (colour) are expected.")
-        image = _in_rgb_order(image)
-    return image
+    pixels = None if header is None or is_cut_or_changed(content) else _decode(path, content, header)
+    if pixels is None or pixels.image.size == 0:
+        raise unread_content(path, content) or UserError(
+            f"{path} is damaged or not an image ({len(content):,} bytes).", _RESTORE
+        )
+    return pixels
 
 
-def _in_rgb_order(image: NDArray[Any]) -> NDArray[Any]:
+def _decode(path: Path, content: bytes, header: ImageHeader) -> ImagePixels | None:
+    tags = read_tiff_tags(content) if content.startswith(TIFF_MARKS) else None
+    if tags is not None:
+        samples = decode_tiff(path, content, tags)
+        return None if samples is None else _of_tiff(samples, tags)
+    if is_grey16_with_alpha(content):
+        raise UserError(
+            f"{path} is a PNG of 16-bit grey with an alpha channel, which OpenCV reads wrongly.",
+            "Save it without alpha: magick IN.png -alpha off OUT.png",
+        )
+    try:
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except (cv2.error, MemoryError):
+        return None
+    if image is None:
+        return None
+    if image.ndim == 2:
+        level = transparent_level(content)
+        return ImagePixels(image, None if level is None else _unless_all(image != level))
+    mask = _unless_all(image[..., 3] > 0) if image.shape[2] == 4 else None
+    return ImagePixels(_rgb_of(image) if header.channels == 3 else np.ascontiguousarray(image[..., 0]), mask)
+
+
+def _of_tiff(samples: NDArray[Any], tags: TiffTags) -> ImagePixels:
+    """Image, alpha and NoData of what was decoded."""
+    image, mask = samples, None
+    if samples.ndim == 3:
+        image = np.ascontiguousarray(samples[..., 0] if tags.channels == 1 else samples[..., :3])
+        if tags.alpha is not None and tags.alpha[0] < samples.shape[2]:
+            sample, kind = tags.alpha
+            alpha = samples[..., sample]
+            # colours that were multiplied by their alpha are right where it is full
+            full = np.iinfo(alpha.dtype).max if alpha.dtype.kind in "iu" else 1.0
+            mask = _unless_all(alpha > 0 if kind == UNASSOCIATED else alpha >= full)
+    void = void_pixels(image, tags.nodata)
+    if void is not None and (image.ndim == 3 or image.dtype == np.uint8):  # a picture has no values that could lack
+        mask, void = ~void if mask is None else mask & ~void, None
+    return ImagePixels(image, mask, void)
+
+
+def _unless_all(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    return None if mask.all() else mask
+
+
+def _rgb_of(image: NDArray[Any]) -> NDArray[Any]:
     """Colours of OpenCV's decoder [H, W, 3 or 4] in the other order, without alpha."""
     if image.dtype in (np.uint8, np.uint16, np.float32):  # what cvtColor takes; it is many times faster
         return cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
@@ -89,30 +154,3 @@ def resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
         return image
     shrinks = width * height < image.shape[0] * image.shape[1]
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-
-
-def _decode(path: Path, content: bytes) -> NDArray[Any] | None:
-    """The decoded image as OpenCV gives it (BGR), or None."""
-    try:
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (cv2.error, MemoryError):
-        return None
-    return _decode_with_pillow(path, content) if image is None and lacks_photometric_tag(content) else image
-
-
-def _decode_with_pillow(path: Path, content: bytes) -> NDArray[Any] | None:
-    """TIFFs without a photometric tag, which OpenCV 5 refuses; None if Pillow cannot read it either."""
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise UserError(f"OpenCV cannot read {path}.", "Pillow may: pip install pillow.") from error
-    try:
-        with warnings.catch_warnings(action="ignore"), Image.open(BytesIO(content), formats=["TIFF"]) as image:
-            pixels = np.asarray(image)
-    except Exception:  # Pillow raises many kinds for a damaged file
-        return None
-    if pixels.dtype == np.bool_:
-        pixels = pixels.astype(np.uint8) * np.uint8(255)
-    if pixels.dtype.kind in "iu" and pixels.dtype.itemsize == 4:
-        pixels = pixels.astype(np.float32)
-    return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[..., ::-1])

@@ -4,6 +4,8 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES, list_images
+from thermosplat.datasets.images.unread_formats import unread_note
+from thermosplat.regular_files import files_below
 from thermosplat.spectra import SpectrumConfig, folder_names, label
 
 
@@ -46,7 +48,7 @@ def values_folder(root: Path, name: str, spectrum: SpectrumConfig) -> Path:
 
 def describe_folder(folder: Path) -> str:
     """The folder's name and how many files lie below it, for messages."""
-    return f"{folder.name}/ ({sum(1 for path in folder.rglob('*') if path.is_file())} files)"
+    return f"{folder.name}/ ({len(files_below(folder))} files)"
 
 
 def looked_for(root: Path, name: str, spectra: Mapping[str, SpectrumConfig], example: Path | None) -> tuple[str, str]:
@@ -79,9 +81,13 @@ def _images_in(folder: Path) -> str | None:
     if not folder.is_dir():
         return None
     images = list_images(folder, recursive=True)
+    unread = unread_note(folder)
     if images:
-        return f"{folder.name}/ holds {len(images)} images (first: {shown_path(images[0], folder.parent)})."
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
+        first = f"{folder.name}/ holds {len(images)} images (first: {shown_path(images[0], folder.parent)})."
+        return first if unread is None else f"{first} {unread}"
+    if unread is not None:
+        return unread
+    files = files_below(folder)
     if not files:
         return f"{folder.name}/ is empty."
     first = f" (first: {shown_path(files[0], folder.parent)}; read are {' '.join(sorted(IMAGE_SUFFIXES))})"

@@ -14,10 +14,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from thermosplat.datasets.images.image_files import JPEG_SUFFIXES
 from thermosplat.errors import UserError
 
 _DECODER = Path(__file__).with_name("jpeg_decoder.py")
-_SUFFIXES = frozenset({".jpg", ".jpeg"})
 _FILES_PER_PROCESS = 128
 """A process takes 0.3 s to start, and some milliseconds for a file of a megapixel."""
 _DAMAGE = (b"Corrupt JPEG data", b"Premature end", b"Inconsistent progression")
@@ -43,7 +43,7 @@ def check_jpegs(paths: Sequence[Path]) -> None:
     Raises:
         UserError: One is damaged. Names it, and what libjpeg says.
     """
-    stamps = {path: _stamp(path) for path in paths if path.suffix.lower() in _SUFFIXES}
+    stamps = {path: _stamp(path) for path in paths if path.suffix.lower() in JPEG_SUFFIXES}
     wanted = [path for path, stamp in stamps.items() if stamp not in _whole]
     if not wanted:
         return
@@ -88,7 +88,7 @@ def refusing_damage(path: Path) -> Iterator[None]:
     Raises:
         UserError: As ``check_jpegs``.
     """
-    if not _alone or path.suffix.lower() not in _SUFFIXES:
+    if not _alone or path.suffix.lower() not in JPEG_SUFFIXES:
         yield
         return
     with TemporaryFile() as heard:

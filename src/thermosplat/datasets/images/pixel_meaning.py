@@ -4,13 +4,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.datasets.images.dead_pixels import DEAD_WINDOW
 from thermosplat.datasets.images.image_files import resize
 from thermosplat.errors import UserError
+from thermosplat.spectra import CELSIUS
 from thermosplat.thermal.radiometry import PixelScale
-from thermosplat.thermal.temperature_units import measured_unit, to_measured
+from thermosplat.thermal.temperature_units import ABSOLUTE_ZERO, measured_unit, to_measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +25,16 @@ class SpectrumFile:
         display: uint8 [H, W] grey or [H, W, 3] colour.
         raw: [H, W] radiometric values.
         raw_path: Their file.
+        mask: bool [H, W], where pixels of the displayable image count; None: everywhere.
+        raw_mask: The same of the radiometric values.
     """
 
     path: Path
     display: NDArray[np.uint8] | None
     raw: NDArray[Any] | None = None
     raw_path: Path | None = None
+    mask: NDArray[np.bool_] | None = None
+    raw_mask: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +44,12 @@ class SpectrumPixels:
     Args:
         image: uint8 [H, W, 3] for photographs and pseudo-colours; float32 [H, W, 1] in [0, 1] for one value per pixel.
         values: float32 [H, W], measured values in the unit of the spectrum's scale, where the data has them.
+        mask: bool [H, W], where pixels count; None: everywhere.
     """
 
     image: NDArray[np.uint8] | NDArray[np.float32]
     values: NDArray[np.float32] | None
+    mask: NDArray[np.bool_] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -86,32 +95,34 @@ class PixelMeaning:
     def pixels(self, file: SpectrumFile) -> SpectrumPixels | None:
         """The image of an exposure, at its file's size; None where it lacks the file that images are made of."""
         if self.of_values:
-            return None if file.raw is None else self._of_values(file.raw)
+            return None if file.raw is None else self._of_values(file.raw, file.raw_mask)
         if file.display is None:
             return None
         if self.kind == "photograph":
-            return SpectrumPixels(file.display, None)
+            return SpectrumPixels(file.display, None, file.mask)
         values = self._values_beside(file)
         if self.kind == "color":
-            return SpectrumPixels(three_channels(file.display), values)
+            return SpectrumPixels(three_channels(file.display), values, file.mask)
         grey = file.display if file.display.ndim == 2 else file.display[..., 1]
         image = np.asarray(grey[..., None] / np.float32(255), np.float32)
         if values is None and self.scale.measured_unit is not None:
             values = self.scale.value(image[..., 0])
-        return SpectrumPixels(image, values)
+        return SpectrumPixels(image, values, file.mask)
 
-    def _of_values(self, raw: NDArray[Any]) -> SpectrumPixels:
+    def _of_values(self, raw: NDArray[Any], mask: NDArray[np.bool_] | None) -> SpectrumPixels:
         low, high = self.ends
         values = measured_values(raw, self.unit, self.factor)
         width = max(high - low, 1e-6)
         image = np.asarray(np.clip((values - low) / width, 0, 1)[..., None], np.float32)
-        return SpectrumPixels(image, None if measured_unit(self.unit) is None else values)
+        return SpectrumPixels(image, None if measured_unit(self.unit) is None else values, mask)
 
     def _values_beside(self, file: SpectrumFile) -> NDArray[np.float32] | None:
         """Measured values of the radiometric file, at the size of the displayable image."""
         if file.raw is None or file.display is None:
             return None
         values = to_measured(file.raw, self.unit, self.factor)
+        if values is not None and file.raw_mask is not None:
+            values = np.where(file.raw_mask, values, np.float32(np.nan))
         return None if values is None else resize(values, file.display.shape[1], file.display.shape[0])
 
 
@@ -119,13 +130,37 @@ def check_finite(file: SpectrumFile) -> None:
     """Refuse radiometric values that are no numbers.
 
     Raises:
-        UserError: Some are not finite.
+        UserError: Some are not finite, as those are that the file calls NoData.
     """
-    if file.raw is not None and not np.isfinite(file.raw).all():
-        count = int((~np.isfinite(file.raw)).sum())
-        raise UserError(
-            f"{file.raw_path or file.path} has {count:,} pixels that are not finite numbers.", "Fill or re-export them."
-        )
+    if file.raw is None or file.raw.dtype.kind != "f" or np.isfinite(file.raw).all():
+        return
+    raise _without_value(file, int((~np.isfinite(file.raw)).sum()), "are not finite numbers or NoData")
+
+
+def check_temperatures(file: SpectrumFile, unit: str) -> None:
+    """Refuse radiometric values that no temperature can have; lone dead pixels pass.
+
+    Args:
+        file: The exposure.
+        unit: Unit of its values.
+
+    Raises:
+        UserError: Pixels beside each other lie at absolute zero or below.
+    """
+    if file.raw is None or measured_unit(unit) != CELSIUS:
+        return
+    celsius = measured_values(file.raw, unit, 1.0)
+    cold = celsius <= ABSOLUTE_ZERO
+    if cold.any() and cv2.medianBlur(np.ascontiguousarray(celsius), DEAD_WINDOW).min() <= ABSOLUTE_ZERO:
+        least = float(file.raw[cold].min())
+        raise _without_value(file, int(cold.sum()), f"lie at absolute zero or below ({least:,.6g}, read as {unit})")
+
+
+def _without_value(file: SpectrumFile, count: int, what: str) -> UserError:
+    return UserError(
+        f"{file.raw_path or file.path} has {count:,} pixels without a value: they {what}.",
+        "Fill them, export the file again, or say with a mask that they do not count (docs/data-layouts.md).",
+    )
 
 
 def measured_values(raw: NDArray[Any], unit: str, factor: float) -> NDArray[np.float32]:

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.images.capture_palette import choose_palette
-from thermosplat.datasets.images.image_files import read_image
+from thermosplat.datasets.images.image_files import read_pixels
 from thermosplat.datasets.images.image_folders import image_folder, spectrum_folder, values_folder
+from thermosplat.datasets.images.masks import Mask, filled, joined, read_mask
 from thermosplat.datasets.images.pixel_meaning import PixelMeaning, SpectrumFile
 from thermosplat.datasets.images.spectrum_images import SpectrumReading, interpret, is_radiometric
 from thermosplat.errors import UserError
-from thermosplat.spectra import COUNTS, Source, SpectrumConfig
+from thermosplat.spectra import COUNTS, Source, SpectrumConfig, label
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermal.temperature_units import RadiometricStatement, may_be_temperature, read_statement
 
@@ -48,7 +49,8 @@ def read_spectrum(
     displays = tuple(None if file is None else file.display for file in files)
     if spectrum.source == "photograph":
         meaning = PixelMeaning("photograph", PixelScale("photograph"), COUNTS)
-        return SpectrumReading(meaning, tuple(f if f is None else meaning.pixels(f) for f in files), (), displays)
+        pixels = tuple(file if file is None else meaning.pixels(file) for file in files)
+        return SpectrumReading(meaning, pixels, tuple(_constant_notes(name, present)), displays)
     statement = RadiometricStatement()
     if may_be_temperature(spectrum.unit):
         below_images = spectrum_folder(image_folder(root, "images"), name, spectrum)
@@ -66,10 +68,28 @@ def read_spectrum(
         grey_range=listing.celsius_range,
         ranging=ranging,
     )
-    pixels = iter(reading.pixels)
-    return SpectrumReading(
-        reading.meaning, tuple(None if file is None else next(pixels) for file in files), reading.notes, displays
-    )
+    read = iter(reading.pixels)
+    pixels = tuple(None if file is None else next(read) for file in files)
+    return SpectrumReading(reading.meaning, pixels, (*reading.notes, *_constant_notes(name, present)), displays)
+
+
+def _constant_notes(name: str, files: Sequence[SpectrumFile]) -> list[str]:
+    """A warning (none or one) of images that have one value everywhere."""
+    constant = [file for file in files if _is_constant(file)]
+    if not constant:
+        return []
+    have = "has" if len(constant) == 1 else "have"
+    return [
+        f"{len(constant)} of {len(files)} {label(name)} images {have} one value everywhere (first: "
+        f"{constant[0].path.name}): a closed shutter, a covered lens or a damaged file? Nothing can be learnt there."
+    ]
+
+
+def _is_constant(file: SpectrumFile) -> bool:
+    for image in (file.display, file.raw):
+        if image is not None and all((part == image[0, 0]).all() for part in (image[::8, ::8], image)):
+            return True
+    return False
 
 
 def _read_files(shots: Sequence[Shot | None], source: Source) -> list[SpectrumFile | None]:
@@ -88,19 +108,34 @@ def read_shot(shot: Shot, source: Source) -> SpectrumFile:
     Raises:
         UserError: A file cannot be read, is no photograph, or holds colours in place of the values that belong there.
     """
-    path, image = shot.path, read_image(shot.path)
+    path, image, mask = shot.path, *_read(shot.path, shot.mask)
     if source == "photograph":
-        return SpectrumFile(path, _as_rgb(path, image))
+        return SpectrumFile(path, as_rgb(path, image), mask=mask)
     raw_path = None if shot.raw == path else shot.raw
-    beside = None if raw_path is None else read_image(raw_path)
+    beside, beside_mask = (None, None) if raw_path is None else _read(raw_path, shot.mask)
     if beside is not None and not is_radiometric(beside):
         raise UserError(
             f"{raw_path} is {_in_words(beside)}; radiometric values are 16-bit or floating-point with one channel.",
             f"Export radiometric files, or take it out of that folder: {path.parent.name}/ alone will do.",
         )
     if is_radiometric(image):
-        return SpectrumFile(path, None, image, path) if beside is None else SpectrumFile(path, None, beside, raw_path)
-    return SpectrumFile(path, _require_8bit(path, image), beside, raw_path)
+        if beside is None:
+            return SpectrumFile(path, None, image, path, raw_mask=mask)
+        return SpectrumFile(path, None, beside, raw_path, raw_mask=beside_mask)
+    return SpectrumFile(path, _require_8bit(path, image), beside, raw_path, mask, beside_mask)
+
+
+def _read(path: Path, mask_path: Path | None) -> tuple[NDArray[Any], Mask | None]:
+    """An image and which of its pixels count. Values that do not have the median of the others."""
+    pixels = read_pixels(path)
+    height, width = pixels.image.shape[:2]
+    mask = joined([pixels.mask, None if mask_path is None else read_mask(mask_path, width, height)])
+    image = pixels.image
+    if is_radiometric(image):
+        image = filled(image, mask)
+        if pixels.void is not None and (void := pixels.void if mask is None else pixels.void & mask).any():
+            image = np.where(void, np.float32(np.nan), image)
+    return image, mask
 
 
 def _in_words(image: NDArray[Any]) -> str:
@@ -110,8 +145,16 @@ def _in_words(image: NDArray[Any]) -> str:
     return f"an image of {image.shape[2] if image.ndim == 3 else 1} channels ({image.dtype})"
 
 
-def _as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
-    """8-bit RGB of a photograph: 16 bits are reduced, grey is repeated."""
+def as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
+    """8-bit RGB [H, W, 3] of a photograph: 16 bits are reduced, grey is repeated.
+
+    Args:
+        path: Its file, for messages.
+        image: What was read of it.
+
+    Raises:
+        UserError: It has other values.
+    """
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     image = _require_8bit(path, image)

@@ -9,25 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.images.capture_palette import ChosenPalette, palette_notes
-from thermosplat.datasets.images.dead_pixels import range_without_dead_pixels
+from thermosplat.datasets.images.dead_pixels import far_value, range_without_dead_pixels
 from thermosplat.datasets.images.pixel_meaning import (
     PixelMeaning,
     SpectrumFile,
     SpectrumPixels,
     check_finite,
+    check_temperatures,
     measured_values,
     three_channels,
 )
 from thermosplat.errors import UserError
-from thermosplat.spectra import CELSIUS, COUNTS, SpectrumConfig, folder_names, unit_label
+from thermosplat.spectra import CELSIUS, COUNTS, SpectrumConfig, folder_names, label, unit_label
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermal.temperature_units import (
     RadiometricStatement,
+    check_filled,
     check_plausible,
     judge_unit,
     may_be_temperature,
     measured_unit,
     to_measured,
+    value_ends,
 )
 
 _GREY_TOLERANCE = 4
@@ -147,15 +150,19 @@ def _unit_of(
     if not raws:
         return COUNTS
     values = np.concatenate([np.ravel(file.raw[::4, ::4]) for file in raws if file.raw is not None])
-    low, high = (float(end) for end in np.percentile(values, [1, 99]))
-    folder = _folder_name(raws[0].raw_path or raws[0].path)
+    low, high = value_ends(values)
+    folder, integer = _folder_name(raws[0].raw_path or raws[0].path), values.dtype.kind in "iu"
     stated = config.unit if config.unit != "auto" else statement.unit
+    check_filled(values, stated, folder, f"--{name}.unit counts", integer=integer)
     if stated is not None:
         check_plausible(low, high, stated, folder, name)
-        return stated
-    unit = judge_unit(low, high, integer=values.dtype.kind in "iu")
-    meaning = "sensor counts without °C" if unit == COUNTS else unit
-    notes.append(f"Values {low:,.6g}-{high:,.6g} in {folder} taken as {meaning}; --{name}.unit says otherwise.")
+        unit = stated
+    else:
+        unit = judge_unit(low, high, integer=integer)
+        meaning = "sensor counts without °C" if unit == COUNTS else unit
+        notes.append(f"Values {low:,.6g}-{high:,.6g} in {folder} taken as {meaning}; --{name}.unit says otherwise.")
+    for file in raws:
+        check_temperatures(file, unit)
     return unit
 
 
@@ -233,9 +240,25 @@ def _raw_reading(
                 f"pixels: the range is {low:,.6g} to {high:,.6g} {unit_label(measured_unit(unit) or unit)}; "
                 f"--{name}.range says otherwise."
             )
+    if config.range is None:
+        notes += _far_notes(files, name)
     scale = _scale("scalar", palette, span, unit, config)
     meaning = PixelMeaning("raw", scale, unit, config.factor, (low, high))
     return SpectrumReading(meaning, tuple(map(meaning.pixels, files)), tuple(notes))
+
+
+def _far_notes(files: Sequence[SpectrumFile], name: str) -> list[str]:
+    """A warning (none or one) of many pixels with one value that lies far from all others, which flattens these."""
+    values = np.concatenate([np.ravel(file.raw[::4, ::4]) for file in files if file.raw is not None])
+    far = far_value(values)
+    if far is None:
+        return []
+    others = values[values != far]
+    return [
+        f"About {np.mean(values == far):.1%} of the {label(name)} values are {far:,.6g}, far from all others "
+        f"({others.min():,.6g} to {others.max():,.6g}): without a value, or saturated? Mask them "
+        f"(docs/data-layouts.md), or state the range: --{name}.range MIN MAX"
+    ]
 
 
 class _RawValues:

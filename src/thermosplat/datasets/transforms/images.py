@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from thermosplat.datasets.images.image_files import list_images
 from thermosplat.datasets.images.image_folders import spectrum_folder, values_folder
 from thermosplat.datasets.images.image_names import NamedImages, files_in, folders_of
+from thermosplat.datasets.images.masks import masks_by_spectrum
 from thermosplat.spectra import SpectrumConfig, label
 
 
@@ -18,11 +19,18 @@ class ImageFile(NamedTuple):
     """The image."""
     values: Path | None
     """Values of more bits beside it, or the image itself; None: there are none."""
+    mask: Path | None
+    """Which of its pixels count; None: all."""
 
 
 def file_keys(spectra: Mapping[str, SpectrumConfig]) -> dict[str, str]:
     """Under which key a frame names its file of each spectrum: file_path, thermal_file_path, ..."""
     return {name: "file_path" if place == 0 else f"{name}_file_path" for place, name in enumerate(spectra)}
+
+
+def mask_keys(spectra: Mapping[str, SpectrumConfig]) -> dict[str, str]:
+    """Under which key a frame names the mask of each spectrum: mask_path, thermal_mask_path, ..."""
+    return {name: "mask_path" if place == 0 else f"{name}_mask_path" for place, name in enumerate(spectra)}
 
 
 def image_name(root: Path, entry: dict[str, Any], keys: Mapping[str, str]) -> PurePosixPath:
@@ -58,6 +66,8 @@ class TransformsImages:
 
         self._files = {name: files(spectrum_folder(root, name, spectra[name])) for name in others}
         self._values = {name: files(values_folder(root, name, spectra[name])) for name in others}
+        self._masks, self._mask_keys = masks_by_spectrum(root, spectra), mask_keys(spectra)
+        self._lost_masks: list[Path] = []
         self._without: list[PurePosixPath] = []
         self._lost: dict[str, list[Path]] = {name: [] for name in spectra}
         self._replaced = dict.fromkeys(spectra, 0)
@@ -78,7 +88,7 @@ class TransformsImages:
             values = self._of_name(self._values, spectrum, name)
             path = named[spectrum] or self._of_name(self._files, spectrum, name) or values
             if path is not None:
-                files[spectrum] = ImageFile(path, values)
+                files[spectrum] = ImageFile(path, values, self._mask(spectrum, name, entry))
         lost = {
             spectrum: self._root / entry[key]
             for spectrum, key in self._keys.items()
@@ -110,7 +120,19 @@ class TransformsImages:
                 notes.append(f"{key} of {len(lost)} of {total} frames of {file} names no file (first: {lost[0]}).")
             if replaced := self._replaced[spectrum]:
                 notes[-1] += f" {replaced} of them have a {label(spectrum)} image of their own name, which was taken."
+        if lost := self._lost_masks:
+            notes.append(
+                f"{len(lost)} masks that {file} names do not exist (first: {lost[0]}): all pixels count there."
+            )
         return notes
+
+    def _mask(self, spectrum: str, name: PurePosixPath, entry: dict[str, Any]) -> Path | None:
+        """The mask that a frame names, or that has its name."""
+        stated = entry.get(self._mask_keys[spectrum])
+        found = self._named(stated)
+        if stated and found is None:
+            self._lost_masks.append(self._root / stated)
+        return found or self._masks[spectrum].get(name, self._names)
 
     def _named(self, stated: Any) -> Path | None:
         """The file that a frame names, with or without its ending."""

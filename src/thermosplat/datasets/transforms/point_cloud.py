@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.errors import UserError
+from thermosplat.regular_files import read_regular
 
 _MOST_BYTES = 1 << 31
 _LONGEST_HEADER = 1 << 16
@@ -38,7 +39,7 @@ def read_point_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise _Unreadable(f"it has more than {_MOST_BYTES:,} bytes")
-        content = path.read_bytes()
+        content = read_regular(path)
         head, body = _divided(content)
         kind, count, fields = _vertices(head)
         rows = _text_rows(body, count, fields) if kind == "ascii" else _binary_rows(body, count, fields, kind)

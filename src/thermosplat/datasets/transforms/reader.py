@@ -13,7 +13,7 @@ from typing import Any
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.images.image_names import folders_of, frame_names
 from thermosplat.datasets.transforms.cameras import frame_lens, frame_viewmat
-from thermosplat.datasets.transforms.images import TransformsImages, file_keys, image_name
+from thermosplat.datasets.transforms.images import TransformsImages, file_keys, image_name, mask_keys
 from thermosplat.datasets.transforms.points import transforms_points
 from thermosplat.datasets.transforms.splits import check_stated, stated_splits, with_splits_from_names
 from thermosplat.errors import UserError
@@ -44,7 +44,7 @@ def list_transforms(
     """
     content = read_json(path)
     keys = file_keys(spectra)
-    entries = _entries(content, path, list(keys.values()))
+    entries = _entries(content, path, list(keys.values()), list(mask_keys(spectra).values()))
     names = [image_name(root, entry, keys) for entry in entries]
     splits, notes = stated_splits(content, path, names)
     _check_listed_once(names, path)
@@ -60,7 +60,7 @@ def list_transforms(
         found.append(name)
         viewmat = frame_viewmat(entry, path, number)
         lens = frame_lens(entry, content, path, number, next(iter(files.values())).path)
-        shots = {spectrum: Shot(file.path, lens, viewmat, file.values) for spectrum, file in files.items()}
+        shots = {spectrum: Shot(file.path, lens, viewmat, file.values, file.mask) for spectrum, file in files.items()}
         frames.append(FrameFiles(called[number], shots, None if splits is None else splits[name]))
     if not frames:
         first = next(iter(images.not_found.values()), names[0])
@@ -84,8 +84,8 @@ def list_transforms(
     )
 
 
-def _entries(content: dict[str, Any], path: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
-    """What the file says of each frame: an object that names its files under some of the keys."""
+def _entries(content: dict[str, Any], path: Path, keys: Sequence[str], masks: Sequence[str]) -> list[dict[str, Any]]:
+    """What the file says of each frame: an object that names its files under some of the keys, and perhaps masks."""
     entries = content.get("frames")
     hint = "Expected nerfstudio's transforms: under 'frames' a list of objects with file_path and transform_matrix."
     if not isinstance(entries, list) or not entries:
@@ -93,13 +93,13 @@ def _entries(content: dict[str, Any], path: Path, keys: Sequence[str]) -> list[d
     for number, entry in enumerate(entries):
         if not isinstance(entry, dict):
             raise UserError(f"Frame {number} of {path} must be an object, found {json.dumps(entry)[:60]}.", hint)
-        for key in keys:
+        for key in (*keys, *masks):
             if not isinstance(entry.get(key) or "", str):
                 found = json.dumps(entry[key])[:60]
                 raise UserError(f"{key} of frame {number} of {path} must be a file name, found {found}.", hint)
         if not any(entry.get(key) for key in keys):
             raise UserError(f"Frame {number} of {path} has no file_path.", hint)
-    return [_with_slashes(entry, keys) for entry in entries]
+    return [_with_slashes(entry, [*keys, *masks]) for entry in entries]
 
 
 def _with_slashes(entry: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Where a capture lies on the Earth: its cameras' GPS positions, and the similarity that brings its world there."""
 
 import csv
+import io
 import math
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.export.maps.map_frame import MapFrame
+from thermosplat.regular_files import read_regular
 
 TABLE = "frames.csv"
 """The table of images that thermosplat-prepare writes."""
@@ -35,7 +37,7 @@ def gps_positions(capture: Capture, spectrum: str) -> dict[str, tuple[float, flo
         return {}
     found = {}
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with io.StringIO(read_regular(path).decode("utf-8-sig"), newline="") as file:
             for row in csv.DictReader(file):
                 position = tuple(_number(row.get(name)) for name in ("latitude", "longitude", "altitude"))
                 if row.get("spectrum") == spectrum and row.get("file") and all(map(math.isfinite, position)):

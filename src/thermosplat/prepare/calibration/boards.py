@@ -72,7 +72,7 @@ def find_board(image: NDArray[np.generic], board: Board) -> SeenBoard | None:
     """The board in an image, or None.
 
     Args:
-        image: [H, W] or [H, W, 3] values in any unit.
+        image: [H, W] or [H, W, 3] (RGB) values in any unit.
         board: What to look for. Dark may be light and light dark: both are tried.
     """
     scale = max(1, -(-_DETECTION_WIDTH // image.shape[1]))
@@ -86,7 +86,7 @@ def find_board(image: NDArray[np.generic], board: Board) -> SeenBoard | None:
 
 def _pictures(image: NDArray[np.generic], scale: int) -> Iterator[NDArray[np.uint8]]:
     """The image in grey levels, then its negative."""
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     low, high = np.percentile(grey, [1, 99])
     levels = np.clip((grey.astype(np.float32) - low) * (255 / max(float(high - low), 1e-6)), 0, 255).astype(np.uint8)
     levels = cv2.resize(levels, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC) if scale > 1 else levels

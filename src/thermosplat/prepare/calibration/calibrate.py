@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.datasets.images.image_files import list_images
+from thermosplat.datasets.images.image_files import list_images, read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.calibration.board_calibration import BoardCalibration, SeenPair, calibrate_rig
 from thermosplat.prepare.calibration.boards import Board, SeenBoard, find_board
@@ -58,7 +58,7 @@ def _calibrate(capture: CaptureFolder, rgb: Path, thermal: Path, board: Board) -
             "of the board is expected, in the same order.",
             "Remove what has no partner.",
         )
-    images = [[_read(path) for path in side] for side in files]
+    images = [[read_image(path) for path in side] for side in files]
     sizes = [_size(side, folder) for side, folder in zip(images, (rgb, thermal))]
     seen: list[list[SeenBoard | None]] = [[], []]
     with progress_bar("boards", 2 * len(files[0])) as advance:
@@ -85,13 +85,6 @@ def _calibrate(capture: CaptureFolder, rgb: Path, thermal: Path, board: Board) -
     write_png(capture.check / "calibration.png", picture)
     write_calibration(capture.calibration_json, result.rig)
     return _findings(result, pairs, len(files[0]))
-
-
-def _read(path: Path) -> NDArray[np.generic]:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise UserError(f"Cannot read the image {path}.", "Remove it and its partner, or write it as PNG.")
-    return image if image.ndim == 2 else image[..., :3]
 
 
 def _size(images: Sequence[NDArray[np.generic]], folder: Path) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.lens import Lens
 from thermosplat.errors import UserError
+from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_bytes
 
 _AGAIN = "Make it again: thermosplat-prepare calibrate CAPTURE --rgb BOARDS --thermal BOARDS"
@@ -50,7 +51,7 @@ def read_calibration(path: Path) -> RigCalibration | None:
         UserError: The file is damaged.
     """
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_regular(path))
         pose = np.array(content["thermal_from_rgb"], np.float64)
         rgb, thermal = (_lens(content[spectrum]) for spectrum in ("rgb", "thermal"))
     except FileNotFoundError:

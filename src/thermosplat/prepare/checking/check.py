@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.colmap.model import find_model, read_model
 from thermosplat.datasets.images.image_files import read_image
+from thermosplat.datasets.images.spectrum_files import as_rgb
 from thermosplat.datasets.parallax import Seen, parallax_remark, triangulation_angle
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, PairRow
 from thermosplat.prepare.checking.check_page import check_page
@@ -214,10 +215,8 @@ def _pictures(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[tuple[st
 
 
 def _photograph(capture: CaptureFolder, name: str) -> NDArray[np.uint8]:
-    image = read_image(capture.images(LEADING) / Path(name))
-    if image.dtype != np.uint8:
-        image = (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image.astype(np.uint8)
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, -1)
+    path = capture.images(LEADING) / Path(name)
+    return as_rgb(path, read_image(path))
 
 
 def _spread(pairs: Sequence[PairRow], count: int) -> list[PairRow]:

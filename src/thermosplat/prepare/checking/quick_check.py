@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import Capture, View
 from thermosplat.prepare.checking.findings import DRIFT_SHARE, level_drift
-from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.spectra import SpectrumConfig, label
 
 _LEAST_IMAGES = 5
@@ -17,7 +16,7 @@ _READ_FROM_DISK = 16
 
 
 def quick_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list[str]:
-    """Notes on images of one value everywhere, and on a sensor that drifts without the training allowing for it.
+    """A note on a sensor that drifts without the training allowing for it.
 
     Args:
         capture: The capture, read.
@@ -28,16 +27,7 @@ def quick_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list
         if scale.kind != "scalar":
             continue
         views = [frame.views[name] for frame in (*capture.train, *capture.test) if name in frame.views]
-        seen = [(view.name, _looked_at(view)) for view in _sampled(views)]
-        constant = [view for view, image in seen if np.ptp(image[::4, ::4]) == 0]
-        if constant:
-            count = f"{len(constant)} of {counted(len(seen), f'{label(name)} image')}"
-            notes.append(
-                f"{count} {agreeing(len(constant), 'has', 'have')} one value everywhere (first: {constant[0]}): "
-                "a closed shutter or a damaged file? "
-                "Better remove {agreeing(len(constant), 'it', 'them')}."
-            )
-        images = [image for view, image in seen if view not in constant]
+        images = [image for view in _sampled(views) if np.ptp((image := _looked_at(view))[::4, ::4]) > 0]
         if spectra[name].exposure != "fixed" or len(images) < _LEAST_IMAGES:
             continue
         drift, spread = level_drift(images)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from thermosplat.prepare.capture_folder import Exif
+from thermosplat.regular_files import open_regular
 
 _HEAD = 1 << 18
 """Bytes at a file's beginning in which a JPEG has its EXIF segment, which is at most 64 KiB long."""
@@ -31,7 +32,7 @@ _DATE_FORMAT = "%Y:%m:%d %H:%M:%S"
 def read_exif(path: Path) -> Exif:
     """The EXIF data of a file; all None where there is none."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(_HEAD)
             if content[:4] in (b"II*\0", b"MM\0*"):
                 content += file.read()  # a TIFF has its tables anywhere

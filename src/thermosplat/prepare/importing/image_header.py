@@ -8,6 +8,7 @@ import numpy as np
 
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
+from thermosplat.regular_files import open_regular
 
 _HEAD = 1 << 20
 """Bytes that are read first; the segments before a JPEG's size may hold radiometric data."""
@@ -47,7 +48,7 @@ def read_header(path: Path) -> ImageHeader:
         UserError: The file cannot be read or is no image.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             head = file.read(_HEAD)
             found = _jpeg(head)
             if found is None and head.startswith(b"\xff\xd8"):

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from thermosplat.datasets.images.image_files import read_image
+from thermosplat.datasets.images.image_files import JPEG_SUFFIXES, read_image
+from thermosplat.datasets.images.unread_formats import unread_note
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, FrameRow
 from thermosplat.prepare.counted import agreeing, counted
@@ -17,6 +18,7 @@ from thermosplat.prepare.importing.thermal_images import ThermalOptions, import_
 from thermosplat.prepare.progress import tracked
 from thermosplat.prepare.steps import StepReport, run_step
 from thermosplat.prepare.whole_files import link_whole, write_jpeg
+from thermosplat.regular_files import files_below
 from thermosplat.runs.atomic_writes import sweep, write_bytes
 from thermosplat.spectra import label
 
@@ -108,7 +110,7 @@ def _refuse_our_own(folder: Path | None) -> None:
 def _files_below(root: Path, capture: CaptureFolder) -> list[Path]:
     """The files that an import depends on; what it writes itself may lie among them."""
     written = capture.root.resolve()
-    return sorted(path for path in root.rglob("*") if path.is_file() and written not in path.resolve().parents)
+    return [path for path in files_below(root) if written not in path.resolve().parents]
 
 
 def _clear(capture: CaptureFolder) -> None:
@@ -186,6 +188,9 @@ def _look(folder: Path, capture: CaptureFolder, options: ImportOptions, sentence
         skip=[capture.root],
         progress=lambda paths, count: tracked(paths, "looking at files", count),
     )
+    unread = unread_note(folder)
+    if unread is not None:
+        sentences.append(unread)
     if content.unreadable:
         path, reason = content.unreadable[0]
         total = len(content.unreadable) + len(content.files)
@@ -223,8 +228,9 @@ def _nothing(folder: Path, wanted: str, others: int = 0) -> UserError:
     inside = sorted(path.name + ("/" if path.is_dir() else "") for path in folder.iterdir()) if folder.is_dir() else []
     shown = ", ".join(inside[:8]) + (", ..." if len(inside) > 8 else "")
     files = f" and {counted(others, 'file that is no image', 'files that are no images')}" if others else ""
+    unread = unread_note(folder)
     return UserError(
-        f"No {wanted} in {folder}. Found: {shown or 'nothing'}{files}.",
+        f"No {wanted} in {folder}. Found: {shown or 'nothing'}{files}.{'' if unread is None else f' {unread}'}",
         "Give the folder that the cameras' files were copied to; JPEG, PNG, TIFF and videos are read.",
     )
 
@@ -248,7 +254,7 @@ def _shown(items: Sequence[Any], what: str) -> Iterable[Any]:
 
 def _photograph(capture: CaptureFolder, spectrum: str, file: SourceFile, name: str) -> FrameRow:
     """Bring one photograph to its place, unchanged; frames of videos become JPEGs."""
-    ending = file.path.suffix.lower().replace(".jpeg", ".jpg")
+    ending = ".jpg" if file.path.suffix.lower() in JPEG_SUFFIXES else file.path.suffix.lower()
     target = capture.images(spectrum) / f"{name}{ending if file.frame is None else '.jpg'}"
     if file.frame is not None:
         if not target.exists():

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from thermosplat.datasets.images.image_bytes import read_regular_file
-from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES, list_images, read_image
+from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES, JPEG_SUFFIXES, list_images, read_image
 from thermosplat.datasets.images.jpeg_warnings import damaged_jpegs
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import Exif, FrameRow
@@ -22,9 +22,9 @@ from thermosplat.prepare.importing.exif import parse_exif, read_exif
 from thermosplat.prepare.importing.flir_files import is_flir
 from thermosplat.prepare.importing.image_header import is_whole_jpeg, read_header
 from thermosplat.prepare.importing.video_frames import VIDEO_SUFFIXES, describe_video, moment, read_video_frame
+from thermosplat.regular_files import files_below
 
 Kind = Literal["color", "grey", "values", "flir", "dji"]
-_JPEG = (".jpg", ".jpeg")
 _BOARD_FOLDERS = ("calib", "board", "checker", "charuco")
 """Folders whose names begin like this hold pictures of a board, for ``calibrate``."""
 
@@ -119,7 +119,7 @@ def read_folder(
         raise UserError(f"{folder} {what}.", "Give the folder that holds the photographs and the thermal files.")
     left_out = {path.resolve() for path in skip}
     paths = [path for path in list_images(folder, recursive=True) if _is_wanted(path, folder, left_out)]
-    everything = [path for path in folder.rglob("*") if path.is_file()]
+    everything = files_below(folder)
     videos = sorted(path for path in everything if path.suffix.lower() in VIDEO_SUFFIXES)
     videos = [path for path in videos if _is_wanted(path, folder, left_out)]
     files: list[SourceFile] = []
@@ -130,7 +130,7 @@ def read_folder(
                 unreadable.append((path, found))
             else:
                 files.append(found)
-    jpegs = [file.path for file in files if file.path.suffix.lower() in _JPEG]
+    jpegs = [file.path for file in files if file.path.suffix.lower() in JPEG_SUFFIXES]
     damaged = damaged_jpegs(jpegs) if jpegs else {}
     files = [file for file in files if file.path not in damaged]
     unreadable += damaged.items()
@@ -160,7 +160,7 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
     try:
         header = read_header(path)
         kind: Kind = "values" if header.is_radiometric else "grey" if header.channels == 1 else "color"
-        if path.suffix.lower() in _JPEG:
+        if path.suffix.lower() in JPEG_SUFFIXES:
             content = read_regular_file(path)
             exif = parse_exif(content)
             if not is_whole_jpeg(content):

@@ -26,8 +26,9 @@ from thermosplat.prepare.importing.thermal_values import (
 )
 from thermosplat.prepare.progress import tracked
 from thermosplat.prepare.whole_files import write_png
+from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_bytes
-from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, THERMAL
+from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, THERMAL, unit_named
 from thermosplat.thermal.planck_counts import ZERO_CELSIUS
 from thermosplat.thermal.radiometry import Palette
 
@@ -62,6 +63,8 @@ class ThermalOptions:
     mirror: bool = False
 
     def __post_init__(self) -> None:
+        if self.unit is not None:
+            object.__setattr__(self, "unit", unit_named(self.unit))
         if self.unit is not None and self.unit not in (*TEMPERATURE_UNITS, COUNTS):
             known = ", ".join((*TEMPERATURE_UNITS, COUNTS))
             raise UserError(f"--unit {self.unit} is not known.", f"Known are {known}.")
@@ -222,6 +225,6 @@ def _state(capture: CaptureFolder, unit: str) -> None:
 
 def _stated_unit(capture: CaptureFolder) -> str | None:
     try:
-        return json.loads(capture.units_json.read_bytes())["unit"]
+        return json.loads(read_regular(capture.units_json))["unit"]
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.datasets.images.image_files import read_image
+from thermosplat.datasets.images.image_files import ImagePixels, read_pixels
 from thermosplat.errors import UserError
 from thermosplat.prepare.importing.dji_files import read_dji
 from thermosplat.prepare.importing.flir_files import read_flir
@@ -20,6 +20,7 @@ from thermosplat.prepare.importing.source_files import SourceFile
 from thermosplat.spectra import COUNTS
 from thermosplat.thermal.planck_counts import ZERO_CELSIUS
 from thermosplat.thermal.temperature_units import (
+    check_filled,
     check_plausible,
     judge_unit,
     measured_unit,
@@ -84,8 +85,8 @@ def choose_meaning(files: Sequence[SourceFile], unit: str | None, scale: float |
         raise UserError(
             "--scale and --offset need the unit of what they give.", "For temperatures in °C add --unit celsius."
         )
-    sample = np.concatenate([read_image(file.path)[::4, ::4].ravel() for file in files[:: -(-len(files) // _SAMPLED)]])
-    sample = sample[np.isfinite(sample)]
+    sampled = [read_pixels(file.path) for file in files[:: -(-len(files) // _SAMPLED)]]
+    sample = np.concatenate([pixels.image[::4, ::4][~without_value(pixels)[::4, ::4]] for pixels in sampled])
     if sample.size == 0:
         raise UserError(f"{files[0].path} and others like it hold no numbers.", "Export them again.")
     stored = [float(end) for end in np.percentile(sample, [1, 99])]
@@ -97,7 +98,9 @@ def choose_meaning(files: Sequence[SourceFile], unit: str | None, scale: float |
     statement = read_statement(files[0].path.parent / "units.json", "thermal").unit
     if statement is not None:
         return Meaning(statement, stated=True)
-    return Meaning(judge_unit(*stored, integer=sample.dtype.kind in "iu"))
+    integer = sample.dtype.kind in "iu"
+    check_filled(sample, None, f"{files[0].path.parent.name}/", "--unit counts", integer=integer)
+    return Meaning(judge_unit(*stored, integer=integer))
 
 
 def read_values(file: SourceFile, meaning: Meaning, unit: StoredUnit) -> tuple[NDArray[np.uint16], int]:
@@ -121,17 +124,14 @@ def read_values(file: SourceFile, meaning: Meaning, unit: StoredUnit) -> tuple[N
     elif file.kind == "dji":
         celsius = read_dji(file.path, file.width, file.height)
     else:
-        stored = read_image(file.path)
-        celsius = meaning.celsius(stored)
+        pixels = read_pixels(file.path)
+        celsius, void = meaning.celsius(pixels.image), without_value(pixels)
         if celsius is None:
-            return _counts(file, stored), 0
+            return _counts(file, pixels.image, void), int(void.sum())
+        celsius = np.where(void, np.nan, celsius)
     dead = ~np.isfinite(celsius) | (celsius <= -ZERO_CELSIUS)
+    _check_dead(file, dead)
     count = int(dead.sum())
-    if count > _MOST_DEAD * dead.size:
-        raise UserError(
-            f"{file.path} has {count:,} of {dead.size:,} pixels without a temperature.",
-            "Export the file again, or leave it out.",
-        )
     filled = _filled(celsius, dead) if count else celsius
     levels = np.rint((filled + ZERO_CELSIUS) * STEPS_PER_KELVIN[unit])
     if levels.max() > np.iinfo(np.uint16).max:
@@ -141,12 +141,32 @@ def read_values(file: SourceFile, meaning: Meaning, unit: StoredUnit) -> tuple[N
     return levels.astype(np.uint16), count
 
 
-def _counts(file: SourceFile, stored: NDArray[Any]) -> NDArray[np.uint16]:
+def without_value(pixels: ImagePixels) -> NDArray[np.bool_]:
+    """Where a file has no value, bool [H, W]: it is no number, or the file calls it NoData or transparent."""
+    void = ~np.isfinite(pixels.image)
+    if pixels.void is not None:
+        void |= pixels.void
+    return void if pixels.mask is None else void | ~pixels.mask
+
+
+def _check_dead(file: SourceFile, dead: NDArray[np.bool_]) -> None:
+    count = int(dead.sum())
+    if count > _MOST_DEAD * dead.size:
+        raise UserError(
+            f"{file.path} has {count:,} of {dead.size:,} pixels without a temperature.",
+            "Export the file again, or leave it out.",
+        )
+
+
+def _counts(file: SourceFile, stored: NDArray[Any], void: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    _check_dead(file, void)
+    if void.any():
+        stored = np.where(void, np.rint(_filled(stored, void)), stored).astype(stored.dtype)
     if stored.dtype == np.uint16:
         return stored
-    if not np.isfinite(stored).all() or (stored != np.rint(stored)).any() or stored.min() < 0 or stored.max() > 65535:
+    if (stored != np.rint(stored)).any() or stored.min() < 0 or stored.max() > 65535:
         raise UserError(
-            f"{file.path} holds values {np.nanmin(stored):,.6g} to {np.nanmax(stored):,.6g} that are neither "
+            f"{file.path} holds values {stored.min():,.6g} to {stored.max():,.6g} that are neither "
             "temperatures in a unit that can be told, nor 16-bit counts.",
             "Say what they are: --unit celsius or kelvin, perhaps with --scale and --offset.",
         )

@@ -15,6 +15,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.calibration.calibration_file import RigCalibration, read_calibration
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder
@@ -132,13 +133,14 @@ def _thermal_images(capture: CaptureFolder, names: Sequence[str]) -> list[NDArra
     with progress_bar("thermal images", len(names)) as advance:
         for name in names:
             path = capture.images(OTHER) / name
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
-            if image is None:
+            try:
+                image = read_image(path)
+            except UserError as error:
                 raise UserError(
-                    f"{path} is listed in pairs.csv and cannot be read.",
+                    f"{path} is listed in pairs.csv and cannot be read. {error.message}",
                     f"Import and pair again: thermosplat-prepare pair {capture.root}",
-                )
-            read.append(image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY))
+                ) from error
+            read.append(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
             advance(1)
     sizes = Counter(image.shape[:2] for image in read)
     if len(sizes) > 1:

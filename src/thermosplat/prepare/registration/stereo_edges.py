@@ -14,6 +14,8 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from thermosplat.datasets.images.image_files import read_image
+from thermosplat.datasets.images.spectrum_files import as_rgb
 from thermosplat.prepare.progress import progress_bar
 
 Array = NDArray[np.float64]
@@ -197,7 +199,7 @@ def _box(camera: pycolmap.Camera, axes: Array, f: float, disparities: int) -> _B
 
 def _rectified(path: Path, camera: pycolmap.Camera, axes: Array, box: _Box, f: float) -> NDArray[np.uint8]:
     """[H, W, 3] the photograph on the rectified plane, black where it does not reach."""
-    photograph = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    photograph = as_rgb(path, read_image(path))
     x, y = np.meshgrid(np.arange(box.width) + box.left + 0.5, np.arange(box.height) + box.top + 0.5)
     rays = np.stack([x / f, y / f, np.ones_like(x)], -1).reshape(-1, 3) @ axes
     position = camera.img_from_cam(rays) - 0.5

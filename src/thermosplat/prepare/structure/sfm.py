@@ -74,6 +74,13 @@ def _sfm(capture: CaptureFolder, mapper: Mapper) -> list[str]:
             f"{capture.root} has {counted(count, 'photograph')}, and poses need at least {FEWEST_PHOTOGRAPHS}.",
             _RETAKE,
         )
+    for row in photographs:
+        path = capture.images(LEADING) / row.file
+        if not path.is_file():  # COLMAP leaves out what is missing, and waits for a pipe without end
+            raise UserError(
+                f"{path} is listed in frames.csv, and there is no such file.",
+                "Import the images again: thermosplat-prepare import FOLDER --out CAPTURE",
+            )
     calibration = read_calibration(capture.calibration_json)
     lens = None if calibration is None else calibration.rgb
     cameras = cameras_of(photographs, lens)

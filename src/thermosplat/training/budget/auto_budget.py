@@ -194,8 +194,9 @@ class AutoBudget:
             frame = self.frames[index]
             rendered = state.model.render(frame.views, sh_degree=sh_degree, shared_cameras=frame.shared_cameras)
             for name in state.model.spectra:
-                if name in rendered.images and (target := frame.views[name].image) is not None:
-                    found.setdefault(name, []).append(psnr(rendered.images[name], target))
+                view = frame.views.get(name)
+                if name in rendered.images and view is not None and view.image is not None:
+                    found.setdefault(name, []).append(psnr(rendered.images[name], view.image, view.mask))
         means = {name: sum(values) / len(values) for name, values in found.items()}
         if state.noise_watch is not None:
             teacher = partial(self._teacher, sh_degree)

@@ -14,6 +14,7 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.evaluation.training_views import LEARNT, one_color_error
+from thermosplat.image_quality.metrics import right_outside
 from thermosplat.losses.image_terms import image_terms
 from thermosplat.scene.model import SceneModel
 
@@ -68,7 +69,7 @@ class ImageChange:
         """What the model renders of a frame, clamped to [0, 1], and its ground truth, by name of what has one."""
         rendered = self.model.render(frame.views, sh_degree=self.sh_degree, shared_cameras=frame.shared_cameras)
         compared = {
-            name: (image, target)
+            name: (right_outside(image, target, frame.views[name].mask), target)
             for name, image in rendered.images.items()
             if (target := frame.views[name].image) is not None
         }

@@ -1,11 +1,12 @@
 """Memory in which frames lie between the process that reads them and the device.
 
 All processes have it in common, so that pixels are written once, to where the device copies them from. It is divided
-into slots of one frame each. In a slot lie the image and then the intensity of each spectrum, as they are kept on the
-disk.
+into slots of one frame each. In a slot lie the image, the intensity and the mask of each spectrum, as they are kept on
+the disk.
 """
 
 import contextlib
+import math
 import mmap
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from thermosplat.datasets.stored_pixels import StoredPixels
+from thermosplat.datasets.stored_pixels import StoredPixels, TrainedPixels
 
 _ALIGNED = 64
 """Bytes that everything starts at a multiple of: a line of the processor's cache."""
@@ -31,6 +32,7 @@ class PixelPlace:
         shape: [H, W, C] of the image.
         is_bytes: The image is uint8, not float32.
         intensity: First byte of the intensity, float32 [H, W]; None where there is none.
+        mask: First byte of the mask, bool [H, W]; None where there is none.
         end: One beyond the last byte.
     """
 
@@ -38,6 +40,7 @@ class PixelPlace:
     shape: tuple[int, int, int]
     is_bytes: bool
     intensity: int | None
+    mask: int | None
     end: int
 
     @classmethod
@@ -50,27 +53,33 @@ class PixelPlace:
         intensity = _aligned(end) if stored.has_intensity else None
         if intensity is not None:
             end = intensity + 4 * height * width
-        return cls(image, (height, width, stored.channels), is_bytes, intensity, end)
+        mask = _aligned(end) if stored.may_be_masked else None
+        if mask is not None:
+            end = mask + height * width
+        return cls(image, (height, width, stored.channels), is_bytes, intensity, mask, end)
 
-    def arrays(self, slot: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[np.float32] | None]:
-        """Image and intensity in a slot's bytes, in place."""
-        image = slot[self.image : self.image + self._image_bytes()].view(np.uint8 if self.is_bytes else np.float32)
-        if self.intensity is None:
-            return image.reshape(self.shape), None
-        intensity = slot[self.intensity : self.end].view(np.float32)
-        return image.reshape(self.shape), intensity.reshape(self.shape[:2])
+    def arrays(self, slot: NDArray[np.uint8]) -> TrainedPixels:
+        """Image, intensity and mask in a slot's bytes, in place."""
+        return TrainedPixels(*self._parts(slot, np.uint8, np.float32, np.bool_))
 
-    def tensors(self, slot: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Image and intensity in a slot's bytes, uint8 [n] on any device, in place."""
-        image = slot[self.image : self.image + self._image_bytes()]
-        image = (image if self.is_bytes else image.view(torch.float32)).view(self.shape)
-        if self.intensity is None:
-            return image, None
-        return image, slot[self.intensity : self.end].view(torch.float32).view(self.shape[:2])
+    def tensors(self, slot: Tensor) -> tuple[Tensor, Tensor | None, Tensor | None]:
+        """Image, intensity and mask in a slot's bytes, uint8 [n] on any device, in place."""
+        return self._parts(slot, torch.uint8, torch.float32, torch.bool)
 
-    def _image_bytes(self) -> int:
+    def _parts(self, slot: Any, byte: Any, number: Any, truth: Any) -> tuple[Any, Any, Any]:
+        """The same of an array or a tensor, with its library's names of types."""
         height, width, channels = self.shape
-        return (1 if self.is_bytes else 4) * height * width * channels
+
+        def part(start: int | None, type_of: Any, size: int, shape: tuple[int, ...]) -> Any:
+            if start is None:
+                return None
+            return slot[start : start + size * math.prod(shape)].view(type_of).reshape(shape)
+
+        return (
+            part(self.image, byte if self.is_bytes else number, 1 if self.is_bytes else 4, (height, width, channels)),
+            part(self.intensity, number, 4, (height, width)),
+            part(self.mask, truth, 1, (height, width)),
+        )
 
 
 def places_in_slot(stored: Mapping[str, StoredPixels]) -> dict[str, PixelPlace]:

@@ -18,6 +18,9 @@ from thermosplat.training.frames.frame_slots import places_in_slot
 COPIED_AHEAD = 3
 """Frames on a CUDA device, as bytes, that no step has begun with."""
 
+_Parts = tuple[Tensor, Tensor | None, Tensor | None]
+"""Image, intensity and mask of a view."""
+
 
 class FramesFromDisk:
     """The frames, each made when it is asked for. Images that are bytes stay bytes (``with_unit_images``).
@@ -50,12 +53,13 @@ class FramesFromDisk:
 
     def __getitem__(self, index: int) -> FrameTensors:
         """A frame out of any order, read by this process."""
-        views: dict[str, tuple[Tensor, Tensor | None]] = {}
+        views: dict[str, _Parts] = {}
         for name, stored in self._stored[index].items():
             stored.check()
-            image, intensity = stored.read_to_train()
+            image, *others = stored.read_to_train()
             on_device = torch.from_numpy(image).to(self._device)
-            views[name] = on_device, None if intensity is None else torch.from_numpy(intensity).to(self._device)
+            intensity, mask = (None if one is None else torch.from_numpy(one).to(self._device) for one in others)
+            views[name] = on_device, intensity, mask
         return self._frame(index, views)
 
     def each(self) -> Iterator[FrameTensors]:
@@ -99,9 +103,12 @@ class FramesFromDisk:
         places = places_in_slot(self._stored[index])
         return self._frame(index, {name: place.tensors(pixels) for name, place in places.items()})
 
-    def _frame(self, index: int, views: Mapping[str, tuple[Tensor, Tensor | None]]) -> FrameTensors:
+    def _frame(self, index: int, views: Mapping[str, _Parts]) -> FrameTensors:
         frame, cameras = self._frames[index], self._cameras[index]
-        tensors = {name: with_pixels(cameras[name], *found, self._scales[name]) for name, found in views.items()}
+        tensors = {
+            name: with_pixels(cameras[name], image, intensity, self._scales[name], mask)
+            for name, (image, intensity, mask) in views.items()
+        }
         return packed(FrameTensors(frame.name, tensors, frame.shared_cameras, self._indices[index]))
 
 

@@ -183,7 +183,7 @@ class _Work:
         try:
             for name, place in places_in_slot(frame).items():
                 frame[name].cache.folder = asked.folder
-                frame[name].read_into(*place.arrays(slot))
+                frame[name].read_into(place.arrays(slot))
         except ImageLostError as error:
             return _Answer(asked.slot, lost=(error.message, error.hint or ""))
         except MemoryError:

@@ -18,6 +18,8 @@ from thermosplat.training.frames.train_frames import TrainFrames, frame_bytes
 
 SHORTEST_SIDE = 32
 """No side of an image becomes shorter [px]: SSIM's window has 11. Open choice."""
+_WHOLE = 1.0 - 1e-4
+"""Share of a new pixel's area from which on all that it covers counts, but for rounding."""
 
 
 class ShrunkFrames:
@@ -86,6 +88,7 @@ def shrunk_view(view: ViewTensors, taken: View, factor: float) -> ViewTensors:
         None if pixels is None else area_averages(pixels, camera.width, camera.height)
         for pixels in (view.image, view.intensity)
     )
+    mask = None if view.mask is None else area_averages(view.mask.float(), camera.width, camera.height) > _WHOLE
     K = torch.tensor(camera.K, dtype=view.K.dtype, device=view.K.device)
     readout = None if taken.readout is None else taken.readout.resized(taken.camera, camera)
     return replace(
@@ -95,6 +98,7 @@ def shrunk_view(view: ViewTensors, taken: View, factor: float) -> ViewTensors:
         height=camera.height,
         image=image,
         intensity=intensity,
+        mask=mask,
         values=None,
         readout=readout_tensor(readout, view.K.device),
     )

@@ -154,7 +154,7 @@ def frame_bytes(frame: FrameTensors) -> int:
 
 
 def _bytes(view: ViewTensors) -> int:
-    tensors = [value for value in (view.image, view.intensity, view.values) if isinstance(value, Tensor)]
+    tensors = [value for value in (view.image, view.intensity, view.values, view.mask) if isinstance(value, Tensor)]
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
 
 

@@ -65,7 +65,8 @@ def _of_view(view: View) -> str:
     if view.stored is not None:
         return _digest(view.viewmat, camera, repr((view.stored.header, [stamp.size for stamp in view.stored.stamps])))
     pixels = view.pixels()
-    return _digest(view.viewmat, pixels.image, *(() if pixels.values is None else (pixels.values,)), camera)
+    others = [part for part in (pixels.values, pixels.mask) if part is not None]
+    return _digest(view.viewmat, pixels.image, *others, camera)
 
 
 def _digest(*parts: "np.ndarray | str") -> str:

@@ -162,6 +162,7 @@ def _known_depths(views: Mapping[int, ViewTensors], points: Tensor) -> dict[int,
 
 
 def _enlarged(depth: Tensor, view: ViewTensors) -> Tensor:
-    """A depth for each pixel of the view, NaN where unknown, of depths of a smaller image."""
+    """A depth for each pixel of the view, NaN where unknown or masked, of depths of a smaller image."""
     known = torch.where(depth > 0, depth, torch.nan)
-    return F.interpolate(known[None, None], (view.height, view.width), mode="nearest")[0, 0]
+    enlarged = F.interpolate(known[None, None], (view.height, view.width), mode="nearest")[0, 0]
+    return enlarged if view.mask is None else enlarged.where(view.mask, torch.nan)
