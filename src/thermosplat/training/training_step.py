@@ -305,8 +305,8 @@ class TrainingStep:
             losses |= self._penalties_of_shares(part, _of_penalties(config, kind), rendered)
         if part.calls is not None:
             # Every image takes part, so that every rank's backward pass makes the same exchanges.
-            seen = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
-            losses[TAKING_PART] = TakingPart.apply(*seen)
+            images = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
+            losses[TAKING_PART] = TakingPart.apply(*images)
         return replace(compared, losses=losses)
 
     def _penalties_of_shares(self, part: Part, weights: LossConfig, rendered: RenderedFrame) -> dict[str, Tensor]:
