@@ -1,12 +1,17 @@
-"""The table of gsplat's arguments: complete for both versions, and true of our signature."""
+"""The tables of gsplat's arguments and names: complete for both versions, and true of what there is."""
 
+import ast
+import importlib
 import inspect
 import re
+from pathlib import Path
 
 import pytest
 
+import thermosplat
 from repository_documents import REPOSITORY
 from thermosplat import UserError, rasterization
+from thermosplat.gsplat_names import INSTEAD
 from thermosplat.rasterizer.arguments import refuse_unsupported
 
 MAIN = """means quats scales opacities colors viewmats Ks width height near_plane far_plane radius_clip eps2d sh_degree
@@ -57,3 +62,39 @@ def test_what_the_table_says_of_us_is_so() -> None:
     refused = [name for name, cells in table().items() if "raises" in cells[2]]
     source = inspect.getsource(inspect.unwrap(rasterization)).split("refuse_unsupported(")[1].split(")")[0]
     assert re.findall(r"(\w+)=\1", source) == refused
+
+
+def names_in_the_table() -> set[str]:
+    """gsplat's names that the document has a row for."""
+    text = (REPOSITORY / "docs" / "migrating.md").read_text(encoding="utf-8")
+    part = text.split("### Every name of gsplat")[1].split("\nValues that differ")[0]
+    return {
+        name for row in re.findall(r"^\| (`.*?) \|", part, flags=re.MULTILINE) for name in re.findall(r"`(\w+)`", row)
+    }
+
+
+def test_every_name_of_gsplat_is_offered_or_answered() -> None:
+    """Those of the installed 1.5.3, and 81 of both versions together, in the table and by the package."""
+    gsplat = pytest.importorskip("gsplat", reason="gsplat 1.5.3 is not installed")
+    tree = ast.parse(Path(gsplat.__file__).read_text(encoding="utf-8"))
+    froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    released = {alias.asname or alias.name for node in froms for alias in node.names}
+    offered = set(thermosplat.__all__) & (names_in_the_table() | {"__version__"})
+    assert released <= offered | set(INSTEAD)
+    assert names_in_the_table() | {"__version__"} == offered | set(INSTEAD)
+    assert len(offered | set(INSTEAD)) == 81
+    for name in re.findall(r"thermosplat\.[\w.]+", " ".join(INSTEAD.values())):
+        module, _, last = name.rpartition(".")
+        assert hasattr(importlib.import_module(module), last) or importlib.util.find_spec(name) is not None, name
+
+
+@pytest.mark.parametrize("name", ["world_to_cam", "rasterization_2dgs", "MCMCStrategy", "has_3dgut"])
+def test_a_name_that_there_is_not_says_what_there_is(name: str) -> None:
+    """As an attribute and in an import; hasattr() and getattr() with a default do not fail."""
+    message = f"thermosplat.{name} does not exist: {INSTEAD[name]}"
+    with pytest.raises(AttributeError, match=re.escape(message)):
+        getattr(thermosplat, name)
+    with pytest.raises(ImportError, match=re.escape(message)):
+        exec(f"from thermosplat import {name}")
+    assert not hasattr(thermosplat, name)
+    assert getattr(thermosplat, name, None) is None

@@ -1,5 +1,6 @@
 """What rasterization() refuses, and that it says in one sentence what was expected and what was given."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -7,13 +8,18 @@ import pytest
 import torch
 
 from gaussian_scenes import leaves, random_rgbt_scene, random_scene
-from thermosplat import UserError, rasterization, rasterization_rgbt
+from thermosplat import UserError, rasterization, rasterization_rgbt, spherical_harmonics
 
 
 def scene_with(**changes: Any) -> dict[str, Any]:
     """A small float32 scene with some arguments replaced."""
     scene = leaves(random_scene(n=4, cameras=2), "cpu", torch.float32)
     return {key: value.detach() if isinstance(value, torch.Tensor) else value for key, value in scene.items()} | changes
+
+
+def tangent(function: Any) -> Any:
+    """torch.func.jvp in the form of its other transforms."""
+    return lambda x: torch.func.jvp(function, (x,), (torch.ones_like(x),))
 
 
 @pytest.mark.parametrize(
@@ -23,6 +29,7 @@ def scene_with(**changes: Any) -> dict[str, Any]:
         ("lidar_coeffs", object(), "pinhole, ortho, fisheye or ftheta"),
         ("external_distortion_coeffs", object(), "radial_coeffs"),
         ("ut_params", object(), "alpha = 0.1"),
+        ("ut_params", SimpleNamespace(alpha=0.5, beta=2.0, kappa=0.0), "alpha = 0.1"),
         ("renderer_config", object(), "in one way"),
     ],
 )
@@ -47,9 +54,29 @@ def test_gsplat_defaults_are_accepted() -> None:
             viewmats_rs=None,
             channel_chunk=2,
             segmented=True,
+            ut_params=SimpleNamespace(alpha=np.float32(0.1), beta=2.0, kappa=0.0),
+            renderer_config=type("RendererConfig_MixedBatch", (), {})(),
         )
     )[0]
     assert torch.equal(plain, same)
+
+
+@pytest.mark.parametrize("transform", [torch.func.grad, torch.func.jacrev, tangent], ids=["grad", "jacrev", "jvp"])
+def test_transforms_of_torch_func_are_refused(transform: Any) -> None:
+    """In one sentence, by the steps too; torch.autograd's jacobian works."""
+    scene = scene_with()
+    means = scene.pop("means")
+
+    def total(means: torch.Tensor) -> torch.Tensor:
+        return rasterization(means=means, **scene)[0].sum()
+
+    def harmonics(means: torch.Tensor) -> torch.Tensor:
+        return spherical_harmonics(0, means, torch.ones(4, 1, 3)).sum()
+
+    for function in (total, harmonics):
+        with pytest.raises(UserError, match=r"Renders are differentiated by torch\.autograd"):
+            transform(function)(means)
+    assert torch.autograd.functional.jacobian(total, means).norm() > 0
 
 
 def test_numpys_integers_are_sizes() -> None:
@@ -121,7 +148,7 @@ SHAPES = [
     ("Ks", (3, 3, 3), "[2, 3, 3]"),
     ("backgrounds", (2, 4), "[2, 3]"),
     ("backgrounds", (3,), "[2, 3]"),
-    ("covars", (4, 6), "[4, 3, 3]"),
+    ("covars", (4, 5), "[4, 3, 3]"),
 ]
 
 
@@ -150,7 +177,7 @@ def test_shape_message_is_the_documented_sentence() -> None:
     [
         ((4, 3), 1, "K"),  # SH asked for, features given
         ((4, 3, 3), 1, "4"),  # fewer coefficients than the degree needs
-        ((4, 4, 0), 1, "of 3 channels"),  # no channel
+        ((4, 4, 0), 1, "at least one channel"),
         ((4, 16, 3), 5, "0, 1, 2, 3, 4"),
         ((4, 16, 3), -1, "0, 1, 2, 3"),
         ((3, 4, 5), None, "colors"),  # three cameras' colours for two cameras

@@ -4,36 +4,20 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
 import reference_rasterizer
 from gaussian_scenes import gsplat_training, random_scene
+from repository_documents import code_blocks
 from thermosplat import rasterization
-
-
-def relocated(opacities: Tensor, scales: Tensor, ratios: Tensor, binoms: Tensor) -> tuple[Tensor, Tensor]:
-    """What gsplat's CUDA operator computes: equation 9 of Kheradmand et al. 2024 (arXiv 2404.09591)."""
-    new_opacities, factors = [], []
-    for opacity, ratio in zip(opacities.tolist(), ratios.clamp(1, len(binoms)).int().tolist(), strict=True):
-        new = 1 - (1 - opacity) ** (1 / ratio)
-        total = sum(
-            binoms[i, k].item() * (-1) ** k * new ** (k + 1) / (k + 1) ** 0.5
-            for i in range(ratio)
-            for k in range(i + 1)
-        )
-        new_opacities.append(new)
-        factors.append(opacity / total)
-    return opacities.new_tensor(new_opacities), scales * scales.new_tensor(factors)[:, None]
 
 
 def test_mcmc_strategy_densifies(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
     """It relocates the dead, adds Gaussians and noise, and training goes on."""
     strategies = pytest.importorskip("gsplat.strategy", reason="gsplat 1.5.3 is not installed")
-    if device.type == "cpu":
-        from gsplat.cuda._torch_impl import _quat_scale_to_covar_preci
-
-        monkeypatch.setattr("gsplat.strategy.ops.compute_relocation", relocated)
-        monkeypatch.setattr("gsplat.strategy.ops.quat_scale_to_covar_preci", _quat_scale_to_covar_preci)
+    for name in ("compute_relocation", "quat_scale_to_covar_preci"):  # put back afterwards
+        monkeypatch.setattr(strategies.ops, name, getattr(strategies.ops, name))
+    (lines,) = [code for code in code_blocks("docs/migrating.md", "py") if "compute_relocation" in code]
+    exec(lines, {})
     scene = random_scene(n=60, backgrounds=False)
     scene["opacities"][:6] = 0.001  # dead
     target = reference_rasterizer.rasterization(**random_scene(n=60, seed=1, backgrounds=False))[0].float().to(device)

@@ -146,7 +146,9 @@ def test_lists_on_cuda_are_those_of_the_cpu(tile_size: int, deterministic: bool)
     scene = random_scene(n=500, width=700, height=500, cameras=2)
     scene["scales"] *= torch.logspace(-2, 0.5, 500)[:, None]
     infos = [
-        rasterization(**leaves(scene, device, torch.float64), tile_size=tile_size, deterministic=deterministic)[2]
+        rasterization(
+            **leaves(scene, device, torch.float64), packed=False, tile_size=tile_size, deterministic=deterministic
+        )[2]
         for device in ("cpu", "cuda")
     ]
     assert infos[0]["tiles_per_gauss"].max() > 1000
@@ -180,7 +182,7 @@ def test_number_of_non_finite_gaussians_in_what_is_rendered(device: torch.device
 def test_everything_of_nothing(n: int, batch: tuple[int, ...]) -> None:
     """Without Gaussians, or in a batch without scenes, every entry can be read and every gradient is zero."""
     inputs = leaves(random_scene(n=n, batch=batch, cameras=2, sh_degree=1), "cpu", torch.float32)
-    image, _, info = rasterization(**inputs)
+    image, _, info = rasterization(**inputs, packed=False)
     image.sum().backward()
     assert not inputs["viewmats"].grad.any()
     assert not inputs["means"].grad.any()
@@ -242,7 +244,7 @@ def test_of_unseen_gaussians_there_are_zeros(device: torch.device, dtype: torch.
     shape = scene["viewmats"].shape[:-2]
     litter = [torch.full((*shape, 40, width), torch.nan, device=device, dtype=dtype) for width in (2, 1, 2, 4)]
     del litter  # which the allocator hands out again
-    info = rasterization(**scene)[2]
+    info = rasterization(**scene, packed=False)[2]
     unseen = ~info["visible"]
     assert 0 < unseen.sum() < unseen.numel()
     assert info["radii"].dtype == torch.int32

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 import reference_lens_rasterizer
+import reference_rasterizer
 from gaussian_scenes import Scene, assert_matches_reference, leaves, random_scene
 from thermosplat import rasterization, rasterization_rgbt
 from thermosplat.errors import UserError
@@ -45,7 +46,7 @@ def lens_arguments(name: str, cameras: int) -> dict[str, Any]:
             linear_cde=[1.01, 0.003, -0.002],
         )
         return {"camera_model": "ftheta", "ftheta_coeffs": lens}
-    return {"camera_model": name, "with_ut": True}
+    return {"camera_model": name.removeprefix("bare "), "with_ut": True}
 
 
 def lens_scene(name: str, *, cameras: int = 1, **arguments: Any) -> Scene:
@@ -71,16 +72,16 @@ def compare(scene: Scene, device: torch.device, dtype: torch.dtype) -> tuple[Any
     return assert_matches_reference(rasterization, scene, device, dtype, reference=reference, **tolerances)
 
 
-@pytest.mark.parametrize("name", ["radial", "fisheye"])
-def test_images_and_gradients_in_double_precision(device: torch.device, name: str) -> None:
+@pytest.mark.parametrize(("name", "mode"), [("radial", "classic"), ("fisheye", "antialiased")])
+def test_images_and_gradients_in_double_precision(device: torch.device, name: str, mode: str) -> None:
     """Two cameras with lenses of their own, Gaussians off the edge, behind and where no ray comes from."""
-    scene = lens_scene(name, cameras=2)
+    scene = lens_scene(name, cameras=2, rasterize_mode=mode)
     _, (_, _, info) = compare(scene, device, torch.float64)
     assert 0.3 < info["visible"].float().mean() < 1.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["rational", "ftheta", "ftheta_inverse", "pinhole", "ortho"])
+@pytest.mark.parametrize("name", ["rational", "ftheta", "ftheta_inverse", "pinhole", "ortho", "bare fisheye"])
 def test_all_models_in_double_precision(device: torch.device, name: str) -> None:
     """All coefficients of a pinhole lens, both polynomials of f-theta, and the transform without a lens."""
     compare(lens_scene(name, cameras=2), device, torch.float64)
@@ -151,7 +152,7 @@ def seen(means: list[list[float]], **arguments: Any) -> list[bool]:
         48,
         **arguments,
     )
-    return (info["radii"][0, :, 0] > 0).tolist()
+    return info["visible"][0].tolist()
 
 
 def test_what_a_lens_folds_back_is_not_drawn() -> None:
@@ -177,7 +178,7 @@ def test_small_gaussians_are_seen_where_opencv_sees_points() -> None:
     cv2 = pytest.importorskip("cv2")
     scene = lens_scene("rational", n=40)
     scene["scales"] = torch.full_like(scene["scales"], 1e-6)
-    _, _, info = rasterization(**scene)
+    _, _, info = rasterization(**scene, packed=False)
     camera = scene["means"] @ scene["viewmats"][0, :3, :3].T + scene["viewmats"][0, :3, 3]
     order = (*scene["radial_coeffs"][0, :2], *scene["tangential_coeffs"][0], *scene["radial_coeffs"][0, 2:])
     distortion = torch.stack([*order, *scene["thin_prism_coeffs"][0]]).numpy()
@@ -190,7 +191,7 @@ def test_small_gaussians_are_seen_where_opencv_sees_points() -> None:
 
     scene = lens_scene("fisheye", n=40)
     scene["scales"] = torch.full_like(scene["scales"], 1e-6)
-    _, _, info = rasterization(**scene)
+    _, _, info = rasterization(**scene, packed=False)
     camera = scene["means"] @ scene["viewmats"][0, :3, :3].T + scene["viewmats"][0, :3, 3]
     shown = info["radii"][0, :, 0] > 0
     expected, _ = cv2.fisheye.projectPoints(
@@ -212,6 +213,20 @@ def test_a_lens_without_distortion_is_nearly_a_pinhole(device: torch.device) -> 
     bent, _, _ = rasterization(**inputs, radial_coeffs=torch.zeros(1, 6, dtype=torch.float64, device=device))
     difference = (bent - plain).square().mean().sqrt()
     assert 0 < difference < 0.01
+
+
+def test_a_fisheye_camera_is_linearised_unless_the_transform_is_asked_for(device: torch.device) -> None:
+    """gsplat's meaning without with_ut; with_ut=True is the transform, as coefficients are, of zeros too."""
+    scene = lens_scene("bare fisheye", n=40)
+    inputs = {key: value.to(device) if isinstance(value, Tensor) else value for key, value in scene.items()}
+    del inputs["with_ut"]
+    linear, _, _ = rasterization(**inputs)
+    expected, _, info = reference_rasterizer.rasterization(**{k: v for k, v in scene.items() if k != "with_ut"})
+    assert ((linear.cpu() - expected).abs().amax(-1) * ~info["uncertain"]).max() < 1e-11
+    transformed, _, _ = rasterization(**inputs, with_ut=True)
+    zeros = torch.zeros(1, 4, dtype=torch.float64, device=device)
+    assert torch.equal(rasterization(**inputs, radial_coeffs=zeros)[0], transformed)
+    assert (transformed - linear).abs().max() > 0.005
 
 
 def test_two_opacities_through_a_lens(device: torch.device) -> None:

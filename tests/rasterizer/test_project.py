@@ -13,7 +13,7 @@ def test_blended_it_is_rasterization() -> None:
     for sh_degree in (None, 2):
         scene = random_scene(n=12, width=20, height=14, sh_degree=sh_degree)
         scene = {name: value for name, value in scene.items() if name != "backgrounds"}
-        image, alphas, info = rasterization(**scene)
+        image, alphas, info = rasterization(**scene, packed=False)
         colors = scene.pop("colors")
         degree = scene.pop("sh_degree", None)
         projected = project(**scene, drawn={"colors": (colors, degree)})

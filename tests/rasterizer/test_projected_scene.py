@@ -16,7 +16,7 @@ from thermosplat import rasterization, rasterization_rgbt
 def test_depths_retain_their_gradient(device: torch.device, render_mode: str) -> None:
     """info["depths"].grad is the gradient of the same depths rendered as colours."""
     scene = random_scene(cameras=2, render_mode=render_mode, backgrounds=False)
-    image, _, info = rasterization(**leaves(scene, device, torch.float64))
+    image, _, info = rasterization(**leaves(scene, device, torch.float64), packed=False)
     info["depths"].retain_grad()
     upstream = torch.randn(*image.shape[:-1], 1, generator=torch.Generator().manual_seed(3)).double()
     (image[..., -1:] * upstream.to(image)).sum().backward()

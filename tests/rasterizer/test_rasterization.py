@@ -1,6 +1,7 @@
 """rasterization(): images and every gradient against the dense reference, and finite differences in float64."""
 
 import itertools
+from functools import partial
 from typing import Any
 
 import pytest
@@ -19,7 +20,7 @@ from thermosplat import rasterization
 from thermosplat.errors import UserError
 
 RENDER_MODES = ["RGB", "D", "ED", "RGB+D", "RGB+ED"]
-CAMERA_MODELS = ["pinhole", "ortho"]
+CAMERA_MODELS = ["pinhole", "ortho", "fisheye"]
 RASTERIZE_MODES = ["classic", "antialiased"]
 DTYPES = [torch.float32, torch.float64]
 
@@ -160,7 +161,7 @@ def test_culling_and_filter_arguments(device: torch.device, arguments: dict[str,
     plain = random_scene(n=80)
     scene = random_scene(n=80, **arguments)
     (image, _, info), (_, _, truth) = assert_matches_reference(rasterization, scene, device)
-    assert torch.equal((info["radii"] > 0).all(-1).cpu(), truth["visible"])
+    assert torch.equal(info["visible"].cpu(), truth["visible"])
     if "eps2d" not in arguments and "camera_model" not in arguments:
         assert truth["visible"].sum() < reference_rasterizer.rasterization(**plain)[2]["visible"].sum()
     assert image.abs().max() > 0.1
@@ -185,7 +186,7 @@ def test_absolute_gradients_of_means2d(device: torch.device) -> None:
     results = []
     for render, dtype, where in (
         (reference_rasterizer.rasterization, torch.float64, "cpu"),
-        (rasterization, torch.float32, device),
+        (partial(rasterization, packed=False), torch.float32, device),
     ):
         inputs = leaves(scene, where, dtype)
         image, alphas, info = render(**inputs)
@@ -206,7 +207,9 @@ def test_absgrad_of_every_chunk_of_channels(device: torch.device, seen: slice) -
     scene = random_scene(channels=5, cameras=2, absgrad=True, backgrounds=False)  # whose gradient is the first chunk's
     sums = []
     for channel_chunk in (32, 2):
-        image, _, info = rasterization(**leaves(scene, device, torch.float64), channel_chunk=channel_chunk)
+        image, _, info = rasterization(
+            **leaves(scene, device, torch.float64), channel_chunk=channel_chunk, packed=False
+        )
         image[..., seen].square().sum().backward()
         sums.append(info["means2d"].absgrad)
     assert sums[0].max() > 0
@@ -237,7 +240,7 @@ def test_nothing_to_draw(device: torch.device, render_mode: str, case: str, back
     if n:
         scene["means"] = scene["means"] - 100.0  # behind and beside the camera
     inputs = leaves(scene, device, torch.float32)
-    image, alphas, info = rasterization(**inputs)
+    image, alphas, info = rasterization(**inputs, packed=False)
     expected = scene["backgrounds"][:, None, None, :].float() if backgrounds else torch.zeros(3)
     assert (image[..., :3].cpu() == expected).all()
     assert (image[..., 3:] == 0).all()

@@ -36,7 +36,7 @@ def test_any_numbers_at_all(where: list[tuple[str, int, float]], rasterize_mode:
     seed=st.integers(0, 10_000),
     decades=st.sampled_from([4.0, 16.0, 38.0]),
     rasterize_mode=st.sampled_from(["classic", "antialiased"]),
-    camera_model=st.sampled_from(["pinhole", "ortho"]),
+    camera_model=st.sampled_from(["pinhole", "ortho", "fisheye"]),
     eps2d=st.sampled_from([0.0, 1e-6, 0.3, 1e10]),
     near_plane=st.sampled_from([0.01, 0.0, -1e30]),
     sh_degree=st.sampled_from([None, 2]),

@@ -9,7 +9,7 @@ import torch
 
 import reference_rasterizer
 from gaussian_scenes import gradients, gsplat_training, leaves, random_scene, relative_error, upstream_gradients
-from thermosplat import rasterization
+from thermosplat import SelectiveAdam, rasterization
 
 GSPLAT_KEYS = {
     "batch_ids",
@@ -105,7 +105,7 @@ def test_info_has_gsplats_keys_and_shapes(device: torch.device, batch: tuple[int
 def test_info_numbers(device: torch.device, rasterize_mode: str) -> None:
     """Projected quantities of visible Gaussians equal the reference's; radii are opacity-aware as gsplat's."""
     scene = random_scene(n=200, cameras=2, rasterize_mode=rasterize_mode)
-    info = rasterization(**leaves(scene, device, torch.float32))[2]
+    info = rasterization(**leaves(scene, device, torch.float32), packed=False)[2]
     truth = reference_rasterizer.rasterization(**scene)[2]
     visible = truth["visible"]
     assert torch.equal(info["radii"].cpu(), truth["radii"])
@@ -121,7 +121,7 @@ def test_tile_lists_drive_gsplats_reference(gsplat_reference: Callable[..., Any]
     from gsplat.cuda._torch_impl import _rasterize_to_pixels
 
     scene = random_scene(n=150, cameras=2, width=45, height=34, backgrounds=False)
-    image, _, info = rasterization(**leaves(scene, "cpu", torch.float64))
+    image, _, info = rasterization(**leaves(scene, "cpu", torch.float64), packed=False)
     colors = scene["colors"].expand(2, *scene["colors"].shape)
     theirs, _ = _rasterize_to_pixels(
         info["means2d"],
@@ -142,13 +142,24 @@ def test_tile_lists_drive_gsplats_reference(gsplat_reference: Callable[..., Any]
     assert set(info["isect_ids"].tolist()) <= set(reference_info["isect_ids"].tolist())
 
 
-@pytest.mark.parametrize("absgrad", [False, True])
-def test_default_strategy_densifies(absgrad: bool) -> None:
-    """gsplat's DefaultStrategy runs on our info: it clones, splits and prunes, and training goes on."""
+@pytest.mark.parametrize(
+    ("optimizer", "absgrad", "packed"),
+    [
+        *(("Adam", absgrad, packed) for absgrad in (False, True) for packed in (False, True)),
+        ("SparseAdam", False, True),
+        *(("SelectiveAdam", False, packed) for packed in (False, True)),
+    ],
+)
+def test_default_strategy_densifies(optimizer: str, absgrad: bool, packed: bool) -> None:
+    """gsplat's DefaultStrategy and its trainer's options --packed, --sparse_grad and --visible_adam run on our info."""
     strategies = pytest.importorskip("gsplat.strategy", reason="gsplat 1.5.3 is not installed")
     scene = random_scene(n=60, backgrounds=False)
     target = reference_rasterizer.rasterization(**random_scene(n=60, seed=1, backgrounds=False))[0].float()
     params, optimizers = gsplat_training(scene, "cpu")
+    if optimizer != "Adam":
+        makers = {"SparseAdam": torch.optim.SparseAdam, "SelectiveAdam": SelectiveAdam}
+        how = {"eps": 1e-15, "betas": (0.9, 0.999)}
+        optimizers = {name: makers[optimizer]([{"params": one, "lr": 1e-2}], **how) for name, one in params.items()}
     strategy = strategies.DefaultStrategy(
         refine_start_iter=2, refine_every=3, reset_every=1000, grow_grad2d=1e-5, absgrad=absgrad, prune_opa=0.02
     )
@@ -167,16 +178,25 @@ def test_default_strategy_densifies(absgrad: bool) -> None:
             scene["Ks"].float(),
             23,
             18,
-            packed=False,
+            packed=packed,
+            sparse_grad=optimizer == "SparseAdam",
             absgrad=absgrad,
         )
         strategy.step_pre_backward(params, optimizers, state, step, info)
         loss = (image - target).square().mean()
         loss.backward()
-        for optimizer in optimizers.values():
-            optimizer.step()
-            optimizer.zero_grad(set_to_none=True)
-        strategy.step_post_backward(params, optimizers, state, step, info, packed=False)
+        seen = info["visible"].any(0)
+        if packed:
+            assert torch.equal(seen, torch.zeros_like(seen).scatter_(0, info["gaussian_ids"], True))
+        for name, one in optimizers.items():
+            if optimizer == "SparseAdam" and not params[name].grad.is_sparse:  # as gsplat's trainer does
+                ids, gradient = info["gaussian_ids"], params[name].grad
+                params[name].grad = torch.sparse_coo_tensor(
+                    ids[None], gradient[ids], gradient.shape, is_coalesced=True, check_invariants=True
+                )
+            one.step(*([seen] if optimizer == "SelectiveAdam" else []))
+            one.zero_grad(set_to_none=True)
+        strategy.step_post_backward(params, optimizers, state, step, info, packed=packed)
         counts.append(len(params["means"]))
         losses.append(loss.item())
     assert counts[0] == 60

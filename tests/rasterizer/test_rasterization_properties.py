@@ -30,7 +30,7 @@ def scenes(draw: st.DrawFn) -> Scene:
         cameras=draw(st.integers(1, 2)),
         seed=draw(st.integers(0, 10_000)),
         rasterize_mode=draw(st.sampled_from(["classic", "antialiased"])),
-        camera_model=draw(st.sampled_from(["pinhole", "ortho"])),
+        camera_model=draw(st.sampled_from(["pinhole", "ortho", "fisheye"])),
         sh_degree=draw(st.sampled_from([None, 1])),
         tile_size=draw(st.sampled_from([8, 16])),
     )

@@ -8,7 +8,7 @@ from torch import Tensor
 
 import reference_rasterizer
 from gaussian_scenes import assert_matches_reference, leaves, random_scene, relative_error
-from thermosplat import UserError, rasterization
+from thermosplat import UserError, rasterization, spherical_harmonics
 
 DTYPES = [torch.float32, torch.float64]
 
@@ -123,6 +123,70 @@ def test_depth_needs_no_colors(device: torch.device, render_mode: str) -> None:
         assert error == 0.0 or (device.type == "cuda" and error < 1e-12)  # there the order of additions is not fixed
 
 
+@pytest.mark.parametrize("pair", [False, True])
+@pytest.mark.parametrize("batch", [(2,), (1, 2)])
+def test_coefficients_that_scenes_share(device: torch.device, batch: tuple[int, ...], pair: bool) -> None:
+    """[N, K, D], as gsplat's main branch has them, are those of every scene, and get the sum of their gradients."""
+    scene = random_scene(n=20, cameras=2, batch=batch, sh_degree=1)
+    own = scene.pop("colors")[(0,) * len(batch)].to(device)
+    rest, results = leaves(scene, device, torch.float64), []
+    signals = torch.randn(20, 4, 2, dtype=torch.float64, device=device)
+    for expand in (False, True):
+        given = [one.detach().clone().requires_grad_() for one in (own, signals)]
+        colors, extra = (one.expand(*batch, *one.shape) if expand else one for one in given)
+        if pair:
+            colors = (colors[..., :1, :], colors[..., 1:, :])
+        image, _, info = rasterization(**rest, colors=colors, extra_signals=extra, extra_signals_sh_degree=1)
+        (image.square().sum() + info["render_extra_signals"].square().sum()).backward()
+        results.append([image.detach(), info["render_extra_signals"].detach(), *[one.grad for one in given]])
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_coefficients_of_16_bits(device: torch.device, dtype: torch.dtype) -> None:
+    """They are rendered as the numbers that they are, and get gradients of their own type."""
+    scene = random_scene(n=20, sh_degree=2)
+    half, single = leaves(scene, device, torch.float32), leaves(scene, device, torch.float32)
+    half["colors"] = half["colors"].detach().to(dtype).requires_grad_()
+    single["colors"] = half["colors"].detach().float().requires_grad_()
+    images = [rasterization(**inputs)[0] for inputs in (half, single)]
+    assert torch.equal(*images)
+    for image in images:
+        image.square().sum().backward()
+    assert half["colors"].grad.dtype == dtype
+    torch.testing.assert_close(half["colors"].grad, single["colors"].grad.to(dtype))
+    shown = [spherical_harmonics(2, one["means"], one["colors"]) for one in (half, single)]
+    assert torch.equal(*shown)
+
+
+@pytest.mark.parametrize("name", ["colors", "extra_signals"])
+def test_coefficients_without_channels_are_refused(name: str) -> None:
+    """Any number of channels is rendered, but not none."""
+    scene = random_scene(n=4, sh_degree=1)
+    scene |= {name: torch.zeros(4, 4, 0, dtype=torch.float64), f"{'extra_signals_' * (name != 'colors')}sh_degree": 1}
+    with pytest.raises(UserError, match=rf"{name} must have at least one channel, got \[4, 4, 0\]"):
+        rasterization(**scene)
+    with pytest.raises(UserError, match="coeffs must have at least one channel"):
+        spherical_harmonics(1, scene["means"], torch.zeros(4, 4, 0, dtype=torch.float64))
+
+
+def test_triangles_of_covariances(device: torch.device) -> None:
+    """[..., N, 6] mean what matrices do, with gradients, sparse ones too."""
+    scene = random_scene(n=20, with_covars=True)
+    scene["covars"] = scene["covars"][..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    assert_matches_reference(rasterization, scene, device, torch.float64, reference=of_triangles)
+    inputs = leaves(scene, device, torch.float64)
+    rasterization(**inputs, sparse_grad=True)[0].square().sum().backward()
+    assert inputs["covars"].grad.is_sparse
+
+
+def of_triangles(covars: torch.Tensor, **scene: Any) -> Any:
+    """The reference, of upper triangles."""
+    full = covars[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(-1, (3, 3))
+    return reference_rasterizer.rasterization(covars=full, **scene)
+
+
 @pytest.mark.parametrize("name", ["means", "quats", "scales", "covars"])
 def test_sparse_gradients(device: torch.device, name: str) -> None:
     """Rows of the Gaussians that some camera draws, with the dense gradient's numbers; SparseAdam takes them."""
@@ -135,7 +199,7 @@ def test_sparse_gradients(device: torch.device, name: str) -> None:
     found = sparse[name].grad
     assert found.is_sparse
     torch.testing.assert_close(found.to_dense(), dense[name].grad, rtol=1e-12, atol=1e-14)
-    drawn = (info["radii"] > 0).all(-1).any(0)
+    drawn = info["visible"].any(0)
     assert 0 < drawn.sum() < 40
     assert torch.equal(found.coalesce().indices()[0], drawn.nonzero()[:, 0])
     assert not sparse["opacities"].grad.is_sparse

@@ -79,7 +79,7 @@ def test_gradients_flow_to_what_made_the_inputs(device: torch.device) -> None:
 
 def test_the_backward_pass_frees_what_the_forward_pass_kept(device: torch.device) -> None:
     """An image that is kept after its backward pass keeps none of the lists it was blended from."""
-    image, alphas, info = rasterization(**leaves(random_scene(n=40), device, torch.float32))
+    image, alphas, info = rasterization(**leaves(random_scene(n=40), device, torch.float32), packed=False)
     lists = [StorageWeakRef(info[name].untyped_storage()) for name in ("flatten_ids", "tiles_per_gauss")]
     del info
     assert not any(storage.expired() for storage in lists)

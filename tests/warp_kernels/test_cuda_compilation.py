@@ -47,12 +47,12 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     """Kernels with one thread per Gaussian, pair or image."""
     kernels = [
         projection_kernel(dtype, camera_model, from_covars)
-        for camera_model in ("pinhole", "ortho")
+        for camera_model in ("pinhole", "ortho", "fisheye")
         for from_covars in (False, True)
     ]
     kernels += [
         projection_adjoint_kernel(dtype, camera_model, from_covars, to_cameras, antialiased)
-        for camera_model in ("pinhole", "ortho")
+        for camera_model in ("pinhole", "ortho", "fisheye")
         for from_covars in (False, True)
         for to_cameras in (False, True)
         for antialiased in (False, True)

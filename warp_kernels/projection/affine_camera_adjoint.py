@@ -2,8 +2,8 @@
 
 One thread per Gaussian walks the cameras of its scene and sums its own gradient; gradients to cameras are summed over
 each warp, and its records afterwards (see camera_gradients). Each of the seven points takes its share of the gradients
-to the mean and the a_i back through the lens by its own Jacobian, and adds them to the gradients to its path: that of
-the mean, and that of its axis. The paths' gradients become those to the Gaussian and the pose at the end.
+to the mean, the a_i and the h_i back through the lens by its own Jacobian, and adds them to the gradients to its path:
+that of the mean, and that of its axis. The paths' gradients become those to the Gaussian and the pose at the end.
 
 With a rolling shutter the time depends on where the point lands; the forward kernel has left it. For u = π(V(τ) x),
 τ = s · u and the pace w = ∂u / ∂τ, a gradient v to u is one of v + s (w · v) / (1 - s · w) to π(V(τ) x) at that time.
@@ -14,11 +14,10 @@ import warp as wp
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lane_sums import lane_sum_function
 from warp_kernels.machinery.loading import made_once
-from warp_kernels.projection.affine_cameras import SPREAD, loading_functions, sight_functions
+from warp_kernels.projection.affine_cameras import loading_functions, sight_functions
 from warp_kernels.projection.camera_gradients import ROLLING_RECORD, STILL_RECORD
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel, lens_functions, lens_vector
 from warp_kernels.projection.packed_roots import packed_root_functions
-from warp_kernels.projection.projection import covariance_functions
 from warp_kernels.projection.rotation import rotation_functions
 from warp_kernels.projection.shutter_motion import (
     MOTION,
@@ -28,41 +27,7 @@ from warp_kernels.projection.shutter_motion import (
     pose_functions,
     turn_bends,
 )
-
-
-@made_once
-def slope_gradient_function(dtype: type):
-    """From the gradient of an ellipse in the image to that of the slopes it was made of.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
-    Returns:
-        A Warp function of the slopes, the root and the compensation, their gradients, and eps2d.
-    """
-    vec3, vec6 = wp.types.vector(3, dtype), wp.types.vector(6, dtype)
-    from_rows, _, _ = covariance_functions(dtype)
-    zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
-
-    @wp.func
-    def slope_gradient(slope: vec6, root: vec3, rho: dtype, v_root: vec3, v_compensation: dtype, eps2d: dtype):
-        a0, a1 = vec3(slope[0], slope[1], slope[2]), vec3(slope[3], slope[4], slope[5])
-        u, k, v = root[0], root[1], root[2]
-        w01 = -v / u * v_root[1]
-        b0, b1 = u * (a0 + k * a1), v * a1
-        v_a0 = u * (w01 * b1 - u * v_root[0] * b0)
-        v_a1 = k * v_a0 + v * (w01 * b0 - v * v_root[2] * b1)
-        if rho > zero:  # 0 in the classic mode
-            xx, _xy, yy, det = from_rows(a0, a1)
-            share = half * v_compensation / (rho * (det + eps2d * (xx + yy) + eps2d * eps2d))
-            v_det = share * (one - rho * rho)
-            v_blur = -share * rho * rho * eps2d
-            normal = wp.cross(a0, a1)
-            v_a0 = v_a0 + two * (v_blur * a0 + v_det * wp.cross(a1, normal))
-            v_a1 = v_a1 + two * (v_blur * a1 + v_det * wp.cross(normal, a0))
-        return vec6(v_a0[0], v_a0[1], v_a0[2], v_a1[0], v_a1[1], v_a1[2])
-
-    return slope_gradient
+from warp_kernels.projection.unscented_ellipse import SPREAD, ellipse_gradient_function, vec6d
 
 
 @made_once
@@ -91,10 +56,10 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
     pose_of, lens_of, axes_of = loading_functions(dtype, rolling)
     bend, coefficient_gradient, _ = lens_functions(model)
     to_matrix, turn_adjoint = rotation_functions(dtype)
-    slope_gradient = slope_gradient_function(dtype)
+    ellipse_gradient = ellipse_gradient_function(dtype)
     _, store3, store4 = store_functions(dtype)
     _, _, packed_row = packed_root_functions(dtype)
-    zero, half, one, spread = (wp.float64(x) for x in (0.0, 0.5, 1.0, SPREAD))
+    zero, half, one, two, spread = (wp.float64(x) for x in (0.0, 0.5, 1.0, 2.0, SPREAD))
     in_pixels = model in ("ftheta", "ftheta_inverse")
 
     @wp.func
@@ -150,7 +115,7 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
         packed_roots: wp.array(dtype=vec4),  # [images · N]
         compensations: wp.array(dtype=dtype),  # [images · N]; [0] in the classic mode
         visible: wp.array(dtype=wp.bool),  # [images · N]
-        slopes: wp.array2d(dtype=dtype),  # [6, images · N]
+        slopes: wp.array2d(dtype=dtype),  # [12, images · N], and bows
         times: wp.array(dtype=wp.float64),  # [images · N]; [0] without a rolling shutter
         leads: wp.array2d(dtype=dtype),  # [6, images · N]; likewise
         v_means2d: wp.array(dtype=vec2),  # [images · N]; [0]: zeros, as in those below
@@ -198,17 +163,23 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
                 given = given and finite
                 packed = packed_row(packed_roots, index)
                 root = vec3(packed[0], packed[1], packed[2])
-                slope, lead = vec6(), vec6()
+                slope, bow, lead = vec6d(), vec6d(), vec6()
                 for i in range(6):
-                    slope[i] = slopes[i, index]
+                    slope[i] = wp.float64(slopes[i, index])
+                    bow[i] = wp.float64(slopes[6 + i, index])
                     if wp.static(rolling):
                         lead[i] = leads[i, index]
-                v_slope = slope_gradient(slope, root, rho, v_root, v_compensation, eps2d)
-                if finite and not wp.isfinite(v_slope):
-                    v_slope = vec6()
+                v_slope, v_bow = ellipse_gradient(slope, bow, root, rho, v_root, v_compensation, eps2d)
+                if finite and not (wp.isfinite(v_slope) and wp.isfinite(v_bow)):
+                    v_slope, v_bow = vec6d(), vec6d()
                     v_mean = vec2()
                     v_depth_given = dtype(0.0)
-                v_mean2d = wp.vec2d(wp.float64(v_mean[0]), wp.float64(v_mean[1]))
+                # f(m) is the mean's own, and what all bows are taken from
+                v_center = wp.vec2d(wp.float64(v_mean[0]), wp.float64(v_mean[1]))
+                for i in range(3):
+                    v_bow[i] = (v_bow[i] + half * wp.float64(v_mean[0])) / (spread * spread)
+                    v_bow[3 + i] = (v_bow[3 + i] + half * wp.float64(v_mean[1])) / (spread * spread)
+                    v_center -= two * wp.vec2d(v_bow[i], v_bow[3 + i])
 
                 raw_K = Ks[image]
                 K = intrinsics(
@@ -235,13 +206,13 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
                 for point in range(points):  # the mean, above it along the axes, and below
                     axis = wp.max(point - 1, 0) % 3
                     away, tau, v_depth = wp.float64(0.0), time, wp.float64(0.0)
-                    v_u = (one - wp.float64(3.0) / (spread * spread)) * v_mean2d
+                    v_u = v_center
                     if point == 0:
                         v_depth = wp.float64(v_depth_given)
                     else:
                         away = wp.where(point > 3, -spread, spread)
-                        steep = wp.vec2d(wp.float64(v_slope[axis]), wp.float64(v_slope[3 + axis]))
-                        v_u = (half / (spread * spread)) * v_mean2d + (half / away) * steep
+                        v_u = wp.vec2d(v_bow[axis], v_bow[3 + axis])
+                        v_u += (half / away) * wp.vec2d(v_slope[axis], v_slope[3 + axis])
                         if wp.static(rolling):
                             tau = time + wp.float64(lead[point - 1])
                     here = path_kind()

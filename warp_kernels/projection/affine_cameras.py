@@ -1,15 +1,14 @@
-"""An affine camera for every Gaussian: what a lens and a rolling shutter do to it, by the unscented transform.
+"""What a lens and a rolling shutter do to every Gaussian, by the unscented transform.
 
-The transform is 3DGUT's (Wu et al., arXiv 2412.12507) with gsplat's α = 0.1 and κ = 0. With f the projection of a
-point, g1, g2, g3 the Gaussian's axes times its standard deviations, and δ = α √3,
+The transform is 3DGUT's, with gsplat's parameters (unscented_ellipse). With f the projection of a point, g1, g2, g3 the
+Gaussian's axes times its standard deviations, and δ = α √3,
 
-    mean = f(m) + ½ Σ h_i,   h_i = (f(m + δ g_i) + f(m - δ g_i) - 2 f(m)) / δ²,
-    covariance = Σ a_i a_iᵀ,   a_i = (f(m + δ g_i) - f(m - δ g_i)) / (2 δ).
+    mean = f(m) + s,   s = ½ Σ h_i,   h_i = (f(m + δ g_i) + f(m - δ g_i) - 2 f(m)) / δ²,
+    covariance = Σ a_i a_iᵀ + ¼ δ² Σ h_i h_iᵀ + (β - α²) s sᵀ,   a_i = (f(m + δ g_i) - f(m - δ g_i)) / (2 δ).
 
-This is the transform's covariance without δ²/4 Σ h_i h_iᵀ + (β - α²) s sᵀ, s = ½ Σ h_i, which changes no error that was
-measured. What is left is that of a sphere of size 1 before an affine camera with a_1, a_2, a_3 as columns: its slopes.
-That the mean moves by ½ Σ h_i takes about a quarter off the error of a linearisation, with lenses and without
-(benchmarks/bench_lens_projection.py).
+The first sum is the covariance of a sphere of size 1 before an affine camera with a_1, a_2, a_3 as columns: its slopes.
+The h_i are its bows: how far the lens bends each axis. That the mean moves by s takes about a quarter off the error of
+a linearisation, with lenses and without (benchmarks/bench_lens_projection.py).
 
 With a rolling shutter f(x) = π(V(τ) x), where the time τ = shutter · (f(x), 1) is the one at which the line is read
 where the point lands. Newton's method finds it; for the points beside the mean it begins at the time that the mean's
@@ -25,9 +24,7 @@ from warp_kernels.projection.footprints import footprint_functions
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel, lens_functions, lens_vector
 from warp_kernels.projection.rotation import rotation_functions
 from warp_kernels.projection.shutter_motion import MOTION, mat34d, motion_vector, path_rows, pose_functions
-
-SPREAD = 0.1 * 3.0**0.5
-"""δ: how far the points lie from the mean [standard deviations]. gsplat's α and κ."""
+from warp_kernels.projection.unscented_ellipse import SPREAD, bows_together, ellipse, vec6d
 
 IMAGE_MARGIN = 0.5
 """A Gaussian whose centre lands farther outside than this share of the image's width or height is not drawn: far off
@@ -199,7 +196,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
     turned, begin, drift, weights, position, _ = pose_functions(rolling)
     pose_of, lens_of, axes_of = loading_functions(dtype, rolling)
     culled, footprint = footprint_functions(dtype)
-    half, spread, margin = wp.float64(0.5), wp.float64(SPREAD), wp.float64(0.5 + IMAGE_MARGIN)
+    half, one, spread, margin = (wp.float64(x) for x in (0.5, 1.0, SPREAD, 0.5 + IMAGE_MARGIN))
 
     @wp.func
     def in_reach(u: wp.float64, size: int):
@@ -242,7 +239,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
         compensations: wp.array(dtype=dtype),  # [images · N]; [0]: not wanted
         visible: wp.array(dtype=wp.bool),  # [images · N]
         extents: wp.array(dtype=vec2),  # [images · N]
-        slopes: wp.array2d(dtype=dtype),  # [6, images · N]; [0, 0]: not wanted
+        slopes: wp.array2d(dtype=dtype),  # [12, images · N], and bows; [0, 0]: not wanted
         times: wp.array(dtype=wp.float64),  # [images · N]; [0] without a rolling shutter, or not wanted
         leads: wp.array2d(dtype=dtype),  # [6, images · N]; likewise
     ):
@@ -278,8 +275,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
             for r in range(wp.static(rows)):
                 paths[i * rows + r] = of_axis[r]
         w = weights(square, tau)
-        shift = wp.vec2d()
-        slope, lead = vec6(), vec6()
+        slope, bow, lead = vec6d(), vec6d(), vec6()
         count = int(3)  # in a variable: a loop, and no copies of it
         for i in range(count):
             away = path_kind()
@@ -293,29 +289,31 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
                 path - away, drifting, square, K, k, limit, shutter, tau - sooner
             )
             seen = seen and seen_above and seen_below
-            shift += (above - center) + (below - center)
+            bend = (one / (spread * spread)) * ((above - center) + (below - center))
+            bow[i] = bend[0]
+            bow[3 + i] = bend[1]
             steep = (half / spread) * (above - below)
-            slope[i] = dtype(steep[0])
-            slope[3 + i] = dtype(steep[1])
+            slope[i] = steep[0]
+            slope[3 + i] = steep[1]
             if wp.static(rolling):
                 lead[i] = dtype(tau_above - tau)
                 lead[3 + i] = dtype(tau_below - tau)
         if not seen:
             return
-        exact = center + (half / (spread * spread)) * shift
+        exact = center + bows_together(bow)
         mean2d = vec2(dtype(exact[0]), dtype(exact[1]))
         remainder = vec2(dtype(exact[0] - wp.float64(mean2d[0])), dtype(exact[1] - wp.float64(mean2d[1])))
-        a0, a1 = vec3(slope[0], slope[1], slope[2]), vec3(slope[3], slope[4], slope[5])
-        normal = wp.cross(a0, a1)
+        xx, xy, yy, det = ellipse(slope, bow)
         footprint(
             index, gaussian, mean2d, remainder, depth,
-            wp.dot(a0, a0), wp.dot(a0, a1), wp.dot(a1, a1), wp.dot(normal, normal), opacities, thermal_opacities,
+            dtype(xx), dtype(xy), dtype(yy), dtype(det), opacities, thermal_opacities,
             width, height, eps2d, radius_clip, antialiased,
             means2d, depths, packed_roots, compensations, visible, extents,
         )  # fmt: skip
         if slopes.shape[0] > 0:
             for i in range(6):
-                slopes[i, index] = slope[i]
+                slopes[i, index] = dtype(slope[i])
+                slopes[6 + i, index] = dtype(bow[i])
                 if wp.static(rolling):
                     leads[i, index] = lead[i]
             if wp.static(rolling):

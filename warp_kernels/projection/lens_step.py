@@ -43,8 +43,9 @@ class LensArrays:
         coefficients: vec [images] of ``LENS_COEFFS`` numbers; see lens_models. Receives a gradient.
         motions: vec [images] of ``MOTION`` numbers; see shutter_motion. None without a rolling shutter, where the view
             matrices are read. Receives a gradient.
-        slopes: [6, images · N] [px]: how far a standard deviation along each axis of a Gaussian reaches to the right,
-            and how far down. None where there will be no adjoint. Output.
+        slopes: [12, images · N] [px]: how far a standard deviation along each axis of a Gaussian reaches to the right,
+            and how far down, and behind these how far it is bent, likewise (unscented_ellipse). None where there will
+            be no adjoint. Output.
         times: float64 [images · N] [readouts], when the mean is seen. None without a rolling shutter, or an adjoint.
             Output.
         leads: [6, images · N] [readouts], how much later the points above it along its axes are seen, and those

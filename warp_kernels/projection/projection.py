@@ -1,9 +1,9 @@
 """EWA projection of 3D Gaussians to the image plane (Zwicker et al. 2002, as 3DGS and gsplat 1.5.3 apply it).
 
 Notation of this file and of projection_adjoint: mean m, camera-space position p = R m + t, Jacobian J [2, 3] of the
-projection at p, M = J R, rotation-scale G = R(q) diag(s), A = M G with rows a0, a1. The 2D covariance is A Aᵀ plus the
-blur eps2d on its diagonal. Its determinant is |a0 x a1|² + eps2d (|a0|² + |a1|²) + eps2d²: a sum of non-negative
-terms, so that it does not cancel for needle-shaped Gaussians as xx·yy - xy² does in float32.
+projection at p (plain_cameras), M = J R, rotation-scale G = R(q) diag(s), A = M G with rows a0, a1. The 2D covariance
+is A Aᵀ plus the blur eps2d on its diagonal. Its determinant is |a0 x a1|² + eps2d (|a0|² + |a1|²) + eps2d²: a sum of
+non-negative terms, so that it does not cancel for needle-shaped Gaussians as xx·yy - xy² does in float32.
 
 The inverse of the 2D covariance, the conic Q, is stored as its triangular root: Q = Uᵀ U with U = [u, u k; 0, v],
 u = sqrt(yy / det), k = -xy / yy, v = 1 / sqrt(yy). Of a long needle Q's small eigenvalue is lost when Q is rounded; of
@@ -13,7 +13,6 @@ Images are numbered i = scene · cameras + camera; per-image arrays of Gaussians
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import warp as wp
 
@@ -23,93 +22,8 @@ from warp_kernels.machinery.lanes import lane_functions
 from warp_kernels.machinery.launching import SMALL_BLOCK
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.footprints import footprint_functions
+from warp_kernels.projection.plain_cameras import CameraModel, plain_camera_functions
 from warp_kernels.projection.rotation import rotation_functions
-
-CameraModel = Literal["pinhole", "ortho"]
-
-
-@made_once
-def projection_functions(dtype: type, camera_model: CameraModel):
-    """Straight-line pieces that the forward kernel and its adjoint share.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-        camera_model: "pinhole" or "ortho".
-
-    Returns:
-        ``(camera_position, camera_axes, jacobian, project_mean, clamp_adjoint)``, Warp functions.
-    """
-    vec2, vec3 = wp.types.vector(2, dtype), wp.types.vector(3, dtype)
-    mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
-    mat23d = wp.types.matrix((2, 3), wp.float64)
-    zero, half, one, margin, zero64 = dtype(0.0), dtype(0.5), dtype(1.0), dtype(FOV_MARGIN), wp.float64(0.0)
-    pinhole = camera_model == "pinhole"
-
-    @wp.func
-    def camera_position(view: mat44, mean: vec3):
-        """p = R m + t in float64: far from the origin the terms are large and cancel."""
-        x = wp.vec4d(wp.float64(mean[0]), wp.float64(mean[1]), wp.float64(mean[2]), wp.float64(1.0))
-        p = wp.vec3d()
-        for i in range(3):
-            for j in range(4):
-                p[i] += wp.float64(view[i, j]) * x[j]
-        return p
-
-    @wp.func
-    def camera_axes(view: mat44):
-        """R in float64."""
-        R = wp.mat33d()
-        for i in range(3):
-            for j in range(3):
-                R[i, j] = wp.float64(view[i, j])
-        return R
-
-    @wp.func
-    def fov_limits(focal: dtype, center: dtype, size: dtype):
-        """Smallest and largest x / z (or y / z) at which the Jacobian is evaluated."""
-        spare = margin * half * size
-        inverse = one / focal
-        return -(center + spare) * inverse, (size - center + spare) * inverse
-
-    @wp.func
-    def jacobian(p: wp.vec3d, K: mat33, width: int, height: int):
-        """J [2, 3] in float64: derivative of the projection, linearised at the clamped position."""
-        fx, fy = wp.float64(K[0, 0]), wp.float64(K[1, 1])
-        if wp.static(pinhole):
-            low_x, high_x = fov_limits(K[0, 0], K[0, 2], dtype(width))
-            low_y, high_y = fov_limits(K[1, 1], K[1, 2], dtype(height))
-            rz = wp.float64(1.0) / p[2]
-            x = wp.clamp(p[0] * rz, wp.float64(low_x), wp.float64(high_x))
-            y = wp.clamp(p[1] * rz, wp.float64(low_y), wp.float64(high_y))
-            return mat23d(fx * rz, zero64, -fx * rz * x, zero64, fy * rz, -fy * rz * y)
-        return mat23d(fx, zero64, zero64, zero64, fy, zero64)
-
-    @wp.func
-    def project_mean(p: wp.vec3d, K: mat33):
-        """Image position [px] of a camera-space point, and what rounding took from it, an error of all pixels."""
-        rz = wp.float64(1.0)
-        if wp.static(pinhole):
-            rz = rz / p[2]
-        u = wp.float64(K[0, 0]) * p[0] * rz + wp.float64(K[0, 2])
-        v = wp.float64(K[1, 1]) * p[1] * rz + wp.float64(K[1, 2])
-        mean2d = vec2(dtype(u), dtype(v))
-        return mean2d, vec2(dtype(u - wp.float64(mean2d[0])), dtype(v - wp.float64(mean2d[1])))
-
-    @wp.func
-    def clamp_adjoint(position: dtype, depth: dtype, focal: dtype, center: dtype, size: dtype, v: dtype):
-        """Gradient v to t = z · clamp(x / z, low, high), passed on to x, z, focal length and principal point."""
-        low, high = fov_limits(focal, center, size)
-        ratio = position / depth
-        v_position, v_depth, v_focal, v_center = v, zero, zero, zero
-        if ratio < low or ratio > high:
-            limit = wp.clamp(ratio, low, high)
-            v_position = zero
-            v_depth = v * limit
-            v_focal = -v * depth * limit / focal
-            v_center = -v * depth / focal
-        return v_position, v_depth, v_focal, v_center
-
-    return camera_position, camera_axes, jacobian, project_mean, clamp_adjoint
 
 
 @made_once
@@ -152,7 +66,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
-        camera_model: "pinhole" or "ortho".
+        camera_model: of the cameras.
         from_covars: 3D covariances are given instead of quaternions and scales.
 
     Returns:
@@ -162,7 +76,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     vec6 = wp.types.vector(6, dtype)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     to_matrix, _ = rotation_functions(dtype)
-    camera_position, camera_axes, jacobian, project_mean, _ = projection_functions(dtype, camera_model)
+    camera_position, camera_axes, jacobian, project_mean, _ = plain_camera_functions(dtype, camera_model)
     culled, footprint = footprint_functions(dtype)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
@@ -255,7 +169,7 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
             s = scales[gaussian]
             largest = wp.max(wp.max(wp.abs(s[0]), wp.abs(s[1])), wp.abs(s[2]))
             rz = one
-            sure = bool(True)
+            sure = bool(wp.static(camera_model != "fisheye"))  # whose Jacobian has other bounds than those of outside
             if wp.static(pinhole):
                 sure = depth > wp.static(dtype(1024.0)) * depth_error  # then 1 / depth is, to a thousandth
                 rz = reciprocal(depth)

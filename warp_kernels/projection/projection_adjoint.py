@@ -20,7 +20,8 @@ from warp_kernels.machinery.lanes import LANES_CUDA
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import EACH
 from warp_kernels.projection.camera_gradients import CAMERA_RECORD
-from warp_kernels.projection.projection import CameraModel, covariance_functions, projection_functions
+from warp_kernels.projection.plain_cameras import CameraModel, plain_camera_functions
+from warp_kernels.projection.projection import covariance_functions
 from warp_kernels.projection.rotation import rotation_functions
 
 
@@ -32,7 +33,7 @@ def projection_adjoint_kernel(
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
-        camera_model: "pinhole" or "ortho".
+        camera_model: of the cameras.
         from_covars: 3D covariances were given instead of quaternions and scales.
         to_cameras: Also write gradients to view matrices and intrinsics.
         antialiased: The projection's compensations were used.
@@ -47,10 +48,9 @@ def projection_adjoint_kernel(
     record64, store_lane_sum = wp.types.vector(CAMERA_RECORD, wp.float64), lane_sum_function(CAMERA_RECORD)
     mat23, mat33, mat44 = (wp.types.matrix(shape, dtype) for shape in ((2, 3), (3, 3), (4, 4)))
     to_matrix, turn_adjoint = rotation_functions(dtype)
-    camera_position, camera_axes, jacobian, _, clamp_adjoint = projection_functions(dtype, camera_model)
+    camera_position, camera_axes, jacobian, _, position_adjoint = plain_camera_functions(dtype, camera_model)
     from_rows, symmetric, from_covariance = covariance_functions(dtype)
     zero, half, one, two = dtype(0.0), dtype(0.5), dtype(1.0), dtype(2.0)
-    pinhole = camera_model == "pinhole"
     suffix = f"{camera_model}_{'covars' if from_covars else 'quats'}{'_cameras' * to_cameras}{'_aa' * antialiased}"
     suffix += "_many" * many
     each, lanes = (EACH, LANES_CUDA) if many else (1, 1)
@@ -168,7 +168,6 @@ def projection_adjoint_kernel(
                     view = viewmats[image]
                     K = Ks[image]
                     exact = camera_position(view, mean)
-                    p = vec3(dtype(exact[0]), dtype(exact[1]), dtype(exact[2]))
                     exact_R, exact_J = camera_axes(view), jacobian(exact, K, width, height)
                     R, J, M = mat33(exact_R), mat23(exact_J), mat23(exact_J * exact_R)
                     m0, m1 = M[0], M[1]
@@ -263,43 +262,8 @@ def projection_adjoint_kernel(
                     v_R = wp.transpose(J) * v_M
 
                     # image position and Jacobian -> camera-space position
-                    v_p = vec3(zero, zero, v_depth)
-                    v_fx = zero
-                    v_fy = zero
-                    v_cx = v_xy2[0]
-                    v_cy = v_xy2[1]
-                    fx = K[0, 0]
-                    fy = K[1, 1]
-                    if wp.static(pinhole):
-                        rz = one / p[2]
-                        rz2 = rz * rz
-                        v_fx = p[0] * rz * v_xy2[0] + rz * v_J[0, 0]
-                        v_fy = p[1] * rz * v_xy2[1] + rz * v_J[1, 1]
-                        # t = clamped position; J[0, 2] = -fx tx / z²
-                        tx = -J[0, 2] * p[2] * p[2] / fx
-                        ty = -J[1, 2] * p[2] * p[2] / fy
-                        v_fx = v_fx - tx * rz2 * v_J[0, 2]
-                        v_fy = v_fy - ty * rz2 * v_J[1, 2]
-                        x_x, x_z, x_f, x_c = clamp_adjoint(p[0], p[2], fx, K[0, 2], dtype(width), -fx * rz2 * v_J[0, 2])
-                        y_y, y_z, y_f, y_c = clamp_adjoint(
-                            p[1], p[2], fy, K[1, 2], dtype(height), -fy * rz2 * v_J[1, 2]
-                        )
-                        v_fx = v_fx + x_f
-                        v_fy = v_fy + y_f
-                        v_cx = v_cx + x_c
-                        v_cy = v_cy + y_c
-                        v_z = (
-                            -(fx * p[0] * v_xy2[0] + fy * p[1] * v_xy2[1]) * rz2
-                            - (fx * v_J[0, 0] + fy * v_J[1, 1]) * rz2
-                            + two * (fx * tx * v_J[0, 2] + fy * ty * v_J[1, 2]) * rz2 * rz
-                            + x_z
-                            + y_z
-                        )
-                        v_p = v_p + vec3(fx * rz * v_xy2[0] + x_x, fy * rz * v_xy2[1] + y_y, v_z)
-                    else:
-                        v_fx = p[0] * v_xy2[0] + v_J[0, 0]
-                        v_fy = p[1] * v_xy2[1] + v_J[1, 1]
-                        v_p = v_p + vec3(fx * v_xy2[0], fy * v_xy2[1], zero)
+                    v_p, v_K = position_adjoint(exact, K, J, v_xy2, v_J, width, height)
+                    v_p = v_p + vec3(zero, zero, v_depth)
 
                     g_mean = g_mean + wp.transpose(R) * v_p
                     if wp.static(to_cameras):
@@ -309,7 +273,7 @@ def projection_adjoint_kernel(
                             v_R[1, 0], v_R[1, 1], v_R[1, 2],
                             v_R[2, 0], v_R[2, 1], v_R[2, 2],
                             v_p[0], v_p[1], v_p[2],
-                            v_fx, v_fy, v_cx, v_cy,
+                            v_K[0], v_K[1], v_K[2], v_K[3],
                         )  # fmt: skip
                         if finite and not wp.isfinite(G):
                             G = record()

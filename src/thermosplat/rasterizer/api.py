@@ -19,15 +19,17 @@ from thermosplat.rasterizer.arguments import (
 from thermosplat.rasterizer.graph_breaks import not_compiled
 from thermosplat.rasterizer.image_columns import ImageColumns
 from thermosplat.rasterizer.lenses import LensArguments
+from thermosplat.rasterizer.packed_info import packed_where_asked
 from thermosplat.rasterizer.project import project
 from thermosplat.rasterizer.ray_blending import blend_along_rays, check_ray_arguments
 from thermosplat.rasterizer.render_options import render_options
 from thermosplat.rasterizer.replay.replayed_calls import replayed
-from thermosplat.rasterizer.signals import grouped, rejoined
+from thermosplat.rasterizer.signals import coefficients_like, grouped, rejoined
 from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
 
 
 @not_compiled
+@packed_where_asked
 @replayed
 def rasterization(  # noqa: D417 (one sentence has the arguments that are not supported)
     means: Tensor,  # [..., N, 3]
@@ -55,7 +57,7 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
     distributed: bool = False,
     camera_model: CameraModel = "pinhole",
     segmented: bool = False,
-    covars: Tensor | None = None,  # [..., N, 3, 3]
+    covars: Tensor | None = None,  # [..., N, 3, 3] or [..., N, 6]
     with_ut: bool = False,
     with_eval3d: bool = False,
     radial_coeffs: Tensor | None = None,
@@ -84,8 +86,8 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
     device of ``means``. A Gaussian with anything non-finite is invisible and counted in ``info["num_nonfinite"]``;
     before a non-finite camera all of them are.
 
-    Not supported, and only there for gsplat's signature: lidar_coeffs, external_distortion_coeffs, ut_params,
-    renderer_config.
+    Not supported, and only there for gsplat's signature: lidar_coeffs, external_distortion_coeffs, other ut_params than
+    gsplat's defaults. A renderer_config changes nothing.
 
     Args:
         means: Centres, [..., N, 3], world units.
@@ -93,9 +95,10 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
         scales: Standard deviations along the Gaussian's axes, [..., N, 3], world units. Ignored with ``covars``.
         opacities: In [0, 1], [..., N].
         colors: Features [..., N, D] or per camera [..., C, N, D]; with ``sh_degree``, coefficients [..., N, K, D] or
-            [..., C, N, K, D] with K at least (sh_degree + 1)². Three channels are the fastest. Stored apart, as 3DGS
-            does, they need not be joined: a pair of the first coefficient [..., (C,) N, 1, 3] and the others
-            [..., (C,) N, K - 1, 3]. None where ``render_mode`` shows no colours.
+            [..., C, N, K, D] with K at least (sh_degree + 1)². Three channels are the fastest. [N, K, D] are those of
+            all scenes, and coefficients may have 16 bits. Stored apart, as 3DGS does, they need not be joined: a pair
+            of the first coefficient [..., (C,) N, 1, 3] and the others [..., (C,) N, K - 1, 3]. None where
+            ``render_mode`` shows no colours.
         viewmats: World-to-camera, OpenCV axes, [..., C, 4, 4].
         Ks: Intrinsics, [..., C, 3, 3], px.
         width: Image width [px], at most 2²⁴.
@@ -105,7 +108,9 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
         radius_clip: Gaussians whose radii are both at most this are not drawn [px].
         eps2d: Added to the diagonal of the 2D covariance [px²].
         sh_degree: Active degree, 0 to 4; None: ``colors`` are final values.
-        packed: Accepted for gsplat's sake; the result and its layout are those of ``packed=False``.
+        packed: Images are the same. True: the entries of ``info`` have one row for each Gaussian that a camera sees,
+            [nnz], as gsplat's packed mode has them, and say which Gaussian it is; picked when they are read. False:
+            they have all of them, [..., C, N].
         tile_size: 8, 16 (also None) or 32 [px]; changes speed only.
         backgrounds: Colours behind everything, [..., C, D], or [..., C, D + E] behind the extra signals too; finite,
             which is checked on the CPU alone, as a CUDA device would have to be waited for.
@@ -132,7 +137,8 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
         ftheta_coeffs: An ``FThetaCameraDistortionParameters`` for all cameras, ours or gsplat's.
         rolling_shutter: A ``RollingShutterType``, ours or gsplat's: how lines are read out, one after the other.
         viewmats_rs: Poses when the last line is read, [..., C, 4, 4]; ``viewmats`` are those of the first.
-        covars: Symmetric covariances, [..., N, 3, 3], world units²; only the upper triangle is read.
+        covars: Symmetric covariances, [..., N, 3, 3], world units², of which only the upper triangle is read; or that,
+            [..., N, 6].
         segmented: Accepted for gsplat's sake: how gsplat sorts; the result is the same.
         with_eval3d: Blend by the Gaussians' response along rays in three dimensions instead of in the image (3DGUT).
             The projection still gives order and tiles. Not with absgrad, covars, sparse_grad, distributed, the
@@ -156,9 +162,10 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
         int32 [..., C, N, 2] px, depths [..., C, N], conics [..., C, N, 3] 1/px²; opacities [..., C, N] as drawn,
         tiles_per_gauss int32 [..., C, N]; of the sorted (Gaussian, tile) pairs flatten_ids int32 [pairs], isect_ids
         int64 [pairs], and isect_offsets int32 [..., C, tile_height, tile_width], the first pair of each tile; the
-        numbers width, height, tile_size, tile_width, tile_height, n_batches, n_cameras and num_nonfinite; None:
-        batch_ids, camera_ids, gaussian_ids; with ``extra_signals`` their image, render_extra_signals [..., C, H, W, E];
-        with ``return_normals`` normals.
+        numbers width, height, tile_size, tile_width, tile_height, n_batches, n_cameras and num_nonfinite; with
+        ``extra_signals`` their image, render_extra_signals [..., C, H, W, E]; with ``return_normals`` normals; and
+        batch_ids, camera_ids and gaussian_ids, which are None. With ``packed`` these are int64 [nnz], and means2d to
+        tiles_per_gauss have [nnz] in the place of [..., C, N], which flatten_ids then counts.
 
     Raises:
         UserError: if an argument has the wrong shape, type or device, or asks for what is not supported.
@@ -184,6 +191,10 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
         )
     options = render_options(render_mode, sh_degree, extra_signals_sh_degree, channel_chunk)
     check_color_choice(colors, options.sh_degree, render_mode)
+    if options.sh_degree is not None:
+        colors = coefficients_like(means, colors)
+    if options.extra_signals_sh_degree is not None:
+        extra_signals = coefficients_like(means, extra_signals)
     coefficients = (radial_coeffs, tangential_coeffs, thin_prism_coeffs, ftheta_coeffs)
     lens = LensArguments(with_ut, *coefficients, rolling_shutter, viewmats_rs)
     if with_eval3d or options.hits or return_normals or rays is not None:

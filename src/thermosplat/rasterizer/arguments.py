@@ -8,8 +8,10 @@ from torch import Tensor
 
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.checked_numbers import checked_limits, checked_sizes, remembered
+from thermosplat.rasterizer.graph_breaks import refuse_transforms
 from warp_kernels.constants import SH_DEGREE_MAX, TILE_SIZES
 from warp_kernels.projection.projection import ProjectionSettings
+from warp_kernels.projection.unscented_ellipse import ALPHA, BETA
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED", "d", "Ed", "RGB-d", "RGB-Ed"]
 RasterizeMode = Literal["classic", "antialiased"]
@@ -30,10 +32,13 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 IN_PLACE = {
     "lidar_coeffs": "cameras are pinhole, ortho, fisheye or ftheta",
     "external_distortion_coeffs": "lenses distort: radial_coeffs, tangential_coeffs, thin_prism_coeffs, ftheta_coeffs",
-    "ut_params": "the unscented transform has gsplat's default, alpha = 0.1",
-    "renderer_config": "rays are blended in one way, and gsplat's renderers differ in speed alone",
+    "ut_params": "the unscented transform has gsplat's defaults, alpha = 0.1, beta = 2 and kappa = 0",
+    "renderer_config": "rays are blended in one way, and gsplat's two renderers differ in speed alone",
 }
 """Arguments of gsplat that only have their default here, and what there is."""
+
+UT_PARAMS = {"alpha": ALPHA, "beta": BETA, "kappa": 0.0}
+"""Of gsplat's ``UnscentedTransformParameters``."""
 
 
 def refuse_unsupported(**arguments: Any) -> None:
@@ -46,8 +51,16 @@ def refuse_unsupported(**arguments: Any) -> None:
         UserError: naming the argument and what there is.
     """
     for name, value in arguments.items():
-        if value is not None:
+        if value is not None and not _is_what_there_is(name, value):
             raise UserError(f"rasterization() does not support {name}: {IN_PLACE[name]}.", f"Leave {name} out.")
+
+
+def _is_what_there_is(name: str, value: Any) -> bool:
+    """Whether an object of gsplat's asks for nothing else than what is done anyway."""
+    if name == "renderer_config":
+        return type(value).__name__ in ("RendererConfig_MixedBatch", "RendererConfig_ParallelBatch")
+    alike = (math.isclose(getattr(value, key, math.nan), one, rel_tol=1e-6) for key, one in UT_PARAMS.items())
+    return name == "ut_params" and all(alike)
 
 
 def check_choice(name: str, value: Any) -> None:
@@ -132,6 +145,7 @@ def check_scene(
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
+    refuse_transforms()
     _check_tensor("means", means)
     if not (means.is_cuda or means.is_cpu):
         raise UserError(f"means must be on the CPU or on a CUDA device, got {means.device}.")
@@ -147,7 +161,8 @@ def check_scene(
         check_shape("quats", quats, (*batch, count, 4), means, "[..., N, 4] with N from means")
         check_shape("scales", scales, (*batch, count, 3), means, "[..., N, 3] with N from means")
     else:
-        check_shape("covars", covars, (*batch, count, 3, 3), means, "[..., N, 3, 3] with N from means")
+        meaning = "[..., N, 3, 3] with N from means, or [..., N, 6]"
+        check_shape("covars", covars, (*batch, count, 3, 3), means, meaning)
     check_shape("opacities", opacities, (*batch, count), means, "[..., N] with N from means")
     if not isinstance(viewmats, Tensor) or viewmats.dim() != len(batch) + 3:
         found = list(viewmats.shape) if isinstance(viewmats, Tensor) else type(viewmats).__name__
@@ -194,9 +209,9 @@ def check_colors(
         mode = "without sh_degree" if sh_degree is None else f"with sh_degree={sh_degree}"
         raise UserError(f"{name} {mode} must have shape {expected}, got {list(colors.shape)}.")
     check_shape(name, colors, shape, means)
+    if shape[-1] < 1:
+        raise UserError(f"{name} must have at least one channel, got {list(colors.shape)}.")
     if sh_degree is None:
-        if shape[-1] < 1:
-            raise UserError(f"{name} must have at least one channel, got {list(colors.shape)}.")
         return per_camera
     needed = (sh_degree + 1) ** 2
     if shape[-1] != 3 or shape[-2] < needed:
@@ -324,6 +339,6 @@ def _settings(
         num_images=images,
         **limits,
         antialiased=rasterize_mode == "antialiased",
-        # fisheye and f-theta lenses have kernels of their own
-        camera_model="ortho" if camera_model == "ortho" else "pinhole",
+        # f-theta cameras have lenses, whose kernels do not read this
+        camera_model="pinhole" if camera_model == "ftheta" else camera_model,
     )

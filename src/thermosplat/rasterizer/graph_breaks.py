@@ -1,4 +1,4 @@
-"""Where torch.compile breaks its graph: functions that it calls as they are."""
+"""Where torch's transforms end: torch.compile calls some functions as they are, torch.func's are refused."""
 
 import functools
 import sys
@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import torch
+
+from thermosplat.errors import UserError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -29,6 +31,20 @@ def not_compiled(function: Function) -> Function:
         return _disabled(function)(*arguments, **options)
 
     return called  # type: ignore[return-value]
+
+
+def refuse_transforms() -> None:
+    """Refuses calls inside of torch.func's transforms.
+
+    Raises:
+        UserError: what differentiates a call.
+    """
+    if torch._C._are_functorch_transforms_active():
+        raise UserError(
+            "Renders are differentiated by torch.autograd; torch.func's transforms (grad, vjp, jvp, jacrev, vmap) see "
+            "nothing of the kernels.",
+            "Use loss.backward() or torch.autograd.grad; torch.autograd.functional.jacobian gives Jacobians.",
+        )
 
 
 def _disabled(function: Callable[..., Any]) -> Callable[..., Any]:

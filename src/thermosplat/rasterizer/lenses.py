@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast, get_args
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from thermosplat.rasterizer.arguments import check_shape
 from thermosplat.rasterizer.shutter_poses import motions
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel
 from warp_kernels.projection.lens_step import LensSettings
+from warp_kernels.projection.plain_cameras import CameraModel as PlainCameraModel
 
 TAKES: dict[str, tuple[str, ...]] = {
     "pinhole": ("radial_coeffs", "tangential_coeffs", "thin_prism_coeffs"),
@@ -21,6 +22,9 @@ TAKES: dict[str, tuple[str, ...]] = {
     "ftheta": ("ftheta_coeffs",),
 }
 """The coefficients that each camera model takes."""
+
+PLAIN_MODELS = get_args(PlainCameraModel)
+"""Cameras that are linearised where nothing asks for the unscented transform."""
 
 POLYNOMIAL = 6
 """Coefficients of f-theta's polynomials."""
@@ -121,12 +125,12 @@ def checked_lenses(
         height: Of the image [px], checked.
 
     Returns:
-        The lenses; None of plain pinhole and orthographic cameras, which project as ever.
+        The lenses; None of plain pinhole, orthographic and fisheye cameras, which are linearised.
 
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    if camera_model in ("pinhole", "ortho") and arguments == PLAIN:
+    if camera_model in PLAIN_MODELS and arguments == PLAIN:
         return None
     lead = tuple(viewmats.shape[:-2])
     given = arguments._asdict()
@@ -140,7 +144,7 @@ def checked_lenses(
                 "Say how lines are read, as rolling_shutter=RollingShutterType.ROLLING_TOP_TO_BOTTOM, or leave "
                 "viewmats_rs out.",
             )
-        if camera_model in ("pinhole", "ortho") and not with_ut and all(value is None for value in given.values()):
+        if camera_model in PLAIN_MODELS and not with_ut and all(value is None for value in given.values()):
             return None
     elif viewmats_rs is None:
         raise UserError(

@@ -22,6 +22,8 @@ from thermosplat.rasterizer.projected_scene import BlendedValues, ProjectedScene
 from thermosplat.rasterizer.signals import Signal
 from warp_kernels.projection.projection import ProjectionSettings
 
+_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # places of a full matrix's entries in an upper triangle
+
 
 def project(
     means: Tensor,  # [..., N, 3]
@@ -35,7 +37,7 @@ def project(
     *,
     drawn: Mapping[str, Signal | tuple[Tensor | tuple[Tensor, Tensor], int | None]] | None = None,
     thermal_opacities: Tensor | None = None,  # [..., N]
-    covars: Tensor | None = None,  # [..., N, 3, 3]
+    covars: Tensor | None = None,  # [..., N, 3, 3] or [..., N, 6]
     near_plane: float = 0.01,
     far_plane: float = 1e10,
     radius_clip: float = 0.0,
@@ -83,6 +85,8 @@ def project(
         UserError: if an argument has the wrong shape, type or device.
     """
     tile_size = as_whole(tile_size)
+    if isinstance(covars, Tensor) and covars.shape[-1:] == (6,):
+        covars = covars[..., _UPPER].unflatten(-1, (3, 3))
 
     def settings_of(viewmats: Tensor, Ks: Tensor, width: int, height: int, model: CameraModel) -> ProjectionSettings:
         return checked_settings(

@@ -171,7 +171,7 @@ class Project(torch.autograd.Function):
         g = _gaussians(means, quats, scales, covars, viewmats, Ks, inputs)
         recorded = inputs.recorded and True in ctx.needs_input_grad
         through_lens, rolling = recorded and lenses is not None, recorded and motions is not None
-        slopes = means.new_empty(6, *shape) if through_lens else None
+        slopes = means.new_empty(12, *shape) if through_lens else None
         times = means.new_empty(*shape, dtype=torch.float64) if rolling else None
         leads = means.new_empty(6, *shape) if rolling else None
         lens = None if lenses is None else _lenses(lenses, motions, slopes, times, leads)
@@ -331,7 +331,7 @@ def _lenses(
     return LensArrays(
         coefficients=view(lenses, vector_of(lenses.shape[-1], lenses.dtype)),
         motions=None if motions is None else view(motions, vector_of(motions.shape[-1], motions.dtype)),
-        slopes=None if slopes is None else view(slopes, scalar, 6, slopes.numel() // 6),
+        slopes=None if slopes is None else view(slopes, scalar, 12, slopes.numel() // 12),
         times=None if times is None else view(times, wp.float64),
         leads=None if leads is None else view(leads, scalar, 6, leads.numel() // 6),
     )

@@ -26,6 +26,25 @@ class Signal(NamedTuple):
     """Sums of spherical harmonics below 0 become 0, as those of colours do."""
 
 
+def coefficients_like(means: Tensor, values: Any) -> Any:
+    """Coefficients in the two more forms that gsplat's main branch takes: in 16 bits, and the same for all scenes.
+
+    Args:
+        means: [..., N, 3].
+        values: [..., (C,) N, K, D] or a pair of such; [N, K, D] are shared by all scenes. Not checked yet.
+
+    Returns:
+        The same in the type of ``means``, and of as many scenes.
+    """
+    if isinstance(values, tuple):
+        return tuple(coefficients_like(means, one) for one in values)
+    if not isinstance(values, Tensor) or not isinstance(means, Tensor):
+        return values
+    if values.dtype in (torch.float16, torch.bfloat16):
+        values = values.to(means.dtype)
+    return values.expand(*means.shape[:-2], *values.shape) if values.dim() == 3 and means.dim() > 2 else values
+
+
 def grouped(name: str, values: Any, sh_degree: int | None, *, clamped: bool = True) -> dict[str, Signal]:
     """A signal in groups of three channels.
 

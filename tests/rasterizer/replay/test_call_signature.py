@@ -7,6 +7,7 @@ import torch
 
 from rasterizer_replays import Bench
 from thermosplat import PairCapacity
+from thermosplat.errors import UserError
 from thermosplat.rasterizer.lenses import RollingShutterType
 from thermosplat.rasterizer.replay.call_signature import call_of, is_never_replayed, names_of_tensors, with_tensors
 
@@ -121,6 +122,6 @@ def test_transforms_do_what_plain_calls_do(bench: Bench) -> None:
     scene = bench.scene(5)
     others = {name: value for name, value in scene.items() if name != "means"}
     for render in (bench.calls, bench.plain):
-        with pytest.raises(RuntimeError):
+        with pytest.raises(UserError, match=r"torch\.func's transforms"):
             torch.func.grad(lambda means, render=render: render(means=means, **others)[0].sum())(scene["means"])
     assert bench.calls.counts.replayed == 0

@@ -8,6 +8,7 @@ import torch
 
 from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
+from thermosplat.rasterizer.packed_info import packed_info
 
 
 @pytest.mark.parametrize("key", ["depths", "conics", "opacities"])
@@ -25,6 +26,23 @@ def test_losses_on_entries(bench: Bench, key: str) -> None:
     assert bench.calls.counts.replayed == 1
     for ours, theirs in zip(*found, strict=True):
         assert relative_error(ours, theirs) < 1e-4
+
+
+def test_packed_rows_of_a_replay(bench: Bench) -> None:
+    """Values and retained gradients are those of the plain call's rows."""
+    bench.warmed_up()
+    found = []
+    for render in (bench.calls, bench.plain):
+        image, _, info = render(**bench.scene(5))
+        packed = packed_info(info, distributed=False)
+        packed["means2d"].retain_grad()
+        image.square().sum().backward()
+        found.append([packed["gaussian_ids"], packed["radii"], packed["means2d"], packed["means2d"].grad])
+    assert bench.calls.counts.replayed == 1
+    assert torch.equal(found[0][0], found[1][0])
+    assert torch.equal(found[0][1], found[1][1])
+    for ours, theirs in zip(found[0][2:], found[1][2:], strict=True):
+        assert relative_error(ours.detach(), theirs.detach()) < 1e-5
 
 
 def test_entries_read_after_the_leaves_changed(bench: Bench) -> None:

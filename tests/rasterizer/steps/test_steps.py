@@ -186,14 +186,14 @@ def test_covariances_as_upper_triangles(device: torch.device) -> None:
     camera = [scene[name].to(device) for name in ("viewmats", "Ks")]
     size = scene["width"], scene["height"]
     radii, means2d, _, conics, _ = fully_fused_projection(scene["means"].to(device), upper, None, None, *camera, *size)
-    *_, info = rasterization(**leaves(scene, device, torch.float64))
+    *_, info = rasterization(**leaves(scene, device, torch.float64), packed=False)
     drawn = (info["radii"] > 0).all(-1)
     assert (radii[drawn] >= info["radii"][drawn]).all()  # without opacities they are no smaller
     torch.testing.assert_close(means2d[drawn], info["means2d"][drawn])
     torch.testing.assert_close(conics[drawn], info["conics"][drawn])
 
 
-@pytest.mark.parametrize("camera_model", ["pinhole", "ortho"])
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho", "fisheye"])
 @pytest.mark.parametrize("with_covars", [False, True])
 def test_gradients_of_a_projection_are_differences(device: torch.device, with_covars: bool, camera_model: str) -> None:
     """Of positions, depths, conics and compensations to all that is projected, upper triangles too."""
@@ -224,6 +224,41 @@ def test_absgrad_is_where_gsplat_has_it(device: torch.device) -> None:
     image.square().sum().backward()
     assert (info["means2d"].absgrad >= info["means2d"].grad.abs() - 1e-12).all()
     assert info["means2d"].absgrad.sum() > info["means2d"].grad.abs().sum()
+
+
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho", "fisheye"])
+def test_projections_are_those_of_gsplats_reference(device: torch.device, camera_model: Any) -> None:
+    """Values and gradients of gsplat's own torch code, of Gaussians all over a wide image."""
+    reference = pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat 1.5.3 is not installed")
+    scene = random_scene(n=60, cameras=2, width=60, height=50, camera_model=camera_model)
+    scene["means"] = 1.5 * scene["means"]
+    scene["Ks"][..., [0, 1], [0, 1]] = torch.tensor([20.0, 18.0], dtype=torch.float64)
+    found = []
+    for ours in (True, False):
+        at = leaves(scene, device if ours else "cpu", torch.float64)
+        shape, camera = (at["quats"], at["scales"]), (at["viewmats"], at["Ks"], 60, 50)
+        if ours:
+            results = fully_fused_projection(at["means"], None, *shape, *camera, camera_model=camera_model)
+        else:
+            covars, _ = reference._quat_scale_to_covar_preci(*shape, compute_preci=False, triu=False)
+            results = reference._fully_fused_projection(at["means"], covars, *camera, camera_model=camera_model)
+        seen = (results[0] > 0).all(-1).cpu()
+        found.append([seen, *(one.cpu() for one in results[1:4]), at])
+    both = found[0][0] & found[1][0]
+    assert both.float().mean() > 0.5
+    weights = [
+        torch.randn(one[both].shape, generator=torch.Generator().manual_seed(k)) for k, one in enumerate(found[0][1:4])
+    ]
+    gradients = []
+    for _, *results, at in found:
+        loss = sum((one[both] * weight.double()).sum() for one, weight in zip(results, weights, strict=True))
+        gradients.append(torch.autograd.grad(loss, [at[name] for name in ("means", "quats", "scales", "viewmats")]))
+    # gsplat adds 1e-7 to lengths in a fisheye camera
+    close = {"rtol": 1e-5, "atol": 1e-6} if camera_model == "fisheye" else {"rtol": 1e-9, "atol": 1e-11}
+    for one, other in zip(found[0][1:4], found[1][1:4], strict=True):
+        torch.testing.assert_close(one[both], other[both], **close)
+    for one, other in zip(*gradients, strict=True):
+        torch.testing.assert_close(one.cpu(), other, **close)
 
 
 def test_tiles_are_those_of_gsplats_reference(device: torch.device) -> None:
@@ -310,6 +345,27 @@ def test_nothing_in_nothing_out(device: torch.device) -> None:
     assert none.shape == (0, 3)
 
 
+@pytest.mark.parametrize("batch", [(), (2,), (0,)])
+@pytest.mark.parametrize("n", [0, 3])
+def test_a_packed_projection_of_nothing(device: torch.device, n: int, batch: tuple[int, ...]) -> None:
+    """Of no Gaussians, and of such that no camera sees, the eight values have no rows; through the later steps, too."""
+    eyes = torch.eye(4, device=device).expand(*batch, 2, 4, 4), torch.eye(3, device=device).expand(*batch, 2, 3, 3)
+    means = torch.full((*batch, n, 3), -50.0, device=device, requires_grad=True)
+    quats, scales = torch.ones(*batch, n, 4, device=device), torch.ones(*batch, n, 3, device=device)
+    values = fully_fused_projection(means, None, quats, scales, *eyes, 16, 8, packed=True, calc_compensations=True)
+    assert [one.shape for one in values] == [(0,), (0,), (0,), (0, 2), (0, 2), (0,), (0, 3), (0,)]
+    _, camera_ids, gaussian_ids, radii, means2d, depths, conics, _ = values
+    images = 2 * eyes[0].shape[:-3].numel()
+    packed = {"packed": True, "n_images": images, "image_ids": camera_ids, "gaussian_ids": gaussian_ids}
+    _, isect_ids, flatten_ids = isect_tiles(means2d, radii, depths, TILE, 2, 1, **packed)
+    offsets = isect_offset_encode(isect_ids, images, 2, 1)
+    image, _ = rasterize_to_pixels(
+        means2d, conics, torch.ones(0, 3, device=device), depths, 16, 8, TILE, offsets, flatten_ids, packed=True
+    )
+    assert image.shape == (images, 8, 16, 3)
+    assert not image.any()
+
+
 def test_signatures_are_gsplats() -> None:
     """Names, order and defaults of gsplat 1.5.3's arguments; what its main branch added comes behind."""
     wrapper = pytest.importorskip("gsplat.cuda._wrapper", reason="gsplat 1.5.3 is not installed")
@@ -370,7 +426,7 @@ def test_other_mistakes_are_told() -> None:
     with pytest.raises(UserError, match="n_images and image_ids"):
         isect_tiles(torch.rand(3, 2), torch.ones(3, 2), torch.rand(3), 8, 1, 1, packed=True)
     eyes = torch.eye(4)[None], torch.eye(3)[None]
-    with pytest.raises(UserError, match=r"covars must have shape \[..., N, 6\]"):
-        fully_fused_projection(dirs, torch.rand(4, 3, 3), None, None, *eyes, 8, 8)
+    with pytest.raises(UserError, match=r"covars must have shape \[4, 3, 3\].*or \[..., N, 6\], got \[4, 5\]"):
+        fully_fused_projection(dirs, torch.rand(4, 5), None, None, *eyes, 8, 8)
     with pytest.raises(UserError, match="sparse_grad=True needs packed=True"):
         fully_fused_projection(dirs, None, torch.rand(4, 4), torch.rand(4, 3), *eyes, 8, 8, sparse_grad=True)

@@ -1,40 +1,14 @@
 """Gaussians become several without their image changing."""
 
-import math
-
 import pytest
 import torch
 
 from random_gaussians import random_gaussians, stepped_optimizers
 from thermosplat.config import OptimizerConfig
+from thermosplat.fused.relocation import scale_factors
 from thermosplat.spectra import Opacity
-from thermosplat.training.density.relocation import MOST_COPIES, add, relocate, scale_factors, shared_opacities
+from thermosplat.training.density.relocation import add, relocate
 from thermosplat.training.optimizers import gaussian_optimizers
-
-
-@pytest.mark.parametrize("copies", [1, 2, 5, MOST_COPIES])
-@pytest.mark.parametrize("opacity", [0.006, 0.3, 0.9, 0.999])
-def test_line_integral_stays(opacity: float, copies: int) -> None:
-    """Blended along a line, n Gaussians cover as much as the one they came from, and as much at its centre."""
-    opacities, counts = torch.tensor([opacity], dtype=torch.float64), torch.tensor([copies])
-    shared, sigma = shared_opacities(opacities, counts), scale_factors(opacities, counts)
-    assert 1 - (1 - shared.item()) ** copies == pytest.approx(opacity)
-    x = torch.linspace(-20.0, 20.0, 200_001, dtype=torch.float64)
-    together = 1 - (1 - shared * torch.exp(-0.5 * (x / sigma) ** 2)) ** copies
-    assert torch.trapezoid(together, x).item() == pytest.approx(opacity * math.sqrt(2 * math.pi), rel=1e-6)
-
-
-def test_factors_as_the_publication_writes_them() -> None:
-    """The double sum of 3DGS-MCMC's equation 9."""
-    opacity, n = 0.7, 4
-    shared = 1 - (1 - opacity) ** (1 / n)
-    denominator = sum(
-        math.comb(i - 1, k) * (-1) ** k * shared ** (k + 1) / math.sqrt(k + 1)
-        for i in range(1, n + 1)
-        for k in range(i)
-    )
-    factor = scale_factors(torch.tensor([opacity], dtype=torch.float64), torch.tensor([n]))
-    assert factor.item() == pytest.approx(opacity / denominator)
 
 
 def test_relocated_ones_are_copies_that_share() -> None:

@@ -31,7 +31,7 @@ def reference_of(scene: WarpScene) -> reference_projection.ProjectedGaussians:
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(wp.float32, 2e-6), (wp.float64, 1e-12)])
 @pytest.mark.parametrize("antialiased", [False, True])
-@pytest.mark.parametrize("camera_model", ["pinhole", "ortho"])
+@pytest.mark.parametrize("camera_model", ["pinhole", "ortho", "fisheye"])
 def test_equals_reference(camera_model: str, antialiased: bool, dtype: type, tolerance: float) -> None:
     """Who is visible, and of those means2d, depths, roots of conics, compensations and extents."""
     scene = warp_scene(dtype, n=120, cameras=2, camera_model=camera_model, seed=4)

@@ -9,6 +9,7 @@ from thermosplat.rasterizer.steps.contributors import (
     rasterize_num_contributing_gaussians,
     rasterize_top_contributing_gaussian_ids,
 )
+from thermosplat.rasterizer.steps.covariances import quat_scale_to_covar_preci
 from thermosplat.rasterizer.steps.harmonics import spherical_harmonics
 from thermosplat.rasterizer.steps.pixels import rasterize_to_pixels
 from thermosplat.rasterizer.steps.projected import fully_fused_projection
@@ -32,6 +33,7 @@ __all__ = [
     "isect_offset_encode",
     "isect_tiles",
     "isect_tiles_sparse",
+    "quat_scale_to_covar_preci",
     "rasterize_contributing_gaussian_ids",
     "rasterize_contributing_gaussian_ids_sparse",
     "rasterize_num_contributing_gaussians",

@@ -12,6 +12,7 @@ from thermosplat.errors import UserError
 from thermosplat.rasterizer.arguments import check_choice, check_shape
 from thermosplat.rasterizer.binning import TileLists
 from thermosplat.rasterizer.checked_numbers import as_whole, checked_sizes
+from thermosplat.rasterizer.graph_breaks import refuse_transforms
 from thermosplat.rasterizer.projected_scene import ProjectedScene
 from thermosplat.rasterizer.projection import ProjectedTensors
 from thermosplat.torch_bridge.arrays import view
@@ -55,6 +56,7 @@ class GivenScene(ProjectedScene):
         flatten_ids: Tensor,
         masks: Tensor | None = None,
     ) -> None:
+        refuse_transforms()
         width, height = checked_sizes(image_width=width, image_height=height)
         tile_size = as_whole(tile_size)
         check_choice("tile_size", tile_size)

@@ -11,7 +11,7 @@ from torch.nn.functional import pad
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.arguments import check_choice
 from thermosplat.rasterizer.checked_numbers import as_whole
-from thermosplat.rasterizer.graph_breaks import not_compiled
+from thermosplat.rasterizer.graph_breaks import not_compiled, refuse_transforms
 from thermosplat.rasterizer.projection import by_degree
 from thermosplat.rasterizer.signals import GROUP
 from thermosplat.torch_bridge.arrays import kinds_of, lend, view
@@ -32,11 +32,11 @@ def spherical_harmonics(degrees_to_use: int, *tensors: Any, **named: Any) -> Ten
         degrees_to_use: Active degree, 0 to 4.
         *tensors: As below, in gsplat's order.
         **named: As below, by name. dirs: directions of any length, [..., 3]. coeffs: coefficients [..., K, D] with K at
-            least (degrees_to_use + 1)²; in the second form [N, K, D], or [nnz, K, D] with ids. masks: where False the
-            sum is 0 and has no gradient, [...]; in the second form [..., C, N] or [nnz]. means: [..., N, 3]. viewmats:
-            world to camera, [..., C, 4, 4], whose rotations are taken for orthonormal. batch_ids, camera_ids,
-            gaussian_ids: of packed Gaussians, [nnz]. viewmats_rs: view matrices at the end of the exposure; the
-            cameras are half way.
+            least (degrees_to_use + 1)², which may have 16 bits; in the second form [N, K, D], or [nnz, K, D] with ids.
+            masks: where False the sum is 0 and has no gradient, [...]; in the second form [..., C, N] or [nnz]. means:
+            [..., N, 3]. viewmats: world to camera, [..., C, 4, 4], whose rotations are taken for orthonormal.
+            batch_ids, camera_ids, gaussian_ids: of packed Gaussians, [nnz]. viewmats_rs: view matrices at the end of
+            the exposure; the cameras are half way.
 
     Returns:
         The sums, [..., D]; in the second form [..., C, N, D] or [nnz, D].
@@ -87,6 +87,9 @@ def _camera_positions(viewmats: Tensor) -> Tensor:
 
 def _towards(degree: int, dirs: Tensor, coeffs: Tensor, masks: Tensor | None = None) -> Tensor:
     """The form of gsplat 1.5.3."""
+    refuse_transforms()
+    if isinstance(coeffs, Tensor) and isinstance(dirs, Tensor) and coeffs.dtype in (torch.float16, torch.bfloat16):
+        coeffs = coeffs.to(dirs.dtype)
     for name, tensor in (("dirs", dirs), ("coeffs", coeffs)):
         if not isinstance(tensor, Tensor) or tensor.dtype not in (torch.float32, torch.float64):
             found = tensor.dtype if isinstance(tensor, Tensor) else type(tensor).__name__
@@ -96,7 +99,9 @@ def _towards(degree: int, dirs: Tensor, coeffs: Tensor, masks: Tensor | None = N
         raise UserError(f"dirs must have shape [..., 3], got {list(dirs.shape)}.")
     if coeffs.dtype != dirs.dtype or coeffs.device != dirs.device:
         raise UserError(f"coeffs must be {dirs.dtype} on {dirs.device}, as dirs are, got {coeffs.dtype}.")
-    if coeffs.shape[:-2] != lead or coeffs.dim() != len(lead) + 2 or coeffs.shape[-2] < needed or coeffs.shape[-1] < 1:
+    if coeffs.shape[-1:] == (0,):
+        raise UserError(f"coeffs must have at least one channel, got {list(coeffs.shape)}.")
+    if coeffs.shape[:-2] != lead or coeffs.dim() != len(lead) + 2 or coeffs.shape[-2] < needed:
         raise UserError(
             f"coeffs must have shape {[*lead, 'K', 'D']} with K at least {needed} for degree {degree}, "
             f"got {list(coeffs.shape)}."

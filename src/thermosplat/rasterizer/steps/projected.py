@@ -2,24 +2,22 @@
 
 from torch import Tensor
 
-from thermosplat.errors import UserError
 from thermosplat.rasterizer.arguments import CameraModel
 from thermosplat.rasterizer.graph_breaks import not_compiled
 from thermosplat.rasterizer.info import clear_unseen, radii_of
 from thermosplat.rasterizer.info import conics as conics_of
+from thermosplat.rasterizer.packed_info import PackedRows
 from thermosplat.rasterizer.project import project
 from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
 
 UNBOUNDED = 1e30
 """An opacity at which every Gaussian has gsplat's largest extent, 3.33 standard deviations, whatever scales it."""
 
-_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # places of a full matrix's entries in an upper triangle
-
 
 @not_compiled
 def fully_fused_projection(
     means: Tensor,  # [..., N, 3]
-    covars: Tensor | None,  # [..., N, 6]
+    covars: Tensor | None,  # [..., N, 6] or [..., N, 3, 3]
     quats: Tensor | None,  # [..., N, 4]
     scales: Tensor | None,  # [..., N, 3]
     viewmats: Tensor,  # [..., C, 4, 4]
@@ -42,7 +40,8 @@ def fully_fused_projection(
 
     Args:
         means: Centres, [..., N, 3], world units.
-        covars: Upper triangles xx, xy, xz, yy, yz, zz, [..., N, 6], world units²; None: quats and scales are given.
+        covars: Upper triangles xx, xy, xz, yy, yz, zz, [..., N, 6], or symmetric matrices [..., N, 3, 3], world units²;
+            None: quats and scales are given.
         quats: Rotations (w, x, y, z), [..., N, 4].
         scales: Standard deviations, [..., N, 3], world units.
         viewmats: World to camera, [..., C, 4, 4].
@@ -71,11 +70,6 @@ def fully_fused_projection(
         check_sparse_gradients(means, packed=packed, distributed=False)
         visible: list[Tensor] = []
         means, covars, quats, scales = sparse_gradients_of(means, covars, quats, scales, visible=visible)
-    if covars is not None:
-        if not isinstance(covars, Tensor) or covars.shape[-1:] != (6,):
-            found = list(covars.shape) if isinstance(covars, Tensor) else type(covars).__name__
-            raise UserError(f"covars must have shape [..., N, 6], got {found}.")
-        covars = covars[..., _UPPER].unflatten(-1, (3, 3))
     if opacities is None and isinstance(means, Tensor):
         opacities = means.new_full(means.shape[:-1], UNBOUNDED)
     scene = project(
@@ -104,11 +98,6 @@ def fully_fused_projection(
         clear_unseen(tensor, drawn)
     if not packed:
         return radii, scene.means2d, scene.depths, conics, compensations
-    images = drawn.shape[:-1]
-    kept = drawn.reshape(-1, *images[-1:], drawn.shape[-1]).nonzero()
-    batch_ids, camera_ids, gaussian_ids = kept.unbind(-1)
-    flat = (batch_ids * images[-1] + camera_ids) * drawn.shape[-1] + gaussian_ids
-    factors = None if compensations is None else compensations.reshape(-1)[flat]
-    flat_ids = (batch_ids, camera_ids, gaussian_ids)
-    rows = (radii.reshape(-1, 2)[flat], scene.means2d.reshape(-1, 2)[flat], scene.depths.reshape(-1)[flat])
-    return *flat_ids, *rows, conics.reshape(-1, 3)[flat], factors
+    rows = PackedRows(drawn)
+    picked = [rows.of(one) for one in (radii, scene.means2d, scene.depths, conics)]
+    return *rows.ids, *picked, None if compensations is None else rows.of(compensations)
