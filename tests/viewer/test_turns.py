@@ -75,7 +75,7 @@ def test_work_runs_between_steps_in_the_thread_that_trains() -> None:
     results: list[object] = []
 
     def ask() -> None:
-        results.append(turns.run(threading.get_ident))
+        results.extend(turns.run(threading.get_ident))
         try:
             turns.run(lambda: 1 / 0)
         except ZeroDivisionError as error:

@@ -19,31 +19,62 @@ REMEMBERED = 5
 class Turns(Protocol):
     """Lets work with the model be done, one piece at a time."""
 
-    def run(self, work: Callable[[], Result]) -> Result:
-        """Do work when it may be done, and wait for it.
+    def run(self, *parts: Callable[[], Result]) -> list[Result]:
+        """Do the parts of one work in their order, when it may be done, and wait for them.
 
         Args:
-            work: What renders; it runs in this or another thread.
+            *parts: What renders; they run in this or another thread, and all see the same model.
+
+        Returns:
+            What each part has given.
 
         Raises:
             ViewingEnded: Nothing can be rendered any more.
         """
 
+    def end(self) -> None:
+        """No more turns: who waits for one is told so."""
+
 
 class ViewingEnded(Exception):
-    """The model is no longer there to be rendered."""
+    """The model is no longer there to be rendered, or nobody is there who would see it."""
 
 
 class OneAtATime:
-    """Turns at a model that nobody changes: each in the thread that asks."""
+    """Turns at a model that nobody changes: each part in the thread that asks, in the order in which they come.
+
+    Who renders a large picture lets the others in between its parts.
+    """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._asking: deque[object] = deque()
+        self._news = threading.Condition()
+        self._ended = False
 
-    def run(self, work: Callable[[], Result]) -> Result:
-        """Do work when nobody else does."""
-        with self._lock:
-            return work()
+    def run(self, *parts: Callable[[], Result]) -> list[Result]:
+        """Do each part when those are done that were asked for before."""
+        return [self._run_one(part) for part in parts]
+
+    def end(self) -> None:
+        """No more turns: who waits for one is told so."""
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
+
+    def _run_one(self, part: Callable[[], Result]) -> Result:
+        mine = object()
+        with self._news:
+            self._asking.append(mine)
+        try:
+            with self._news:
+                self._news.wait_for(lambda: self._ended or self._asking[0] is mine)
+                if self._ended:
+                    raise ViewingEnded
+            return part()
+        finally:
+            with self._news:
+                self._asking.remove(mine)
+                self._news.notify_all()
 
 
 class BetweenSteps:
@@ -68,13 +99,13 @@ class BetweenSteps:
         self._lasted = deque([0.0] * (REMEMBERED // 2), maxlen=REMEMBERED)
         """The last turns [s]."""
 
-    def run(self, work: Callable[[], Result]) -> Result:
-        """Let the thread that trains do the work."""
-        done: Future[Result] = Future()
+    def run(self, *parts: Callable[[], Result]) -> list[Result]:
+        """Let the thread that trains do the work: all parts in one turn, for the model is another one after a step."""
+        done: Future[list[Result]] = Future()
         with self._arrived:
             if self._ended:
                 raise ViewingEnded
-            self._waiting.append((work, done))
+            self._waiting.append((lambda: [part() for part in parts], done))
             self._arrived.notify_all()
         return done.result()
 
