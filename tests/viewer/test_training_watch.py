@@ -39,16 +39,16 @@ def test_a_paused_training_renders_and_steps(watch: TrainingWatch) -> None:
     watch.pause(True)
     thread = threading.Thread(target=training.go, args=(watch, 5), daemon=True)
     thread.start()
-    assert watch.turns.run(lambda: training.step) == [1]
-    assert watch.turns.run(lambda: training.step) == [1]
+    assert watch.turns.run(lambda: training.step) == 1
+    assert watch.turns.run(lambda: training.step) == 1
     watch.do_step()
     for _ in range(100):
-        if watch.turns.run(lambda: training.step) == [2]:
+        if watch.turns.run(lambda: training.step) == 2:
             break
-    assert watch.turns.run(lambda: training.step) == [2]
+    assert watch.turns.run(lambda: training.step) == 2
     watch.save()
     for _ in range(100):
-        if watch.turns.run(lambda: training.saved) == [2]:
+        if watch.turns.run(lambda: training.saved) == 2:
             break
     assert training.saved == 2
     assert "step_2.pt" in watch.message

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +52,7 @@ class CamerasPanel:
             self.add = gui.add_button("Add this view", icon=viser.Icon.BOOKMARK)
             self.choice = gui.add_dropdown("Fly to", (_NONE,))
             self.remove = gui.add_button("Delete it")
-            self.add.on_click(visitor.heard(self._add))
+            self.add.on_click(visitor.heard_here(self._add))
             self.remove.on_click(visitor.heard(self._remove))
             self.choice.on_update(visitor.heard(self._fly_to_choice))
         self._files = gui.add_folder("Pictures and videos", expand_by_default=False)
@@ -61,7 +62,7 @@ class CamerasPanel:
             self.shot = gui.add_button("Save a picture", icon=viser.Icon.CAMERA)
             self.count = gui.add_number("Images of the path", 120, min=2, max=MOST_IMAGES, step=1)
             self.film = gui.add_button("Video through the bookmarks", icon=viser.Icon.MOVIE)
-            self.shot.on_click(visitor.heard(lambda: visitor.save_picture(*self._size())))
+            self.shot.on_click(visitor.heard_here(lambda view: visitor.save_picture(view, *self._size())))
             self.film.on_click(visitor.heard(self._save_video))
         self._list()
 
@@ -103,7 +104,7 @@ class CamerasPanel:
 
     # ---- bookmarks ---------------------------------------------------------------------------------------------------
 
-    def _add(self) -> None:
+    def _add(self, view: Bookmark) -> None:
         shared = self.visitor.shared
         if len(shared.bookmarks) >= _MOST_BOOKMARKS:
             self.visitor.tell("Not added", f"There are {_MOST_BOOKMARKS:,} bookmarks. Delete one first.")
@@ -115,7 +116,7 @@ class CamerasPanel:
             while f"view {number}" in taken:
                 number += 1
             name = f"view {number}"
-        shared.bookmarks.append(self.visitor.view(name))
+        shared.bookmarks.append(replace(view, name=name))
         self.name.value = ""
         self._save_bookmarks()
 

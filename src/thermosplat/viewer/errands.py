@@ -31,6 +31,7 @@ class Errands:
         self._news = threading.Condition()
         self._ended = False
         self._long = threading.Lock()
+        self._long_thread: threading.Thread | None = None
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
 
     def begin(self) -> None:
@@ -60,7 +61,8 @@ class Errands:
             finally:
                 self._long.release()
 
-        threading.Thread(target=work, name=f"{self._thread.name}, long", daemon=True).start()
+        self._long_thread = threading.Thread(target=work, name=f"{self._thread.name}, long", daemon=True)
+        self._long_thread.start()
 
     def end(self) -> None:
         """Do nothing more."""
@@ -68,6 +70,11 @@ class Errands:
             self._ended = True
             self._waiting.clear()
             self._news.notify_all()
+
+    @property
+    def threads(self) -> list[threading.Thread]:
+        """Those in which something may be done now."""
+        return [thread for thread in (self._thread, self._long_thread) if thread is not None and thread.is_alive()]
 
     def _work(self) -> None:
         while True:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thermosplat.novel_views.bookmarks import Bookmark, read_bookmarks, write_bookmarks
+from thermosplat.runs.atomic_writes import sweep
 from thermosplat.viewer.door import DEFAULT_PORT, Door, address, open_server
 from thermosplat.viewer.layers import LayerRenderer, available_layers
 from thermosplat.viewer.notices import NOTICES
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 
 ACCENT = (226, 88, 34)
 """Colour of the controls: flame."""
-SECONDS_TO_END = 3.0
-"""That the pictures in the making have when the viewer is stopped; then the process ends without them."""
+SECONDS_TO_END = 4.0
+"""That the pictures in the making have when the viewer is stopped."""
 
 
 @dataclass
@@ -50,6 +51,7 @@ class Shared:
     def __post_init__(self) -> None:
         self._naming = threading.Lock()
         self._named = 0
+        sweep(self.folder)  # of a video that a program which was ended left behind
         if self.bookmarks_file.exists() and not self.bookmarks:
             self.bookmarks = read_bookmarks(self.bookmarks_file)
 
@@ -121,8 +123,12 @@ class Viewer:
             watch.on_change, watch.on_progress = self._model_changed, self._training_went_on
             watch.has_viewers = lambda: bool(self.visitors)
 
-    def stop(self) -> None:
-        """Close the page for everybody, and end what is made for them."""
+    def stop(self) -> bool:
+        """Close the page for everybody, and end what is made for them.
+
+        Returns:
+            Whether it has ended. A picture that is being rendered cannot be broken off, and may take longer.
+        """
         with self._changing:
             visitors, self.visitors = self.visitors, {}
         self.shared.turns.end()
@@ -131,8 +137,7 @@ class Viewer:
         with contextlib.redirect_stdout(io.StringIO()):  # viser's farewell
             self.server.stop()
         until = time.monotonic() + SECONDS_TO_END
-        for visitor in visitors.values():
-            visitor.join(max(0.0, until - time.monotonic()))
+        return all([visitor.join(max(0.0, until - time.monotonic())) for visitor in visitors.values()])
 
     def _furnish(self) -> None:
         """What is the same for everybody: colours, where the camera begins, which way is up."""

@@ -46,7 +46,7 @@ class MeasurePanel:
         self.delete = gui.add_button("Delete the last", disabled=True)
         self._profile = gui.add_folder("Along the line", visible=False)
         self.tool.on_click(visitor.heard(self._take))
-        self.save.on_click(visitor.heard(self._save))
+        self.save.on_click(visitor.heard_here(self._save))
         self.delete.on_click(visitor.heard(self._delete))
 
     def _take(self) -> None:
@@ -147,9 +147,9 @@ class MeasurePanel:
             self._profile.visible = False
         self._list()
 
-    def _save(self) -> None:
+    def _save(self, view: Bookmark) -> None:
         if self.visitor.session.measurements:
-            self.visitor.save_picture(*self.visitor.window_size(), with_table=True)
+            self.visitor.save_picture(view, *self.visitor.window_size(), with_table=True)
 
 
 def spot_cross(point: NDArray[np.floating], view: Bookmark) -> NDArray[np.float64]:

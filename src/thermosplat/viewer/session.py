@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.novel_views.bookmarks import Bookmark
 from thermosplat.pictures.image_display import Image8
 from thermosplat.thermal.radiometry import Palette
-from thermosplat.viewer.bands import bands, joined
 from thermosplat.viewer.display import Comparison, Display, compared
 from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer
 from thermosplat.viewer.measurements import Measurement, Pixel, Shape, marked_picture, measure, value_at, with_unit
@@ -124,7 +122,7 @@ class ViewSession:
             width: Of the picture [px].
             height: Of the picture [px].
             full: Also make the values, which are read by ``probe`` and ``measure``.
-            unwanted: Whether something else is wanted by now; asked before each part that is rendered.
+            unwanted: Whether something else is wanted by now; asked when its turn has come, and when it is made.
 
         Raises:
             Unwanted: It is.
@@ -156,14 +154,17 @@ class ViewSession:
         values: bool = True,
         unwanted: Callable[[], bool] = bool,
     ) -> dict[Layer, LayerImage]:
-        def render(part: ViewTensors) -> dict[Layer, LayerImage]:
+        def render() -> dict[Layer, LayerImage]:
             if self.gone.is_set():
                 raise ViewingEnded
             if unwanted():
                 raise Unwanted
-            return self.renderer.render(layers, part, values=values)
+            return self.renderer.render(layers, self._tensors(view, width, height), values=values)
 
-        return joined(self.turns.run(*(partial(render, part) for part in bands(self._tensors(view, width, height)))))
+        rendered = self.turns.run(render)
+        if unwanted():
+            raise Unwanted
+        return rendered
 
     def _tensors(self, view: Bookmark, width: int, height: int) -> ViewTensors:
         return self.renderer.scene.view(view.viewmat, view.fov_y, width, height)

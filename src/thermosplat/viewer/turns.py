@@ -19,14 +19,11 @@ REMEMBERED = 5
 class Turns(Protocol):
     """Lets work with the model be done, one piece at a time."""
 
-    def run(self, *parts: Callable[[], Result]) -> list[Result]:
-        """Do the parts of one work in their order, when it may be done, and wait for them.
+    def run(self, work: Callable[[], Result]) -> Result:
+        """Do work when it may be done, and wait for it.
 
         Args:
-            *parts: What renders; they run in this or another thread, and all see the same model.
-
-        Returns:
-            What each part has given.
+            work: What renders; it runs in this or another thread.
 
         Raises:
             ViewingEnded: Nothing can be rendered any more.
@@ -41,27 +38,15 @@ class ViewingEnded(Exception):
 
 
 class OneAtATime:
-    """Turns at a model that nobody changes: each part in the thread that asks, in the order in which they come.
-
-    Who renders a large picture lets the others in between its parts.
-    """
+    """Turns at a model that nobody changes: each in the thread that asks, in the order in which they ask."""
 
     def __init__(self) -> None:
         self._asking: deque[object] = deque()
         self._news = threading.Condition()
         self._ended = False
 
-    def run(self, *parts: Callable[[], Result]) -> list[Result]:
-        """Do each part when those are done that were asked for before."""
-        return [self._run_one(part) for part in parts]
-
-    def end(self) -> None:
-        """No more turns: who waits for one is told so."""
-        with self._news:
-            self._ended = True
-            self._news.notify_all()
-
-    def _run_one(self, part: Callable[[], Result]) -> Result:
+    def run(self, work: Callable[[], Result]) -> Result:
+        """Do work when all is done that was asked for before."""
         mine = object()
         with self._news:
             self._asking.append(mine)
@@ -70,11 +55,17 @@ class OneAtATime:
                 self._news.wait_for(lambda: self._ended or self._asking[0] is mine)
                 if self._ended:
                     raise ViewingEnded
-            return part()
+            return work()
         finally:
             with self._news:
                 self._asking.remove(mine)
                 self._news.notify_all()
+
+    def end(self) -> None:
+        """No more turns: who waits for one is told so."""
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
 
 
 class BetweenSteps:
@@ -99,13 +90,13 @@ class BetweenSteps:
         self._lasted = deque([0.0] * (REMEMBERED // 2), maxlen=REMEMBERED)
         """The last turns [s]."""
 
-    def run(self, *parts: Callable[[], Result]) -> list[Result]:
-        """Let the thread that trains do the work: all parts in one turn, for the model is another one after a step."""
-        done: Future[list[Result]] = Future()
+    def run(self, work: Callable[[], Result]) -> Result:
+        """Let the thread that trains do the work."""
+        done: Future[Result] = Future()
         with self._arrived:
             if self._ended:
                 raise ViewingEnded
-            self._waiting.append((lambda: [part() for part in parts], done))
+            self._waiting.append((work, done))
             self._arrived.notify_all()
         return done.result()
 

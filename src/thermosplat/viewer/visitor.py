@@ -5,7 +5,6 @@ rests. Controls are heard in viser's loop, and done one after the other in a thr
 change the session's wish and wake the thread of the pictures.
 """
 
-import html
 import math
 import secrets
 import threading
@@ -22,13 +21,13 @@ from thermosplat.novel_views.camera_paths import interpolated_path
 from thermosplat.pictures.image_display import write_png
 from thermosplat.viewer.cameras_panel import CamerasPanel
 from thermosplat.viewer.errands import Errand, Errands
-from thermosplat.viewer.legend import legend_html
 from thermosplat.viewer.measure_panel import MeasurePanel
 from thermosplat.viewer.measurements import save_measurements
 from thermosplat.viewer.notices import NOTICES
 from thermosplat.viewer.orbit import orbit, rotation
 from thermosplat.viewer.pace import Pace
-from thermosplat.viewer.picture_sizes import MOST_WINDOW_PIXELS, fitting
+from thermosplat.viewer.page_state import state_html
+from thermosplat.viewer.picture_sizes import fitting
 from thermosplat.viewer.session import Shown, Unwanted, ViewSession
 from thermosplat.viewer.training_panel import TrainingPanel
 from thermosplat.viewer.turns import ViewingEnded
@@ -107,10 +106,13 @@ class Visitor:
         self.wake()
         self.client.camera._state.camera_cb.clear()  # viser keeps the handle for a while
 
-    def join(self, seconds: float) -> None:
-        """Wait until nothing is rendered any more for a tab that was closed, so many seconds at most."""
-        if self._thread.is_alive():
-            self._thread.join(seconds)
+    def join(self, seconds: float) -> bool:
+        """Wait until nothing is done any more for a tab that was closed; whether that is so after so many seconds."""
+        until = time.monotonic() + seconds
+        threads = [thread for thread in (self._thread, *self._errands.threads) if thread.is_alive()]
+        for thread in threads:
+            thread.join(max(0.0, until - time.monotonic()))
+        return not any(thread.is_alive() for thread in threads)
 
     # ---- what is asked for -------------------------------------------------------------------------------------------
 
@@ -124,6 +126,15 @@ class Visitor:
         async def hear(event: Any) -> None:
             if event.client is not None:  # not the viewer itself, which shows a value
                 self._errands.add(work)
+
+        return hear
+
+    def heard_here(self, work: Callable[[Bookmark], None]) -> Callable[[Any], Awaitable[None]]:
+        """As ``heard``, for work that gets the view at which the control was used."""
+
+        async def hear(event: Any) -> None:
+            if event.client is not None:
+                self._errands.add(partial(work, self.view()))
 
         return hear
 
@@ -169,7 +180,7 @@ class Visitor:
 
     def window_size(self) -> tuple[int, int]:
         """Size of the tab's picture [px]: the window's, if that is not too large."""
-        return fitting(self.client.camera.image_width, self.client.camera.image_height, MOST_WINDOW_PIXELS)
+        return fitting(self.client.camera.image_width, self.client.camera.image_height)
 
     def wish(self, **changes: Any) -> None:
         """Change what is to be seen; fields of ``Wish``."""
@@ -223,15 +234,16 @@ class Visitor:
             self.client.flush()
             self._camera_moved()
 
-    def save_picture(self, width: int, height: int, *, with_table: bool = False) -> None:
-        """Render what this tab sees now, with its marks, and write it beside what was saved before.
+    def save_picture(self, view: Bookmark, width: int, height: int, *, with_table: bool = False) -> None:
+        """Render what this tab sees from a view, with its marks, and write it beside what was saved before.
 
         Args:
+            view: From where.
             width: Of the picture [px], without its colour bar.
             height: Of the picture [px].
             with_table: Write the table of measurements beside it.
         """
-        session, view = self.session.aside(), self.view()
+        session = self.session.aside()
 
         def save() -> None:
             marked = session.marked(session.render(view, width, height))
@@ -327,22 +339,4 @@ class Visitor:
             self.pace.took(width, height, time.perf_counter() - started)
 
     def _state_html(self, shown: Shown | None) -> str:
-        """What the page's script reads: who this tab is, where the wipe is, and the legend."""
-        wish = self.session.wish
-        wipe = f"{wish.share:.4f}" if wish.comparison == "wipe" else ""
-        size, legend = "", ""
-        if shown is not None:
-            title = wish.first.label
-            if wish.comparison == "wipe":
-                title = f"{wish.first.label}  |  {wish.second.label}"
-            elif wish.comparison == "blend":
-                title = f"{wish.first.label} + {wish.second.label}"
-            if wish.over:
-                title = f"photograph over {title}"
-            legend = legend_html(title, self.session.legend(shown), "" if shown.full else "moving")
-            size = f"{shown.picture.shape[1]}x{shown.picture.shape[0]}"
-        return (
-            f'<div id="thermosplat-state" style="display:none" data-key="{html.escape(self.key)}" '
-            f'data-wipe="{wipe}" data-version="{self.pictures}" data-size="{size}" '
-            f'data-full="{int(shown is not None and shown.full)}">{legend}</div>'
-        )
+        return state_html(self.key, self.pictures, self.session, shown)
