@@ -42,4 +42,4 @@ def test_a_port_is_a_number() -> None:
 def test_a_port_beyond_the_last_is_told(port: str) -> None:
     """Before anything is loaded."""
     with pytest.raises(UserError, match="--viewer must lie between 0 and 65535"):
-        viewer_flags(["sample", "--viewer", port])
+        parse_train_arguments(["sample", "--viewer", port])

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 
 from thermosplat.errors import UserError
+from thermosplat.viewer.freed_memory import give_back
 from thermosplat.viewer.notices import NOTICES
 from thermosplat.viewer.turns import ViewingEnded
 
@@ -58,6 +59,7 @@ class Errands:
         def work() -> None:
             try:
                 self._do(errand)
+                give_back()
             finally:
                 self._long.release()
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 ACCENT = (226, 88, 34)
 """Colour of the controls: flame."""
-SECONDS_TO_END = 4.0
+SECONDS_TO_END = 3.0
 """That the pictures in the making have when the viewer is stopped."""
 
 
@@ -52,7 +52,7 @@ class Shared:
         self._naming = threading.Lock()
         self._named = 0
         sweep(self.folder)  # of a video that a program which was ended left behind
-        if self.bookmarks_file.exists() and not self.bookmarks:
+        if self.bookmarks_file.is_file() and not self.bookmarks:
             self.bookmarks = read_bookmarks(self.bookmarks_file)
 
     @property

@@ -11,16 +11,17 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from thermosplat.novel_views.bookmarks import FOVS, FURTHEST
+
 LARGEST_MESSAGE = 64 << 10
 """Bytes. The page's own have a few hundred."""
 A_SECOND = 200
 """Messages of a page that are taken in a second; the page itself sends 20 to 60 while something is dragged."""
 KINDS = ("ViewerCameraMessage", "GuiUpdateMessage", "ScenePointerMessage", "SceneNodeClickMessage")
-LARGEST_NUMBER = 1e9
-"""Of places, directions and values: squares of it are still far within float32."""
+LARGEST_NUMBER = FURTHEST
+"""Of places, directions and values."""
 LARGEST_WINDOW = 16_384
 """Side of a browser's window [px]."""
-_FOV = math.radians(0.1), math.radians(175.0)
 _LONGEST_TEXT = 200
 _DEEPEST = 8
 
@@ -117,7 +118,7 @@ def allowed(control: Control | None, value: Any) -> Any:
 def _check_camera(said: dict[str, Any]) -> None:
     if not 0.5 <= math.hypot(*said["wxyz"]) <= 2.0:
         raise Refused("a camera without a rotation")
-    if not _FOV[0] <= said["fov"] <= _FOV[1]:
+    if not FOVS[0] <= math.degrees(said["fov"]) <= FOVS[1]:
         raise Refused("a camera without a field of view")
     for side in ("image_width", "image_height"):
         said[side] = min(max(said[side], 1), LARGEST_WINDOW)

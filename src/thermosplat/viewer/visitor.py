@@ -21,6 +21,7 @@ from thermosplat.novel_views.camera_paths import interpolated_path
 from thermosplat.pictures.image_display import write_png
 from thermosplat.viewer.cameras_panel import CamerasPanel
 from thermosplat.viewer.errands import Errand, Errands
+from thermosplat.viewer.freed_memory import give_back
 from thermosplat.viewer.measure_panel import MeasurePanel
 from thermosplat.viewer.measurements import save_measurements
 from thermosplat.viewer.notices import NOTICES
@@ -285,6 +286,7 @@ class Visitor:
         finally:
             self.session.forget_picture()
             self._panels.clear()
+            give_back()
 
     def _make_pictures_at_start(self) -> None:
         resting = True  # the first picture is a small one, at once
