@@ -4,6 +4,7 @@ import pytest
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.viewer_flags import ViewerFlags, viewer_flags, with_viewer_port
+from thermosplat.errors import UserError
 
 
 @pytest.mark.parametrize(
@@ -35,3 +36,10 @@ def test_a_port_is_a_number() -> None:
     with pytest.raises(SystemExit) as stop:
         parse_train_arguments(["sample", "--viewer=x"])
     assert stop.value.code == 2
+
+
+@pytest.mark.parametrize("port", ["65536", "99999999999"])
+def test_a_port_beyond_the_last_is_told(port: str) -> None:
+    """Before anything is loaded."""
+    with pytest.raises(UserError, match="--viewer must lie between 0 and 65535"):
+        parse_train_arguments(["sample", "--viewer", port])

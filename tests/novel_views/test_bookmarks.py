@@ -11,6 +11,12 @@ from thermosplat.novel_views.bookmarks import Bookmark, fov_camera, path_through
 from thermosplat.novel_views.camera_paths import look_to
 
 
+def far(x: float) -> list[list[float]]:
+    viewmat = np.eye(4)
+    viewmat[0, 3] = x
+    return viewmat.tolist()
+
+
 def bookmark(name: str, x: float, fov_y: float = 40.0) -> Bookmark:
     viewmat = look_to(np.array([x, 0.2, -4.0]), np.array([-x, 0.0, 4.0]), np.array([0.0, -1.0, 0.0]))
     return Bookmark(name, viewmat, fov_y)
@@ -35,7 +41,10 @@ def test_a_file_keeps_bookmarks(tmp_path: Path) -> None:
         ({"bookmarks": [{"name": "a", "fov_y": 40}]}, "bookmark 1 lacks"),
         ({"bookmarks": [{"name": "a", "fov_y": 40, "viewmat": [[1, 2], [3, 4]]}]}, "4 by 4"),
         ({"bookmarks": [{"name": "a", "fov_y": 40, "viewmat": (2 * np.eye(4)).tolist()}]}, "no rotation"),
-        ({"bookmarks": [{"name": "a", "fov_y": 180, "viewmat": np.eye(4).tolist()}]}, "between 0 and 180"),
+        ({"bookmarks": [{"name": "a", "fov_y": 180, "viewmat": np.eye(4).tolist()}]}, "between 0.1 and 179"),
+        ({"bookmarks": [{"name": "a", "fov_y": 1e-300, "viewmat": np.eye(4).tolist()}]}, "between 0.1 and 179"),
+        ({"bookmarks": [{"name": "a", "fov_y": 40, "viewmat": far(1e300)}]}, "lies further away than 1e"),
+        ({"bookmarks": [{"name": "a", "fov_y": 40, "viewmat": far(2e9)}]}, "lies further away than 1e"),
     ],
 )
 def test_what_is_no_bookmarks_file_is_told(change: dict, said: str, tmp_path: Path) -> None:

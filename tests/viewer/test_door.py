@@ -1,20 +1,24 @@
 """Nobody comes in from where they should not: hosts, origins and tokens, at a server that really serves."""
 
-import http.client
-import importlib.metadata
+import contextlib
+import socket
 from collections.abc import Iterator
 from importlib.util import find_spec
 
 import pytest
 
 from thermosplat.errors import UserError
-from thermosplat.viewer.door import Door, address, is_this_machine, open_server
+from thermosplat.viewer.door import MOST_TABS, Door, address, open_server
 
-pytestmark = pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed (the extra viewer)")
+if find_spec("viser") is None:
+    pytest.skip("viser is not installed (the extra viewer)", allow_module_level=True)
+
+from page_client import wait_for, websocket
 
 
+@contextlib.contextmanager
 def serving(host: str) -> Iterator[tuple[Door, int]]:
-    door = Door(host, {"echo": lambda words: words})
+    door = Door(host, {"echo": lambda words: words, "number": lambda words: float(words["x"])})
     server = open_server(host, 0, door)
     try:
         assert address(server, door) == (
@@ -28,76 +32,138 @@ def serving(host: str) -> Iterator[tuple[Door, int]]:
 
 @pytest.fixture(scope="module")
 def local() -> Iterator[tuple[Door, int]]:
-    yield from serving("127.0.0.1")
+    with serving("127.0.0.1") as door:
+        yield door
 
 
 @pytest.fixture(scope="module")
 def public() -> Iterator[tuple[Door, int]]:
-    yield from serving("0.0.0.0")
+    with serving("0.0.0.0") as door:
+        yield door
 
 
-def get(port: int, path: str, **headers: str) -> tuple[int, bytes, str]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
-    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
-    response = connection.getresponse()
-    found = response.status, response.read(), response.headers.get("Location", "")
-    connection.close()
-    return found
+def asked(port: int, path: str, *headers: str, host: str | None = "") -> tuple[int, str]:
+    """Status and answer of a request, which is sent as it is written here; host: None sends none."""
+    lines = [f"GET {path} HTTP/1.1", *([] if host is None else [f"Host: {host or f'127.0.0.1:{port}'}"]), *headers]
+    with socket.create_connection(("127.0.0.1", port), timeout=120) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode())
+        answer = b""
+        while part := connection.recv(1 << 20):
+            answer += part
+            if answer.startswith(b"HTTP/1.1 101"):
+                break
+    head, _, body = answer.decode(errors="replace").partition("\r\n\r\n")
+    location = head.partition("Location: ")[2].partition("\r\n")[0]
+    return int(head.split()[1]), location or body
 
 
-def opened(port: int, path: str, **headers: str) -> bool:
-    """Whether a websocket is opened there."""
-    from websockets.exceptions import InvalidStatus
-    from websockets.sync.client import connect
-
-    try:
-        with connect(
-            f"ws://127.0.0.1:{port}{path}",
-            additional_headers=headers,
-            subprotocols=[f"viser-v{importlib.metadata.version('viser')}"],
-            open_timeout=120,
-            compression=None,
-        ):
-            return True
-    except InvalidStatus as error:
-        if error.response.status_code != 403:
-            raise
-        return False
-
-
-def test_addresses_of_this_machine() -> None:
-    """Loopback addresses of both kinds, and localhost; nothing else."""
-    assert all(map(is_this_machine, ("127.0.0.1", "127.8.8.8", "::1", "[::1]", "localhost", "LocalHost")))
-    assert not any(map(is_this_machine, ("0.0.0.0", "192.168.1.2", "::", "evil.com", "", "localhost.evil.com")))
+UPGRADE = ("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
+           "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==")  # fmt: skip
 
 
 def test_the_page_and_its_answers(local: tuple[Door, int]) -> None:
     """The page has the script in it; questions are answered as JSON; other files are viser's."""
     door, port = local
-    status, page, _ = get(port, "/")
+    status, page = asked(port, "/")
     assert (status, door.token) == (200, "")
-    assert b"ts-wipe" in page[:8000]
-    assert get(port, "/view/echo?x=1&y=a%20b")[1] == b'{"x": "1", "y": "a b"}'
-    assert get(port, "/view/nothing")[0] == 404
-    assert get(port, "/%2e%2e/%2e%2e/etc/passwd")[0] == 404
+    assert "ts-wipe" in page[:8000]
+    assert asked(port, "/view/echo?x=1&y=a%20b")[1] == '{"x": "1", "y": "a b"}'
+    assert asked(port, "/view/nothing")[0] == 404
+    assert asked(port, "/%2e%2e/%2e%2e/etc/passwd")[0] == 404
 
 
-def test_other_names_of_this_machine_are_refused(local: tuple[Door, int]) -> None:
+@pytest.mark.parametrize("host", ["evil.com", "evil.com:{port}", "localhost.evil.com", "192.168.1.1:{port}"])
+def test_other_names_of_this_machine_are_refused(local: tuple[Door, int], host: str) -> None:
     """A site whose name leads to 127.0.0.1 gets nothing, neither page nor websocket."""
     _, port = local
-    assert get(port, "/", Host="evil.com")[0] == 403
-    assert get(port, "/view/echo", Host=f"evil.com:{port}")[0] == 403
-    assert get(port, "/", Host=f"localhost:{port}")[0] == 200
-    assert not opened(port, "/", Host="evil.com")
+    for headers in ((), UPGRADE):
+        assert asked(port, "/view/echo", *headers, host=host.format(port=port))[0] == 403
+    assert asked(port, "/", host=f"localhost:{port}")[0] == 200
+    assert asked(port, "/", host="[::1]:9000")[0] == 200  # as through a tunnel
 
 
-def test_websockets_are_for_the_viewers_own_page(local: tuple[Door, int]) -> None:
+@pytest.mark.parametrize(
+    ("path", "headers", "host"),
+    [
+        ("/", (), "evil.com@localhost"),
+        ("/", (), "[::1].evil.com"),
+        ("/", (), "127.0.0.1:80, evil.com"),
+        ("/", (), "[::1"),
+        ("/", (), None),
+        ("/", ("Host: localhost",), ""),
+        ("/", ("Origin: http://[",), ""),
+        ("/", ("Origin: http://localhost", "Origin: http://localhost"), ""),
+        ("/", (*UPGRADE, "Origin: http://127.0.0.1@evil.com"), ""),
+        ("/", (*UPGRADE, "Upgrade: websocket"), ""),
+        ("/", (*UPGRADE, "Upgrade: h2c"), ""),
+        ("/\u00e9/", (), ""),
+        ("/\x7f", (), ""),
+        ("http://localhost/", (), ""),
+        ("*", (), ""),
+        ("/view/number?x=a", (), ""),
+        ("/view/number?x=nan", (), ""),
+        ("/view/number", (), ""),
+        ("/view/echo?" + "a=1&" * 100, (), ""),
+    ],
+)
+def test_what_is_no_request_is_answered_so(
+    local: tuple[Door, int],
+    public: tuple[Door, int],
+    path: str,
+    headers: tuple[str, ...],
+    host: str | None,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """400, from here and from elsewhere, and a line on the terminal at most."""
+    door, port = public
+    from_elsewhere = f"/{door.token}{path}" if path.startswith("/") else path
+    assert asked(local[1], path, *headers, host=host)[0] == 400
+    assert asked(port, from_elsewhere, *headers, host=host)[0] == 400
+    said = capfd.readouterr().err
+    assert "Traceback" not in said
+    assert said.count("\n") <= 3
+
+
+def test_broken_requests_leave_no_traceback(local: tuple[Door, int], capfd: pytest.CaptureFixture[str]) -> None:
+    """Requests that are cut off or no HTTP at all, and a websocket that begins wrongly; then the page is there."""
+    _, port = local
+    for sent in (
+        b"\0\1\2\r\n\r\n",
+        b"GET / HTTP/9\r\n\r\n",
+        b"POST / HTTP/1.1\r\n\r\n",
+        b"G",
+        b"GET /" + b"a" * 99_999,
+    ):
+        with socket.create_connection(("127.0.0.1", port), timeout=120) as connection:
+            connection.sendall(sent)
+            connection.shutdown(socket.SHUT_WR)
+            with contextlib.suppress(ConnectionError):
+                while connection.recv(1 << 16):
+                    pass
+    assert asked(port, "/", *UPGRADE[:2])[0] in (400, 426)
+    assert asked(port, "/")[0] == 200
+    said = capfd.readouterr().err
+    assert "Traceback" not in said
+    assert said.count("\n") <= 8
+
+
+@pytest.mark.parametrize(
+    ("origin", "status"),
+    [
+        ("http://127.0.0.1:{port}", 101),
+        ("", 101),
+        ("http://evil.com", 403),
+        ("http://127.0.0.1:1", 403),
+        ("http://127.0.0.1", 403),
+        ("ftp://127.0.0.1:{port}", 403),
+        ("null", 403),
+    ],
+)
+def test_websockets_are_for_the_viewers_own_page(local: tuple[Door, int], origin: str, status: int) -> None:
     """A page of another site may not open one, whatever its browser lets it do."""
     _, port = local
-    assert opened(port, "/", Origin=f"http://127.0.0.1:{port}")
-    assert not opened(port, "/", Origin="http://evil.com")
-    assert not opened(port, "/", Origin=f"http://127.0.0.1:{port + 1}")
-    assert not opened(port, "/", Origin="null")
+    headers = (*UPGRADE, f"Origin: {origin.format(port=port)}") if origin else UPGRADE
+    assert asked(port, "/", *headers)[0] == status
 
 
 def test_from_elsewhere_every_request_needs_the_token(public: tuple[Door, int]) -> None:
@@ -105,14 +171,14 @@ def test_from_elsewhere_every_request_needs_the_token(public: tuple[Door, int]) 
     door, port = public
     token = door.token
     assert len(token) >= 32
-    for path in ("/", "/index.html", "/view/echo", f"/{token[:-1]}/", f"/x{token}/", f"/view/{token}/", "//", ""):
-        assert get(port, path or "/")[0] == 403, path
-        assert not opened(port, path)
-    assert get(port, f"/{token}/")[0] == 200
-    assert get(port, f"/{token}/view/echo?a=1")[1] == b'{"a": "1"}'
-    assert get(port, f"/{token}")[::2] == (301, f"/{token}/")
-    assert opened(port, f"/{token}")
-    assert not opened(port, f"/{token}", Origin="http://evil.com")
+    for path in ("/", "/index.html", "/view/echo", f"/{token[:-1]}/", f"/x{token}/", f"/view/{token}/", "//"):
+        for headers in ((), UPGRADE):
+            assert asked(port, path, *headers)[0] == 403, path
+    assert asked(port, f"/{token}/")[0] == 200
+    assert asked(port, f"/{token}/view/echo?a=1")[1] == '{"a": "1"}'
+    assert asked(port, f"/{token}") == (301, f"/{token}/")
+    assert asked(port, f"/{token}", *UPGRADE)[0] == 101
+    assert asked(port, f"/{token}", *UPGRADE, "Origin: http://evil.com")[0] == 403
 
 
 def test_each_server_has_a_token_of_its_own() -> None:
@@ -120,7 +186,27 @@ def test_each_server_has_a_token_of_its_own() -> None:
     assert len({Door("0.0.0.0", {}).token for _ in range(20)}) == 20
 
 
-def test_nothing_is_published(local: tuple[Door, int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_so_many_tabs_are_open(local: tuple[Door, int]) -> None:
+    """One more is closed at once; when another one is closed there is room again."""
+    door, port = local
+    with contextlib.ExitStack() as opened:
+        tabs = [opened.enter_context(websocket(port)) for _ in range(MOST_TABS)]
+        with websocket(port) as refused, pytest.raises(Exception, match="1013"):
+            refused.recv(timeout=120)
+        tabs[0].close()
+        wait_for(lambda: door._tabs < MOST_TABS)
+        with websocket(port) as tab:
+            assert tab.recv(timeout=120)
+
+
+def test_another_version_of_the_page_is_sent_away(local: tuple[Door, int], capfd: pytest.CaptureFixture[str]) -> None:
+    """What it calls itself is not printed."""
+    with websocket(local[1], version="9.evil") as old, pytest.raises(Exception, match="Version mismatch"):
+        old.recv()
+    assert "evil" not in "".join(capfd.readouterr())
+
+
+def test_nothing_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
     """viser's share links, which any page may ask for, open no tunnel."""
     made: list[object] = []
     monkeypatch.setattr("viser._viser.ViserTunnel", lambda *a, **k: made.append(a))
@@ -132,18 +218,12 @@ def test_nothing_is_published(local: tuple[Door, int], monkeypatch: pytest.Monke
         server.stop()
 
 
-def test_an_address_that_is_not_ours_is_told() -> None:
-    """One sentence, at once."""
-    with pytest.raises(UserError, match=r"Cannot serve at the address 192\.0\.2\.1"):
-        open_server("192.0.2.1", 0, Door("192.0.2.1", {}))
-
-
 def test_a_viser_that_passes_the_door_by_is_not_served(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where viser starts its server in another way, there is an error and no open server."""
     import websockets.asyncio.server as websockets_server
 
     serve = websockets_server.serve
-    monkeypatch.setattr("thermosplat.viewer.door._guarded", lambda door: __import__("contextlib").nullcontext())
+    monkeypatch.setattr("thermosplat.viewer.door._guarded", lambda door: contextlib.nullcontext())
     with pytest.raises(UserError, match="not known to this viewer"):
         open_server("127.0.0.1", 0, Door("127.0.0.1", {}))
     assert websockets_server.serve is serve

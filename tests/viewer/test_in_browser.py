@@ -193,6 +193,29 @@ def test_moving_makes_smaller_pictures_and_then_a_full_one(browser: Any, viewer:
     assert np.abs(tab.screenshot()[CLEAR] - expected).mean() < 1.0
 
 
+def test_the_panel_stays_on_a_phone(browser: Any, viewer: Viewer) -> None:
+    """At a width of 390 px, with the list of layers open: all controls in sight, and a tap chooses."""
+    context = browser.new_context(viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
+    page = context.new_page()
+    page.goto(viewer.url)
+    layer = page.locator('input[value="RGB"]:visible').first
+    layer.tap(timeout=1000 * PATIENCE)
+    page.get_by_role("option", name="thermal", exact=True).locator("visible=true").first.tap(timeout=1000 * PATIENCE)
+    (visitor,) = viewer.visitors.values()
+    wait_for(lambda: visitor.session.wish.first.spectrum == "thermal", page)
+    page.locator('input[value="thermal"]:visible').first.tap()
+    page.wait_for_timeout(1000)
+    sizes = page.evaluate("[innerWidth, innerHeight, document.documentElement.scrollWidth]")
+    assert sizes == [390, 844, 390]
+    for shown in (page.get_by_role("tab", name="View"), page.get_by_role("option", name="RGB", exact=True)):
+        box = shown.locator("visible=true").first.bounding_box()
+        assert box["x"] >= 0
+        assert box["y"] >= 0
+        assert box["x"] + box["width"] <= 390
+        assert box["y"] + box["height"] <= 844
+    context.close()
+
+
 def test_two_tabs_do_not_disturb_each_other(browser: Any, viewer: Viewer) -> None:
     """Layer, palette and camera of one tab leave the other as it was."""
     one, other = Tab(browser, viewer), Tab(browser, viewer)

@@ -2,7 +2,9 @@
 
 import csv
 import dataclasses
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -129,6 +131,45 @@ def test_a_session_reads_and_numbers(session: ViewSession) -> None:
     again = session.measure("spot", [(0.5, 0.4)])
     assert again is not None
     assert again.name == "S3"
+
+
+def test_two_quick_clicks_have_two_names(session: ViewSession, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where both are on their way before the depth of either is rendered."""
+    render, both = session.renderer.render, threading.Barrier(2, timeout=60)
+    monkeypatch.setattr(session, "turns", SimpleNamespace(run=lambda work: work()))
+    monkeypatch.setattr(session.renderer, "render", lambda *a, **k: (both.wait(), render(*a, **k))[1])
+    clicks = [threading.Thread(target=session.measure, args=("spot", [(x, 0.5)])) for x in (0.4, 0.6)]
+    for click in clicks:
+        click.start()
+    for click in clicks:
+        click.join()
+    assert sorted(made.name for made in session.measurements) == ["S1", "S2"]
+
+
+def test_a_click_measures_the_picture_that_was_clicked(session: ViewSession) -> None:
+    """Not the one that has come meanwhile, small and from elsewhere."""
+    clicked = session.shown
+    assert clicked is not None
+    expected = value_at(clicked.layers[THERMAL], 0.3, 0.5)
+    session.render(moved(session.renderer.scene.start(), 0.3), 24, 18, full=False)
+    made = session.measure("spot", [(0.3, 0.5)], clicked)
+    assert made is not None
+    assert made.mean == expected
+    assert session.measure("spot", [(0.3, 0.5)]) is None
+
+
+def test_places_outside_are_at_the_edge(session: ViewSession) -> None:
+    """A rectangle may be drawn over the edge of the picture, and a page may say any place."""
+    made = session.measure("area", [(-1e9, 0.5), (1e9, 7.0)])
+    assert made is not None
+    assert made.points_px == ((0.0, 0.5), (1.0, 1.0))
+    assert made.count == 48 * 18
+
+
+def test_there_are_only_so_many(session: ViewSession, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page that clicks without end does not fill the memory."""
+    monkeypatch.setattr("thermosplat.viewer.session.MOST_MEASUREMENTS", 2)
+    assert [session.measure("spot", [(0.5, 0.5)]) is None for _ in range(3)] == [False, False, True]
 
 
 def test_a_mark_stays_on_its_object(session: ViewSession) -> None:

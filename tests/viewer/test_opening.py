@@ -62,6 +62,7 @@ def test_a_ply_file_of_a_run_opens(run: Path) -> None:
     [
         (["{run}/none.pt"], "There is no checkpoint"),
         (["{run}/none.ply"], "Cannot read"),
+        (["scene.SPZ"], "is a file for other programs, which thermosplat-view does not read"),
         (["{run}/ply"], "No training run in"),
         (["{run}/config.yaml"], "No training run in"),
         (["{run}", "--port", "70000"], "--port must lie between 0 and 65535"),

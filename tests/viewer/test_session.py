@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from thermosplat.viewer.layers import Layer
-from thermosplat.viewer.session import Wish
+from thermosplat.viewer.session import Unwanted, Wish
+from thermosplat.viewer.turns import ViewingEnded
 from viewed_toy import moved, toy_session, viewed_toy
 
 
@@ -49,3 +50,28 @@ def test_the_photograph_lies_over_the_render() -> None:
     assert there.mean() > 0.5
     np.testing.assert_array_equal(over[there], photograph[there])
     assert (over != plain).any()
+
+
+@pytest.mark.parametrize("renders", [0, 1])
+def test_a_picture_that_nobody_wants_any_more_is_given_up(renders: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """When its turn comes, and when it is made too late; the picture before stays."""
+    session = toy_session(viewed_toy())
+    before = session.render(session.renderer.scene.start(), 24, 18)
+    made: list[object] = []
+    render = session.renderer.render
+    monkeypatch.setattr(session.renderer, "render", lambda *a, **k: made.append(a) or render(*a, **k))
+    with pytest.raises(Unwanted):
+        session.render(session.renderer.scene.start(), 48, 36, unwanted=lambda: len(made) == renders)
+    assert len(made) == renders
+    assert session.shown is before
+
+
+def test_a_viewer_aside_sees_the_same_and_leaves_with_the_first() -> None:
+    """Its measurements and displays are its own."""
+    session = toy_session(viewed_toy())
+    aside = session.aside()
+    aside.set_display(Layer("image", "thermal"), palette="viridis")
+    assert not session.displays
+    session.gone.set()
+    with pytest.raises(ViewingEnded):
+        aside.render(session.renderer.scene.start(), 24, 18)

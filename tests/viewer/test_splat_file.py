@@ -1,5 +1,6 @@
 """PLY files of anybody open as scenes; what is no such file ends with a sentence."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import torch
 
 from splat_scenes import random_splats
 from thermosplat.errors import UserError
+from thermosplat.export.formats.compressed_ply import write_compressed_ply
 from thermosplat.export.formats.ply import write_splats
 from thermosplat.export.scene import spectrum_splats
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
@@ -30,7 +32,8 @@ def exported(path: Path, *, compact: bool = False) -> torch.Tensor:
 def test_an_export_looks_as_its_scene(compact: bool, tmp_path: Path) -> None:
     """The file's render is the model's, to the last digits; it has images, depth and opacity."""
     expected = exported(tmp_path / "a.ply", compact=compact)
-    scene = open_splats(tmp_path / "a.ply", torch.device("cpu"))
+    scene, notes = open_splats(tmp_path / "a.ply", torch.device("cpu"))
+    assert notes == []
     start = viewed_toy().start()
     layer = Layer("image", "rgb")
     image = LayerRenderer(scene).render([layer], scene.view(start.viewmat, start.fov_y, 48, 36))[layer]
@@ -44,7 +47,8 @@ def test_a_file_of_degree_4_opens(tmp_path: Path) -> None:
     """Its 24 higher coefficients come back in their order."""
     splats = random_splats(6, 4)
     write_splats(tmp_path / "a.ply", splats)
-    scene = open_splats(tmp_path / "a.ply", torch.device("cpu"))
+    scene, notes = open_splats(tmp_path / "a.ply", torch.device("cpu"))
+    assert notes == []
     assert scene.sh_degree == 4
     torch.testing.assert_close(scene.model.gaussians("rgb").shN.detach(), splats.shN)
 
@@ -52,7 +56,8 @@ def test_a_file_of_degree_4_opens(tmp_path: Path) -> None:
 def test_a_scene_without_photographs_begins_in_front_of_its_gaussians(tmp_path: Path) -> None:
     """From the first view something is seen."""
     exported(tmp_path / "a.ply")
-    scene = open_splats(tmp_path / "a.ply", torch.device("cpu"))
+    scene, notes = open_splats(tmp_path / "a.ply", torch.device("cpu"))
+    assert notes == []
     start = scene.start()
     layer = Layer("opacity", "rgb")
     image = LayerRenderer(scene).render([layer], scene.view(start.viewmat, start.fov_y, 48, 36))[layer]
@@ -61,16 +66,95 @@ def test_a_scene_without_photographs_begins_in_front_of_its_gaussians(tmp_path: 
     assert scene.frame_spacing > 0
 
 
-def test_broken_gaussians_are_left_out(tmp_path: Path) -> None:
-    """A NaN in one vertex costs that vertex."""
-    path = tmp_path / "a.ply"
+def rows_of(path: Path) -> np.ndarray:
+    """The exported toy scene's vertices, by name."""
     exported(path)
-    whole = len(open_splats(path, torch.device("cpu")).model.gaussians("rgb"))
-    content = bytearray(path.read_bytes())
-    start = content.index(b"end_header\n") + len(b"end_header\n")
-    content[start : start + 4] = np.float32(np.nan).tobytes()
-    path.write_bytes(content)
-    assert len(open_splats(path, torch.device("cpu")).model.gaussians("rgb")) == whole - 1
+    header, _, content = path.read_bytes().partition(b"end_header\n")
+    names = [line.split()[-1].decode() for line in header.splitlines() if line.startswith(b"property")]
+    return np.frombuffer(content, np.dtype([(name, "<f4") for name in names])).copy()
+
+
+def written(path: Path, rows: np.ndarray, kind: str = "float") -> Path:
+    properties = "".join(f"property {kind} {name}\n" for name in rows.dtype.names or ())
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{properties}end_header\n"
+    path.write_bytes(header.encode() + rows.tobytes())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "is_shown"),
+    [
+        ("opacity", np.inf, True),
+        ("opacity", -np.inf, True),
+        ("scale_1", -np.inf, True),
+        ("scale_2", -1e30, True),
+        ("opacity", np.nan, False),
+        ("scale_0", np.inf, False),
+        ("scale_0", 200.0, False),
+        ("scale_0", np.nan, False),
+        ("x", np.inf, False),
+        ("y", np.nan, False),
+        ("f_dc_1", -np.inf, False),
+        ("f_rest_7", np.nan, False),
+        ("rot_0", np.inf, False),
+    ],
+)
+def test_what_has_no_value_is_left_out_with_a_note(name: str, value: float, is_shown: bool, tmp_path: Path) -> None:
+    """An infinite logit is an opacity of 1 or 0, and the logarithm of 0 is -infinity: those are Gaussians."""
+    rows = rows_of(tmp_path / "a.ply")
+    rows[name][:5] = value
+    scene, notes = open_splats(written(tmp_path / "b.ply", rows), torch.device("cpu"))
+    gaussians = scene.model.gaussians("rgb")
+    assert len(gaussians) == len(rows) - (0 if is_shown else 5)
+    assert [f"5 of {len(rows)} Gaussians are not shown" in note for note in notes] == ([] if is_shown else [True])
+    start = scene.start()
+    layers = available_layers(scene)
+    images = LayerRenderer(scene).render(layers, scene.view(start.viewmat, start.fov_y, 24, 18))
+    opacity = images[Layer("opacity", "rgb")].field
+    assert opacity is not None
+    assert np.isfinite(opacity).all()
+    assert opacity.max() > 0.1
+    if name == "opacity" and is_shown:
+        assert torch.sigmoid(gaussians.logit_opacities[:5]).tolist() == pytest.approx([float(value > 0)] * 5, abs=1e-12)
+
+
+def test_a_rotation_has_a_length(tmp_path: Path) -> None:
+    """One of length 0 is none; a long one is as good as a short one."""
+    rows = rows_of(tmp_path / "a.ply")
+    for index in range(4):
+        rows[f"rot_{index}"][0] = 0.0
+        rows[f"rot_{index}"][1] *= 1e30
+        rows[f"rot_{index}"][2] *= 1e-30
+    scene, notes = open_splats(written(tmp_path / "b.ply", rows), torch.device("cpu"))
+    plain, _ = open_splats(tmp_path / "a.ply", torch.device("cpu"))
+    assert [note.startswith("1 of") for note in notes] == [True]
+    torch.testing.assert_close(scene.model.gaussians("rgb").quats, plain.model.gaussians("rgb").quats[1:])
+
+
+def test_large_float64_values_are_no_float32_ones(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    """They are left out, without a warning of numpy's."""
+    rows = rows_of(tmp_path / "a.ply")
+    large = rows.astype([(name, "<f8") for name in rows.dtype.names or ()])
+    large["z"][0] = 1e300
+    scene, notes = open_splats(written(tmp_path / "b.ply", large, "double"), torch.device("cpu"))
+    assert len(scene.model.gaussians("rgb")) == len(rows) - 1
+    assert len(notes) == 1
+    assert not recwarn.list
+
+
+def test_our_compressed_file_is_told(tmp_path: Path) -> None:
+    """What it is, and how to get one that can be read."""
+    write_compressed_ply(tmp_path / "a.compressed.ply", random_splats(300, 1))
+    with pytest.raises(UserError, match=r"is a compressed PLY, .*thermosplat-export RUN --format ply"):
+        open_splats(tmp_path / "a.compressed.ply", torch.device("cpu"))
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    """It is no file."""
+    os.mkfifo(tmp_path / "a.ply")
+    for path in (tmp_path / "a.ply", tmp_path):
+        with pytest.raises(UserError, match="is no file"):
+            open_splats(path, torch.device("cpu"))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from thermosplat.viewer.turns import BetweenSteps, ViewingEnded
+from thermosplat.viewer.turns import BetweenSteps, OneAtATime, ViewingEnded
 
 
 class Clock:
@@ -88,5 +88,57 @@ def test_work_runs_between_steps_in_the_thread_that_trains() -> None:
     assert results[0] == threading.get_ident()
     assert isinstance(results[1], ZeroDivisionError)
     turns.end()
+    with pytest.raises(ViewingEnded):
+        turns.run(lambda: None)
+
+
+def test_who_asked_first_is_next() -> None:
+    """Who renders one picture after the other, as for a video, keeps nobody waiting for more than one of them."""
+    turns, order = OneAtATime(), []
+    begun = threading.Event()
+
+    def first() -> None:
+        begun.set()
+        while len(turns._asking) < 2:
+            time.sleep(0.001)
+        order.append("picture")
+
+    def video() -> None:
+        turns.run(first)
+        for _ in range(9):
+            turns.run(lambda: order.append("picture"))
+
+    large = threading.Thread(target=video)
+    large.start()
+    assert begun.wait(60)
+    turns.run(lambda: order.append("other"))
+    large.join()
+    assert order == ["picture", "other", *["picture"] * 9]
+
+
+def test_who_waits_is_told_of_the_end() -> None:
+    """Work that runs is done; what waits ends, and what fails has its own error."""
+    turns = OneAtATime()
+    with pytest.raises(ZeroDivisionError):
+        turns.run(lambda: 1 / 0)
+    told: list[str] = []
+
+    def wait() -> None:
+        try:
+            turns.run(lambda: told.append("done"))
+        except ViewingEnded:
+            told.append("ended")
+
+    def work() -> str:
+        threading.Thread(target=wait).start()
+        while len(turns._asking) < 2:
+            time.sleep(0.001)
+        turns.end()
+        while not told:
+            time.sleep(0.001)
+        return "work"
+
+    assert turns.run(work) == "work"
+    assert told == ["ended"]
     with pytest.raises(ViewingEnded):
         turns.run(lambda: None)

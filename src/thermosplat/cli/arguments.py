@@ -10,7 +10,7 @@ import tyro
 from thermosplat.cli.command_line import parse_command_line
 from thermosplat.cli.foreign_flags import refuse_foreign_flags
 from thermosplat.cli.spectrum_flags import named_spectra, refuse_unknown_spectra, with_groups
-from thermosplat.cli.viewer_flags import LOCAL_HOST, with_viewer_port
+from thermosplat.cli.viewer_flags import LOCAL_HOST, viewer_flags, with_viewer_port
 from thermosplat.config import TrainConfig
 from thermosplat.config.capture_settings import with_recommendations
 from thermosplat.config.checks import check_config
@@ -94,6 +94,7 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
     start = TrainConfig(config="")
     start = dataclasses.replace(start, spectra=named_spectra(argv, start.spectra))
     first = _parse([word for word in argv if word not in HELP_FLAGS], start)
+    viewer_flags(argv)  # says now, not when all is loaded, that there is no such port
     if first.resume is not None:
         return _resumed(argv, first)
     name = first.config or (SAMPLE_PRESET if first.data == "sample" else DEFAULT_PRESET)

@@ -1,5 +1,7 @@
 """thermosplat-view: a trained scene in the browser, from anywhere, with its temperatures."""
 
+import os
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -11,7 +13,7 @@ import tyro
 
 from thermosplat.cli.host_settings import importing, prepare_host
 from thermosplat.cli.program import run_program
-from thermosplat.errors import UserError
+from thermosplat.cli.viewer_flags import checked_port
 
 
 @dataclass(frozen=True)
@@ -52,12 +54,17 @@ def main(argv: list[str] | None = None) -> int:
     Returns:
         The exit code: 130 after Ctrl-C, which ends it.
     """
-    return run_program(ViewArguments, _view, argv, prog="thermosplat-view")
+    unfinished: list[str] = []
+    code = run_program(ViewArguments, lambda arguments: _view(arguments, unfinished), argv, prog="thermosplat-view")
+    if unfinished:  # Python would end under a thread that renders, and abort there
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
 
 
-def _view(arguments: ViewArguments) -> int:
-    if not 0 <= arguments.port <= 65535:
-        raise UserError(f"--port must lie between 0 and 65535, found {arguments.port}.")
+def _view(arguments: ViewArguments, unfinished: list[str]) -> int:
+    checked_port("--port", arguments.port)
     prepare_host()
     with ThreadPoolExecutor(max_workers=1) as thread:  # viser is imported while the scene is read
         with importing():
@@ -77,11 +84,10 @@ def _view(arguments: ViewArguments) -> int:
     try:
         threading.Event().wait()
     finally:
-        viewer.stop()
+        if not viewer.stop():
+            unfinished.append("a picture")
     return 0
 
 
 if __name__ == "__main__":
-    import sys
-
     sys.exit(main())

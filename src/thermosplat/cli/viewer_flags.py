@@ -3,8 +3,10 @@
 import re
 from dataclasses import dataclass
 
+from thermosplat.errors import UserError
+
 LOCAL_HOST = "127.0.0.1"
-DEFAULT_PORT = 8080
+DEFAULT_PORT, LAST_PORT = 8080, 65_535
 _FLAG, _HOST_FLAG = "--viewer", "--viewer-host"
 
 
@@ -37,10 +39,24 @@ def viewer_flags(argv: list[str]) -> ViewerFlags:
 
     Args:
         argv: Arguments without the program's name.
+
+    Raises:
+        UserError: The port is none.
     """
     words = with_viewer_port(argv)
     port, host = _last(words, _FLAG), _last(words, _HOST_FLAG) or _last(words, _HOST_FLAG.replace("-h", "_h"))
-    return ViewerFlags(None if port in (None, "None") else int(port or 0), host or LOCAL_HOST)
+    return ViewerFlags(None if port in (None, "None") else checked_port(_FLAG, int(port or 0)), host or LOCAL_HOST)
+
+
+def checked_port(flag: str, port: int) -> int:
+    """A port that a flag names.
+
+    Raises:
+        UserError: There is no such port.
+    """
+    if not 0 <= port <= LAST_PORT:
+        raise UserError(f"{flag} must lie between 0 and {LAST_PORT}, found {port}.", f"Give {flag} {DEFAULT_PORT}.")
+    return port
 
 
 def _last(words: list[str], flag: str) -> str | None:

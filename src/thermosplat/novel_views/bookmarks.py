@@ -29,6 +29,10 @@ from thermosplat.runs.atomic_writes import write_text
 FORMAT, VERSION = "thermosplat-bookmarks", 1
 LARGEST_FILE = 16 << 20
 """Bytes of a file that is read at all: some 40,000 bookmarks."""
+FURTHEST = 1e9
+"""Of a view's place [world units]: its square is still far within float32."""
+FOVS = 0.1, 179.0
+"""The least and the largest field of view [degrees] of a view that somebody saves."""
 _RIGID = 1e-3
 """How far a rotation matrix may be from orthonormal: files that were rounded to a few digits pass."""
 
@@ -144,10 +148,14 @@ def _bookmark(entry: Any, number: int, path: Path) -> Bookmark:
         raise UserError(f"{path}: bookmark {number} lacks a name, a viewmat or a fov_y.", hint) from error
     if viewmat.shape != (4, 4) or not np.isfinite(viewmat).all():
         raise UserError(f"{path}: the viewmat of bookmark {number} is not a matrix of 4 by 4 numbers.", hint)
+    if np.abs(viewmat).max() > FURTHEST:
+        raise UserError(f"{path}: bookmark {number} lies further away than {FURTHEST:.0e} world units.", hint)
     rotation = viewmat[:3, :3]
     is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=_RIGID) and np.linalg.det(rotation) > 0
     if not is_rotation or not np.allclose(viewmat[3], [0, 0, 0, 1], atol=_RIGID):
         raise UserError(f"{path}: the viewmat of bookmark {number} is no rotation with a translation.", hint)
-    if not 0 < fov_y < 180:
-        raise UserError(f"{path}: the fov_y of bookmark {number} must lie between 0 and 180 degrees.", hint)
+    if not FOVS[0] <= fov_y <= FOVS[1]:
+        raise UserError(
+            f"{path}: the fov_y of bookmark {number} must lie between {FOVS[0]} and {FOVS[1]:.0f} degrees.", hint
+        )
     return Bookmark(name, viewmat, fov_y)

@@ -24,6 +24,7 @@ from thermosplat.config.checks import check_config
 from thermosplat.fused.covered_images import warp_covered
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
+from thermosplat.scene.decoding_in_parts import decode_in_parts
 from thermosplat.scene.feature_passes import blend_features
 from thermosplat.scene.fourier_features import with_fourier_features
 from thermosplat.scene.gaussians import Gaussians
@@ -283,7 +284,7 @@ class SceneModel(nn.Module):
             features = {name: decoders.point_spreads(name, image) for name, image in features.items()}
             if colors is not None and self.photograph is not None:
                 colors = decoders.point_spreads(self.photograph, colors)
-        decoded = decoders.decode({name: self.decoder_input(view, features[name]) for name in names})
+        decoded = decode_in_parts(decoders, {name: self.decoder_input(view, features[name]) for name in names})
         for name in sorted(names, key=lambda name: name == self.photograph):  # the photograph last
             hybrid = name == self.photograph and self.decoder_config.hybrid
             image = decoded[name] if hybrid else self._padded(decoded[name])  # a sum has no range to widen

@@ -1,17 +1,19 @@
 """Controls of cameras: the frames, bookmarks, a path through them as a video, and screenshots of any size."""
 
 import math
-import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import Bookmark, path_through
-from thermosplat.pictures.image_display import write_png
+from thermosplat.pictures.image_display import Image8
 from thermosplat.pictures.video import write_images
+from thermosplat.viewer.picture_sizes import LARGEST_SIDE, MOST_IMAGES, fitting
 from thermosplat.viewer.session import ViewSession
-from thermosplat.viewer.turns import ViewingEnded
 from thermosplat.viewer.viewed_scene import frame_bookmark
 
 if TYPE_CHECKING:
@@ -21,7 +23,7 @@ MOST_FRUSTA = 300
 """Of a larger capture so many are drawn, evenly chosen."""
 _LEARNT, _HELD_OUT = (120, 190, 255), (255, 170, 60)
 _NONE = "(none)"
-_SIZE_LIMIT = 8192
+_MOST_BOOKMARKS = 1000
 
 
 class CamerasPanel:
@@ -42,26 +44,26 @@ class CamerasPanel:
             self.shown = gui.add_checkbox("Show the frames", False, hint="Click one to fly there")
             self.frame = gui.add_dropdown("Fly to frame", tuple(frames))
             self.over = gui.add_checkbox("Photograph over it", False, hint="Or hold the key P")
-            self.shown.on_update(lambda _: self._show_frusta(self.shown.value))
-            self.frame.on_update(lambda _: self._fly(frames[self.frame.value]))
-            self.over.on_update(lambda _: visitor.lay_photograph(self.over.value))
+            self.shown.on_update(visitor.heard(lambda: self._show_frusta(self.shown.value)))
+            self.frame.on_update(visitor.heard(lambda: self._fly(frames[self.frame.value])))
+            self.over.on_update(visitor.heard(lambda: visitor.lay_photograph(self.over.value)))
         with gui.add_folder("Bookmarks"):
             self.name = gui.add_text("Name", "")
             self.add = gui.add_button("Add this view", icon=viser.Icon.BOOKMARK)
             self.choice = gui.add_dropdown("Fly to", (_NONE,))
             self.remove = gui.add_button("Delete it")
-            self.add.on_click(lambda _: self._add())
-            self.remove.on_click(lambda _: self._remove())
-            self.choice.on_update(lambda _: self._fly_to_choice())
+            self.add.on_click(visitor.heard_here(self._add))
+            self.remove.on_click(visitor.heard(self._remove))
+            self.choice.on_update(visitor.heard(self._fly_to_choice))
         self._files = gui.add_folder("Pictures and videos", expand_by_default=False)
         with self._files:
-            self.width = gui.add_number("Width", 1920, min=16, max=_SIZE_LIMIT, step=1)
-            self.height = gui.add_number("Height", 1080, min=16, max=_SIZE_LIMIT, step=1)
+            self.width = gui.add_number("Width", 1920, min=16, max=LARGEST_SIDE, step=1)
+            self.height = gui.add_number("Height", 1080, min=16, max=LARGEST_SIDE, step=1)
             self.shot = gui.add_button("Save a picture", icon=viser.Icon.CAMERA)
-            self.count = gui.add_number("Images of the path", 120, min=2, max=10_000, step=1)
+            self.count = gui.add_number("Images of the path", 120, min=2, max=MOST_IMAGES, step=1)
             self.film = gui.add_button("Video through the bookmarks", icon=viser.Icon.MOVIE)
-            self.shot.on_click(lambda _: self._save_picture())
-            self.film.on_click(lambda _: self._save_video())
+            self.shot.on_click(visitor.heard_here(lambda view: visitor.save_picture(view, *self._size())))
+            self.film.on_click(visitor.heard(self._save_video))
         self._list()
 
     # ---- frames ------------------------------------------------------------------------------------------------------
@@ -93,7 +95,7 @@ class CamerasPanel:
                 wxyz=transforms.SO3.from_matrix(pose[:3, :3]).wxyz,
                 position=pose[:3, 3],
             )
-            frustum.on_click(lambda _, frame=frame: self._fly(frame))
+            frustum.on_click(self.visitor.heard(partial(self._fly, frame)))
             self._frusta.append(frustum)
 
     def _fly(self, frame: Any) -> None:
@@ -102,8 +104,11 @@ class CamerasPanel:
 
     # ---- bookmarks ---------------------------------------------------------------------------------------------------
 
-    def _add(self) -> None:
+    def _add(self, view: Bookmark) -> None:
         shared = self.visitor.shared
+        if len(shared.bookmarks) >= _MOST_BOOKMARKS:
+            self.visitor.tell("Not added", f"There are {_MOST_BOOKMARKS:,} bookmarks. Delete one first.")
+            return
         taken = {bookmark.name for bookmark in shared.bookmarks}
         name = self.name.value.strip()[:80]
         if not name or name in taken or name == _NONE:
@@ -111,7 +116,7 @@ class CamerasPanel:
             while f"view {number}" in taken:
                 number += 1
             name = f"view {number}"
-        shared.bookmarks.append(self.visitor.view(name))
+        shared.bookmarks.append(replace(view, name=name))
         self.name.value = ""
         self._save_bookmarks()
 
@@ -140,47 +145,28 @@ class CamerasPanel:
 
     # ---- files -------------------------------------------------------------------------------------------------------
 
-    def _session(self) -> ViewSession:
-        """A session that looks as this tab's does, for pictures of other places and sizes."""
-        session = self.visitor.session
-        return ViewSession(
-            session.renderer, session.turns, session.wish, dict(session.displays), list(session.measurements)
-        )
-
-    def _save_picture(self) -> None:
-        size = int(self.width.value), int(self.height.value)
-        path = self.visitor.shared.folder / f"view_{time.strftime('%Y%m%d_%H%M%S')}_{self.visitor.client.client_id}.png"
-        try:
-            session = self._session()
-            write_png(path, session.marked(session.render(self.visitor.view(), *size)))
-        except ViewingEnded:
-            return
-        except UserError as error:
-            self.visitor.tell("Not saved", error.message)
-            return
-        self.visitor.tell("Saved", str(path))
+    def _size(self) -> tuple[int, int]:
+        """The size that is typed [px], shown smaller where pictures may not be so large."""
+        self.width.value, self.height.value = fitting(self.width.value, self.height.value)
+        return self.width.value, self.height.value
 
     def _save_video(self) -> None:
-        size, count = (int(self.width.value), int(self.height.value)), int(self.count.value)
-        folder = self.visitor.shared.folder
-        target = folder / f"path_{time.strftime('%Y%m%d_%H%M%S')}_{self.visitor.client.client_id}"
+        path = path_through(self.visitor.shared.bookmarks, self.count.value)
+        self.visitor.begin_long(partial(self._write_video, path, self._size(), self.visitor.session.aside()))
+
+    def _write_video(self, path: list[Bookmark], size: tuple[int, int], session: ViewSession) -> None:
+        shared = self.visitor.shared
         with self._files:
             progress = self.visitor.client.gui.add_progress_bar(0.0)
+
+        def images() -> Iterator[Image8]:
+            for index, view in enumerate(path):
+                yield session.render(view, *size, full=False).picture
+                progress.value = 100.0 * (index + 1) / len(path)
+
         try:
-            path = path_through(self.visitor.shared.bookmarks, count)
-            folder.mkdir(parents=True, exist_ok=True)
-            written = write_images(self._images(path, size, progress), target, format="mp4", fps=30)
-        except ViewingEnded:
-            return
-        except UserError as error:
-            self.visitor.tell("No video", f"{error.message} {error.hint}")
-            return
+            shared.folder.mkdir(parents=True, exist_ok=True)
+            written = write_images(images(), shared.new_file("path"), format="mp4", fps=30)
         finally:
             progress.remove()
         self.visitor.tell("Saved", str(written))
-
-    def _images(self, path: list[Bookmark], size: tuple[int, int], progress: Any) -> Any:
-        session = self._session()
-        for index, view in enumerate(path):
-            yield session.render(view, *size, full=False).picture
-            progress.value = 100.0 * (index + 1) / len(path)

@@ -1,4 +1,4 @@
-"""Who may come in: the web server of viser, with a guard at its door and the page's own script.
+"""Who may come in, and what may be said there: the web server of viser, with a guard at its door.
 
 viser serves a page and a websocket on one port, to whoever asks. Here every request is looked at first:
 
@@ -6,25 +6,33 @@ viser serves a page and a websocket on one port, to whoever asks. Here every req
   reach the viewer under a name of its own that leads here (DNS rebinding).
 - A websocket may only be opened by the viewer's own page (its ``Origin``), not by one of another site.
 - Bound to another address, every request, the websocket's too, must begin with a random token: http://HOST:PORT/TOKEN/.
+- A request that is no proper one is answered with 400, never with a traceback on the terminal.
+- What comes over a websocket is looked at message by message (``page_messages``), at a bounded pace.
 
 Connections are not encrypted. Whoever can listen on the way sees the token and the pictures.
 """
 
+import asyncio
 import contextlib
 import hmac
 import io
 import json
+import logging
+import re
 import secrets
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from importlib.resources import files
-from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from thermosplat.errors import UserError
+from thermosplat.viewer.addresses import free_port, host_of, is_origin, is_this_machine
+from thermosplat.viewer.notices import NOTICES
+from thermosplat.viewer.page_messages import A_SECOND, LARGEST_MESSAGE, Control, Refused, admitted
 
 if TYPE_CHECKING:
     import viser
@@ -32,15 +40,21 @@ if TYPE_CHECKING:
 Answer = Callable[[dict[str, str]], Any]
 """From the words of a query to what JSON can say."""
 DEFAULT_PORT = 8080
+MOST_TABS = 16
+"""Tabs that may be open: each has pictures and values of its own in memory."""
+MOST_CONNECTIONS = 100
+"""Connections that may be open, requests that are answered included."""
 _INSTALL = 'Install it: pip install ".[viewer]" in the repository.'
+_PATH = re.compile(r"/[\x21-\x7e]*")
 
 
 class Door:
-    """Looks at every request.
+    """Looks at every request, and at every message.
 
     Args:
         host: Address that the server is bound to.
-        answers: Answers of the page's own requests, by the last part of their path: /view/<name>.
+        answers: Answers of the page's own requests, by the last part of their path: /view/<name>. One that cannot be
+            given raises a ``ValueError``.
     """
 
     def __init__(self, host: str, answers: dict[str, Answer]) -> None:
@@ -49,7 +63,12 @@ class Door:
         self.token = "" if self.local else secrets.token_urlsafe(24)
         self.is_guarding = False
         """Whether the server asks this door."""
+        self.control: Callable[[str], Control | None] = lambda uuid: None
+        """The input of a uuid, of any tab."""
+        self._tabs = 0
         self._page: bytes | None = None
+
+    # ---- requests ----------------------------------------------------------------------------------------------------
 
     def answer(self, connection: Any, request: Any, inside: Callable[[Any, Any], Any]) -> Any:
         """Answer a request, or let viser answer it.
@@ -62,9 +81,25 @@ class Door:
         Returns:
             A response; None lets a websocket be opened.
         """
-        headers = request.headers
-        is_websocket = headers.get("Upgrade", "").lower() == "websocket"
-        if not self._may_come(headers.get_all("Host"), headers.get_all("Origin") if is_websocket else []):
+        if len(connection.server.handlers) > MOST_CONNECTIONS:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "Too many connections.\n")
+        try:
+            return self._answer(connection, request, inside)
+        except Exception as error:
+            NOTICES.say(f"a request was refused: {error if isinstance(error, Refused) else type(error).__name__}")
+            return connection.respond(HTTPStatus.BAD_REQUEST, "This is no request that is understood here.\n")
+
+    def _answer(self, connection: Any, request: Any, inside: Callable[[Any, Any], Any]) -> Any:
+        upgrades = [value.lower() for value in request.headers.get_all("Upgrade")]
+        is_websocket = upgrades == ["websocket"]
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        host = host_of(hosts[0]) if len(hosts) == 1 else None
+        if host is None or len(origins) > 1 or not all(map(is_origin, origins)):
+            raise Refused("its Host or its Origin is none")
+        if len(upgrades) > 1 or not _PATH.fullmatch(request.path):
+            raise Refused("its path or its Upgrade is none")
+        own = (f"http://{hosts[0].lower()}", f"https://{hosts[0].lower()}")
+        if (self.local and not is_this_machine(host)) or (is_websocket and origins and origins[0].lower() not in own):
             return connection.respond(HTTPStatus.FORBIDDEN, "This page may not be reached from there.\n")
         path, _, query = request.path.partition("?")
         if self.token:
@@ -77,12 +112,12 @@ class Door:
                 return response
             path = f"/{rest}"
         if is_websocket:
-            return inside(connection, request)
+            return None
         if path in ("/", "/index.html"):
             return self._respond(connection, self.page, "text/html; charset=utf-8")
         name = path.removeprefix("/view/")
         if name in self.answers:
-            words = {key: values[-1] for key, values in parse_qs(query).items()}
+            words = {key: values[-1] for key, values in parse_qs(query, max_num_fields=20).items()}
             said = json.dumps(self.answers[name](words), allow_nan=False).encode()
             return self._respond(connection, said, "application/json")
         request.path = path
@@ -100,13 +135,6 @@ class Door:
             self._page = html.replace("<head>", f"<head><script>\n{script}</script>", 1).encode()
         return self._page
 
-    def _may_come(self, hosts: list[str], origins: list[str]) -> bool:
-        if len(hosts) != 1 or len(origins) > 1:
-            return False
-        if self.local and not is_this_machine(urlsplit(f"//{hosts[0]}").hostname or ""):
-            return False
-        return all(urlsplit(origin).netloc.lower() == hosts[0].lower() for origin in origins)
-
     def _respond(self, connection: Any, body: bytes, kind: str) -> Any:
         response = connection.respond(HTTPStatus.OK, "")
         response.body = body
@@ -119,15 +147,45 @@ class Door:
         response.headers["X-Frame-Options"] = "DENY"
         return response
 
+    # ---- websockets --------------------------------------------------------------------------------------------------
 
-def is_this_machine(host: str) -> bool:
-    """Whether an address or name is one that only this machine answers to."""
-    if host.lower() == "localhost":
-        return True
-    try:
-        return ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
+    async def let_in(self, connection: Any, handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Let viser have a websocket, whose messages are looked at.
+
+        Args:
+            connection: The websockets connection.
+            handler: viser's.
+        """
+        import viser
+
+        asyncio.get_running_loop().set_exception_handler(_say_in_one_line)
+        if connection.subprotocol != f"viser-v{viser.__version__}":  # viser would print what it calls itself
+            await connection.close(1002, f"Version mismatch. Server: {viser.__version__}")
+            return
+        if self._tabs >= MOST_TABS:
+            NOTICES.say(f"a tab was refused: {MOST_TABS} are open")
+            await connection.close(1013, f"{MOST_TABS} tabs are open already.")
+            return
+        receive, due = connection.recv, 0.0
+
+        async def receive_admitted() -> bytes:
+            nonlocal due
+            while True:
+                message = await receive()
+                now = asyncio.get_running_loop().time()
+                due = max(due, now - 1.0) + 1.0 / A_SECOND  # a second's worth may come at once
+                await asyncio.sleep(max(0.0, due - now))
+                try:
+                    return admitted(message, self.control)
+                except Refused as error:
+                    NOTICES.say(f"{error} was not taken from a page")
+
+        connection.recv = receive_admitted
+        self._tabs += 1
+        try:
+            await handler(connection)
+        finally:
+            self._tabs -= 1
 
 
 def open_server(host: str, port: int, door: Door) -> "viser.ViserServer":
@@ -141,12 +199,14 @@ def open_server(host: str, port: int, door: Door) -> "viser.ViserServer":
     Raises:
         UserError: viser is not installed, or the address cannot be bound.
     """
-    _check_address(host)
+    port = free_port(host, port)
     try:
         import viser
         import viser._messages
     except ImportError as error:
         raise UserError("The viewer needs viser, which is not installed here.", _INSTALL) from error
+
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # of a tab that was closed just now
 
     class GuardedServer(viser.ViserServer):
         """viser's server without its public share links."""
@@ -156,9 +216,15 @@ def open_server(host: str, port: int, door: Door) -> "viser.ViserServer":
 
     with _guarded(door), contextlib.redirect_stdout(io.StringIO()):  # its greeting has an address without the token
         server = GuardedServer(host=host, port=port, verbose=False, label="thermosplat")
-    if not door.is_guarding:  # another version of viser, which starts its server in another way
+    if not door.is_guarding or not hasattr(server.gui, "_gui_input_handle_from_uuid"):  # another version of viser
         server.stop()
         raise UserError(f"viser {viser.__version__} is not known to this viewer.", 'Install another: "viser==1.1.1".')
+
+    def control(uuid: str) -> Control | None:
+        inputs = (client.gui._gui_input_handle_from_uuid.get(uuid) for client in server.get_clients().values())
+        return next(filter(None, inputs), None)
+
+    door.control = control
     return server
 
 
@@ -171,7 +237,7 @@ def address(server: "viser.ViserServer", door: Door) -> str:
 
 @contextmanager
 def _guarded(door: Door) -> Iterator[None]:
-    """Around the start of a server of websockets: its requests go through the door."""
+    """Around the start of a server of websockets: its requests and messages go through the door."""
     import websockets.asyncio.server as websockets_server
 
     serve = websockets_server.serve
@@ -179,8 +245,14 @@ def _guarded(door: Door) -> Iterator[None]:
     def serve_guarded(handler: Any, *places: Any, **options: Any) -> Any:
         inside = options["process_request"]
         options["process_request"] = lambda connection, request: door.answer(connection, request, inside)
+        options["max_size"] = LARGEST_MESSAGE
+        options["logger"] = _logger()
         door.is_guarding = True
-        return serve(handler, *places, **options)
+
+        async def handle(connection: Any) -> None:
+            await door.let_in(connection, handler)
+
+        return serve(handle, *places, **options)
 
     websockets_server.serve = serve_guarded
     try:
@@ -189,16 +261,17 @@ def _guarded(door: Door) -> Iterator[None]:
         websockets_server.serve = serve
 
 
-def _check_address(host: str) -> None:
-    """viser tries one port after the other, for an address that is not this machine's too."""
-    import socket
+def _logger() -> logging.Logger:
+    """Where the server of websockets says what went wrong, such as a request that is cut off."""
+    logger = logging.getLogger(__name__)
+    logger.handlers, logger.propagate = [NOTICES], False
+    return logger
 
-    try:
-        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
-        with socket.socket(found[0][0], socket.SOCK_STREAM) as probe:
-            probe.bind((host, 0))
-    except OSError as error:
-        raise UserError(
-            f"Cannot serve at the address {host}: {error.strerror or error}.",
-            "Give --host an address of this machine, or leave it out.",
-        ) from error
+
+def _say_in_one_line(loop: asyncio.AbstractEventLoop, said: dict[str, Any]) -> None:
+    """What went wrong in the server's loop, such as in an answer of viser's to a message."""
+    error = said.get("exception")
+    if error is None:
+        NOTICES.say(said["message"])
+    else:
+        NOTICES.say_error(said["message"], error)

@@ -1,25 +1,33 @@
 """The viewer as a web server: every tab of a browser gets a session of its own, and loses it when it is closed."""
 
+import contextlib
+import io
 import math
 import threading
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thermosplat.novel_views.bookmarks import Bookmark, write_bookmarks
+from thermosplat.novel_views.bookmarks import Bookmark, read_bookmarks, write_bookmarks
+from thermosplat.runs.atomic_writes import sweep
 from thermosplat.viewer.door import DEFAULT_PORT, Door, address, open_server
 from thermosplat.viewer.layers import LayerRenderer, available_layers
+from thermosplat.viewer.notices import NOTICES
+from thermosplat.viewer.orbit import orbit
 from thermosplat.viewer.session import ViewSession, start_wish
 from thermosplat.viewer.training_watch import TrainingWatch
 from thermosplat.viewer.turns import OneAtATime, Turns
 from thermosplat.viewer.viewed_scene import ViewedScene
-from thermosplat.viewer.visitor import Visitor, orbit
+from thermosplat.viewer.visitor import Visitor
 
 if TYPE_CHECKING:
     import viser
 
 ACCENT = (226, 88, 34)
 """Colour of the controls: flame."""
+SECONDS_TO_END = 3.0
+"""That the pictures in the making have when the viewer is stopped."""
 
 
 @dataclass
@@ -40,6 +48,13 @@ class Shared:
     watch: TrainingWatch | None = None
     bookmarks: list[Bookmark] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self._naming = threading.Lock()
+        self._named = 0
+        sweep(self.folder)  # of a video that a program which was ended left behind
+        if self.bookmarks_file.is_file() and not self.bookmarks:
+            self.bookmarks = read_bookmarks(self.bookmarks_file)
+
     @property
     def scene(self) -> ViewedScene:
         """The scene."""
@@ -51,8 +66,21 @@ class Shared:
         return self.folder / "bookmarks.json"
 
     def save_bookmarks(self) -> None:
-        """Write the bookmarks that there are."""
-        write_bookmarks(self.bookmarks_file, self.bookmarks)
+        """Write the bookmarks that there are; without any there is no file."""
+        if self.bookmarks:
+            write_bookmarks(self.bookmarks_file, self.bookmarks)
+        else:
+            self.bookmarks_file.unlink(missing_ok=True)
+
+    def new_file(self, kind: str) -> Path:
+        """A path without an ending that no file has, in the folder for what visitors save.
+
+        Args:
+            kind: What the name begins with.
+        """
+        with self._naming:  # two in one second have two names
+            self._named += 1
+            return self.folder / f"{kind}_{time.strftime('%Y%m%d_%H%M%S')}_{self._named:03d}"
 
 
 class Viewer:
@@ -67,7 +95,7 @@ class Viewer:
         bookmarks: Those that there are already.
 
     Raises:
-        UserError: viser is not installed, or the address cannot be served at.
+        UserError: viser is not installed, the address cannot be served at, or the file of bookmarks is none.
     """
 
     def __init__(
@@ -95,15 +123,21 @@ class Viewer:
             watch.on_change, watch.on_progress = self._model_changed, self._training_went_on
             watch.has_viewers = lambda: bool(self.visitors)
 
-    def stop(self) -> None:
-        """Close the page for everybody."""
+    def stop(self) -> bool:
+        """Close the page for everybody, and end what is made for them.
+
+        Returns:
+            Whether it has ended. A picture that is being rendered cannot be broken off, and may take longer.
+        """
         with self._changing:
             visitors, self.visitors = self.visitors, {}
-        if self.shared.watch is not None:
-            self.shared.watch.turns.end()
+        self.shared.turns.end()
         for visitor in visitors.values():
             visitor.leave()
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):  # viser's farewell
+            self.server.stop()
+        until = time.monotonic() + SECONDS_TO_END
+        return all([visitor.join(max(0.0, until - time.monotonic())) for visitor in visitors.values()])
 
     def _furnish(self) -> None:
         """What is the same for everybody: colours, where the camera begins, which way is up."""
@@ -126,7 +160,11 @@ class Viewer:
             if client.client_id not in self.server.get_clients():  # gone already
                 return
             self.visitors[client.client_id] = visitor
-        visitor.begin()
+        try:
+            visitor.begin()
+        except Exception as error:
+            NOTICES.say_error("a tab could not be furnished", error)
+            self._leave(client)
 
     def _leave(self, client: "viser.ClientHandle") -> None:
         with self._changing:
@@ -167,8 +205,12 @@ class Viewer:
 
 
 def number(words: dict[str, str], name: str) -> float:
-    """A number of a query; NaN, which is nowhere, for what is none."""
-    try:
-        return float(words.get(name, "nan"))
-    except ValueError:
-        return float("nan")
+    """A finite number of a query.
+
+    Raises:
+        ValueError: There is none.
+    """
+    value = float(words.get(name, ""))
+    if not math.isfinite(value):
+        raise ValueError(f"{name} is not finite")
+    return value

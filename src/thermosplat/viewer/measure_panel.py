@@ -2,15 +2,14 @@
 
 import html
 import math
-import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import Bookmark
-from thermosplat.viewer.measurements import Measurement, Pixel, covered_values, save_measurements
+from thermosplat.viewer.measurements import Measurement, Pixel, covered_values
+from thermosplat.viewer.session import Shown
 
 if TYPE_CHECKING:
     from thermosplat.viewer.visitor import Visitor
@@ -46,44 +45,42 @@ class MeasurePanel:
         self.save = gui.add_button("Save as CSV and PNG", icon=viser.Icon.DEVICE_FLOPPY, disabled=True)
         self.delete = gui.add_button("Delete the last", disabled=True)
         self._profile = gui.add_folder("Along the line", visible=False)
-        self.tool.on_click(lambda event: self._take(_TOOLS[event.target.value]))
-        self.save.on_click(lambda _: self._save())
-        self.delete.on_click(lambda _: self._delete())
+        self.tool.on_click(visitor.heard(self._take))
+        self.save.on_click(visitor.heard_here(self._save))
+        self.delete.on_click(visitor.heard(self._delete))
 
-    def _take(self, shape: str | None) -> None:
+    def _take(self) -> None:
         """Let clicks, or rectangles that are drawn, be measurements of a shape."""
-        scene = self.visitor.client.scene
+        shape, scene, pointed = _TOOLS[self.tool.value], self.visitor.client.scene, self.visitor.pointed
         scene.remove_click_callback()
         scene.remove_rect_select_callback()
         self._first_end = None
         self.hint.content = _HINTS[shape]
         if shape == "area":
-            scene.on_rect_select()(lambda event: self._measure("area", [event.screen_min, event.screen_max]))
+            scene.on_rect_select()(pointed(lambda e, shown: self._measure("area", [e.screen_min, e.screen_max], shown)))
         elif shape is not None:
-            scene.on_click()(lambda event: self._clicked(shape, event.screen_pos))
+            scene.on_click()(pointed(lambda event, shown: self._clicked(shape, event.screen_pos, shown)))
 
-    def _clicked(self, shape: str, place: Pixel) -> None:
+    def _clicked(self, shape: str, place: Pixel, shown: Shown | None) -> None:
         if shape == "spot":
-            self._measure(shape, [place])
+            self._measure(shape, [place], shown)
         elif self._first_end is None:
             self._first_end = place
             self.hint.content = "Click the other end."
         else:
             first, self._first_end = self._first_end, None
             self.hint.content = _HINTS["line"]
-            self._measure(shape, [first, place])
+            self._measure(shape, [first, place], shown)
 
-    def _measure(self, shape: Any, places: list[Pixel]) -> None:
-        session = self.visitor.session
-        shown = session.shown
-        made = session.measure(shape, places)
+    def _measure(self, shape: Any, places: list[Pixel], shown: Shown | None) -> None:
+        made = self.visitor.session.measure(shape, places, shown)
         if made is None or shown is None:
             self.visitor.tell("Nothing to measure there", "Choose a layer of values, and wait until the picture rests.")
             return
         self._mark(made, shown.view)
         self._list()
-        image = shown.layers[session.layer_at(places[0][0])]
-        if shape == "line" and image.field is not None:
+        image = shown.layer_at(places[0][0])
+        if shape == "line" and image is not None and image.field is not None:
             self._draw_profile(made, covered_values(image.field, "line", places))
 
     def _mark(self, made: Measurement, view: Bookmark) -> None:
@@ -150,20 +147,9 @@ class MeasurePanel:
             self._profile.visible = False
         self._list()
 
-    def _save(self) -> None:
-        session = self.visitor.session
-        shown = session.shown
-        if shown is None or not session.measurements:
-            return
-        stem = f"measurements_{time.strftime('%Y%m%d_%H%M%S')}_{self.visitor.client.client_id}"
-        try:
-            table, image = save_measurements(
-                self.visitor.shared.folder, stem, session.measurements, session.marked(shown)
-            )
-        except UserError as error:
-            self.visitor.tell("Not saved", error.message)
-            return
-        self.visitor.tell("Saved", f"{table} and {image.name}")
+    def _save(self, view: Bookmark) -> None:
+        if self.visitor.session.measurements:
+            self.visitor.save_picture(view, *self.visitor.window_size(), with_table=True)
 
 
 def spot_cross(point: NDArray[np.floating], view: Bookmark) -> NDArray[np.float64]:

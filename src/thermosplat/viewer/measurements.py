@@ -103,7 +103,7 @@ def measure(image: LayerImage, shape: Shape, points: Sequence[Pixel], name: str)
     Args:
         image: The layer, of values.
         shape: "spot" at one point, "line" between two, "area" of the rectangle between two.
-        points: In shares of width and height, 0 to 1.
+        points: In shares of width and height; those outside of the picture are moved to its edge.
         name: What the measurement is called.
 
     Returns:
@@ -111,6 +111,7 @@ def measure(image: LayerImage, shape: Shape, points: Sequence[Pixel], name: str)
     """
     if image.field is None:
         return None
+    points = [(min(max(float(x), 0.0), 1.0), min(max(float(y), 0.0), 1.0)) for x, y in points]
     values = covered_values(image.field, shape, points)
     values = values[np.isfinite(values)].astype(np.float64)
     if not len(values):
@@ -127,7 +128,7 @@ def measure(image: LayerImage, shape: Shape, points: Sequence[Pixel], name: str)
         float(values.std()),
         len(values),
         image.decimals,
-        tuple((float(x), float(y)) for x, y in points),
+        tuple(points),
     )
 
 

@@ -12,6 +12,9 @@ from thermosplat.viewer.viewed_scene import ViewedScene
 FOLDER = "measurements"
 """Of a run, where a viewer saves files."""
 
+OTHER_FORMATS = (".splat", ".ksplat", ".spz", ".sog", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
+"""Endings of Gaussians' other files."""
+
 
 def open_scene(
     named: str, *, step: int | None = None, data: str | None = None, device: str = "auto"
@@ -32,16 +35,22 @@ def open_scene(
     """
     path = Path(named).expanduser()
     if path.suffix.lower() == ".ply":
-        return open_splats(path, choose_device(device)), path.parent / f"{path.stem}_{FOLDER}", []
+        splats, notes = open_splats(path, choose_device(device))
+        return splats, path.parent / f"{path.stem}_{FOLDER}", notes
+    if path.suffix.lower() in OTHER_FORMATS:
+        raise UserError(
+            f"{path} is a file for other programs, which thermosplat-view does not read.",
+            "Give the RUN itself, or a PLY of it: thermosplat-export RUN --format ply",
+        )
     is_checkpoint = path.suffix == ".pt" and not path.is_dir()
     if is_checkpoint and step is not None:
         raise UserError(f"{path} is one checkpoint, and --step chooses one of a run.", "Give one of the two.")
     run = load_run_of_checkpoint(path, device=device) if is_checkpoint else load_run(named, step=step, device=device)
-    capture, notes = _photographs(run, data)
+    capture, more = _photographs(run, data)
     scales = dict(run.scales)
     name = run.directory.path.resolve().name
     scene = ViewedScene(f"{name}, step {run.step:,}", run.model, run.sh_degree, scales, run.device, capture)
-    return scene, run.directory.path / FOLDER, [*run.notes, *notes]
+    return scene, run.directory.path / FOLDER, [*run.notes, *more]
 
 
 def _photographs(run: LoadedRun, data: str | None) -> tuple[Capture | None, list[str]]:

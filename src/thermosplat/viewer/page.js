@@ -9,7 +9,13 @@
     history.replaceState(null, "", `?${words}`);
   }
   const style = document.createElement("style");
+  // A list that opens over the edge of a phone's screen must not make the page larger: the panel, and the list with it,
+  // would move away with every new size. And a list is no higher than the room above a panel.
   style.textContent = `
+    html, body { overflow: clip; }
+    body { position: fixed; inset: 0; }
+    .mantine-Select-dropdown .mantine-ScrollArea-viewport, .mantine-Select-dropdown .mantine-ScrollArea-root {
+      max-height: min(400px, 40vh) !important; }
     #ts-value { position: fixed; pointer-events: none; z-index: 5; padding: 3px 8px; border-radius: 6px; display: none;
       font: 600 13px/1.35 system-ui, sans-serif; color: #fff; background: rgba(16,18,24,.82); white-space: nowrap;
       box-shadow: 0 1px 6px rgba(0,0,0,.35); font-variant-numeric: tabular-nums; }

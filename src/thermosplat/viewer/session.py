@@ -1,7 +1,7 @@
 """One viewer's eyes: what it looks at, the picture it sees, what it measures there. It knows nothing of browsers."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,7 +15,10 @@ from thermosplat.thermal.radiometry import Palette
 from thermosplat.viewer.display import Comparison, Display, compared
 from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer
 from thermosplat.viewer.measurements import Measurement, Pixel, Shape, marked_picture, measure, value_at, with_unit
-from thermosplat.viewer.turns import Turns
+from thermosplat.viewer.turns import Turns, ViewingEnded
+
+MOST_MEASUREMENTS = 500
+"""Of one viewer: more make the page slow."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,17 @@ class Shown:
     full: bool
     """Whether it is the picture at rest, whose values may be read."""
 
+    def layer_at(self, x: float) -> LayerImage | None:
+        """What is seen at a share of the width."""
+        wish = self.wish
+        if wish.over:
+            return self.layers.get(Layer("photograph", wish.first.spectrum))
+        return self.layers.get(wish.second if wish.comparison == "wipe" and x > wish.share else wish.first)
+
+
+class Unwanted(Exception):
+    """A picture was given up: its viewer wants another one by now."""
+
 
 @dataclass
 class ViewSession:
@@ -73,9 +87,15 @@ class ViewSession:
     measurements: list[Measurement] = field(default_factory=list)
     shown: Shown | None = None
     """The newest picture."""
+    gone: threading.Event = field(default_factory=threading.Event)
+    """Set when nobody looks any more: what is rendered for this viewer ends."""
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
+
+    def aside(self) -> "ViewSession":
+        """A viewer of its own that sees the same, for pictures of other places and sizes; it leaves with this one."""
+        return replace(self, displays=dict(self.displays), measurements=list(self.measurements))
 
     # ---- what is seen ------------------------------------------------------------------------------------------------
 
@@ -92,7 +112,9 @@ class ViewSession:
         """
         self.displays[_key(layer)] = replace(self.display(layer), **changes)
 
-    def render(self, view: Bookmark, width: int, height: int, *, full: bool = True) -> Shown:
+    def render(
+        self, view: Bookmark, width: int, height: int, *, full: bool = True, unwanted: Callable[[], bool] = bool
+    ) -> Shown:
         """Make the picture from a view. Nothing is rendered anew that the last picture from there has.
 
         Args:
@@ -100,16 +122,18 @@ class ViewSession:
             width: Of the picture [px].
             height: Of the picture [px].
             full: Also make the values, which are read by ``probe`` and ``measure``.
+            unwanted: Whether something else is wanted by now; asked when its turn has come, and when it is made.
 
         Raises:
-            ViewingEnded: The model is gone.
+            Unwanted: It is.
+            ViewingEnded: The model or the viewer is gone.
         """
         wish = self.wish
         values = full or any(self._needs_values(layer) for layer in wish.layers)
         known = self._known(view, width, height, values)
         missing = [layer for layer in wish.layers if layer not in known]
         if missing:
-            known |= self.turns.run(lambda: self._rendered(missing, view, width, height, values))
+            known |= self._rendered(missing, view, width, height, values, unwanted)
         layers = {layer: known[layer] for layer in wish.layers}
         shown = Shown(wish, view, layers, self._picture(wish, layers), full)
         with self._lock:
@@ -122,10 +146,25 @@ class ViewSession:
             self.shown = None
 
     def _rendered(
-        self, layers: Sequence[Layer], view: Bookmark, width: int, height: int, values: bool
+        self,
+        layers: Sequence[Layer],
+        view: Bookmark,
+        width: int,
+        height: int,
+        values: bool = True,
+        unwanted: Callable[[], bool] = bool,
     ) -> dict[Layer, LayerImage]:
-        tensors = self._tensors(view, width, height)
-        return self.renderer.render(layers, tensors, values=values)
+        def render() -> dict[Layer, LayerImage]:
+            if self.gone.is_set():
+                raise ViewingEnded
+            if unwanted():
+                raise Unwanted
+            return self.renderer.render(layers, self._tensors(view, width, height), values=values)
+
+        rendered = self.turns.run(render)
+        if unwanted():
+            raise Unwanted
+        return rendered
 
     def _tensors(self, view: Bookmark, width: int, height: int) -> ViewTensors:
         return self.renderer.scene.view(view.viewmat, view.fov_y, width, height)
@@ -159,12 +198,6 @@ class ViewSession:
 
     # ---- what is read and measured -----------------------------------------------------------------------------------
 
-    def layer_at(self, x: float) -> Layer:
-        """The layer that is seen at a share of the width."""
-        if self.wish.over:
-            return Layer("photograph", self.wish.first.spectrum)
-        return self.wish.second if self.wish.comparison == "wipe" and x > self.wish.share else self.wish.first
-
     def probe(self, x: float, y: float) -> tuple[float, str] | None:
         """The value under the cursor, and the text that says it.
 
@@ -176,53 +209,53 @@ class ViewSession:
             None where there is no value, or no picture at rest yet.
         """
         shown = self.shown
-        if shown is None:
-            return None
-        layer = self.layer_at(x)
-        image = shown.layers.get(layer)
+        image = None if shown is None else shown.layer_at(x)
         value = None if image is None else value_at(image, x, y)
         if image is None or value is None:
             return None
         what = "" if image.unit or not image.quantity else f"{image.quantity} "
         return value, f"{what}{with_unit(value, image.unit, image.decimals)}"
 
-    def measure(self, shape: Shape, points: Sequence[Pixel]) -> Measurement | None:
-        """Measure the first layer of the picture at rest, and keep the measurement.
+    def measure(self, shape: Shape, points: Sequence[Pixel], shown: Shown | None = None) -> Measurement | None:
+        """Measure the layer that a picture at rest shows at the first point, and keep the measurement.
 
         Args:
             shape: Of what.
             points: As ``measurements.measure`` takes them.
+            shown: The picture; None: the newest.
 
         Returns:
-            None where there is nothing to measure.
+            None where there is nothing to measure, and of one too many.
         """
-        shown = self.shown
-        image = None if shown is None else shown.layers.get(self.layer_at(points[0][0]))
-        if shown is None or image is None or not shown.full:
-            return None
-        letter = {"spot": "S", "line": "L", "area": "A"}[shape]
-        number = 1 + max((int(m.name[1:]) for m in self.measurements if m.name[0] == letter), default=0)
-        made = measure(image, shape, points, f"{letter}{number}")
-        if made is None:
+        shown = shown or self.shown
+        image = None if shown is None or not shown.full else shown.layer_at(points[0][0])
+        made = None if image is None else measure(image, shape, points, "")
+        if shown is None or made is None:
             return None
         made = replace(made, points=self._scene_points(shown, made), view=shown.view.name)
-        self.measurements.append(made)
+        letter = {"spot": "S", "line": "L", "area": "A"}[shape]
+        with self._lock:  # the number last: another one may have been measured while the depth was rendered
+            number = 1 + max((int(m.name[1:]) for m in self.measurements if m.name[0] == letter), default=0)
+            made = replace(made, name=f"{letter}{number}")
+            if len(self.measurements) >= MOST_MEASUREMENTS:
+                return None
+            self.measurements.append(made)
         return made
 
     def _scene_points(self, shown: Shown, made: Measurement) -> tuple[tuple[float, float, float], ...]:
         """Points of the scene under the outline of a measurement; () where one of them sees nothing."""
         size = next(iter(shown.layers.values())).size
-        view = self._tensors(shown.view, *size)
-        depth_layer = Layer("depth", self.wish.first.spectrum)
-        depth = self.turns.run(lambda: self.renderer.render([depth_layer], view))[depth_layer]
-        poses, K = np.linalg.inv(shown.view.viewmat), view.K.cpu().numpy().astype(np.float64)
+        K = self._tensors(shown.view, *size).K.cpu().numpy().astype(np.float64)
+        depth_layer = Layer("depth", shown.wish.first.spectrum)
+        depth = self._rendered([depth_layer], shown.view, *size)[depth_layer]
+        pose = np.linalg.inv(shown.view.viewmat)
         points: list[tuple[float, float, float]] = []
         for x, y in outline(made):
             distance = value_at(depth, x, y)
             if distance is None:
                 return ()
             ray = np.linalg.inv(K) @ np.array([x * size[0], y * size[1], 1.0])
-            px, py, pz = poses[:3, :3] @ (ray * distance) + poses[:3, 3]
+            px, py, pz = pose[:3, :3] @ (ray * distance) + pose[:3, 3]
             points.append((float(px), float(py), float(pz)))
         return tuple(points)
 

@@ -1,7 +1,8 @@
 """Gaussians of a PLY file in the layout of 3D Gaussian Splatting, ours or anybody's, as a model to look at.
 
 The file is data from a stranger: its header is bounded, its counts are compared with its size before memory is taken,
-and Gaussians with a value that is not finite are left out.
+and Gaussians that nothing can draw are left out, with a note. An infinite logit is an opacity of 1 or 0, and the
+logarithm of a scale of 0 is -infinity: such values are taken as what they mean.
 """
 
 import re
@@ -35,15 +36,20 @@ _TYPES = {
 }
 _NEEDED = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
            "rot_0", "rot_1", "rot_2", "rot_3")  # fmt: skip
+_OPAQUE, _FLAT = 30.0, -60.0
+"""The sigmoid of the one is 1 in float32, and the exponential of the other 0 when it is squared."""
 _HINT = "Expected a binary PLY of 3D Gaussians (x, f_dc_0, opacity, scale_0, rot_0 ...), as thermosplat-export writes."
 
 
-def open_splats(path: Path, device: torch.device) -> ViewedScene:
+def open_splats(path: Path, device: torch.device) -> tuple[ViewedScene, list[str]]:
     """The scene of a PLY file.
 
     Args:
         path: The file.
         device: Where to put it.
+
+    Returns:
+        The scene; lines to tell the user.
 
     Raises:
         UserError: It is no such file, or damaged.
@@ -52,7 +58,8 @@ def open_splats(path: Path, device: torch.device) -> ViewedScene:
     names = rows.dtype.names or ()
 
     def columns(*wanted: str) -> torch.Tensor:
-        return torch.from_numpy(np.stack([rows[name].astype(np.float32) for name in wanted], axis=-1))
+        with np.errstate(over="ignore"):  # of float64
+            return torch.from_numpy(np.stack([rows[name].astype(np.float32) for name in wanted], axis=-1))
 
     rest = sum(1 for name in names if re.fullmatch(r"f_rest_\d+", name))
     if rest not in (0, 9, 24, 45, 72) or any(f"f_rest_{index}" not in names for index in range(rest)):
@@ -61,31 +68,41 @@ def open_splats(path: Path, device: torch.device) -> ViewedScene:
     higher = torch.zeros(len(rows), 0, 3)
     if rest:
         higher = columns(*(f"f_rest_{index}" for index in range(rest))).view(len(rows), 3, rest // 3).transpose(1, 2)
+    quats = columns("rot_0", "rot_1", "rot_2", "rot_3").double()
     parameters = {
         "means": columns("x", "y", "z"),
-        "quats": columns("rot_0", "rot_1", "rot_2", "rot_3"),
-        "log_scales": columns("scale_0", "scale_1", "scale_2"),
-        "logit_opacities": columns("opacity")[:, 0],
+        "quats": (quats / quats.norm(dim=1, keepdim=True)).float(),  # NaN of a rotation of length 0
+        "log_scales": columns("scale_0", "scale_1", "scale_2").clamp(min=_FLAT),
+        "logit_opacities": columns("opacity")[:, 0].clamp(-_OPAQUE, _OPAQUE),
         "sh0": columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None],
         "shN": higher.contiguous(),
     }
-    finite = torch.stack([value.flatten(1).isfinite().all(1) if value.dim() > 1 else value.isfinite()
-                          for value in parameters.values()]).all(dim=0)  # fmt: skip
+    drawn = [*parameters.values(), parameters["log_scales"].exp()]
+    finite = torch.stack([value.reshape(len(rows), -1).isfinite().all(dim=1) for value in drawn]).all(dim=0)
     if not finite.any():
         raise UserError(f"{path} holds no Gaussian whose values are all finite.", _HINT)
+    left_out = len(rows) - int(finite.sum())
+    notes = []
+    if left_out:
+        notes.append(
+            f"{left_out:,} of {len(rows):,} Gaussians are not shown: they hold values that are not finite, "
+            "or a rotation of length 0."
+        )
     gaussians = Gaussians({name: value[finite] for name, value in parameters.items()})
     spectrum = Spectrum(SPECTRUM, 3, "photograph", "shared", (0, 0), None)
     config = ModelConfig(gaussian_sets="separate", feature_dim=0)
     model = SceneModel(config, DecoderConfig(), [spectrum], {SPECTRUM: gaussians}).to(device).eval()
-    return ViewedScene(path.name, model, degree, {SPECTRUM: PixelScale("photograph")}, device)
+    return ViewedScene(path.name, model, degree, {SPECTRUM: PixelScale("photograph")}, device), notes
 
 
 def _read(path: Path) -> NDArray[Any]:
     """The vertices of a PLY file, by the names of their properties."""
     try:
+        size = path.stat().st_size
+        if not path.is_file():  # nothing that is waited for
+            raise UserError(f"{path} is no file.", "Give a RUN, a checkpoint or a PLY.")
         with path.open("rb") as file:
             header = file.read(_LONGEST_HEADER)
-            size = path.stat().st_size
             count, fields, start = _header(path, header)
             kind = np.dtype(fields)
             if count * kind.itemsize > size - start:
@@ -104,6 +121,11 @@ def _header(path: Path, header: bytes) -> tuple[int, list[tuple[str, str]], int]
     if not header.startswith(b"ply") or end is None:
         raise UserError(f"{path} is not a PLY file.", _HINT)
     lines = [line.split() for line in header[: end.start()].decode("ascii", "replace").splitlines()]
+    if any(line[-1:] == ["packed_position"] for line in lines):
+        raise UserError(
+            f"{path} is a compressed PLY, which thermosplat-view does not read.",
+            "Give the RUN itself, or a PLY of it: thermosplat-export RUN --format ply",
+        )
     orders = {"binary_little_endian": "<", "binary_big_endian": ">"}
     order = next((orders.get(line[1], "") for line in lines if line[:1] == ["format"] and len(line) > 1), "")
     elements = [number for number, line in enumerate(lines) if line[:1] == ["element"]]

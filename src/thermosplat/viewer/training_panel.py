@@ -37,10 +37,10 @@ class TrainingPanel:
         self._plots: dict[str, Any] = {}
         self._shown = -1
         self._folder = self._gui.add_folder("Curves")
-        self.pause.on_click(lambda _: self._pause())
-        self.step.on_click(lambda _: watch.do_step())
-        self.save.on_click(lambda _: watch.save())
-        self.stop.on_click(lambda _: watch.stop())
+        self.pause.on_click(visitor.heard(self._pause))
+        self.step.on_click(visitor.heard(watch.do_step))
+        self.save.on_click(visitor.heard(watch.save))
+        self.stop.on_click(visitor.heard(watch.stop))
         self.update()
 
     def update(self) -> None:

@@ -73,7 +73,8 @@ class TrainingWatch:
     # ---- what viewers ask --------------------------------------------------------------------------------------------
 
     def pause(self, paused: bool) -> None:
-        """Let training wait after its present step, or go on."""
+        """Let training wait after its present step, or go on; single steps that were asked for before are forgotten."""
+        self._single_steps = 0
         (self._paused.set if paused else self._paused.clear)()
         self.turns.wake()
 

@@ -29,21 +29,43 @@ class Turns(Protocol):
             ViewingEnded: Nothing can be rendered any more.
         """
 
+    def end(self) -> None:
+        """No more turns: who waits for one is told so."""
+
 
 class ViewingEnded(Exception):
-    """The model is no longer there to be rendered."""
+    """The model is no longer there to be rendered, or nobody is there who would see it."""
 
 
 class OneAtATime:
-    """Turns at a model that nobody changes: each in the thread that asks."""
+    """Turns at a model that nobody changes: each in the thread that asks, in the order in which they ask."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._asking: deque[object] = deque()
+        self._news = threading.Condition()
+        self._ended = False
 
     def run(self, work: Callable[[], Result]) -> Result:
-        """Do work when nobody else does."""
-        with self._lock:
+        """Do work when all is done that was asked for before."""
+        mine = object()
+        with self._news:
+            self._asking.append(mine)
+        try:
+            with self._news:
+                self._news.wait_for(lambda: self._ended or self._asking[0] is mine)
+                if self._ended:
+                    raise ViewingEnded
             return work()
+        finally:
+            with self._news:
+                self._asking.remove(mine)
+                self._news.notify_all()
+
+    def end(self) -> None:
+        """No more turns: who waits for one is told so."""
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
 
 
 class BetweenSteps:

@@ -1,8 +1,5 @@
 """Controls of what is seen: layers, their comparison, palette and range, isotherms and threshold."""
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from thermosplat.pictures.display_palettes import DISPLAY_PALETTES
@@ -30,8 +27,6 @@ class ViewPanel:
         self.layers = layer_labels(available_layers(visitor.scene))
         gui, names = visitor.client.gui, tuple(self.layers)
         wish = visitor.session.wish
-        self._lock = threading.RLock()
-        self._filler: int | None = None
         self.first = gui.add_dropdown("Layer", names, initial_value=wish.first.label)
         self.comparison = gui.add_button_group("Show", tuple(_COMPARISONS))
         self.second = gui.add_dropdown("Beside it", names, initial_value=wish.second.label, visible=False)
@@ -65,8 +60,7 @@ class ViewPanel:
 
     def show_share(self, share: float) -> None:
         """Show a share that was set elsewhere."""
-        with self._filling():
-            self.share.value = share
+        self.share.value = share
 
     def show_range(self) -> None:
         """Show the values at the palette's ends in the picture that was just made."""
@@ -74,41 +68,27 @@ class ViewPanel:
         if display.range_mode == "locked" or not self._has_values(self.layer):
             return
         low, high = self._present_range()
-        with self._filling():
-            self.low.value, self.high.value = round(low, 3), round(high, 3)
-            if display.threshold is None:
-                self.least.value, self.most.value = self.low.value, self.high.value
-
-    @contextmanager
-    def _filling(self) -> Iterator[None]:
-        """Set controls without an answer to it: viser calls back in the thread that sets them."""
-        with self._lock:
-            before, self._filler = self._filler, threading.get_ident()
-            try:
-                yield
-            finally:
-                self._filler = before
-
-    @property
-    def _is_filling(self) -> bool:
-        return self._filler == threading.get_ident()
+        self.low.value, self.high.value = round(low, 3), round(high, 3)
+        if display.threshold is None:
+            self.least.value, self.most.value = self.low.value, self.high.value
 
     def _listen(self) -> None:
-        self.first.on_update(lambda _: self._choose(first=self.layers[self.first.value]))
-        self.second.on_update(lambda _: self._choose(second=self.layers[self.second.value]))
-        self.comparison.on_click(lambda event: self._compare(event.target.value))
-        self.share.on_update(lambda _: None if self._is_filling else self.visitor.wish(share=self.share.value))
-        self.size.on_update(lambda _: self._resize())
-        self.range.on_update(lambda _: self._choose_range())
+        heard = self.visitor.heard
+        self.first.on_update(heard(lambda: self._choose(first=self.layers[self.first.value])))
+        self.second.on_update(heard(lambda: self._choose(second=self.layers[self.second.value])))
+        self.comparison.on_click(heard(self._compare))
+        self.share.on_update(heard(lambda: self.visitor.wish(share=self.share.value)))
+        self.size.on_update(heard(self._resize))
+        self.range.on_update(heard(self._choose_range))
         for control in (self.palette, self.low, self.high, self.isotherms, self.threshold, self.least, self.most):
-            control.on_update(lambda _: self._apply())
+            control.on_update(heard(self._apply))
 
     def _choose(self, **changes: Layer) -> None:
         self.visitor.wish(**changes)
         self._fill()
 
-    def _compare(self, word: str) -> None:
-        how = _COMPARISONS[word]
+    def _compare(self) -> None:
+        how = _COMPARISONS[self.comparison.value]
         self.second.visible = self.share.visible = how != "off"
         self.visitor.wish(comparison=how)
         self._fill()
@@ -118,10 +98,9 @@ class ViewPanel:
         self.visitor.wake()
 
     def _choose_range(self) -> None:
-        if not self._is_filling and _RANGES[self.range.value] == "locked":  # what is seen now is what is locked
+        if _RANGES[self.range.value] == "locked":  # what is seen now is what is locked
             low, high = self._present_range()
-            with self._filling():
-                self.low.value, self.high.value = round(low, 3), round(high, 3)
+            self.low.value, self.high.value = round(low, 3), round(high, 3)
         self._apply()
 
     def _present_range(self) -> tuple[float, float]:
@@ -133,8 +112,6 @@ class ViewPanel:
 
     def _apply(self) -> None:
         """From the controls to the display of the layer."""
-        if self._is_filling:
-            return
         mode = _RANGES[self.range.value]
         self.low.disabled = self.high.disabled = mode != "locked"
         self.least.disabled = self.most.disabled = not self.threshold.value
@@ -150,20 +127,19 @@ class ViewPanel:
 
     def _fill(self) -> None:
         """From the display of the layer to the controls."""
-        with self._filling():
-            display = self.visitor.session.display(self.layer)
-            self.values.visible = self._has_values(self.layer)
-            low, high = display.locked
-            if display.range_mode != "locked":
-                low, high = self._natural_range()
-            words: dict[Any, Any] = {mode: word for word, mode in _RANGES.items()}
-            self.palette.value, self.range.value = display.palette, words[display.range_mode]
-            self.low.value, self.high.value = round(low, 3), round(high, 3)
-            self.isotherms.value = display.isotherms
-            self.threshold.value = display.threshold is not None
-            self.least.value, self.most.value = display.threshold or (round(low, 3), round(high, 3))
-            self.low.disabled = self.high.disabled = display.range_mode != "locked"
-            self.least.disabled = self.most.disabled = display.threshold is None
+        display = self.visitor.session.display(self.layer)
+        self.values.visible = self._has_values(self.layer)
+        low, high = display.locked
+        if display.range_mode != "locked":
+            low, high = self._natural_range()
+        words: dict[Any, Any] = {mode: word for word, mode in _RANGES.items()}
+        self.palette.value, self.range.value = display.palette, words[display.range_mode]
+        self.low.value, self.high.value = round(low, 3), round(high, 3)
+        self.isotherms.value = display.isotherms
+        self.threshold.value = display.threshold is not None
+        self.least.value, self.most.value = display.threshold or (round(low, 3), round(high, 3))
+        self.low.disabled = self.high.disabled = display.range_mode != "locked"
+        self.least.disabled = self.most.disabled = display.threshold is None
 
     def _natural_range(self) -> tuple[float, float]:
         scale = self.visitor.scene.scales[self.layer.spectrum]

@@ -1,28 +1,35 @@
 """One tab of a browser: its camera, its controls, and the thread that makes its pictures.
 
 Pictures are small while the camera moves, as large as this machine can make them smoothly, and of full size when it
-rests. Controls call from viser's threads; they change the session's wish and wake the thread.
+rests. Controls are heard in viser's loop, and done one after the other in a thread of the tab (``errands``); they
+change the session's wish and wake the thread of the pictures.
 """
 
-import html
 import math
 import secrets
 import threading
 import time
-import traceback
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thermosplat.novel_views.bookmarks import Bookmark
 from thermosplat.novel_views.camera_paths import interpolated_path
+from thermosplat.pictures.image_display import write_png
 from thermosplat.viewer.cameras_panel import CamerasPanel
-from thermosplat.viewer.legend import legend_html
+from thermosplat.viewer.errands import Errand, Errands
+from thermosplat.viewer.freed_memory import give_back
 from thermosplat.viewer.measure_panel import MeasurePanel
+from thermosplat.viewer.measurements import save_measurements
+from thermosplat.viewer.notices import NOTICES
+from thermosplat.viewer.orbit import orbit, rotation
 from thermosplat.viewer.pace import Pace
-from thermosplat.viewer.session import Shown, ViewSession
+from thermosplat.viewer.page_state import state_html
+from thermosplat.viewer.picture_sizes import fitting
+from thermosplat.viewer.session import Shown, Unwanted, ViewSession
 from thermosplat.viewer.training_panel import TrainingPanel
 from thermosplat.viewer.turns import ViewingEnded
 from thermosplat.viewer.view_panel import ViewPanel
@@ -42,8 +49,9 @@ QUICK_SECONDS = 0.5
 MOVING_QUALITY, RESTING_QUALITY = 70, 95
 """JPEG qualities."""
 FLIGHT_SECONDS = 0.7
-LARGEST_SIDE = 4096
-"""Of a picture on the page [px]: a browser states the size of its window."""
+START_SECONDS = 2.0
+"""So long a tab's first picture waits for its camera: a page says where viser's own camera is before it has heard where
+this one begins."""
 
 
 class Visitor:
@@ -68,14 +76,15 @@ class Visitor:
         """Pictures sent."""
         self._news = threading.Condition()
         self._wanted = True
-        self._gone = False
         self._moved = 0.0
+        self._errands = Errands(f"viewer {client.client_id}, controls", self.tell)
         self._thread = threading.Thread(target=self._make_pictures, name=f"viewer {client.client_id}", daemon=True)
         self._state: Any = None
         self._panels: list[Any] = []
 
     def begin(self) -> None:
         """Build the controls, and begin to send pictures."""
+        self._errands.begin()
         gui = self.client.gui
         self._state = gui.add_html(self._state_html(None))
         tabs = gui.add_tab_group()
@@ -88,19 +97,63 @@ class Visitor:
         if self.shared.watch is not None:
             with tabs.add_tab("Training"):
                 self._panels.append(TrainingPanel(self, self.shared.watch))
-        self.client.camera.on_update(self._camera_moved)
+        self.client.camera.on_update(self._camera_told)
         self._thread.start()
 
     def leave(self) -> None:
-        """The tab was closed: stop, and let everything go that was made for it."""
-        with self._news:
-            self._gone = True
-            self._news.notify_all()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join(timeout=5)
-        self.session.forget_picture()
-        self._panels.clear()
+        """The tab was closed: let everything end that is made for it. Returns at once."""
+        self.session.gone.set()
+        self._errands.end()
+        self.wake()
         self.client.camera._state.camera_cb.clear()  # viser keeps the handle for a while
+
+    def join(self, seconds: float) -> bool:
+        """Wait until nothing is done any more for a tab that was closed; whether that is so after so many seconds."""
+        until = time.monotonic() + seconds
+        threads = [thread for thread in (self._thread, *self._errands.threads) if thread.is_alive()]
+        for thread in threads:
+            thread.join(max(0.0, until - time.monotonic()))
+        return not any(thread.is_alive() for thread in threads)
+
+    # ---- what is asked for -------------------------------------------------------------------------------------------
+
+    def heard(self, work: Errand) -> Callable[[Any], Awaitable[None]]:
+        """What viser calls when a control was used on the page: the work is done after what was asked for before.
+
+        Args:
+            work: Reads the controls when it is done.
+        """
+
+        async def hear(event: Any) -> None:
+            if event.client is not None:  # not the viewer itself, which shows a value
+                self._errands.add(work)
+
+        return hear
+
+    def heard_here(self, work: Callable[[Bookmark], None]) -> Callable[[Any], Awaitable[None]]:
+        """As ``heard``, for work that gets the view at which the control was used."""
+
+        async def hear(event: Any) -> None:
+            if event.client is not None:
+                self._errands.add(partial(work, self.view()))
+
+        return hear
+
+    def pointed(self, work: Callable[[Any, Shown | None], None]) -> Callable[[Any], Awaitable[None]]:
+        """What viser calls when somebody points at the picture: as ``heard``, with the picture that was pointed at.
+
+        Args:
+            work: Gets viser's event and the picture.
+        """
+
+        async def hear(event: Any) -> None:
+            self._errands.add(partial(work, event, self.session.shown))
+
+        return hear
+
+    def begin_long(self, work: Errand) -> None:
+        """Make something that takes long; one thing at a time."""
+        self._errands.begin_long(work)
 
     # ---- what is seen ------------------------------------------------------------------------------------------------
 
@@ -123,10 +176,12 @@ class Visitor:
 
     def full_size(self) -> tuple[int, int]:
         """Size of the picture at rest [px]."""
-        camera = self.client.camera
-        width, height = max(1, camera.image_width), max(1, camera.image_height)
-        factor = min(1.0, LARGEST_SIDE / max(width, height)) * self.at_rest
-        return max(1, round(factor * width)), max(1, round(factor * height))
+        width, height = self.window_size()
+        return max(1, round(self.at_rest * width)), max(1, round(self.at_rest * height))
+
+    def window_size(self) -> tuple[int, int]:
+        """Size of the tab's picture [px]: the window's, if that is not too large."""
+        return fitting(self.client.camera.image_width, self.client.camera.image_height)
 
     def wish(self, **changes: Any) -> None:
         """Change what is to be seen; fields of ``Wish``."""
@@ -167,6 +222,8 @@ class Visitor:
         viewmats = np.stack([start.viewmat, target.viewmat])
         steps = max(2, round(FLIGHT_SECONDS * 20))
         for index, viewmat in enumerate(interpolated_path(viewmats, steps)):
+            if self.session.gone.wait(FLIGHT_SECONDS / steps):
+                return
             share = index / (steps - 1)
             at = Bookmark("", viewmat, start.fov_y + share * (target.fov_y - start.fov_y))
             position, look_at = orbit(at, self.scene)
@@ -177,7 +234,29 @@ class Visitor:
                 camera.fov = math.radians(at.fov_y)
             self.client.flush()
             self._camera_moved()
-            time.sleep(FLIGHT_SECONDS / steps)
+
+    def save_picture(self, view: Bookmark, width: int, height: int, *, with_table: bool = False) -> None:
+        """Render what this tab sees from a view, with its marks, and write it beside what was saved before.
+
+        Args:
+            view: From where.
+            width: Of the picture [px], without its colour bar.
+            height: Of the picture [px].
+            with_table: Write the table of measurements beside it.
+        """
+        session = self.session.aside()
+
+        def save() -> None:
+            marked = session.marked(session.render(view, width, height))
+            target = self.shared.new_file("measurements" if with_table else "view")
+            if with_table:
+                table, image = save_measurements(target.parent, target.name, session.measurements, marked)
+                self.tell("Saved", f"{table} and {image.name}")
+            else:
+                write_png(target.with_suffix(".png"), marked)
+                self.tell("Saved", str(target.with_suffix(".png")))
+
+        self._errands.begin_long(save)
 
     def tell(self, title: str, body: str = "") -> None:
         """A message on the page."""
@@ -185,17 +264,39 @@ class Visitor:
 
     # ---- pictures ----------------------------------------------------------------------------------------------------
 
-    def _camera_moved(self, camera: object = None) -> None:
+    def _camera_moved(self) -> None:
         self._moved = time.perf_counter()
         self.wake()
 
+    async def _camera_told(self, camera: object) -> None:
+        self._camera_moved()
+
+    def _is_at_start(self) -> bool:
+        """Whether the page's camera is where this viewer begins."""
+        camera = self.client.camera
+        told = np.concatenate([camera.position, camera.look_at, camera.up_direction])
+        begins = np.concatenate([*orbit(self.scene.start(), self.scene), self.scene.up])
+        return np.allclose(told, begins, rtol=1e-4, atol=1e-3 * min(1.0, self.scene.frame_spacing))
+
     def _make_pictures(self) -> None:
+        try:
+            with self._news:
+                self._news.wait_for(lambda: self.session.gone.is_set() or self._is_at_start(), timeout=START_SECONDS)
+            self._make_pictures_at_start()
+        finally:
+            self.session.forget_picture()
+            self._panels.clear()
+            give_back()
+
+    def _make_pictures_at_start(self) -> None:
         resting = True  # the first picture is a small one, at once
         while True:
             with self._news:
                 left = self._moved + self._rest_seconds() - time.perf_counter() if not resting else None
-                self._news.wait_for(lambda: self._gone or self._wanted, timeout=None if left is None else max(left, 0))
-                if self._gone:
+                self._news.wait_for(
+                    lambda: self.session.gone.is_set() or self._wanted, timeout=None if left is None else max(left, 0)
+                )
+                if self.session.gone.is_set():
                     return
                 asked, self._wanted = self._wanted, False
             resting = time.perf_counter() - self._moved >= self._rest_seconds()
@@ -203,10 +304,12 @@ class Visitor:
                 continue
             try:
                 self._make_picture(resting and self.pictures > 0)
+            except Unwanted:
+                continue
             except ViewingEnded:
                 return
             except Exception as error:  # such as out of memory at a large window: the next picture may be smaller
-                traceback.print_exc()
+                NOTICES.say_error("a picture could not be made", error)
                 self.tell("This picture could not be made", str(error)[:300])
             if self.pictures == 1:
                 resting = False
@@ -216,11 +319,15 @@ class Visitor:
         return REST_SECONDS if is_quick else LONG_REST_SECONDS
 
     def _make_picture(self, resting: bool) -> None:
-        full = self.full_size()
+        full_size = self.full_size()
         live = self.shared.watch is not None and not self.shared.watch.paused
-        width, height = full if resting and not live else self.pace.size(*full)
+        width, height = full_size if resting and not live else self.pace.size(*full_size)
         started = time.perf_counter()
-        shown = self.session.render(self.view(), width, height, full=resting or live)
+        moved, view = self._moved, self.view()
+        full = resting or live
+        shown = self.session.render(view, width, height, full=full, unwanted=lambda: resting and self._moved != moved)
+        if self.session.gone.is_set():
+            raise ViewingEnded
         quality = RESTING_QUALITY if resting else MOVING_QUALITY
         with self.client.atomic():
             self.client.scene.set_background_image(shown.picture, format="jpeg", jpeg_quality=quality)
@@ -230,48 +337,8 @@ class Visitor:
         if shown.full:
             for panel in self._panels_of(ViewPanel):
                 panel.show_range()
-        if (width, height) != full and not live:
+        if (width, height) != full_size and not live:
             self.pace.took(width, height, time.perf_counter() - started)
 
     def _state_html(self, shown: Shown | None) -> str:
-        """What the page's script reads: who this tab is, where the wipe is, and the legend."""
-        wish = self.session.wish
-        wipe = f"{wish.share:.4f}" if wish.comparison == "wipe" else ""
-        size, legend = "", ""
-        if shown is not None:
-            title = wish.first.label
-            if wish.comparison == "wipe":
-                title = f"{wish.first.label}  |  {wish.second.label}"
-            elif wish.comparison == "blend":
-                title = f"{wish.first.label} + {wish.second.label}"
-            if wish.over:
-                title = f"photograph over {title}"
-            legend = legend_html(title, self.session.legend(shown), "" if shown.full else "moving")
-            size = f"{shown.picture.shape[1]}x{shown.picture.shape[0]}"
-        return (
-            f'<div id="thermosplat-state" style="display:none" data-key="{html.escape(self.key)}" '
-            f'data-wipe="{wipe}" data-version="{self.pictures}" data-size="{size}" '
-            f'data-full="{int(shown is not None and shown.full)}">{legend}</div>'
-        )
-
-
-def orbit(view: Bookmark, scene: ViewedScene) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Place of a camera, and the point on its axis nearest to what the photographs look at, around which it turns."""
-    pose = np.linalg.inv(view.viewmat)
-    position, forward = pose[:3, 3], pose[:3, 2]
-    distance = float((scene.focus - position) @ forward)
-    if distance <= 0.1 * scene.frame_spacing:
-        distance = 3 * scene.frame_spacing
-    return tuple(map(float, position)), tuple(map(float, position + distance * forward))
-
-
-def rotation(wxyz: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The rotation matrix of a quaternion, shape [3, 3]."""
-    w, x, y, z = np.asarray(wxyz, np.float64) / np.linalg.norm(wxyz)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+        return state_html(self.key, self.pictures, self.session, shown)

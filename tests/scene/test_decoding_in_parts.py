@@ -1,0 +1,29 @@
+"""Images that are decoded some rows at a time are the images."""
+
+import pytest
+import torch
+
+from thermosplat.config import DecoderConfig
+from thermosplat.scene import decoding_in_parts
+from thermosplat.scene.decoding_in_parts import decode_in_parts
+from thermosplat.scene.spectrum_decoders import make_decoders
+from toy_scene import toy_capture, toy_config, toy_model
+
+
+@pytest.mark.parametrize("branches", ["joined", "separate"])
+def test_parts_are_the_image(branches: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of all spectra, of any number of rows; with gradients it is decoded in one piece."""
+    spectra = list(toy_model(toy_config(), toy_capture()).spectra.values())
+    decoders = make_decoders(DecoderConfig(branches=branches), 8, spectra)  # type: ignore[arg-type]
+    inputs = {spectrum.name: torch.randn(13, 7, 8) for spectrum in spectra}
+    heights: list[int] = []
+    decode = decoders.decode
+    monkeypatch.setattr(decoders, "decode", lambda some: heights.append(len(some["rgb"])) or decode(some))
+    monkeypatch.setattr(decoding_in_parts, "PIXELS_AT_ONCE", 4 * 7 + 3)
+    whole = decode_in_parts(decoders, inputs)
+    with torch.no_grad():
+        parts = decode_in_parts(decoders, inputs)
+    assert heights == [13, 4, 4, 4, 1]
+    for name, image in whole.items():
+        assert image.requires_grad
+        torch.testing.assert_close(parts[name], image, rtol=1e-6, atol=1e-6)
