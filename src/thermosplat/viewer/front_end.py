@@ -52,7 +52,8 @@ class Shared:
 
     def save_bookmarks(self) -> None:
         """Write the bookmarks that there are."""
-        write_bookmarks(self.bookmarks_file, self.bookmarks)
+        placement = self.scene.model.placement
+        write_bookmarks(self.bookmarks_file, [bookmark.in_world(placement) for bookmark in self.bookmarks])
 
 
 class Viewer:

@@ -216,13 +216,14 @@ class ViewSession:
         depth_layer = Layer("depth", self.wish.first.spectrum)
         depth = self.turns.run(lambda: self.renderer.render([depth_layer], view))[depth_layer]
         poses, K = np.linalg.inv(shown.view.viewmat), view.K.cpu().numpy().astype(np.float64)
+        unit = self.renderer.scene.model.placement.unit
         points: list[tuple[float, float, float]] = []
         for x, y in outline(made):
             distance = value_at(depth, x, y)
             if distance is None:
                 return ()
             ray = np.linalg.inv(K) @ np.array([x * size[0], y * size[1], 1.0])
-            px, py, pz = poses[:3, :3] @ (ray * distance) + poses[:3, 3]
+            px, py, pz = poses[:3, :3] @ (ray * (distance / unit)) + poses[:3, 3]
             points.append((float(px), float(py), float(pz)))
         return tuple(points)
 

@@ -4,6 +4,7 @@ The file is data from a stranger: its header is bounded, its counts are compared
 and Gaussians with a value that is not finite are left out.
 """
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from thermosplat.config import DecoderConfig, ModelConfig
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
@@ -73,11 +75,16 @@ def open_splats(path: Path, device: torch.device) -> ViewedScene:
                           for value in parameters.values()]).all(dim=0)  # fmt: skip
     if not finite.any():
         raise UserError(f"{path} holds no Gaussian whose values are all finite.", _HINT)
-    gaussians = Gaussians({name: value[finite] for name, value in parameters.items()})
+    values = {name: value[finite] for name, value in parameters.items()}
+    centers = np.stack([rows[axis][finite.numpy()].astype(np.float64) for axis in "xyz"], axis=-1)
+    placement = Placement.of(centers, centers)
+    values["means"] = torch.from_numpy(placement.to_scene(centers).astype(np.float32))
+    values["log_scales"] = values["log_scales"] - math.log(placement.unit)
+    gaussians = Gaussians(values)
     spectrum = Spectrum(SPECTRUM, 3, "photograph", "shared", (0, 0), None)
     config = ModelConfig(gaussian_sets="separate", feature_dim=0)
-    model = SceneModel(config, DecoderConfig(), [spectrum], {SPECTRUM: gaussians}).to(device).eval()
-    return ViewedScene(path.name, model, degree, {SPECTRUM: PixelScale("photograph")}, device)
+    model = SceneModel(config, DecoderConfig(), [spectrum], {SPECTRUM: gaussians}, placement=placement)
+    return ViewedScene(path.name, model.to(device).eval(), degree, {SPECTRUM: PixelScale("photograph")}, device)
 
 
 def _read(path: Path) -> NDArray[Any]:

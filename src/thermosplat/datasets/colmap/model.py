@@ -42,11 +42,11 @@ class RegisteredImage:
 
 @dataclass(frozen=True, eq=False)
 class ColmapModel:
-    """Registered images by name, and sparse points: [M, 3] float32 with colours [M, 3] uint8."""
+    """Registered images by name, and sparse points: [M, 3] float64 with colours [M, 3] uint8."""
 
     folder: Path
     images: tuple[RegisteredImage, ...]
-    points: NDArray[np.float32]
+    points: NDArray[np.float64]
     point_colors: NDArray[np.uint8]
 
 
@@ -76,7 +76,7 @@ def read_model(folder: Path) -> ColmapModel:
     return ColmapModel(
         folder,
         tuple(sorted(images, key=lambda image: image.name)),
-        np.array([point.xyz for point in points], np.float32).reshape(-1, 3),
+        np.array([point.xyz for point in points], np.float64).reshape(-1, 3),
         np.array([point.color for point in points], np.uint8).reshape(-1, 3),
     )
 
