@@ -11,7 +11,7 @@ from capture_folders import write_transforms
 from moved_captures import UTM, WORLDS, pixels, write_moved
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
-from thermosplat.datasets.placement import USUAL_SIZE, Placement
+from thermosplat.datasets.placement import USUAL_SIZE, WORLD, Placement
 
 CENTERS = np.random.default_rng(0).normal(size=(20, 3))
 POINTS = np.random.default_rng(1).normal(size=(50, 3))
@@ -25,7 +25,7 @@ def placed(scale: float = 1.0, offset: tuple[float, float, float] = (0.0, 0.0, 0
 def test_usual_coordinates_stay(scale: float) -> None:
     """From a nerfstudio capture in a box of 1 to a flight in metres, some sizes from the origin."""
     for shift in (0.0, 5.0):
-        assert placed(scale, (shift * scale, 0.0, 0.0)) == Placement()
+        assert placed(scale, (shift * scale, 0.0, 0.0)) == WORLD
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1e-3, 0.01, 1e4, 1e9])
@@ -56,9 +56,9 @@ def test_a_far_scene_has_an_origin_of_few_digits(scale: float, offset, origin) -
 def test_outliers_and_missing_points_do_not_decide() -> None:
     """The middle counts; cameras in one place without any point have no size."""
     assert Placement.of(np.vstack([CENTERS, [[1e9, 0, 0]]]), np.vstack([POINTS, [[1e300, 0, 0], [np.nan, 0, 0]]])) == (
-        Placement()
+        WORLD
     )
-    assert Placement.of(np.zeros((3, 3)), np.zeros((0, 3))) == Placement()
+    assert Placement.of(np.zeros((3, 3)), np.zeros((0, 3))) == WORLD
     assert Placement.of(CENTERS + 1e6, np.zeros((0, 3))).is_moved
 
 
@@ -72,12 +72,11 @@ def test_there_and_back() -> None:
     viewmat[:3, :3], viewmat[:3, 3] = turn, -turn @ UTM + (0.1, 0.2, 0.3)
     in_scene = placement.viewmat_to_scene(viewmat)
     np.testing.assert_allclose(placement.viewmat_to_world(in_scene), viewmat, rtol=0, atol=2e-9)
-    seen, same = (
-        points @ pose[:3, :3].T + pose[:3, 3] for points, pose in ((world, viewmat), (placement.to_scene(world), in_scene))
-    )
+    both = ((world, viewmat), (placement.to_scene(world), in_scene))
+    seen, same = (points @ pose[:3, :3].T + pose[:3, 3] for points, pose in both)
     np.testing.assert_allclose(placement.unit * same, seen, rtol=0, atol=4e-9)
     assert Placement.from_state(placement.state()) == placement
-    assert Placement.from_state({}) == Placement()
+    assert Placement.from_state({}) == WORLD
     with pytest.raises(ValueError, match="the unit 0"):
         Placement.from_state({"unit": 0})
 
@@ -91,8 +90,8 @@ def seen_points(capture: Capture) -> NDArray[np.float64]:
 @pytest.mark.parametrize("world", WORLDS)
 def test_a_capture_of_any_world_sees_the_same(world: str, tmp_path: Path) -> None:
     """Read from text and binary: points lie where they lay in the images, and come back where they were."""
-    usual = load_capture(write_moved(tmp_path / "usual", Placement()))
-    assert usual.placement == Placement()
+    usual = load_capture(write_moved(tmp_path / "usual", WORLD))
+    assert usual.placement == WORLD
     assert not any("Inside" in note for note in usual.notes)
     for binary in (True, False):
         capture = load_capture(write_moved(tmp_path / f"{binary}", WORLDS[world], binary=binary))
@@ -100,14 +99,14 @@ def test_a_capture_of_any_world_sees_the_same(world: str, tmp_path: Path) -> Non
         expected = WORLDS[world].to_world(usual.points)
         atol = 1e-6 * WORLDS[world].unit
         np.testing.assert_allclose(capture.placement.to_world(capture.points), expected, rtol=0, atol=atol)
-        assert sum("Inside" in note for note in capture.notes) == (capture.placement != Placement())
+        assert sum("Inside" in note for note in capture.notes) == (capture.placement != WORLD)
 
 
 def test_a_capture_is_placed_as_another_scene_is(tmp_path: Path) -> None:
     """As a checkpoint without a frame of its own needs it; its own frame changes nothing."""
     capture = load_capture(write_moved(tmp_path, WORLDS["UTM, in kilometres"]))
     assert capture.placed(capture.placement) is capture
-    world = capture.placed(Placement())
+    world = capture.placed(WORLD)
     view, other = capture.train[0].views["rgb"], world.train[0].views["rgb"]
     np.testing.assert_array_equal(other.viewmat, capture.placement.viewmat_to_world(view.viewmat))
     np.testing.assert_allclose(world.points, capture.placement.to_world(capture.points), rtol=1e-7)
@@ -140,7 +139,7 @@ def test_rounded_rotations_far_from_the_origin(tmp_path: Path) -> None:
 def test_readouts_of_any_world(world: str, stated: bool, tmp_path: Path) -> None:
     """A rolling shutter bends images alike, whether its poses are stated in the world or found from the frames'."""
     motions = []
-    for name, where in (("usual", Placement()), ("moved", WORLDS[world])):
+    for name, where in (("usual", WORLD), ("moved", WORLDS[world])):
         root = write_moved(tmp_path / name, where)
         content: dict = {"readout": 0.1, "interval": 1.0}
         if stated:

@@ -11,7 +11,7 @@ import torch
 
 from moved_captures import UTM, WORLDS, write_moved
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.placement import Placement
+from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.evaluation.held_out import evaluate
 from thermosplat.evaluation.loaded_run import load_run
 from thermosplat.export.formats.ply import PROPERTIES
@@ -46,7 +46,7 @@ def trained(folder: Path, world: Placement) -> Outcome:
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     """The training in usual coordinates."""
-    return trained(tmp_path_factory.mktemp("usual"), Placement())
+    return trained(tmp_path_factory.mktemp("usual"), WORLD)
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -86,7 +86,7 @@ def test_a_run_goes_on_in_its_own_frame(tmp_path: Path) -> None:
 
 def test_old_checkpoints_have_the_worlds_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A run of a version without frames goes on where it was, whatever its capture would be moved by today."""
-    monkeypatch.setattr(Placement, "of", lambda centers, points: Placement())
+    monkeypatch.setattr(Placement, "of", lambda centers, points: WORLD)
     first = trained(tmp_path, WORLDS["UTM"]).trainer
     monkeypatch.undo()
     path = first.run.latest_checkpoint()
@@ -96,8 +96,8 @@ def test_old_checkpoints_have_the_worlds_frame(monkeypatch: pytest.MonkeyPatch, 
     capture = load_capture(first.asked.data)
     assert capture.placement.is_moved
     again = Trainer.resume(first.asked, capture, RunDirectory.open(first.run.path))
-    assert again.capture.placement == Placement()
+    assert again.capture.placement == WORLD
     center = np.linalg.inv(again.capture.train[0].views["rgb"].viewmat)[:3, 3]
     assert np.linalg.norm(center - UTM) < 10
-    assert load_run(str(first.run.path), device="cpu").capture(None).placement == Placement()
+    assert load_run(str(first.run.path), device="cpu").capture(None).placement == WORLD
     assert SavedModel({}, None, {}).placement == {}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.images.image_folders import looked_for
 from thermosplat.datasets.images.pixel_meaning import SpectrumPixels
-from thermosplat.datasets.placement import Placement
+from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.datasets.readouts import Readout
 from thermosplat.datasets.stored_pixels import ImagesOnDisk, StoredPixels
 from thermosplat.errors import UserError
@@ -139,7 +139,7 @@ class Capture:
     not_found: Mapping[str, Path] = field(default_factory=dict)
     spectra: Mapping[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))
     on_disk: ImagesOnDisk | None = None
-    placement: Placement = Placement()
+    placement: Placement = WORLD
 
     def __repr__(self) -> str:
         frames = (*self.train, *self.test)

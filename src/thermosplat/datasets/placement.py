@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 USUAL_SIZES = (0.25, 1024.0)
-"""Sizes of scenes that stay as they are [world units]: of the smallest the near plane is 4%, and the largest are flights
-in metres. Open choice."""
+"""Sizes of scenes that stay as they are [world units]: the near plane is 4% of the smallest, and the largest are
+flights in metres. Open choice."""
 USUAL_SIZE = 4.0
-"""What others are scaled to, within a factor of 1.4: between gsplat's trainer, which brings cameras to a radius of 1, and
-COLMAP's mapper, which brings them to a span of 10."""
+"""What others are scaled to, within a factor of 1.4: between gsplat's trainer, which brings cameras to a radius of 1,
+and COLMAP's mapper, which brings them to a span of 10."""
 FARTHEST_ORIGIN = 16.0
 """Sizes of the scene from which on it is moved to the origin. A coordinate of so many sizes has steps of 1e-6 sizes in
 float32: the least steps that means are learnt by (``rates.means``)."""
@@ -106,10 +106,14 @@ class Placement:
 
     def note(self) -> list[str]:
         """What to tell people of it, in one sentence or none."""
-        if self == Placement():
+        if self == WORLD:
             return []
         origin = " ".join(f"{coordinate:.12g}" for coordinate in self.origin)
         how = [f"from {origin}"] if self.is_moved else []
         how += [f"in units of {self.unit:.6g}"] if self.unit != 1.0 else []
         counted = f"Inside, coordinates are counted {' and '.join(how)}"
         return [f"{counted}, which suits float32 and the near plane. Files have the capture's own."]
+
+
+WORLD = Placement()
+"""The world's own frame."""

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from thermosplat.datasets.placement import Placement
+from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.errors import UserError
 from thermosplat.export.formats.ply import write_splats
 from thermosplat.export.origin_file import origin_text, write_origin
@@ -86,7 +86,7 @@ def write_scene(
     *,
     compact: bool = False,
     scalars: Mapping[str, Mapping[str, Tensor]] | None = None,
-    placement: Placement = Placement(),
+    placement: Placement = WORLD,
 ) -> dict[str, WrittenSplats]:
     """The files of :func:`export_scene`, side by side; in any thread, as it does not touch the model.
 

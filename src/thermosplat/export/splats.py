@@ -102,9 +102,7 @@ def in_world(splats: Splats, placement: Placement) -> Splats:
     """
     if placement.unit == 1.0:
         return splats
-    return replace(
-        splats, means=placement.unit * splats.means, log_scales=splats.log_scales + math.log(placement.unit)
-    )
+    return replace(splats, means=placement.unit * splats.means, log_scales=splats.log_scales + math.log(placement.unit))
 
 
 @torch.no_grad()

@@ -6,8 +6,8 @@ The file (docs/viewer.md#bookmarks):
      "bookmarks": [{"name": "window", "viewmat": [[r, r, r, t], [r, r, r, t], [r, r, r, t], [0, 0, 0, 1]],
                     "fov_y": 42.5}]}
 
-``viewmat`` is world-to-camera with OpenCV axes, in the world of the capture's own poses. ``fov_y`` is the vertical field of view [degrees]; the
-principal point is the centre of the image, so that a bookmark fits images of any size.
+``viewmat`` is world-to-camera with OpenCV axes, in the world of the capture's own poses. ``fov_y`` is the vertical
+field of view [degrees]; the principal point is the centre of the image, so that a bookmark fits images of any size.
 """
 
 import json

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.config.checks import check_config
-from thermosplat.datasets.placement import Placement
+from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.fused.covered_images import warp_covered
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
@@ -89,7 +89,7 @@ class SceneModel(nn.Module):
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         *,
         unscented: bool = False,
-        placement: Placement = Placement(),
+        placement: Placement = WORLD,
     ) -> None:
         super().__init__()
         self.config = config

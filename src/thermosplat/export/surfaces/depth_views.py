@@ -122,8 +122,8 @@ def depth_points(
     if not parts:
         return PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), {})
     merged = {key: np.concatenate([values[key] for _, _, values in parts]) for key in parts[0][2]}
-    points, colors = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-    return PointCloud(placed_points(points, model.placement), colors, merged)
+    placed = placed_points(np.concatenate([part[0] for part in parts]), model.placement)
+    return PointCloud(placed, np.concatenate([part[1] for part in parts]), merged)
 
 
 def placed_points(points: NDArray[np.floating], placement: Placement) -> NDArray[np.floating]:
