@@ -71,7 +71,7 @@ class Lens:
 
     def focal_lengths(self) -> tuple[float, ...]:
         """One or two focal lengths [px]; none of images of 360 degrees."""
-        indices = self.colmap_camera().focal_length_idxs()
+        indices = pycolmap.Camera(model=self.model).focal_length_idxs()  # whatever size a file states
         return tuple(self.params[index] for index in indices)
 
     def fits(self, width: int, height: int) -> bool:

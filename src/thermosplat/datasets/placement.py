@@ -25,6 +25,8 @@ flights in metres. Open choice."""
 USUAL_SIZE = 4.0
 """What others are scaled to, within a factor of 1.4: between gsplat's trainer, which brings cameras to a radius of 1,
 and COLMAP's mapper, which brings them to a span of 10."""
+_SIZES = (1e-30, 1e30)
+"""Beyond these nothing is a scene, and float32 ends."""
 FARTHEST_ORIGIN = 16.0
 """Sizes of the scene from which on it is moved to the origin. A coordinate of so many sizes has steps of 1e-6 sizes in
 float32: the least steps that means are learnt by (``rates.means``)."""
@@ -52,7 +54,7 @@ class Placement:
         with np.errstate(over="ignore"):  # an outlier at 1e300
             spreads = [np.linalg.norm(places - middle, axis=1) for places in (centers, known)]
         size = max(float(np.median(spread)) for spread in spreads if len(spread))
-        if not 0.0 < size < math.inf:
+        if not _SIZES[0] < size < _SIZES[1]:
             return cls()
         usual = USUAL_SIZES[0] <= size <= USUAL_SIZES[1]
         unit = 1.0 if usual else 2.0 ** round(math.log2(size / USUAL_SIZE))
@@ -71,7 +73,7 @@ class Placement:
         """
         x, y, z = (float(coordinate) for coordinate in state.get("origin", (0.0, 0.0, 0.0)))
         unit = float(state.get("unit", 1.0))
-        if not (math.isfinite(x + y + z) and 0.0 < unit < math.inf):
+        if not (abs(x) + abs(y) + abs(z) < _SIZES[1] and _SIZES[0] < unit < _SIZES[1]):
             raise ValueError(f"no frame has the origin {x:g} {y:g} {z:g} and the unit {unit:g}")
         return cls((x, y, z), unit)
 
