@@ -1,5 +1,7 @@
 """Calibrated cameras become pinhole cameras."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pycolmap
@@ -9,9 +11,32 @@ import torch
 from capture_folders import synthetic_model, write_image, write_model, write_rgbt_scenes, write_transforms
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.frame_tensors import ViewTensors, has_fisheye, lens_tensor
-from thermosplat.datasets.lens import Lens, camera_through_lens, rectification, rectified_camera, shrunk
+from thermosplat.datasets.lens import COEFFICIENTS, Lens, camera_through_lens, rectification, rectified_camera, shrunk
 from thermosplat.errors import UserError
 from thermosplat.scene.lens_slopes import bent
+
+LENSES = {
+    "SIMPLE_RADIAL": (60.0, 32.0, 24.0, -0.1),
+    "RADIAL": (60.0, 32.0, 24.0, -0.2, 0.05),
+    "OPENCV": (60.0, 62.0, 31.0, 25.0, 0.05, -0.01, 0.002, -0.003),
+    "FULL_OPENCV": (60.0, 62.0, 31.0, 25.0, 0.3, 0.1, 0.002, -0.003, 0.01, 0.4, 0.1, 0.02),
+    "SIMPLE_FISHEYE": (60.0, 32.0, 24.0),
+    "FISHEYE": (60.0, 61.0, 32.0, 24.0),
+    "SIMPLE_RADIAL_FISHEYE": (60.0, 32.0, 24.0, -0.05),
+    "RADIAL_FISHEYE": (60.0, 32.0, 24.0, -0.05, 0.02),
+    "OPENCV_FISHEYE": (60.0, 61.0, 32.0, 24.0, 0.03, -0.02, 0.01, -0.002),
+}
+"""Those that are rendered through."""
+RESAMPLED = {
+    "FOV": (60.0, 62.0, 31.0, 25.0, 0.6),
+    "THIN_PRISM_FISHEYE": (60.0, 61.0, 32.0, 24.0, 0.03, -0.02, 0.002, -0.003, 0.01, -0.002, 0.003, -0.001),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (60.0, 61.0, 32.0, 24.0, 0.03, -0.02, *([0.001] * 10)),
+    "SIMPLE_DIVISION": (60.0, 32.0, 24.0, -0.1),
+    "DIVISION": (60.0, 61.0, 32.0, 24.0, -0.1),
+    "EUCM": (60.0, 61.0, 32.0, 24.0, 0.5, 1.1),
+}
+"""Those that images are resampled from, and no more."""
+PINHOLES, PANORAMAS = {"SIMPLE_PINHOLE", "PINHOLE"}, {"EQUIRECTANGULAR"}
 
 
 def test_pinhole_models_are_used_as_they_are():
@@ -46,14 +71,7 @@ def test_images_of_nearly_the_same_aspect_fit_a_camera(width: int, height: int, 
     assert Lens("PINHOLE", (500.0, 500.0, 320.0, 240.0), 640, 480).fits(width, height) is fits
 
 
-@pytest.mark.parametrize(
-    ("model", "params"),
-    [
-        ("SIMPLE_RADIAL", (60.0, 32.0, 24.0, -0.1)),
-        ("OPENCV", (60.0, 62.0, 31.0, 25.0, 0.05, -0.01, 0.002, -0.003)),
-        ("OPENCV_FISHEYE", (60.0, 60.0, 32.0, 24.0, 0.01, 0.0, 0.0, 0.0)),
-    ],
-)
+@pytest.mark.parametrize(("model", "params"), (LENSES | RESAMPLED).items())
 @pytest.mark.parametrize("scale", [1, 2])
 def test_undistortion_shows_each_point_where_the_pinhole_camera_projects_it(model, params, scale):
     """A smooth pattern painted on the distorted image by direction reads the same at the pinhole projection."""
@@ -109,17 +127,6 @@ def test_the_camera_is_known_before_the_resampling(model, params):
         assert rectified_camera(lens, *size) == rectification(lens, *size).camera
 
 
-LENSES = {
-    "SIMPLE_RADIAL": (60.0, 32.0, 24.0, -0.1),
-    "RADIAL": (60.0, 32.0, 24.0, -0.2, 0.05),
-    "OPENCV": (60.0, 62.0, 31.0, 25.0, 0.05, -0.01, 0.002, -0.003),
-    "FULL_OPENCV": (60.0, 62.0, 31.0, 25.0, 0.3, 0.1, 0.002, -0.003, 0.01, 0.4, 0.1, 0.02),
-    "SIMPLE_RADIAL_FISHEYE": (60.0, 32.0, 24.0, -0.05),
-    "RADIAL_FISHEYE": (60.0, 32.0, 24.0, -0.05, 0.02),
-    "OPENCV_FISHEYE": (60.0, 61.0, 32.0, 24.0, 0.03, -0.02, 0.01, -0.002),
-}
-
-
 @pytest.mark.parametrize("model", LENSES)
 @pytest.mark.parametrize("scale", [1, 2])
 def test_a_camera_with_its_lens_sees_points_where_colmap_does(model: str, scale: int) -> None:
@@ -132,6 +139,47 @@ def test_a_camera_with_its_lens_sees_points_where_colmap_does(model: str, scale:
     view = ViewTensors(torch.eye(4), K, 64, 48, lens=lens_tensor(camera, "cpu"), fisheye=has_fisheye(camera))
     slopes = bent(torch.from_numpy(points[:, :2] / points[:, 2:]), view)
     np.testing.assert_allclose(slopes * K.diagonal()[:2] + K[:2, 2], expected, atol=1e-4)
+
+
+def test_every_model_of_colmap_is_known() -> None:
+    """Whatever a later COLMAP adds has its place in one of the lists above."""
+    known = PINHOLES | PANORAMAS | LENSES.keys() | RESAMPLED.keys()
+    assert known >= pycolmap.CameraModelId.__members__.keys() - {"INVALID"}
+    assert {model for model in known - PANORAMAS - PINHOLES if model in COEFFICIENTS} == LENSES.keys()
+
+
+@pytest.mark.parametrize("model", RESAMPLED)
+def test_what_is_not_rendered_through_is_told(model: str, tmp_path: Path) -> None:
+    """--lens direct names the models that it knows; without it images are resampled."""
+    root = write_rgbt_scenes(tmp_path, 4)
+    write_model(synthetic_model(4, camera_model=model, params=_of_size(RESAMPLED[model])), root / "sparse" / "0")
+    with pytest.raises(
+        UserError, match=f"of the model {model}, which --lens direct does not know; it knows SIMPLE_RADI"
+    ):
+        load_capture(root, lens="direct")
+    capture = load_capture(root)
+    assert f"Images of {model} cameras were undistorted to pinhole images in memory." in capture.notes
+
+
+def _of_size(params: tuple[float, ...]) -> tuple[float, ...]:
+    """A camera's parameters for images of half the size: lengths are halved."""
+    lengths = 3 if params[1] == 32.0 else 4
+    return (*(value / 2 for value in params[:lengths]), *params[lengths:])
+
+
+@pytest.mark.parametrize("lens", ["undistort", "direct"])
+def test_panoramas_are_told_how_to_be_cut(lens: str, tmp_path: Path) -> None:
+    """EQUIRECTANGULAR has no focal length, and no pinhole camera sees what it sees."""
+    root = write_rgbt_scenes(tmp_path, 4)
+    model = synthetic_model(4)
+    for number in model.cameras:
+        model.cameras[number] = pycolmap.Camera(
+            camera_id=number, model="EQUIRECTANGULAR", width=32, height=24, params=[32, 24]
+        )
+    write_model(model, root / "sparse" / "0")
+    with pytest.raises(UserError, match="is EQUIRECTANGULAR: images of 360 degrees are not read") as caught:
+        load_capture(root, lens=lens)
+    assert "panorama_sfm.py" in (caught.value.hint or "")
 
 
 def test_images_stay_as_they_were_taken(tmp_path) -> None:

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.placement import Placement
 from thermosplat.evaluation.labelled_regions import region_columns, region_errors, write_regions
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.rendered_frame import RenderedFrame
@@ -39,7 +40,7 @@ def capture_with_truth(root: Path, kind: str = "scalar") -> Capture:
 class FixedRender:
     """A model whose images and depths are known beforehand."""
 
-    num_gaussians = 0
+    num_gaussians, placement = 0, Placement()
 
     def __init__(self, rgb: torch.Tensor, thermal: torch.Tensor | None, depths: dict[str, torch.Tensor]) -> None:
         images = {"rgb": rgb, "thermal": thermal}
@@ -97,6 +98,15 @@ def test_every_region_is_judged_by_its_own_pixels(tmp_path: Path) -> None:
     assert regions["plastic"]["thermal"]["mae"] == pytest.approx(0.2, abs=1e-6)
     assert regions["unlabelled"]["rgb"]["depth_error"] is None
     assert regions["unlabelled"]["rgb"]["psnr"] is None
+
+
+def test_depths_are_compared_in_world_units(tmp_path: Path) -> None:
+    """Those of a scene that is trained in units of 0.25 are four times as large as the truth's."""
+    capture = capture_with_truth(tmp_path)
+    depths = {name: torch.full((HEIGHT, WIDTH), 4 * 4.1) for name in ("rgb", "thermal")}
+    model = FixedRender(*images(capture), depths)
+    model.placement = Placement(unit=0.25)
+    assert measured(model, capture)["glass"]["rgb"]["depth_error"] == pytest.approx(0.1, abs=1e-5)
 
 
 def test_depth_error_is_the_median(tmp_path: Path) -> None:

@@ -1,14 +1,24 @@
 """Bookmarks go through their file unchanged, and a path through them begins and ends at them."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import Bookmark, fov_camera, path_through, read_bookmarks, write_bookmarks
 from thermosplat.novel_views.camera_paths import look_to
+from thermosplat.novel_views.viewpoints import bookmarked_viewpoints
+from thermosplat.viewer.front_end import Shared
+from thermosplat.viewer.layers import LayerRenderer
+from thermosplat.viewer.turns import OneAtATime
+from thermosplat.viewer.viewed_scene import ViewedScene
+from toy_run import many_frames
+from toy_scene import toy_capture, toy_config, toy_model
 
 
 def far(x: float) -> list[list[float]]:
@@ -30,6 +40,21 @@ def test_a_file_keeps_bookmarks(tmp_path: Path) -> None:
     assert [(b.name, b.fov_y) for b in read] == [(b.name, b.fov_y) for b in written]
     for one, other in zip(read, written, strict=True):
         np.testing.assert_array_equal(one.viewmat, other.viewmat)
+
+
+def test_files_have_the_worlds_views(tmp_path: Path) -> None:
+    """What a viewer of a scene far from the world's origin saves is shown again from the same places."""
+    capture = dataclasses.replace(many_frames(toy_capture()), placement=Placement((5e5, 4.6e6, 300.0), 8.0))
+    model = toy_model(toy_config(), capture)
+    scene = ViewedScene("toy", model, 1, dict(capture.scales), torch.device("cpu"), capture)
+    saved = [bookmark("a", 1.0), bookmark("b", -1.0)]
+    Shared(LayerRenderer(scene), tmp_path, OneAtATime(), bookmarks=saved).save_bookmarks()
+    read = read_bookmarks(tmp_path / "bookmarks.json")
+    center = np.linalg.inv(read[0].viewmat)[:3, 3]
+    np.testing.assert_allclose(center, capture.placement.to_world(np.array([1.0, 0.2, -4.0])), atol=1e-6)
+    first, last = bookmarked_viewpoints(capture, read, ["rgb"], num_frames=2, device="cpu")
+    for point, one in ((first, saved[0]), (last, saved[1])):
+        np.testing.assert_allclose(point.views["rgb"].viewmat, one.viewmat, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What refining changed, in numbers, in sentences, and as a COLMAP model."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pycolmap
 import pytest
 import torch
 
+from thermosplat.datasets.placement import Placement
 from thermosplat.refinement.camera_report import correction_sentences, correction_summary, write_cameras
 from thermosplat.refinement.corrected_capture import corrected_capture
 from toy_cameras import corrections_of, set_camera, set_pose
@@ -52,6 +54,19 @@ def test_poses_are_told_by_their_medians() -> None:
     assert sentences[0] == f"Poses of the frames: changed by 0.000° and {distance} world units in the median."
     assert sentences[1] == "Distortion left in RGB: k1 +0.0000 k2 +0.0000."
     assert correction_sentences({}) == []
+
+
+def test_lengths_and_poses_are_the_worlds(tmp_path: Path) -> None:
+    """Of a scene that is trained in a frame of its own."""
+    capture = dataclasses.replace(many_frames(toy_capture()), placement=Placement((5e5, 4.6e6, 300.0), 8.0))
+    corrections = corrections_of(capture, "poses")
+    set_pose(corrections, 0, torch.tensor([0.0, 0.0, 0.0, 0.4, 0.0, 0.0]))
+    distance = correction_summary(corrections)["poses"]["median_distance"]
+    assert distance == pytest.approx(8 * 0.1 * capture.scene_extent, rel=1e-3)
+    write_cameras(capture, tmp_path / "refined")
+    found = pycolmap.Reconstruction(tmp_path / "refined").images[1].cam_from_world().inverse().translation
+    view = next(iter(capture.train[0].views.values()))
+    np.testing.assert_allclose(found, capture.placement.to_world(np.linalg.inv(view.viewmat)[:3, 3]), atol=1e-8)
 
 
 @pytest.mark.parametrize("bent", [False, True])

@@ -46,7 +46,7 @@ def test_overwrite_leaves_what_other_trainers_wrote(tmp_path: Path) -> None:
         *("stats/eval_000100_shed.json", "stats/regions_000100_shed.json", "renders/eval_000100/b.png"),
         *("renders/eval_000100_shed/b.png", "ply/splat_rgb.ply", "videos/ellipse_both_000100.mp4"),
         *("ply/splat_nir.ply", "videos/interp_rgb-nir-red_edge_000100.mp4", "refined/cameras.txt"),
-        *("exports/splat_rgb.compressed.ply", "exports/orthomosaic_thermal.tif"),
+        *("exports/splat_rgb.compressed.ply", "ply/geo.json", "exports/orthomosaic_thermal.tif"),
         *("stats/.eval_000100.0123456789abcdef.tmp.json", "renders/eval_000100/.a.0123456789abcdef.tmp.png"),
         *("videos/test_rgb_000100_shed/desk_0001.png", "tb/events.out.tfevents.17.host.1.0.thermosplat", "config.yaml"),
     ]

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from thermosplat.datasets.placement import Placement
 from thermosplat.thermal.radiometry import FLIR_IRON
 from thermosplat.viewer.layers import Layer, LayerImage
 from thermosplat.viewer.measure_panel import spot_cross
@@ -107,6 +108,24 @@ def test_the_cross_of_a_spot_is_upright_where_it_was_measured() -> None:
         seen = spot_cross(point, start) @ start.viewmat[:3, :3].T + start.viewmat[:3, 3]
         flat = seen[..., :2] / seen[..., 2:] / (2 * np.tan(np.radians(start.fov_y) / 2))  # in picture heights
         np.testing.assert_allclose(flat[:, 1] - flat[:, 0], 0.03 * np.eye(2), atol=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.125])
+def test_depths_are_the_worlds_and_marks_lie_on_the_scene(unit: float) -> None:
+    """Whatever units the scene is trained in: the depth layer has world units, marks are where they were put."""
+    made = toy_session(viewed_toy())
+    made.renderer.scene.model.placement = Placement(unit=unit)
+    depth = Layer("depth", "rgb")
+    made.wish = Wish(depth, THERMAL)
+    shown = made.render(made.renderer.scene.start(), 48, 36)
+    field = shown.layers[depth].field
+    assert field is not None
+    assert 3.0 * unit < np.nanmedian(field) < 5.0 * unit
+    spot = made.measure("spot", [(0.5, 0.5)])
+    assert spot is not None
+    (point,) = spot.points
+    in_camera = shown.view.viewmat[:3, :3] @ point + shown.view.viewmat[:3, 3]
+    assert unit * in_camera[2] == pytest.approx(spot.mean, rel=1e-5)
 
 
 @pytest.fixture

@@ -8,10 +8,12 @@ import pytest
 import torch
 
 from splat_scenes import random_splats
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.export.formats.compressed_ply import write_compressed_ply
 from thermosplat.export.formats.ply import write_splats
 from thermosplat.export.scene import spectrum_splats
+from thermosplat.export.splats import in_world
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
 from thermosplat.viewer.splat_file import open_splats
 from toy_scene import toy_capture, toy_config, toy_model
@@ -41,6 +43,29 @@ def test_an_export_looks_as_its_scene(compact: bool, tmp_path: Path) -> None:
     np.testing.assert_allclose(image.colors, 255 * expected.clamp(0, 1).numpy(), atol=0.5 + 255e-5)
     assert {layer.kind for layer in available_layers(scene)} == {"image", "depth", "opacity"}
     assert scene.sh_degree == (1 if compact else 3)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_a_file_in_other_units_looks_the_same(unit: float, tmp_path: Path) -> None:
+    """The near plane follows the scene: a millimetre's scene is not black. Depths are the file's."""
+    splats = random_splats(40, 1)
+    where = Placement(unit=unit)
+    write_splats(tmp_path / "a.ply", splats)
+    write_splats(tmp_path / "b.ply", in_world(splats, where))
+    looked = []
+    for name, scale in (("a", 1.0), ("b", unit)):
+        scene = open_splats(tmp_path / f"{name}.ply", torch.device("cpu"))
+        viewmat = np.eye(4)
+        viewmat[2, 3] = 4.0 * scale
+        view = scene.view(scene.model.placement.viewmat_to_scene(viewmat), 50.0, 48, 36)
+        layers = [Layer("image", "rgb"), Layer("depth", "rgb")]
+        image, depth = (found for found in LayerRenderer(scene).render(layers, view).values())
+        assert image.colors is not None
+        assert depth.field is not None
+        looked.append((image.colors.astype(int), depth.field / scale))
+    assert looked[0][0].max() > 50
+    np.testing.assert_allclose(looked[1][0], looked[0][0], atol=2)
+    np.testing.assert_allclose(looked[1][1], looked[0][1], rtol=1e-3)
 
 
 def test_a_file_of_degree_4_opens(tmp_path: Path) -> None:

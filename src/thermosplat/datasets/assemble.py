@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 from numbers import Integral
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.config import LensUse
-from thermosplat.datasets.cameras import Camera
+from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.capture_notes import distortion_notes, mask_notes, pairing_notes
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
@@ -33,6 +33,7 @@ from thermosplat.datasets.large_captures import (
 )
 from thermosplat.datasets.lens import COEFFICIENTS, camera_through_lens, rectified_camera, shrunk
 from thermosplat.datasets.pixel_cache import PixelCache
+from thermosplat.datasets.placement import Placement
 from thermosplat.datasets.plausible_cameras import check_camera, outlying_notes
 from thermosplat.datasets.readouts import Readout
 from thermosplat.datasets.shutter_file import readouts
@@ -81,7 +82,9 @@ def assemble(
         )
     frames = _checked_frames(listing, root)
     mask = hold_out_mask(frames, test_every)
-    read_by_line, shutter_notes = readouts(root, frames)
+    placement = _placement(frames, listing)
+    frames = [_placed(frame, placement) for frame in frames]
+    read_by_line, shutter_notes = readouts(root, frames, placement)
     headers, memory = Headers(frames), allowed_memory(image_memory)
     taken = headers.taken_at_once(frames, data_factor)
     if taken <= memory:
@@ -97,7 +100,9 @@ def assemble(
     shown = [bool(frame.views) for frame in views]  # a lone file may be of no use
     views, mask = list(compress(views, shown)), list(compress(mask, shown))
     train, test = divide(views, mask)
-    usable = np.isfinite(listing.points).all(axis=-1)
+    with np.errstate(over="ignore"):  # what becomes infinite is left out
+        points = placement.to_scene(listing.points).astype(np.float32)
+    usable = np.isfinite(points).all(axis=-1)
     notes = [
         *listing.notes,
         *pairing_notes(views, spectra),
@@ -105,6 +110,7 @@ def assemble(
         *distortion_notes(frames, lens),
         *shutter_notes,
         *outlying_notes(frames, root),
+        *placement.note(),
         *(note for reading in read.readings.values() for note in reading.notes),
         *read.notes,
         *_edge_notes(read.readings),
@@ -117,14 +123,30 @@ def assemble(
         listing.layout,
         train,
         test,
-        listing.points[usable],
+        points[usable],
         listing.point_colors[usable],
         {spectrum: reading.scale for spectrum, reading in read.readings.items()},
         tuple(notes),
         listing.not_found,
         dict(spectra),
         on_disk,
+        placement,
     )
+
+
+def _placement(frames: Sequence[FrameFiles], listing: Listing) -> Placement:
+    """Where the scene lies in the world of the listing's poses."""
+    centers = np.array([camera_center(frame.shots[frame.leading].viewmat) for frame in frames])
+    return Placement.of(centers, listing.points)
+
+
+def _placed(frame: FrameFiles, placement: Placement) -> FrameFiles:
+    """A frame with its poses in the scene's frame."""
+    shots = {
+        spectrum: replace(shot, viewmat=placement.viewmat_to_scene(shot.viewmat))
+        for spectrum, shot in frame.shots.items()
+    }
+    return replace(frame, shots=shots)
 
 
 def _checked_frames(listing: Listing, root: Path) -> list[FrameFiles]:

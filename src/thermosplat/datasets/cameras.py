@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 FARTHEST_CAMERA = 1e12
 """Largest distance of a camera from the origin [world units]: in float32, squares of larger ones soon overflow."""
+_FAR = 1e3
+"""Distance [world units] beyond which a rotation that a file has rounded is not inverted by its transpose: with six
+digits the error would be a thousandth of a unit."""
 
 
 class LensCoefficients(NamedTuple):
@@ -73,4 +76,7 @@ def camera_center(viewmat: NDArray[np.float64]) -> NDArray[np.float64]:
     Args:
         viewmat: [4, 4] world to camera, a rigid motion.
     """
-    return -viewmat[:3, :3].T @ viewmat[:3, 3]
+    center = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    if not np.abs(center).max() > _FAR:
+        return center
+    return np.asarray(np.linalg.solve(viewmat[:3, :3], -viewmat[:3, 3]), np.float64)

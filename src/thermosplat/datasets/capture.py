@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.images.image_folders import looked_for
 from thermosplat.datasets.images.pixel_meaning import SpectrumPixels
+from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.datasets.readouts import Readout
 from thermosplat.datasets.stored_pixels import ImagesOnDisk, StoredPixels
 from thermosplat.errors import UserError
@@ -27,7 +28,7 @@ class View:
         name: File name without its ending.
         path: The image file.
         camera: Pinhole intrinsics at the size of `image`.
-        viewmat: [4, 4] float64, world to camera, OpenCV axes.
+        viewmat: [4, 4] float64, scene to camera, OpenCV axes.
         image: uint8 [H, W, 3] for photographs and pseudo-colours; float32 [H, W, 1] in [0, 1] for one value per pixel.
             None where the pixels stay on the disk.
         values: float32 [H, W], measured values in the unit of the spectrum's scale, such as °C, where the data has
@@ -118,13 +119,14 @@ class Capture:
         layout: "rgbt-scenes", "colmap", "colmap-rig" or "transforms": how the folder was read.
         train: Frames to learn from, by name.
         test: Held-out frames, by name.
-        points: [M, 3] float32 sparse points [world units].
+        points: [M, 3] float32 sparse points, in the scene's frame.
         point_colors: [M, 3] uint8.
         scales: Meaning of the pixel values by spectrum; of those that have images only.
         notes: What the user should be told once, a line each.
         not_found: By spectrum, the first of the image files that the capture names and that do not exist.
         spectra: The spectra that were looked for.
         on_disk: Where pixels stay on the disk, what images may take in memory; None: all are in memory.
+        placement: Where the scene, whose frame poses and points have, lies in the world of the folder's own poses.
     """
 
     name: str
@@ -139,6 +141,7 @@ class Capture:
     not_found: Mapping[str, Path] = field(default_factory=dict)
     spectra: Mapping[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))
     on_disk: ImagesOnDisk | None = None
+    placement: Placement = WORLD
 
     def __repr__(self) -> str:
         frames = (*self.train, *self.test)
@@ -173,6 +176,27 @@ class Capture:
             for frame in self.train
         )
         return [frame for frame in frames if frame.views]
+
+    def placed(self, placement: Placement) -> "Capture":
+        """The same capture in another scene's frame, such as that of a run that goes on.
+
+        Args:
+            placement: Where that scene lies in the world.
+        """
+        if placement == self.placement:
+            return self
+
+        def moved(view: View) -> View:
+            viewmat = placement.viewmat_to_scene(self.placement.viewmat_to_world(view.viewmat))
+            readout = None if view.readout is None else view.readout.scaled(self.placement.unit / placement.unit)
+            return replace(view, viewmat=viewmat, readout=readout)
+
+        def placed(frame: Frame) -> Frame:
+            return Frame(frame.name, {name: moved(view) for name, view in frame.views.items()})
+
+        points = placement.to_scene(self.placement.to_world(self.points)).astype(np.float32)
+        train, test = (tuple(map(placed, frames)) for frames in (self.train, self.test))
+        return replace(self, train=train, test=test, points=points, placement=placement)
 
     def require(self, spectra: Collection[str]) -> None:
         """Check that the capture has what a model is to be made of.

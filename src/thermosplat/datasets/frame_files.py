@@ -71,7 +71,7 @@ class Listing:
     Args:
         layout: Name of the layout.
         frames: The frames, in any order.
-        points: [M, 3] float32 [world units].
+        points: [M, 3] float64 [world units].
         point_colors: [M, 3] uint8.
         registered: The layout promises that images without a camera of their own are registered to the first ones at
             whatever resolution; else equal size is taken for the sign.
@@ -82,7 +82,7 @@ class Listing:
 
     layout: str
     frames: tuple[FrameFiles, ...]
-    points: NDArray[np.float32]
+    points: NDArray[np.float64]
     point_colors: NDArray[np.uint8]
     registered: bool = True
     celsius_range: tuple[float, float] | None = None

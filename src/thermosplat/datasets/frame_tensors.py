@@ -22,7 +22,7 @@ class ViewTensors:
     """A view on a device.
 
     Args:
-        viewmat: [4, 4] float32, world to camera.
+        viewmat: [4, 4] float32, scene to camera (``LoadedRun.view`` makes one of the world's).
         K: [3, 3] float32 intrinsics [px].
         width: Image width [px].
         height: Image height [px].
@@ -38,7 +38,7 @@ class ViewTensors:
             to that at the first line, and to that at the last (``datasets.readouts``). None: all at once.
         line_order: In which order lines are read, with a readout.
         unscented: A pinhole camera without a lens sees Gaussians by the unscented transform too, as lenses do.
-        orthographic: Rays are parallel: x, y [world units] in camera axes times fx, fy [px per unit] plus cx, cy.
+        orthographic: Rays are parallel: x, y in camera axes times fx, fy [px per unit of the scene] plus cx, cy.
     """
 
     viewmat: Tensor

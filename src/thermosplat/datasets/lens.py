@@ -22,12 +22,19 @@ COEFFICIENTS: dict[str, tuple[str, ...]] = {
     "RADIAL": ("k1", "k2"),
     "OPENCV": ("k1", "k2", "p1", "p2"),
     "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "SIMPLE_FISHEYE": (),
+    "FISHEYE": (),
     "SIMPLE_RADIAL_FISHEYE": ("k1",),
     "RADIAL_FISHEYE": ("k1", "k2"),
     "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
 }
 """Parameters behind the intrinsics of the COLMAP models that the renderer projects through (COLMAP's
 sensor/models.h)."""
+CUT_PANORAMAS = (
+    "Cut them into pinhole images first: COLMAP's example panorama_sfm.py does it and registers them, or "
+    "ns-process-data images --camera-type equirectangular."
+)
+"""What to do about images of 360 degrees."""
 KEPT_MAPS = 8
 """Lenses whose maps are kept, for the next images."""
 _ROWS = 256
@@ -63,8 +70,8 @@ class Lens:
         return self.model not in PINHOLE_MODELS
 
     def focal_lengths(self) -> tuple[float, ...]:
-        """One or two focal lengths [px]; COLMAP's models begin with them."""
-        indices = self.colmap_camera().focal_length_idxs()
+        """One or two focal lengths [px]; none of images of 360 degrees."""
+        indices = pycolmap.Camera(model=self.model).focal_length_idxs()  # whatever size a file states
         return tuple(self.params[index] for index in indices)
 
     def fits(self, width: int, height: int) -> bool:

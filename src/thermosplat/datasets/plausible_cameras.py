@@ -8,6 +8,7 @@ import numpy as np
 from thermosplat.datasets.cameras import FARTHEST_CAMERA, camera_center
 from thermosplat.datasets.frame_files import FrameFiles, Shot
 from thermosplat.datasets.images.image_folders import shown_path
+from thermosplat.datasets.lens import CUT_PANORAMAS
 from thermosplat.errors import UserError
 
 LONGEST_SIDE = 65_536
@@ -31,6 +32,8 @@ def check_camera(shot: Shot, root: Path) -> None:
         UserError: Names the image and what its camera is said to be.
     """
     lens, name = shot.lens, shown_path(shot.path, root)
+    if not lens.focal_lengths():
+        raise UserError(f"The camera of {name} is {lens.model}: images of 360 degrees are not read.", CUT_PANORAMAS)
     side = max(lens.width, lens.height)
     possible = min(lens.width, lens.height) > 0 and side <= LONGEST_SIDE and bool(np.isfinite(lens.params).all())
     if possible:

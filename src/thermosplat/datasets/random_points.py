@@ -15,7 +15,7 @@ STARTING_RANDOM = f"starting from {_RANDOM_POINTS:,} random points around the ca
 """The end of the note that says so."""
 
 
-def starting_places(points: NDArray[np.float32]) -> int:
+def starting_places(points: NDArray[np.float64]) -> int:
     """In how many places points lie, counted up to ``MIN_POINTS``: many points in one place are one to start from.
 
     Args:
@@ -27,7 +27,7 @@ def starting_places(points: NDArray[np.float32]) -> int:
     return places
 
 
-def random_points(centers: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def random_points(centers: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Uniform points [M, 3] of random colours [M, 3] uint8 in a cube around the cameras, the same ones every time.
 
     Args:
@@ -37,7 +37,7 @@ def random_points(centers: NDArray[np.float64]) -> tuple[NDArray[np.float32], ND
     if not len(centers):
         centers = np.zeros((1, 3))
     mean = centers.mean(0)
-    radius = max(1.1 * float(np.linalg.norm(centers - mean, axis=1).max()), 1e-3) * _RANDOM_RADIUS
+    radius = (1.1 * float(np.linalg.norm(centers - mean, axis=1).max()) or 1e-3) * _RANDOM_RADIUS
     generator = np.random.default_rng(0)
     points = mean + generator.uniform(-radius, radius, (_RANDOM_POINTS, 3))
-    return points.astype(np.float32), generator.integers(0, 256, (_RANDOM_POINTS, 3), np.uint8)
+    return points, generator.integers(0, 256, (_RANDOM_POINTS, 3), np.uint8)

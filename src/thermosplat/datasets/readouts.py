@@ -38,6 +38,12 @@ class Readout:
         """Whether another image was read in the same way, with the same motion."""
         return other is not None and self.order == other.order and np.array_equal(self.motion, other.motion)
 
+    def scaled(self, factor: float) -> "Readout":
+        """The readout in other units of length: a motion is so many times as long."""
+        motion = self.motion.copy()
+        motion[:, :3, 3] *= factor
+        return Readout(self.order, motion)
+
     def lines(self, camera: Camera) -> int:
         """How many lines an image of a camera has."""
         return camera.height if self.order in ("top-to-bottom", "bottom-to-top") else camera.width

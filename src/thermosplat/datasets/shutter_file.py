@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from thermosplat.config.values import shown
 from thermosplat.datasets.frame_files import FrameFiles, Shot
 from thermosplat.datasets.images.image_files import list_images
+from thermosplat.datasets.placement import Placement
 from thermosplat.datasets.readouts import LineOrder, Readout, motion_of, paces
 from thermosplat.errors import UserError
 from thermosplat.regular_files import read_regular
@@ -53,12 +54,15 @@ class _Statement:
     poses: Mapping[str, NDArray[np.float64]] | None
 
 
-def readouts(root: Path, frames: Sequence[FrameFiles]) -> tuple[dict[tuple[str, str], Readout], list[str]]:
+def readouts(
+    root: Path, frames: Sequence[FrameFiles], placement: Placement
+) -> tuple[dict[tuple[str, str], Readout], list[str]]:
     """The readouts of a capture's images by names of frame and spectrum, and what the user should be told.
 
     Args:
         root: The capture's folder; without ``shutter.json`` in it, all images are taken at once.
-        frames: Its frames, in the order of their names.
+        frames: Its frames, in the order of their names, with poses in the scene's frame.
+        placement: Where the scene lies in the world, whose poses the file states.
 
     Raises:
         UserError: The file is damaged, or the motion cannot be known.
@@ -74,11 +78,12 @@ def readouts(root: Path, frames: Sequence[FrameFiles]) -> tuple[dict[tuple[str, 
         if not shots:
             continue  # a spectrum that is not modelled
         if statement.poses is not None:
-            of_spectrum = _stated_motions(path, spectrum, statement, shots)
+            of_spectrum = _stated_motions(path, spectrum, statement, shots, placement)
         else:
             of_spectrum = _neighbours_motions(root, spectrum, statement, shots)
         found |= {(frame, spectrum): readout for frame, readout in of_spectrum.items()}
-        notes.append(_note(spectrum, statement.order, list(of_spectrum.values())))
+        in_world = [readout.scaled(placement.unit) for readout in of_spectrum.values()]
+        notes.append(_note(spectrum, statement.order, in_world))
     return found, notes
 
 
@@ -139,7 +144,9 @@ def _are_rigid(poses: NDArray[np.float64]) -> bool:
     return bool(straight and np.linalg.det(rotations).min() > 0)
 
 
-def _stated_motions(path: Path, spectrum: str, statement: _Statement, shots: Mapping[str, Shot]) -> dict[str, Readout]:
+def _stated_motions(
+    path: Path, spectrum: str, statement: _Statement, shots: Mapping[str, Shot], placement: Placement
+) -> dict[str, Readout]:
     """Readouts whose poses the file states, by frame."""
     poses = statement.poses or {}
     missing = [shot.path.name for shot in shots.values() if shot.path.name not in poses]
@@ -150,7 +157,8 @@ def _stated_motions(path: Path, spectrum: str, statement: _Statement, shots: Map
         )
     found = {}
     for name, shot in shots.items():
-        found[name] = Readout(statement.order, poses[shot.path.name] @ np.linalg.inv(shot.viewmat))
+        stated = placement.viewmat_to_scene(poses[shot.path.name])
+        found[name] = Readout(statement.order, stated @ np.linalg.inv(shot.viewmat))
         _check_turn(spectrum, shot.path.name, _turn(found[name]))
     return found
 

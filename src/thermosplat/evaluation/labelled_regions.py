@@ -180,7 +180,7 @@ def _error_maps(
 def _depth_errors(model: SceneModel, view: RenderedView, truth: _Truth) -> dict[str, Tensor]:
     if view.spectrum not in truth.depths:
         return {}
-    depth = model.render_depth(view.spectrum, view.camera).double()
+    depth = model.placement.unit * model.render_depth(view.spectrum, view.camera).double()
     depths = {name: true.double().where(true > 0, torch.nan) for name, true in truth.depths.items()}
     own = depths.pop(view.spectrum)
     error = (depth - own).abs()

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets import capture_of
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.warp_start import start_warp
 from thermosplat.refinement.camera_corrections import CameraCorrections
@@ -55,6 +57,19 @@ class LoadedRun:
     notes: tuple[str, ...] = ()
     """What to say of the model before it is rendered."""
 
+    def view(self, viewmat: NDArray[np.floating], K: NDArray[np.floating], width: int, height: int) -> ViewTensors:
+        """A pinhole camera of one's own to render from.
+
+        Args:
+            viewmat: World to camera, OpenCV axes, [4, 4], in the world of the capture's own poses.
+            K: Intrinsics [px], [3, 3].
+            width: Image width [px].
+            height: Image height [px].
+        """
+        in_scene = self.model.placement.viewmat_to_scene(viewmat)
+        viewmat_, K_ = (torch.as_tensor(matrix, dtype=torch.float32, device=self.device) for matrix in (in_scene, K))
+        return ViewTensors(viewmat_, K_, width, height)
+
     def capture(self, data: str | None) -> Capture:
         """The capture it was trained on, with the cameras that training has corrected.
 
@@ -75,6 +90,7 @@ class LoadedRun:
         config = self.config
         with _palettes_at_hand(config.spectra, self.scales) as spectra:
             capture = capture_of(replace(config, data=str(data or config.data), spectra=spectra))
+        capture = capture.placed(self.model.placement)
         difference = other_frames(self.train_frames, capture)
         if not difference and not self.is_own(capture):
             difference = f"{capture.root} has other held-out frames."

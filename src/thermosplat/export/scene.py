@@ -16,10 +16,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.errors import UserError
 from thermosplat.export.formats.ply import write_splats
+from thermosplat.export.origin_file import origin_text, write_origin
 from thermosplat.export.splat_rendering import OTHERS
-from thermosplat.export.splats import Splats, WrittenSplats
+from thermosplat.export.splats import Splats, WrittenSplats, in_world
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import label
@@ -56,7 +58,7 @@ def export_scene(
     Raises:
         UserError: A spectrum that is asked for but not modelled.
     """
-    return write_scene(scene_splats(model, scales, spectra), folder, compact=compact)
+    return write_scene(scene_splats(model, scales, spectra), folder, compact=compact, placement=model.placement)
 
 
 def scene_splats(
@@ -65,7 +67,7 @@ def scene_splats(
     """What :func:`write_scene` writes."""
     return {
         name: (
-            spectrum_splats(model, name, scales, colors=colors),
+            in_world(spectrum_splats(model, name, scales, colors=colors), model.placement),
             [*header_comments(model, name, scales[name], colors=colors), *_about_footprints(model)],
         )
         for name in (model.spectra if spectra is None else spectra)
@@ -84,6 +86,7 @@ def write_scene(
     *,
     compact: bool = False,
     scalars: Mapping[str, Mapping[str, Tensor]] | None = None,
+    placement: Placement = WORLD,
 ) -> dict[str, WrittenSplats]:
     """The files of :func:`export_scene`, side by side; in any thread, as it does not touch the model.
 
@@ -92,12 +95,14 @@ def write_scene(
         folder: Where.
         compact: As ``formats.ply.write_splats``.
         scalars: Further properties by spectrum (``formats.ply.write_splats``).
+        placement: Where the scene lies in the world; an origin is told in a file beside the others.
     """
 
     def write(name: str) -> WrittenSplats:
         further = None if scalars is None else scalars[name]
         return write_splats(folder / f"splat_{name}.ply", *scene[name], compact=compact, scalars=further)
 
+    write_origin(folder, placement)
     with ThreadPoolExecutor() as threads:
         writing = {name: threads.submit(write, name) for name in scene}
     return {name: file.result() for name, file in writing.items()}
@@ -105,7 +110,7 @@ def write_scene(
 
 @torch.no_grad()
 def spectrum_splats(model: SceneModel, name: str, scales: Scales, *, colors: Colors = "palette") -> Splats:
-    """Gaussians that show one spectrum by spherical harmonics alone; no tensor is a parameter of the model.
+    """Gaussians that show one spectrum by spherical harmonics alone, in the scene's frame; none is a parameter.
 
     Args:
         model: The trained scene.
@@ -200,6 +205,8 @@ def header_comments(model: SceneModel, name: str, scale: PixelScale, *, colors: 
         colors: How it is shown.
     """
     comments = [f"thermosplat {name}"]
+    if model.placement.is_moved:
+        comments.append(f"origin {origin_text(model.placement)}: to be added to positions for those of the capture")
     if model.decoders is not None:
         comments.append("colors approximate the model, which decodes features per pixel, after blending")
     if scale.kind != "photograph":

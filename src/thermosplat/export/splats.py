@@ -1,11 +1,12 @@
 """Gaussians with spherical-harmonic colours: what programs for splats draw, and what all their formats hold.
 
 Formats differ in units, quantisation and axes; they agree on these parameters. Whoever reads one of our files gets the
-Gaussians in the frame of the capture's own poses, or in that frame turned by half a turn about x, so that y points up
-(:func:`turned_y_up`): docs/conventions.md has the table.
+Gaussians in the frame of the capture's own poses (:func:`in_world`), or in that frame turned by half a turn about x, so
+that y points up (:func:`turned_y_up`): docs/conventions.md has the table.
 """
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from thermosplat.datasets.placement import Placement
 from thermosplat.scene.packed_parameters import sh_degrees
 
 INVISIBLE_OPACITY = 1.0 / 255.0
@@ -86,6 +88,21 @@ class SplatArrays:
     def __getitem__(self, order: NDArray[np.intp]) -> "SplatArrays":
         """The Gaussians of some indices, in their order."""
         return SplatArrays(*(getattr(self, field.name)[order] for field in fields(self)))
+
+
+def in_world(splats: Splats, placement: Placement) -> Splats:
+    """Gaussians of a scene as files have them: in world units, from the scene's origin.
+
+    Far from the world's origin float32 has no digits for them. There the scene's origin is subtracted from the world's
+    coordinates, and ``origin_file`` says so.
+
+    Args:
+        splats: In the scene's frame.
+        placement: Where the scene lies in the world.
+    """
+    if placement.unit == 1.0:
+        return splats
+    return replace(splats, means=placement.unit * splats.means, log_scales=splats.log_scales + math.log(placement.unit))
 
 
 @torch.no_grad()

@@ -6,14 +6,14 @@ The file (docs/viewer.md#bookmarks):
      "bookmarks": [{"name": "window", "viewmat": [[r, r, r, t], [r, r, r, t], [r, r, r, t], [0, 0, 0, 1]],
                     "fov_y": 42.5}]}
 
-``viewmat`` is world-to-camera with OpenCV axes, as everywhere. ``fov_y`` is the vertical field of view [degrees]; the
-principal point is the centre of the image, so that a bookmark fits images of any size.
+``viewmat`` is world-to-camera with OpenCV axes, in the world of the capture's own poses. ``fov_y`` is the vertical
+field of view [degrees]; the principal point is the centre of the image, so that a bookmark fits images of any size.
 """
 
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.cameras import Camera
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.novel_views.camera_paths import Matrices, interpolated_path
 from thermosplat.regular_files import read_regular
@@ -44,9 +45,21 @@ class Bookmark:
     name: str
     """What its owner calls it."""
     viewmat: NDArray[np.float64]
-    """World to camera, OpenCV axes, shape [4, 4]."""
+    """World to camera, OpenCV axes, shape [4, 4]; in a viewer, from the scene's frame."""
     fov_y: float
     """Vertical field of view [degrees], in (0, 180)."""
+
+    def in_world(self, placement: Placement) -> "Bookmark":
+        """The view of a scene as files have it.
+
+        Args:
+            placement: Where the scene lies in the world.
+        """
+        return replace(self, viewmat=placement.viewmat_to_world(self.viewmat))
+
+    def in_scene(self, placement: Placement) -> "Bookmark":
+        """The view of a file as it is rendered; the inverse of ``in_world``."""
+        return replace(self, viewmat=placement.viewmat_to_scene(self.viewmat))
 
 
 def fov_camera(fov_y: float, width: int, height: int) -> Camera:

@@ -98,7 +98,7 @@ def bookmarked_viewpoints(
 
     Args:
         capture: Its first training view of a shown spectrum gives the size of the images.
-        bookmarks: At least two.
+        bookmarks: At least two, as files have them.
         shown: Names of the spectra, at least one.
         num_frames: Images of the path, >= 1.
         device: Where to put the camera tensors.
@@ -111,9 +111,10 @@ def bookmarked_viewpoints(
     if first is None:
         raise UserError(f"{capture.name} has no {listed(names)} views to take the size of the images from.")
     size = first.camera.width, first.camera.height
+    stops = path_through([bookmark.in_scene(capture.placement) for bookmark in bookmarks], num_frames)
     return [
         Viewpoint(dict.fromkeys(names, _view_tensors(fov_camera(stop.fov_y, *size), stop.viewmat, device)))
-        for stop in path_through(bookmarks, num_frames)
+        for stop in stops
     ]
 
 

@@ -72,7 +72,8 @@ class CameraCorrections(nn.Module):
         velocity: Last step of each camera that is registered, in the coordinates of z, shape [L, 9].
         registered: Numbers of the cameras that are registered to the scene; gradients reach the others.
         zoomed: Spectra whose focal lengths are corrected.
-        scene_extent: Radius of the scene [world units].
+        scene_extent: Radius of the scene.
+        unit: World units of a unit of the scene.
         image_width: Width of the images of the first camera [px]: learning rates are shares of it.
 
     Args:
@@ -88,6 +89,7 @@ class CameraCorrections(nn.Module):
         self.spectra = tuple(spectra)
         self.zoomed = (self.spectra[1:] or self.spectra) if INTRINSICS in self.refined else ()
         self.scene_extent = capture.scene_extent
+        self.unit = capture.placement.unit
         found = (SharedCamera(name, f.views[name].camera) for name in spectra for f in frames if name in f.views)
         self.shared: tuple[SharedCamera, ...] = tuple(dict.fromkeys(found))
         self.image_width = self.shared[0].camera.width

@@ -39,7 +39,7 @@ def correction_summary(corrections: CameraCorrections) -> dict[str, Any]:
         each a list of its cameras. Angles in degrees, distances in world units.
     """
     summary: dict[str, Any] = {}
-    extent = corrections.scene_extent
+    extent = corrections.scene_extent * corrections.unit
     if POSES in corrections.refined:
         moved = corrections.pose_motions().detach().cpu().double().numpy()
         summary[POSES] = {
@@ -114,7 +114,8 @@ def write_cameras(capture: Capture, folder: Path) -> None:
     for image_id, view in enumerate(views, start=1):
         camera_id = numbers.setdefault(view.camera, len(numbers) + 1)
         x, y, z, w = pycolmap.Rotation3d(view.viewmat[:3, :3]).quat
-        pose = " ".join(repr(float(number)) for number in (w, x, y, z, *view.viewmat[:3, 3]))
+        translation = capture.placement.viewmat_to_world(view.viewmat)[:3, 3]
+        pose = " ".join(repr(float(number)) for number in (w, x, y, z, *translation))
         name = view.path.relative_to(capture.root) if view.path.is_relative_to(capture.root) else Path(view.path.name)
         images.append(f"{image_id} {pose} {camera_id} {name.as_posix()}\n\n")  # no observations
     untouched = any(camera.lens is not None for camera in numbers)

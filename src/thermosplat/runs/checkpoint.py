@@ -7,7 +7,8 @@
     config         dict, the resolved configuration (``config.files.to_dict``)
     sh_degree      int, highest spherical-harmonics degree in use
     model          {"gaussian_sets": {name: packed state_dict}, "decoders": state_dict | None,
-                    "color_spaces": {spectrum: what its images are}, "unscented": bool}
+                    "color_spaces": {spectrum: what its images are}, "unscented": bool,
+                    "placement": dict (``Placement.state``)}
     scales         {spectrum: dict (``PixelScale.state_dict``)}
     training       dict, see ``SavedTraining``
     train_frames   list of the training frames' names; checkpoints of 0.1.0 have none
@@ -17,7 +18,7 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,8 @@ class SavedModel:
     """What the images of each spectrum are."""
     unscented: bool = False
     """Pinhole cameras see it by the unscented transform, since it was trained through lenses or rolling shutters."""
+    placement: dict[str, Any] = field(default_factory=dict)
+    """Where it lies in the world (``Placement.state``); {} of old checkpoints: it has the world's frame."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +163,7 @@ class Checkpoint:
                 unscented=read.entry(
                     "model.unscented", lambda value: isinstance(value, bool), "a boolean", config.lens == "direct"
                 ),
+                placement=read.entry("model.placement", _is_dict, "a dictionary", {}),
             ),
             scales=read.entry("scales", _are_dicts, "dictionaries by spectrum"),
             training=training,

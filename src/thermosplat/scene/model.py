@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.config.checks import check_config
+from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.fused.covered_images import warp_covered
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
 from thermosplat.scene.decoders import Decoders, may_be_hybrid
@@ -60,6 +61,7 @@ class SceneModel(nn.Module):
     """Gaussians and decoders of one scene.
 
     Attributes:
+        placement: Where the scene lies in the world.
         spectra: What is rendered, by name, in order.
         gaussian_sets: The sets by name: "shared", or one by the name of each spectrum.
         decoders: The pixel-wise networks; None where the Gaussians have no features.
@@ -73,6 +75,8 @@ class SceneModel(nn.Module):
         background: RGB background colour in [0, 1].
         unscented: Pinhole cameras see the Gaussians by the unscented transform, as lenses and rolling shutters do. For
             scenes that are trained through these: the linearisation shows what training has never seen.
+        placement: Where the scene, whose frame Gaussians, views and depths have, lies in the world of the capture's own
+            poses.
     """
 
     background: Tensor
@@ -86,6 +90,7 @@ class SceneModel(nn.Module):
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         *,
         unscented: bool = False,
+        placement: Placement = WORLD,
     ) -> None:
         super().__init__()
         self.config = config
@@ -97,6 +102,7 @@ class SceneModel(nn.Module):
             self.decoders = make_decoders(decoder, config.feature_dim, spectra)
         self.register_buffer("background", torch.tensor(background, dtype=torch.float32), persistent=False)
         self.unscented = unscented
+        self.placement = placement
         self._has_background = any(channel != 0.0 for channel in background)
         first = spectra[0]
         self.photograph = first.name if may_be_hybrid(first, spectra) else None
@@ -251,7 +257,9 @@ class SceneModel(nn.Module):
     def render_depth(
         self, spectrum: str, view: "ViewTensors", *, expected: bool = False, distributed: bool = False
     ) -> Tensor:
-        """How far away along z a spectrum sees what it sees [world units], [H, W]; 0 where it sees nothing.
+        """How far away along z a spectrum sees what it sees, [H, W]; 0 where it sees nothing.
+
+        Depths are in units of the scene: times ``placement.unit`` in world units.
 
         It is the median: half of what a pixel shows lies before it. What lies behind a surface that is not quite opaque
         does not move it.
@@ -346,7 +354,13 @@ class SceneModel(nn.Module):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             model = cls(
-                config.model, config.decoder, spectra, gaussian_sets, config.background, unscented=capture.unscented
+                config.model,
+                config.decoder,
+                spectra,
+                gaussian_sets,
+                config.background,
+                unscented=capture.unscented,
+                placement=capture.placement,
             )
         return model.to(device)
 
@@ -357,6 +371,7 @@ class SceneModel(nn.Module):
             decoders=self.decoders.state_dict() if self.decoders is not None else None,
             color_spaces={name: spectrum.color_space for name, spectrum in self.spectra.items()},
             unscented=self.unscented,
+            placement=self.placement.state(),
         )
 
     @classmethod
@@ -377,7 +392,13 @@ class SceneModel(nn.Module):
             if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
                 _check_decoders(saved.decoders, config, spectra)
             model = cls(
-                config.model, config.decoder, spectra, gaussian_sets, config.background, unscented=saved.unscented
+                config.model,
+                config.decoder,
+                spectra,
+                gaussian_sets,
+                config.background,
+                unscented=saved.unscented,
+                placement=Placement.from_state(saved.placement),
             )
             if model.decoders is not None and saved.decoders is not None:
                 model.decoders.load_state_dict(saved.decoders)

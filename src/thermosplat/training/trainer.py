@@ -62,7 +62,12 @@ from thermosplat.training.session.fatal_errors import image_lost_error, not_fini
 from thermosplat.training.session.greeting import greeting
 from thermosplat.training.session.interruption import TrainingInterrupted, meanwhile
 from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
-from thermosplat.training.session.resuming import check_resumable, check_steps_left, newest_checkpoint
+from thermosplat.training.session.resuming import (
+    check_resumable,
+    check_steps_left,
+    newest_checkpoint,
+    placed_as_trained,
+)
 from thermosplat.training.session.run_logger import RunLogger, StepRecord
 from thermosplat.training.session.run_results import RunResults
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
@@ -91,6 +96,8 @@ class Trainer:
     ) -> None:
         self.asked = self.config = config
         """The configuration as it was given and is kept; ``config`` is what it means for this capture and batches."""
+        if checkpoint is not None:
+            capture = placed_as_trained(capture, checkpoint)
         self.capture = capture
         self.run = run
         self.device = self._choose_device()

@@ -53,7 +53,8 @@ class Shared:
         self._named = 0
         sweep(self.folder)  # of a video that a program which was ended left behind
         if self.bookmarks_file.is_file() and not self.bookmarks:
-            self.bookmarks = read_bookmarks(self.bookmarks_file)
+            placement = self.scene.model.placement
+            self.bookmarks = [bookmark.in_scene(placement) for bookmark in read_bookmarks(self.bookmarks_file)]
 
     @property
     def scene(self) -> ViewedScene:
@@ -68,7 +69,8 @@ class Shared:
     def save_bookmarks(self) -> None:
         """Write the bookmarks that there are; without any there is no file."""
         if self.bookmarks:
-            write_bookmarks(self.bookmarks_file, self.bookmarks)
+            placement = self.scene.model.placement
+            write_bookmarks(self.bookmarks_file, [bookmark.in_world(placement) for bookmark in self.bookmarks])
         else:
             self.bookmarks_file.unlink(missing_ok=True)
 

@@ -137,7 +137,8 @@ class LayerRenderer:
         if layer.kind == "image":
             return image_layer(layer, rendered.images[name], scale, values=values)
         if layer.kind == "depth":
-            depth = self.scene.model.render_depth(name, view)
+            model = self.scene.model
+            depth = model.placement.unit * model.render_depth(name, view)
             field = torch.where(depth > 0, depth, torch.nan).cpu().numpy()
             return LayerImage(layer, field, None, display_palette("turbo"), None, "world units", "depth", 3)
         if layer.kind == "opacity":

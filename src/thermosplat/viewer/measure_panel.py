@@ -156,11 +156,11 @@ def spot_cross(point: NDArray[np.floating], view: Bookmark) -> NDArray[np.float6
     """A cross on a point of the scene, upright in the view in which it was measured.
 
     Args:
-        point: The point, shape [3] [world units].
+        point: The point, shape [3].
         view: From where it was measured.
 
     Returns:
-        Two segments in the world, shape [2, 2, 3]; each is as long as 3% of the picture's height.
+        Two segments in the scene, shape [2, 2, 3]; each is as long as 3% of the picture's height.
     """
     axes, depth = view.viewmat[:2, :3], view.viewmat[2, :3] @ point + view.viewmat[2, 3]
     arms = 0.03 * depth * math.tan(math.radians(view.fov_y) / 2) * axes

@@ -56,7 +56,7 @@ class Measurement:
     points_px: tuple[Pixel, ...]
     """Where: one position, two ends, or two corners, in shares of width and height, 0 to 1."""
     points: tuple[tuple[float, float, float], ...] = ()
-    """Points of the scene under the marks [world units]; empty where nothing was seen there."""
+    """Points of the scene under the marks, in its frame; empty where nothing was seen there."""
     view: str = ""
     """The view's name, for the table."""
 

@@ -249,13 +249,14 @@ class ViewSession:
         depth_layer = Layer("depth", shown.wish.first.spectrum)
         depth = self._rendered([depth_layer], shown.view, *size)[depth_layer]
         pose = np.linalg.inv(shown.view.viewmat)
+        unit = self.renderer.scene.model.placement.unit
         points: list[tuple[float, float, float]] = []
         for x, y in outline(made):
             distance = value_at(depth, x, y)
             if distance is None:
                 return ()
             ray = np.linalg.inv(K) @ np.array([x * size[0], y * size[1], 1.0])
-            px, py, pz = pose[:3, :3] @ (ray * distance) + pose[:3, 3]
+            px, py, pz = pose[:3, :3] @ (ray * (distance / unit)) + pose[:3, 3]
             points.append((float(px), float(py), float(pz)))
         return tuple(points)
 

@@ -5,6 +5,7 @@ and Gaussians that nothing can draw are left out, with a note. An infinite logit
 logarithm of a scale of 0 is -infinity: such values are taken as what they mean.
 """
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from thermosplat.config import DecoderConfig, ModelConfig
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
@@ -88,11 +90,16 @@ def open_splats(path: Path, device: torch.device) -> tuple[ViewedScene, list[str
             f"{left_out:,} of {len(rows):,} Gaussians are not shown: they hold values that are not finite, "
             "or a rotation of length 0."
         )
-    gaussians = Gaussians({name: value[finite] for name, value in parameters.items()})
+    values = {name: value[finite] for name, value in parameters.items()}
+    centers = np.stack([rows[axis][finite.numpy()].astype(np.float64) for axis in "xyz"], axis=-1)
+    placement = Placement.of(centers, centers)
+    values["means"] = torch.from_numpy(placement.to_scene(centers).astype(np.float32))
+    values["log_scales"] = values["log_scales"] - math.log(placement.unit)
+    gaussians = Gaussians(values)
     spectrum = Spectrum(SPECTRUM, 3, "photograph", "shared", (0, 0), None)
     config = ModelConfig(gaussian_sets="separate", feature_dim=0)
-    model = SceneModel(config, DecoderConfig(), [spectrum], {SPECTRUM: gaussians}).to(device).eval()
-    return ViewedScene(path.name, model, degree, {SPECTRUM: PixelScale("photograph")}, device), notes
+    model = SceneModel(config, DecoderConfig(), [spectrum], {SPECTRUM: gaussians}, placement=placement)
+    return ViewedScene(path.name, model.to(device).eval(), degree, {SPECTRUM: PixelScale("photograph")}, device), notes
 
 
 def _read(path: Path) -> NDArray[Any]:

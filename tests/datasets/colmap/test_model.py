@@ -34,7 +34,7 @@ def test_reading_gives_poses_cameras_and_points(tmp_path):
             assert image.lens.model == "PINHOLE"
             assert image.lens.params == (40.0, 42.0, 16.0, 12.0)
         expected_points = np.array([point.xyz for point in model.points3D.values()])
-        assert got.points.dtype == np.float32
+        assert got.points.dtype == np.float64
         np.testing.assert_allclose(np.sort(got.points, 0), np.sort(expected_points, 0), atol=1e-5)
         assert got.point_colors.shape == (30, 3)
         assert got.point_colors.dtype == np.uint8

@@ -34,7 +34,7 @@ def test_kinds_and_orders(tmp_path, kind, fields):
     body = text if kind == "ascii" else made.tobytes()
     (tmp_path / "a.ply").write_bytes(header(kind, 7, fields) + body + b"\n1 2 3\n")
     points, colors = read_point_cloud(tmp_path / "a.ply")
-    assert (points.dtype, colors.dtype) == (np.float32, np.uint8)
+    assert (points.dtype, colors.dtype) == (np.float64, np.uint8)
     np.testing.assert_allclose(points, np.stack([made[axis] for axis in "xyz"], -1), rtol=1e-6)
     np.testing.assert_array_equal(colors, np.stack([made[name] for name in ("red", "green", "blue")], -1))
 

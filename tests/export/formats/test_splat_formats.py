@@ -3,6 +3,7 @@
 import json
 import math
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ import torch
 
 from scenes.splat_files import READERS
 from splat_scenes import random_splats, scene_like_splats
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.export.formats.splat_formats import HELD_DEGREES, SPLAT_FORMATS, Described, SplatFormat, write_format
-from thermosplat.export.splats import SplatArrays, Splats, drawable
+from thermosplat.export.splats import SplatArrays, Splats, drawable, in_world
 
 EXACT = {"means": 1e-6, "angle": 2e-3, "log_scales": 1e-5, "opacities": 1e-5, "sh0": 1e-6, "shN": 1e-6}
 TOLERANCES: dict[SplatFormat, dict[str, float]] = {
@@ -101,6 +103,14 @@ def test_sog_holds_no_empty_scene(tmp_path: Path) -> None:
     """The format has no image of no pixels; that is said."""
     with pytest.raises(UserError, match="SOG holds no empty scene"):
         write_format("sog", tmp_path, Described(random_splats(0, 1), "rgb"))
+
+
+@pytest.mark.parametrize(("unit", "said"), [(1e-5, "half of this scene's are smaller"), (1e7, "are larger")])
+def test_spz_refuses_gaussians_beyond_its_sizes(unit: float, said: str, tmp_path: Path) -> None:
+    """Bytes of log-scales end at 4.5e-5 and 380 units: a scene in other units would be blown up or shrunk."""
+    splats = in_world(random_splats(40, 1), Placement(unit=unit))
+    with pytest.raises(UserError, match=said):
+        write_format("spz", tmp_path, Described(replace(splats, means=0 * splats.means), "rgb"))
 
 
 def test_spz_refuses_positions_beyond_its_fixed_point(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def test_cameras_lie_where_gps_has_them(tmp_path: Path) -> None:
     assert frame.crs == "EPSG:32632"
     assert frame.scale == pytest.approx(7.0, rel=1e-4)
     np.testing.assert_allclose(frame.to_map(centres), utm, atol=0.02)
-    np.testing.assert_allclose(frame.to_world(utm), centres, atol=0.005)
+    np.testing.assert_allclose(frame.to_scene(utm), centres, atol=0.005)
     assert "12 cameras with GPS" in frame.note
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from field_scene import LOW, celsius_at, field_model
 from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.export.maps.map_frame import MapFrame, local_frame, map_extent
 from thermosplat.export.maps.orthomosaic import MapGrid, render_map, write_map
@@ -104,6 +105,21 @@ def looking(direction: np.ndarray, count: int = 6) -> Capture:
         views = {n: dataclasses.replace(v, viewmat=viewmat) for n, v in capture.train[0].views.items()}
         frames.append(Frame(f"f{index}", views))
     return dataclasses.replace(capture, train=tuple(frames))
+
+
+def test_a_local_map_has_the_worlds_coordinates() -> None:
+    """Of a scene that is trained far from them and in other units; the picture is the same."""
+    model, capture = field_model(np.eye(3))
+    placed = dataclasses.replace(capture, placement=Placement((5e5, 4.6e6, 300.0), 4.0))
+    near, far = (local_frame(one, "rgb", (0, 0, 1)) for one in (capture, placed))
+    np.testing.assert_allclose(far.to_map(capture.points), placed.placement.to_world(capture.points), atol=1e-9)
+    extents = np.array([map_extent(near, capture), map_extent(far, placed)])
+    np.testing.assert_allclose(extents[1], 4 * extents[0] + [5e5, 4.6e6, 5e5, 4.6e6], rtol=1e-12)
+    maps = [
+        render_map(model, "rgb", capture.scales["rgb"], MapGrid.covering(frame, extent, pixel, top), sh_degree=0)
+        for frame, extent, pixel, top in ((near, extents[0], 0.1, 3.0), (far, extents[1], 0.4, 312.0))
+    ]
+    np.testing.assert_allclose(maps[1], maps[0], atol=1e-4)
 
 
 def test_cameras_of_a_flight_look_down() -> None:

@@ -8,6 +8,8 @@ import torch
 
 from field_scene import celsius_at, field_model
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.datasets.placement import Placement
+from thermosplat.datasets.transforms.point_cloud import read_point_cloud
 from thermosplat.errors import UserError
 from thermosplat.export.formats.ply_tables import write_points
 from thermosplat.export.surfaces.depth_views import depth_points, depth_view
@@ -71,6 +73,25 @@ def test_a_mesh_is_the_ground() -> None:
     nothing = (np.array([0.0, 0.0, 1.0]), np.array([0.5, 0.5, 1.5]))
     with pytest.raises(UserError, match="No surface of thermal was found"):
         tsdf_mesh(model, "thermal", views(), capture.scales, nothing, voxel=0.1, sh_degree=0)
+
+
+def test_surfaces_lie_in_the_world(tmp_path: Path) -> None:
+    """In double precision where the world's origin is far, so that files hold the capture's own coordinates."""
+    pytest.importorskip("skimage", reason='scikit-image is not installed (pip install ".[mesh]")')
+    model, capture = field_model(np.eye(3))
+    how, bounds = {"sh_degree": 0}, (np.array([-1.0, -0.8, -0.5]), np.array([1.0, 0.8, 0.5]))
+    cloud = depth_points(model, "thermal", views(), capture.scales, most=300, **how)
+    mesh = tsdf_mesh(model, "thermal", views(), capture.scales, bounds, voxel=0.125, **how)
+    model.placement = Placement((5e5, 4.6e6, 300.0), 4.0)
+    far = depth_points(model, "thermal", views(), capture.scales, most=300, **how)
+    np.testing.assert_allclose(far.points, model.placement.to_world(cloud.points), atol=1e-9)
+    in_world = tuple(map(model.placement.to_world, bounds))
+    other = tsdf_mesh(model, "thermal", views(), capture.scales, in_world, voxel=0.5, **how)
+    np.testing.assert_allclose(other.vertices.points, model.placement.to_world(mesh.vertices.points), atol=1e-5)
+    for name, one in (("near", cloud), ("far", far)):
+        write_points(tmp_path / f"{name}.ply", one.points, one.colors, one.values)
+    assert b"property float x" in (tmp_path / "near.ply").read_bytes()[:200]
+    np.testing.assert_array_equal(read_point_cloud(tmp_path / "far.ply")[0], far.points)
 
 
 def test_files_are_read_by_others(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
         UserError: The arguments, the capture or the format do not allow it.
     """
     from thermosplat.export.formats.splat_formats import SPLAT_FORMATS, Described, write_format
+    from thermosplat.export.origin_file import write_origin
     from thermosplat.export.scene import spectrum_values, write_scene
 
     scene, sources = _scene(arguments, loaded)
@@ -50,6 +51,8 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
             name: write_format(format, folder, Described(splats, name, comments, antialiased))
             for name, (splats, comments) in scene.items()
         }
+    for line in write_origin(folder, loaded.model.placement):
+        print(line)
     for file in written.values():
         dropped = f", {file.num_dropped:,} invisible or broken ones left out" if file.num_dropped else ""
         size = file.path.stat().st_size / 1e6
@@ -67,6 +70,7 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSpl
     from thermosplat.cli.exporting.fit_progress import shown_steps
     from thermosplat.export.scene import header_comments
     from thermosplat.export.splat_fit.fitted_splats import fit_splats
+    from thermosplat.export.splats import in_world
     from thermosplat.novel_views.viewpoints import viewpoints
 
     try:
@@ -97,5 +101,6 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSpl
         )
         print(f"{name}: {fit.after:.2f} dB from the exact render, {fit.before:.2f} dB before the fit")
         sources[name] = fit.sources
-        scene[name] = (fit.splats, header_comments(loaded.model, name, loaded.scales[name], colors=arguments.colors))
+        comments = header_comments(loaded.model, name, loaded.scales[name], colors=arguments.colors)
+        scene[name] = (in_world(fit.splats, loaded.model.placement), comments)
     return scene, sources

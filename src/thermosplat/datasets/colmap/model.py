@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 
 import cv2  # noqa: F401  before pycolmap, see lens.py
 import numpy as np
@@ -12,7 +13,9 @@ import pycolmap
 from numpy.typing import NDArray
 
 from thermosplat.datasets.cameras import camera_center
-from thermosplat.datasets.colmap.damage import damage_after_failure, damage_before_reading
+from thermosplat.datasets.colmap.damage import damage_before_reading, is_binary, reason_of
+from thermosplat.datasets.colmap.record_lengths import Damage
+from thermosplat.datasets.colmap.text_model import write_plain
 from thermosplat.datasets.images.image_folders import describe_folder
 from thermosplat.datasets.lens import Lens
 from thermosplat.datasets.random_points import MIN_POINTS, STARTING_RANDOM, random_points, starting_places
@@ -42,11 +45,11 @@ class RegisteredImage:
 
 @dataclass(frozen=True, eq=False)
 class ColmapModel:
-    """Registered images by name, and sparse points: [M, 3] float32 with colours [M, 3] uint8."""
+    """Registered images by name, and sparse points: [M, 3] float64 with colours [M, 3] uint8."""
 
     folder: Path
     images: tuple[RegisteredImage, ...]
-    points: NDArray[np.float32]
+    points: NDArray[np.float64]
     point_colors: NDArray[np.uint8]
 
 
@@ -64,19 +67,19 @@ def read_model(folder: Path) -> ColmapModel:
     Raises:
         UserError: Files are missing or damaged, two images have one name, or a rotation is zero.
     """
-    model = _reconstruction(folder)
+    model, names = _reconstruction(folder)
     lenses = {camera_id: Lens.from_colmap(camera) for camera_id, camera in model.cameras.items()}
-    images = [
-        RegisteredImage(_name(image, folder), lenses[image.camera_id], _viewmat(image, folder), image.frame_id)
-        for image in model.images.values()
-        if image.has_pose
-    ]
+    images = []
+    for number, image in model.images.items():
+        if image.has_pose:
+            name = _name(image, names.get(number), folder)
+            images.append(RegisteredImage(name, lenses[image.camera_id], _viewmat(image, name, folder), image.frame_id))
     _check_named_once(images, folder)
     points = list(model.points3D.values())
     return ColmapModel(
         folder,
         tuple(sorted(images, key=lambda image: image.name)),
-        np.array([point.xyz for point in points], np.float32).reshape(-1, 3),
+        np.array([point.xyz for point in points], np.float64).reshape(-1, 3),
         np.array([point.color for point in points], np.uint8).reshape(-1, 3),
     )
 
@@ -147,22 +150,29 @@ def missing_model(root: Path, images: Path) -> UserError:
     )
 
 
-def _reconstruction(folder: Path) -> pycolmap.Reconstruction:
-    damage = damage_before_reading(folder)
+def _reconstruction(folder: Path) -> tuple[pycolmap.Reconstruction, dict[int, str]]:
+    """The model, and of a text model the names of its images by their numbers."""
+    damage, remedy = damage_before_reading(folder), "Make the model again (colmap mapper), or copy all its files."
     error: Exception | None = None
     if damage is None:
         try:
-            return pycolmap.Reconstruction(folder)
+            if is_binary(folder):
+                return pycolmap.Reconstruction(folder), {}
+            with TemporaryDirectory() as plain:
+                names = write_plain(folder, Path(plain))
+                return pycolmap.Reconstruction(plain), names
+        except Damage as found:
+            damage, remedy = str(found), "Correct that line, or write the model again (colmap model_converter)."
         except (ValueError, IndexError, RuntimeError, OSError, MemoryError) as failure:
-            error, damage = failure, damage_after_failure(folder, failure)
+            error, damage = failure, reason_of(failure)
     message = f"The COLMAP model in {folder} is incomplete or damaged: {damage}."
-    raise UserError(message, "Make the model again (colmap mapper), or copy all its files.") from error
+    raise UserError(message, remedy) from error
 
 
 def _registered(folder: Path) -> int:
     """How many images a model has; none if it cannot be read."""
     try:
-        return len(_reconstruction(folder).images)
+        return len(_reconstruction(folder)[0].images)
     except UserError:
         return 0
 
@@ -178,22 +188,31 @@ def _check_named_once(images: Sequence[RegisteredImage], folder: Path) -> None:
         )
 
 
-def _name(image: pycolmap.Image, folder: Path) -> PurePosixPath:
-    """The name of a registered image, also of one that was registered on Windows."""
+def _name(image: pycolmap.Image, written: str | None, folder: Path) -> PurePosixPath:
+    """The name of a registered image, also of one that was registered on Windows.
+
+    Args:
+        image: The image.
+        written: What a text file calls it.
+        folder: The model's folder.
+    """
     try:
-        return PurePosixPath(image.name.replace("\\", "/"))
-    except UnicodeDecodeError as error:  # the bytes of whatever encoding COLMAP was run in
+        name = image.name if written is None else written
+        name.encode()
+        return PurePosixPath(name.replace("\\", "/"))
+    except UnicodeError as error:  # the bytes of whatever encoding COLMAP was run in
+        raw = error.object if isinstance(error, UnicodeDecodeError) else name.encode(errors="surrogateescape")
         raise UserError(
-            f"The COLMAP model in {folder} calls an image {error.object!r}, which is not UTF-8.",
+            f"The COLMAP model in {folder} calls an image {raw!r}, which is not UTF-8.",
             "Give the images names without accents and umlauts, in the folders and before colmap is run.",
         ) from error
 
 
-def _viewmat(image: pycolmap.Image, folder: Path) -> NDArray[np.float64]:
+def _viewmat(image: pycolmap.Image, name: PurePosixPath, folder: Path) -> NDArray[np.float64]:
     pose = image.cam_from_world()
     if not np.linalg.norm(pose.rotation.quat) > 0.5:  # pycolmap scales to 1 what can be scaled
         raise UserError(
-            f"The COLMAP model in {folder} has no rotation for {image.name!r}: its quaternion is zero or not finite.",
+            f"The COLMAP model in {folder} has no rotation for {str(name)!r}: its quaternion is zero or not finite.",
             "Register the images again (colmap mapper).",
         )
     viewmat = np.eye(4)

@@ -27,7 +27,7 @@ class _Unreadable(ValueError):
     """What is wrong, in words that follow the file's name."""
 
 
-def read_point_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def read_point_cloud(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Positions [M, 3] [world units] and colours [M, 3] uint8 of a PLY file.
 
     Args:
@@ -47,8 +47,7 @@ def read_point_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]
         raise UserError(
             f"{path} is not a readable point cloud: {error}.", "Expected a PLY with x, y, z, red, green, blue."
         ) from error
-    with np.errstate(over="ignore"):  # a double may become infinite, and is then left out
-        points = np.stack([rows[name] for name in _POSITION], -1).astype(np.float32)
+    points = np.stack([rows[name] for name in _POSITION], -1).astype(np.float64)
     return points, np.stack([rows[name] for name in _COLOR], -1).astype(np.uint8)
 
 

@@ -20,12 +20,12 @@ from thermosplat.errors import UserError
 _AGREEMENT = 0.02
 """Share of the cameras' spread by which COLMAP's camera positions may differ for its points to be used."""
 
-Points = tuple[NDArray[np.float32], NDArray[np.uint8]]
+Points = tuple[NDArray[np.float64], NDArray[np.uint8]]
 
 
 def transforms_points(
     root: Path, file: str, content: dict[str, Any], frames: Sequence[FrameFiles], model_folder: Path | None
-) -> tuple[NDArray[np.float32], NDArray[np.uint8], list[str]]:
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], list[str]]:
     """Points [M, 3], colours [M, 3] uint8, and notes.
 
     Args:
@@ -50,7 +50,7 @@ def transforms_points(
     if model_folder is not None:
         applied = _applied(content, root / file)
         model = read_model(model_folder)
-        points = (model.points @ applied[:, :3].T + applied[:, 3]).astype(np.float32)
+        points = model.points @ applied[:, :3].T + applied[:, 3]
         reason = "has other poses"
         if starting_places(points) < MIN_POINTS:
             where = "" if len(points) < MIN_POINTS else f" in fewer than {MIN_POINTS} places"

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from thermosplat.export.formats.ply import comment_lines
 from thermosplat.runs.atomic_writes import write_bytes
 
-_TYPES = {np.dtype("<f4"): "float", np.dtype("u1"): "uchar"}
+_TYPES = {np.dtype("<f4"): "float", np.dtype("<f8"): "double", np.dtype("u1"): "uchar"}
 
 
 def write_points(
     path: Path,
-    points: NDArray[np.float32],
+    points: NDArray[np.floating],
     colors: NDArray[np.uint8],
     scalars: Mapping[str, NDArray[np.float32]],
     comments: Iterable[str] = (),
@@ -25,7 +25,7 @@ def write_points(
 
     Args:
         path: The file, ``*.ply``.
-        points: Positions [world units], [M, 3].
+        points: Positions [world units], [M, 3]; written in their own type, float32 or float64.
         colors: 8-bit RGB, [M, 3].
         scalars: Values of each point by name, [M] each; CloudCompare wants names that begin with "scalar_".
         comments: Lines for the header.
@@ -34,7 +34,7 @@ def write_points(
     columns: dict[str, NDArray[np.generic]] = {name: points[:, i] for i, name in enumerate("xyz")}
     columns |= {name: colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
     columns |= dict(scalars)
-    kinds = {name: np.dtype("u1" if values.dtype == np.uint8 else "<f4") for name, values in columns.items()}
+    kinds = {name: values.dtype.newbyteorder("<") for name, values in columns.items()}
     table = np.empty(len(points), np.dtype(list(kinds.items())))
     for name, values in columns.items():
         table[name] = values

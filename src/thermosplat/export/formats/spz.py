@@ -6,6 +6,7 @@ capture's poses. Source: the description and the packing rules of https://github
 """
 
 import gzip
+import math
 import struct
 from pathlib import Path
 
@@ -21,6 +22,8 @@ _MAGIC, _VERSION = 0x5053474E, 3
 _MOST_FRACTIONAL_BITS = 20
 _COLOR_STEPS = 0.15 * 255.0
 """Steps of a colour's byte for each unit of sh0: room for colours below 0 and above 1 that harmonics bring back."""
+_SIZES = (-10.0, 5.9375)
+"""Smallest and largest log-scale of a byte."""
 _ANTIALIASED = 1
 
 
@@ -33,9 +36,10 @@ def write_spz(path: Path, splats: Splats, *, antialiased: bool = False) -> Writt
         antialiased: They were trained with antialiased rasterization.
 
     Raises:
-        UserError: The scene is too large for the format's fixed point.
+        UserError: The scene is too large for the format's fixed point, or its Gaussians are too small or too large.
     """
     shown = turned_y_up(drawable(splats))
+    _check_sizes(shown.log_scales)
     shown = shown[morton_order(shown.means)]
     fractional = _fractional_bits(shown.means)
     fixed = np.rint(shown.means.astype(np.float64) * (1 << fractional)).astype("<i4")
@@ -43,7 +47,7 @@ def write_spz(path: Path, splats: Splats, *, antialiased: bool = False) -> Writt
         np.ascontiguousarray(fixed).view(np.uint8).reshape(-1, 4)[:, :3],  # the lowest three bytes
         _bytes(shown.opacities * 255.0),
         _bytes(shown.sh0 * _COLOR_STEPS + 127.5),
-        _bytes((shown.log_scales + 10.0) * 16.0),
+        _bytes((shown.log_scales - _SIZES[0]) * 16.0),
         _rotations(shown.quats),
         _bytes(np.rint(shown.shN * 128.0) + 128.0),  # a coefficient after the other, each of three channels
     ]
@@ -64,6 +68,18 @@ def _fractional_bits(means: NDArray[np.float32]) -> int:
         f"SPZ holds positions up to {1 << 23:,} world units from the origin; this scene has one at {farthest:,.0f}.",
         "Export another format: --format ply.",
     )
+
+
+def _check_sizes(log_scales: NDArray[np.float32]) -> None:
+    """Refuse a scene of other units: a few Gaussians beyond the ends of the format are drawn with the size there."""
+    middle = float(np.median(log_scales)) if len(log_scales) else 0.0
+    if not _SIZES[0] <= middle <= _SIZES[1]:
+        low, high = (math.exp(end) for end in _SIZES)
+        raise UserError(
+            f"SPZ holds Gaussians of {low:.1g} to {high:.0f} world units; half of this scene's are "
+            f"{'smaller' if middle < _SIZES[0] else 'larger'} than {math.exp(middle):.1g}.",
+            "Export another format: --format ply.",
+        )
 
 
 def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:

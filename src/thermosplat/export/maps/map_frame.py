@@ -20,29 +20,29 @@ _MARGIN = 0.02
 
 @dataclass(frozen=True)
 class MapFrame:
-    """A similarity from the capture's world to a map: ``scale * rotation @ x + offset``.
+    """A similarity from the scene's frame to a map: ``scale * rotation @ x + offset``.
 
     Map coordinates are east, north and up; metres where the map is georeferenced, world units otherwise.
     """
 
     rotation: Vector
-    """[3, 3]; its rows are the directions of east, north and up in the world."""
+    """[3, 3]; its rows are the directions of east, north and up in the scene."""
     scale: float = 1.0
-    """Map units per world unit."""
+    """Map units per unit of the scene."""
     offset: Vector | None = None
-    """Map coordinates of the world's origin, [3]; None: zero."""
+    """Map coordinates of the scene's origin, [3]; None: zero."""
     crs: str | None = None
     """The map's coordinate system, such as "EPSG:32632"; None: local coordinates."""
     note: str = ""
     """How the frame was found, in a sentence."""
 
     def to_map(self, points: NDArray[np.floating]) -> Vector:
-        """Map coordinates of world points, both [..., 3]."""
+        """Map coordinates of the scene's points, both [..., 3]."""
         mapped = self.scale * (np.asarray(points, np.float64) @ self.rotation.T)
         return mapped if self.offset is None else mapped + self.offset
 
-    def to_world(self, points: NDArray[np.floating]) -> Vector:
-        """World coordinates of map points, both [..., 3]."""
+    def to_scene(self, points: NDArray[np.floating]) -> Vector:
+        """The scene's coordinates of map points, both [..., 3]."""
         centred = np.asarray(points, np.float64)
         if self.offset is not None:
             centred = centred - self.offset
@@ -50,7 +50,7 @@ class MapFrame:
 
 
 def camera_centers(capture: Capture, spectrum: str) -> tuple[Vector, Vector]:
-    """Centres [V, 3] and viewing directions [V, 3] of a spectrum's training cameras, in the world.
+    """Centres [V, 3] and viewing directions [V, 3] of a spectrum's training cameras, in the scene's frame.
 
     Args:
         capture: The capture.
@@ -82,13 +82,20 @@ def local_frame(capture: Capture, spectrum: str, up: tuple[float, float, float] 
     if up is not None:
         if not np.isfinite(up).all() or np.linalg.norm(up) == 0:
             raise UserError(f"--up must be a direction, found {' '.join(f'{x:g}' for x in up)}.", "Give --up 0 0 1.")
-        return MapFrame(_with_up(np.array(up)), note="Up is as given.")
+        return _local(capture, np.array(up), "Up is as given.")
     _, directions = camera_centers(capture, spectrum)
     mean = directions.mean(axis=0)
     if np.linalg.norm(mean) > _LOOKING_DOWN:
-        return MapFrame(_with_up(-mean), note="Down is where the cameras look: all look about one way.")
+        return _local(capture, -mean, "Down is where the cameras look: all look about one way.")
     viewmats = np.stack([frame.views[spectrum].viewmat for frame in capture.train if spectrum in frame.views])
-    return MapFrame(_with_up(-viewmats[:, 1, :3].mean(axis=0)), note="Up is what is up in the cameras' images.")
+    return _local(capture, -viewmats[:, 1, :3].mean(axis=0), "Up is what is up in the cameras' images.")
+
+
+def _local(capture: Capture, up: Vector, note: str) -> MapFrame:
+    """The frame in world units in which a direction is up."""
+    rotation, placement = _with_up(up), capture.placement
+    offset = rotation @ placement.origin if placement.is_moved else None
+    return MapFrame(rotation, placement.unit, offset, note=note)
 
 
 def _with_up(up: Vector) -> Vector:
@@ -112,7 +119,7 @@ def map_extent(frame: MapFrame, capture: Capture) -> tuple[float, float, float, 
 
 def scene_bounds(capture: Capture) -> tuple[Vector, Vector]:
     """Lowest and highest world coordinates [3] of what the capture saw: its sparse points without outliers."""
-    return _bounds(capture.points.astype(np.float64))
+    return _bounds(capture.placement.to_world(capture.points))
 
 
 def _bounds(points: Vector) -> tuple[Vector, Vector]:

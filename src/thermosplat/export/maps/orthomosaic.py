@@ -91,8 +91,8 @@ class MapGrid:
         rotation = np.diag([1.0, -1.0, -1.0]) @ self.frame.rotation  # right is east, down is south, forward is down
         viewmat = np.eye(4)
         viewmat[:3, :3] = rotation
-        viewmat[:3, 3] = -rotation @ self.frame.to_world(middle)
-        focal = self.frame.scale / self.pixel  # [px per world unit]
+        viewmat[:3, 3] = -rotation @ self.frame.to_scene(middle)
+        focal = self.frame.scale / self.pixel  # [px per unit of the scene]
         K = np.array([[focal, 0, self.width / 2 - left], [0, focal, self.height / 2 - upper], [0, 0, 1]])
         return ViewTensors(
             viewmat=torch.as_tensor(viewmat, dtype=torch.float32, device=device),

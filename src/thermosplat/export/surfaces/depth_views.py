@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.datasets.placement import Placement
 from thermosplat.export.scene import shown_colors
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
@@ -27,7 +28,7 @@ class DepthView:
     view: ViewTensors
     """The camera, a pinhole."""
     depth: Tensor
-    """z-depth [world units], [H, W]; 0 where there is none."""
+    """z-depth in the scene's frame, [H, W]; 0 where there is none."""
     colors: Tensor
     """Colours of the spectrum in [0, 1], [H, W, 3]: a photograph's, or through its palette."""
     values: dict[str, Tensor]
@@ -76,8 +77,8 @@ def _edges(depth: Tensor) -> Tensor:
 class PointCloud:
     """Points with colours and values, on the host."""
 
-    points: NDArray[np.float32]
-    """[M, 3], in the frame of the capture's poses."""
+    points: NDArray[np.floating]
+    """[M, 3], in the frame of the capture's poses: float64 where they lie far from its origin, else float32."""
     colors: NDArray[np.uint8]
     """8-bit RGB, [M, 3]."""
     values: dict[str, NDArray[np.float32]]
@@ -121,4 +122,15 @@ def depth_points(
     if not parts:
         return PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), {})
     merged = {key: np.concatenate([values[key] for _, _, values in parts]) for key in parts[0][2]}
-    return PointCloud(np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts]), merged)
+    placed = placed_points(np.concatenate([part[0] for part in parts]), model.placement)
+    return PointCloud(placed, np.concatenate([part[1] for part in parts]), merged)
+
+
+def placed_points(points: NDArray[np.floating], placement: Placement) -> NDArray[np.floating]:
+    """Points of a scene [M, 3] in the world, with as many digits as they have there.
+
+    Args:
+        points: In the scene's frame.
+        placement: Where it lies in the world.
+    """
+    return placement.to_world(points).astype(np.float64 if placement.is_moved else np.float32)

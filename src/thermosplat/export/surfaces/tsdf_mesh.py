@@ -6,7 +6,7 @@ scikit-image's (extra "mesh"). Vertices take the mean colour and value of the vi
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
-from thermosplat.export.surfaces.depth_views import DepthView, PointCloud, depth_view
+from thermosplat.export.surfaces.depth_views import DepthView, PointCloud, depth_view, placed_points
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
 
@@ -69,9 +69,10 @@ def tsdf_mesh(
             "Meshes are made with scikit-image, which is not installed.",
             'Install it: pip install ".[mesh]" in the repository.',
         ) from error
-    low, high = bounds
     if not (np.isfinite(voxel) and voxel > 0):
         raise UserError(f"--voxel must be greater than 0, found {voxel:g}.")
+    low, high = map(model.placement.to_scene, bounds)
+    voxel /= model.placement.unit
     shape = tuple(int(count) for count in np.ceil((high - low) / voxel) + 1)
     if np.prod([float(count) for count in shape]) > MOST_VOXELS:
         raise UserError(
@@ -87,8 +88,9 @@ def tsdf_mesh(
         raise UserError(
             f"No surface of {name} was found within the scene.", "Is the run trained? Give another --voxel."
         ) from error
-    vertices = (low + corners * voxel).astype(np.float32)
-    return Mesh(_colored(seen, vertices, TRUNCATION * voxel), faces.astype(np.int32))
+    vertices = _colored(seen, (low + corners * voxel).astype(np.float32), TRUNCATION * voxel)
+    placed = placed_points(vertices.points, model.placement)
+    return Mesh(replace(vertices, points=placed), faces.astype(np.int32))
 
 
 def _fused(

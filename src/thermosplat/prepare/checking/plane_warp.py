@@ -72,7 +72,7 @@ def read_warps(sparse: Path, pairs: Sequence[tuple[str, str]]) -> Mapping[tuple[
     return warps
 
 
-def _median_depth(image: RegisteredImage, points: NDArray[np.float32]) -> float:
+def _median_depth(image: RegisteredImage, points: NDArray[np.float64]) -> float:
     """Median depth of the points that lie in the image [world units]; 1 if there are none."""
     inside = points @ image.viewmat[:3, :3].T + image.viewmat[:3, 3]
     inside = inside[inside[:, 2] > 0]

@@ -5,6 +5,7 @@ from typing import Any
 
 from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import other_frames
 from thermosplat.runs.checkpoint import Checkpoint, damage_explained
@@ -81,6 +82,20 @@ def check_resumable(checkpoint: Checkpoint, config: TrainConfig, run: RunDirecto
                 f"{capture.root} has {found.format(label(name))}.",
                 "Name the folder it was trained on, or start a new run with another --result-dir.",
             )
+
+
+def placed_as_trained(capture: Capture, checkpoint: Checkpoint) -> Capture:
+    """The capture in the frame of a checkpoint's scene.
+
+    Args:
+        capture: What the run goes on with.
+        checkpoint: The state.
+
+    Raises:
+        UserError: The checkpoint is damaged.
+    """
+    with damage_explained("placement"):
+        return capture.placed(Placement.from_state(checkpoint.model.placement))
 
 
 def check_steps_left(checkpoint: Checkpoint, config: TrainConfig, run: RunDirectory) -> None:

@@ -97,7 +97,9 @@ class RunResults:
 
     def exporting(self) -> Callable[[], object]:
         """What writes the scene for other viewers; in any thread, as it has tensors of its own."""
-        return partial(write_scene, scene_splats(self._state.model, self._capture.scales), self._run.ply)
+        model = self._state.model
+        scene = scene_splats(model, self._capture.scales)
+        return partial(write_scene, scene, self._run.ply, placement=model.placement)
 
     def write(self, judged: Judged) -> dict[str, Any]:
         """Write errors by region, corrected cameras and, last of all, metrics.json: where it is, everything is.
