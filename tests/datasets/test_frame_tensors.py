@@ -91,10 +91,15 @@ def test_a_frame_of_three_spectra(tmp_path):
     assert all(torch.equal(a, b) for a, b in zip(frame.packable(), tensors.packable(), strict=True))
 
 
+@pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("as_bytes", [False, True])
-def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device, as_bytes: bool) -> None:
+def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device, as_bytes: bool, masked: bool) -> None:
     """The same tensors in one memory, whose copy moves all of them, also of a frame without one of its views."""
-    capture = load_capture(write_rgbt_scenes(tmp_path, raw=True))
+    root = write_rgbt_scenes(tmp_path, raw=True)
+    for number in range(8) if masked else ():
+        for folder in ("rgb", "thermal"):
+            write_image(root / "masks" / folder / f"{number:04d}.png", np.tri(24, 32, number, dtype=np.uint8))
+    capture = load_capture(root)
     plain, other = (
         replace(
             frame_tensors(frame, capture.scales, device, as_bytes=as_bytes), index=torch.tensor(index, device=device)
@@ -104,7 +109,7 @@ def test_a_packed_frame_is_one_copy(tmp_path, device: torch.device, as_bytes: bo
     frame, next_frame = packed(plain), packed(other)
     assert frame.memory is not None
     assert next_frame.memory is not None
-    assert len(plain.packable()) == len(frame.packable()) == 8
+    assert len(plain.packable()) == len(frame.packable()) == 8 + 2 * masked
     assert all(torch.equal(a, b) for a, b in zip(frame.packable(), plain.packable(), strict=True))
     places = [place_in_frame(frame, tensor) for tensor in frame.packable()]
     assert places == [place_in_frame(next_frame, tensor) for tensor in next_frame.packable()]

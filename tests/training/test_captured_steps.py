@@ -4,11 +4,13 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from rolling_captures import shaken
 from thermosplat.config import AutoBudgetConfig, DensificationConfig, ResolutionConfig
+from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.plain_steps import PlainSteps
 from thermosplat.training.trainer import Trainer
@@ -39,9 +41,24 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"model": {"feature_dim": 0}, "spectra": {"nir": {"opacity": "own"}}},
         {"others": ("nir",), "aligned": False},
     ),
+    "shared, pixels that do not count": ({}, {"masked": True}),
     "shared, random colours behind the images": ({"random_background": True}, {}),
     "shared, thermal lines that are read one after the other": ({}, {"aligned": False, "shaken": ("thermal",)}),
 }
+
+
+def masked(capture: Capture) -> Capture:
+    """The capture with other masks in each frame, but for the first, which has none."""
+
+    def of_frame(frame: Frame, number: int) -> Frame:
+        views = {}
+        for name, view in frame.views.items():
+            mask = np.ones(view.image.shape[:2], np.bool_)
+            mask[number : number + 8, : 4 * number] = False
+            views[name] = dataclasses.replace(view, mask=mask if number else None)
+        return Frame(frame.name, views)
+
+    return dataclasses.replace(capture, train=tuple(map(of_frame, capture.train, range(len(capture.train)))))
 
 
 def _run(path: Path, kind: str, steps: int, *, of: int | None = None, **changes: Any) -> Trainer:
@@ -49,8 +66,9 @@ def _run(path: Path, kind: str, steps: int, *, of: int | None = None, **changes:
     settings, capture = KINDS[kind]
     config = dataclasses.replace(toy_run_config(max_steps=of or steps, **settings), device="cuda", **changes)
     how = dict(capture)
-    rolling = how.pop("shaken", ())
-    trainer = toy_trainer(path, config, shaken(many_frames(toy_capture(**how)), rolling))
+    rolling, are_masked = how.pop("shaken", ()), how.pop("masked", False)
+    taken = shaken(many_frames(toy_capture(**how)), rolling)
+    trainer = toy_trainer(path, config, masked(taken) if are_masked else taken)
     while trainer.step < steps:
         trainer._train_step()
     return trainer
