@@ -93,7 +93,7 @@ def train_on_devices(devices: int, argv: list[str]) -> int:
         "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", threads),
         PARENT: str(os.getpid()),
     }
-    command = [sys.executable, "-m", "thermosplat", "train", *argv]
+    command = [sys.executable, "-P", "-m", "thermosplat", "train", *argv]
     processes: list[subprocess.Popen[bytes]] = []
 
     def pass_on(number: int, frame: FrameType | None) -> None:
