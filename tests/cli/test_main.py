@@ -14,7 +14,9 @@ from training_processes import environment
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-PLANTED = "ast concurrent csv dataclasses errno inspect json omegaconf pathlib rich shlex signal tempfile typing tyro yaml"
+PLANTED = (
+    "ast concurrent csv dataclasses errno inspect json omegaconf pathlib rich shlex signal tempfile typing tyro yaml"
+)
 """Modules that the commands import, by names that a stranger's folder may hold, too."""
 
 

@@ -1,18 +1,15 @@
 """How commands end: 0, 2 with a panel for a mistake of the user's, 128 + its number after a signal (130: Ctrl-C)."""
 
 import errno
-import io
-import os
 import sys
 from collections.abc import Callable
-from contextlib import suppress
-from typing import TextIO
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.panel import Panel
 from rich.text import Text
 
 from thermosplat.errors import UserError
+from thermosplat.printing import SafeConsole, printable, safe_output
 from thermosplat.stop_signals import signal_of, stopped_by_signals
 
 USER_ERROR = 2
@@ -43,25 +40,8 @@ def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False)
     Returns:
         The exit code. Errors that are no mistake of the user's are raised as they are.
     """
-    _print_what_cannot_be_encoded()
-    with stopped_by_signals():
-        code = _code_of(body, debug, print_error_line if one_line else print_error)
-    try:
-        sys.stdout.flush()
-    except OSError as error:  # nobody reads what is left of it (| head)
-        _discard(sys.stdout)
-        number = signal_of(error)
-        if number is None:
-            raise
-        return code or 128 + number
-    return code
-
-
-def _print_what_cannot_be_encoded() -> None:
-    """Let file names in another encoding than the terminal's, and signs that it lacks, be printed as escapes."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
-            stream.reconfigure(errors="backslashreplace")
+    with safe_output(), stopped_by_signals():
+        return _code_of(body, debug, print_error_line if one_line else print_error)
 
 
 def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], None]) -> int:
@@ -73,22 +53,19 @@ def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], No
         return stop.code
     except UserError as error:
         if debug:
-            Console(stderr=True).print_exception()
+            SafeConsole(stderr=True).print_exception()
         tell(error.message, error.hint)
         return USER_ERROR
-    except (KeyboardInterrupt, OSError) as error:
-        number = signal_of(error)
-        if number is None:
-            if debug or not isinstance(error, OSError) or error.errno not in _REFUSALS or not error.filename:
-                raise
-            name = str(error.filename)
-            shown = name if len(name) <= _SHOWN_NAME else f"{name[:_SHOWN_NAME]}... ({len(name):,} letters)"
-            tell(f"{shown} cannot be used: {error.strerror}.", _REFUSALS[error.errno])
-            return USER_ERROR
-        if isinstance(error, KeyboardInterrupt):
-            with suppress(OSError):
-                print("Interrupted.", file=sys.stderr)
-        return 128 + number
+    except KeyboardInterrupt as stop:
+        print("Interrupted.", file=sys.stderr)
+        return 128 + signal_of(stop)
+    except OSError as error:
+        if debug or error.errno not in _REFUSALS or not error.filename:
+            raise
+        name = str(error.filename)
+        shown = name if len(name) <= _SHOWN_NAME else f"{name[:_SHOWN_NAME]}... ({len(name):,} letters)"
+        tell(f"{shown} cannot be used: {error.strerror}.", _REFUSALS[error.errno])
+        return USER_ERROR
     except (RuntimeError, MemoryError) as error:
         if debug or not _is_out_of_memory(error):
             raise
@@ -103,33 +80,16 @@ def print_error(message: str, hint: str = "") -> None:
         message: What is wrong.
         hint: What to do about it.
     """
-    lines = [Text(message)]
+    lines = [Text(printable(message))]
     if hint:
-        lines += [Text(), Text(hint, style="bold")]
-    Console(stderr=True, highlight=False).print(Panel(Group(*lines), title="Error", title_align="left", style="red"))
+        lines += [Text(), Text(printable(hint), style="bold")]
+    panel = Panel(Group(*lines), title="Error", title_align="left", style="red")
+    SafeConsole(stderr=True, highlight=False).print(panel)
 
 
 def print_error_line(message: str, hint: str) -> None:
     """Print an error as one line on stderr, the last one: see :func:`print_error`."""
     print(" ".join(f"Error: {message} {hint}".split()), file=sys.stderr, flush=True)
-
-
-def print_last(text: str) -> None:
-    """Print the last words of a command, on stderr where nobody reads stdout any more."""
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            print(text, file=stream, flush=True)
-            return
-        except OSError:
-            _discard(stream)
-
-
-def _discard(stream: TextIO) -> None:
-    """Let what is left in a stream that nobody reads go nowhere: Python would fail when it writes it at its end."""
-    with suppress(OSError, ValueError):  # no file behind it
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
 
 
 def _is_out_of_memory(error: BaseException) -> bool:

@@ -10,6 +10,7 @@ from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
 from thermosplat.errors import UserError
+from thermosplat.printing import SafeConsole
 
 if TYPE_CHECKING:
     from thermosplat.novel_views.bookmarks import Bookmark
@@ -92,9 +93,10 @@ def _render(arguments: RenderArguments) -> int:
         color_bar=arguments.color_bar,
         title=arguments.title,
     )
-    shown_path = path or "bookmarks"
+    console = SafeConsole()
+    doing = f"Rendering {path or 'bookmarks'}"
     written = write_images(
-        track(images, f"Rendering {shown_path}", len(points), transient=True, disable=not sys.stdout.isatty()),
+        track(images, doing, len(points), console=console, transient=True, disable=not console.is_terminal),
         videos / name,
         format=arguments.format,
         fps=arguments.fps,
