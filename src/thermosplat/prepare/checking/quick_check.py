@@ -35,7 +35,7 @@ def quick_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list
             notes.append(
                 f"{count} {agreeing(len(constant), 'has', 'have')} one value everywhere (first: {constant[0]}): "
                 "a closed shutter or a damaged file? "
-                "Better remove {agreeing(len(constant), 'it', 'them')}."
+                f"Better remove {agreeing(len(constant), 'it', 'them')}."
             )
         images = [image for view, image in seen if view not in constant]
         if spectra[name].exposure != "fixed" or len(images) < _LEAST_IMAGES:
