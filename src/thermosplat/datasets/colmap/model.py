@@ -142,7 +142,8 @@ def missing_model(root: Path, images: Path) -> UserError:
         return UserError(message, f"Go on with its preparation: thermosplat-prepare sfm {shlex.quote(str(root))}")
     return UserError(
         message,
-        f"Make one: colmap automatic_reconstructor --workspace_path {shlex.quote(str(root))} "
+        f"The untouched files of two cameras become a capture, poses and all, with thermosplat-prepare "
+        f"{shlex.quote(str(root))} A model of images as they are: colmap automatic_reconstructor --workspace_path {shlex.quote(str(root))} "
         f"--image_path {shlex.quote(str(images))} --dense 0",
     )
 
