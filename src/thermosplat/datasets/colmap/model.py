@@ -143,8 +143,8 @@ def missing_model(root: Path, images: Path) -> UserError:
     return UserError(
         message,
         f"The untouched files of two cameras become a capture, poses and all, with thermosplat-prepare "
-        f"{shlex.quote(str(root))} A model of images as they are: colmap automatic_reconstructor --workspace_path {shlex.quote(str(root))} "
-        f"--image_path {shlex.quote(str(images))} --dense 0",
+        f"{shlex.quote(str(root))} (or make a model of the images as they are: colmap automatic_reconstructor --workspace_path {shlex.quote(str(root))} "
+        f"--image_path {shlex.quote(str(images))} --dense 0)",
     )
 
 
