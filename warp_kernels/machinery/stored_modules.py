@@ -5,9 +5,11 @@ seal with their SHA-256, written when they have been compiled and loaded. What h
 again. The seal is also what processes lock that compile the same module.
 """
 
+import errno
 import hashlib
 import json
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -22,6 +24,9 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 SEAL = "seal.json"
+LEAST_ROOM = 32 << 20
+"""Bytes that the disk must have free before anything is compiled: LLVM ends the process where it cannot write. The
+kernels of a training take 2 MB on the CPU."""
 
 _told_of_damage = False
 
@@ -60,7 +65,7 @@ class StoredModule(NamedTuple):
         """Around the loading of the module by Warp, which compiles what is missing. What is damaged is missing.
 
         Raises:
-            OSError: if the folder cannot be read, or if it is damaged and cannot be written.
+            OSError: if the folder cannot be read, or if it is to be written and cannot be or has no room.
         """
         if self.is_whole():
             yield
@@ -79,6 +84,7 @@ class StoredModule(NamedTuple):
                     fcntl.flock(seal, fcntl.LOCK_EX)
             if not self.is_whole():  # another process may have compiled it meanwhile
                 self._remove()
+                self._check_room()
             yield
             with suppress(OSError):  # a full disk: compiled again another time
                 of_others = {name: digest for name, digest in self._sealed().items() if name != SEAL}
@@ -87,6 +93,11 @@ class StoredModule(NamedTuple):
                 os.pwrite(seal, content, 0)
         finally:
             os.close(seal)
+
+    def _check_room(self) -> None:
+        disk = shutil.disk_usage(self.folder)
+        if disk.total > 0 and disk.free < LEAST_ROOM:  # some systems tell neither
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder))
 
     def _remove(self) -> None:
         sealed, found = self._sealed(), self._digests()

@@ -133,6 +133,16 @@ def test_a_cache_that_can_only_be_read(cache: Path, monkeypatch: pytest.MonkeyPa
         run()
 
 
+def test_a_full_disk_is_an_error(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """LLVM would end the process. What is whole is loaded all the same."""
+    monkeypatch.setattr(stored_modules, "LEAST_ROOM", 2**70)
+    assert run() == 2
+    file_of(".o").write_bytes(b"")
+    use(cache, monkeypatch)
+    with pytest.raises(loading.KernelCacheError, match="No space left on device"):
+        run()
+
+
 def test_who_comes_later_waits_for_the_first(cache: Path) -> None:
     """Of two processes that find the same damage one compiles, and the other one finds all whole."""
     file_of(".o").write_bytes(b"")
