@@ -123,6 +123,7 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float) and not math.isfinite(number):
                 raise UserError(f"{name(key)} must be finite, found {number}.")
+        check_text(value, name(key))
     for key, least in _AT_LEAST.items():
         if values[key] is not None and values[key] < least:
             raise UserError(f"{name(key)} must be at least {least}, found {shown(values[key])}.")
@@ -170,6 +171,25 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     if not all(0 < share < 1 for share in config.auto_budget.prune_at):
         shares = config.auto_budget.prune_at
         raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
+
+
+def check_text(value: object, what: str) -> None:
+    """Refuse the name of a file that a configuration cannot hold.
+
+    Args:
+        value: Any value; only texts and paths are looked at.
+        what: What it is, as the message shall call it.
+
+    Raises:
+        UserError: It has bytes that are no UTF-8, or what OmegaConf would fill in.
+    """
+    text = str(value)
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise UserError(f"{what} is {text}, which is not UTF-8.", "Rename that file or folder.") from error
+    if "${" in text:
+        raise UserError(f"{what} is {text}, and no configuration can hold ${{.", "Rename that file or folder.")
 
 
 def _check_camera_passes(config: TrainConfig, name: Any) -> None:

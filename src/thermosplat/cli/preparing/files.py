@@ -12,6 +12,7 @@ import tyro
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.preparing.steps import CaptureArguments, capture_at, say, say_next
 from thermosplat.errors import UserError
+from thermosplat.printing import printable
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,8 @@ class SourceArguments:
         place = self.folder or self.rgb
         if not place:
             raise UserError("No folder given.", "Say where the files are: thermosplat-prepare FOLDER")
-        return str(Path("captures") / Path(os.path.abspath(os.path.expanduser(place))).name)
+        name = Path(os.path.abspath(os.path.expanduser(place))).name
+        return str(Path("captures") / printable(name))
 
     def folders(self) -> dict[str, str]:
         """Folder of each spectrum that was named.
