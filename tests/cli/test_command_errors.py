@@ -88,14 +88,29 @@ def test_names_in_an_error_cannot_command_the_terminal(one_line: bool, capsys: p
     error = UserError("a\x1b[2J\nError: b.jpg is wrong.", "rm a\u202eb")
     assert run_command(failing(error), debug=False, one_line=one_line) == 2
     said = capsys.readouterr().err
-    assert r"a\x1b[2J\nError: b.jpg is wrong." in said
+    assert r"a\x1b[2J" + (" " if one_line else r"\n") + "Error: b.jpg is wrong." in said
     assert r"rm a\u202eb" in said
     assert not {"\x1b", "\u202e"} & set(said)
 
 
-@pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory"), MemoryError()])
+def caused(error: Exception, cause: Exception) -> Exception:
+    error.__cause__ = cause
+    return error
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        torch.OutOfMemoryError("CUDA out of memory"),
+        MemoryError(),
+        ImportError("cv2.abi3.so: failed to map segment from shared object"),
+        OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)),
+        caused(RuntimeError("Failed to load the shared library"), OSError("warp.so: cannot allocate memory in block")),
+        RuntimeError("can't start new thread"),
+    ],
+)
 def test_out_of_memory_is_explained(error: BaseException, capsys: pytest.CaptureFixture[str]) -> None:
-    """Running out of memory is the user's to mend."""
+    """Running out of memory is the user's to mend, whoever says it in whatever words."""
     assert run_command(failing(error), debug=False) == 2
     assert "Out of memory" in capsys.readouterr().err
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.config.run_schedule import run_schedule
 from thermosplat.errors import UserError
@@ -94,9 +95,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _benchmark(arguments: BenchmarkArguments) -> int:
-    from thermosplat.method_matrix.processes import Job, choose_devices, run_jobs
-    from thermosplat.method_matrix.report import write_report
-    from thermosplat.method_matrix.results import Results
+    with importing():
+        from thermosplat.method_matrix.processes import Job, choose_devices, run_jobs
+        from thermosplat.method_matrix.report import write_report
+        from thermosplat.method_matrix.results import Results
 
     shard = parse_shard(arguments.shard)
     matrix, merged = _matrix(arguments), [Path(folder) for folder in arguments.merge]

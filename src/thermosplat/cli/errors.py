@@ -8,6 +8,7 @@ from rich.console import Group
 from rich.panel import Panel
 from rich.text import Text
 
+from thermosplat.cli.host_settings import allowed_memory
 from thermosplat.errors import UserError
 from thermosplat.printing import SafeConsole, printable, safe_output
 from thermosplat.stop_signals import signal_of, stopped_by_signals
@@ -25,6 +26,14 @@ _REFUSALS = {
     errno.EDQUOT: "Free some space, or give a path on another disk.",
 }
 """Why the system may refuse a path, wherever that comes up, and what helps."""
+_OUT_OF_MEMORY = (
+    "annot allocate memory",
+    "can't allocate memory",
+    "failed to map segment",
+    "Failed to allocate",
+    "Insufficient memory",
+    "can't start new thread",
+)
 _SHOWN_NAME = 120
 """Letters of a path that are shown."""
 
@@ -59,18 +68,25 @@ def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], No
     except KeyboardInterrupt as stop:
         print("Interrupted.", file=sys.stderr)
         return 128 + signal_of(stop)
-    except OSError as error:
-        if debug or error.errno not in _REFUSALS or not error.filename:
+    except Exception as error:
+        refusal = _refusal_of(error)
+        if debug or refusal is None:
             raise
+        tell(*refusal)
+        return USER_ERROR
+
+
+def _refusal_of(error: Exception) -> tuple[str, str] | None:
+    """What the system refused, a path or memory, and what helps; None for other errors."""
+    if isinstance(error, OSError) and error.errno in _REFUSALS and error.filename:
         name = str(error.filename)
         shown = name if len(name) <= _SHOWN_NAME else f"{name[:_SHOWN_NAME]}... ({len(name):,} letters)"
-        tell(f"{shown} cannot be used: {error.strerror}.", _REFUSALS[error.errno])
-        return USER_ERROR
-    except (RuntimeError, MemoryError) as error:
-        if debug or not _is_out_of_memory(error):
-            raise
-        tell("Out of memory.", "Close other programs that use this device, and try again.")
-        return USER_ERROR
+        return f"{shown} cannot be used: {error.strerror}.", _REFUSALS[error.errno]
+    if _is_out_of_memory(error):
+        limit = allowed_memory()
+        told = "" if limit is None else f" A process may have {limit / 2**30:.1f} GiB here (ulimit -v)."
+        return f"Out of memory.{told}", "Close other programs that use this device, and try again."
+    return None
 
 
 def print_error(message: str, hint: str = "") -> None:
@@ -93,8 +109,9 @@ def print_error_line(message: str, hint: str) -> None:
 
 
 def _is_out_of_memory(error: BaseException) -> bool:
-    if "torch" not in sys.modules:
-        return isinstance(error, MemoryError)
-    from thermosplat.training.session.out_of_memory import is_out_of_memory
-
-    return is_out_of_memory(error)
+    """Whether memory ran out, as Python, torch, Warp, OpenCV or the loader of libraries say it, or one they name."""
+    of_torch = type(error).__name__ == "OutOfMemoryError"
+    if of_torch or isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
+        return True
+    cause = error.__cause__ or error.__context__
+    return cause is not None and _is_out_of_memory(cause)
