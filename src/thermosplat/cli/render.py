@@ -22,8 +22,9 @@ class RenderArguments(SpectraArguments, RunOnCaptureArguments):
     """Render a trained run along a camera path: a video or PNGs of one spectrum, or of several side by side."""
 
     path: str = "interp"
-    """interp: smoothly through the training views; ellipse: around the scene; spiral: in front of it; train, test: the
-    views of that split themselves. Or a bookmarks file of thermosplat-view: smoothly through its bookmarks."""
+    """interp: smoothly through the training views; ellipse: round the scene as far as cameras were; spiral: in front of
+    it; train, test: the views of that split themselves. Or a bookmarks file of thermosplat-view: smoothly through its
+    bookmarks."""
     format: Literal["mp4", "png"] = "mp4"
     """A video (H.264 after pip install ".[video]" in the repository), or a folder of PNGs, named
     by the frames on the train and test paths and numbered on the others."""
