@@ -4,9 +4,9 @@
     python benchmarks/bench_accuracy.py --device cuda --cases needles "5,000"
 
 One row per scene and renderer: the largest error of the image and the relative error of each gradient, of float32
-against a dense float64 renderer that shares no code with the kernels (tests/reference_rasterizer.py; the scenes are
-tests/hard_scenes.py). A star marks where thermosplat's error exceeds gsplat's by more than a rounding of float32. On
-CUDA the peer is gsplat's extension, on the CPU its torch reference.
+against a dense float64 renderer that shares no code with the kernels (reference_rasterizer.py of tests/fixtures; the
+scenes are in hard_scenes.py there). A star marks where thermosplat's error exceeds gsplat's by more than a rounding of
+float32. On CUDA the peer is gsplat's extension, on the CPU its torch reference.
 """
 
 import argparse

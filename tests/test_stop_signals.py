@@ -1,7 +1,6 @@
 """Ctrl-C, SIGTERM and SIGHUP wait for what must not stop half-way, and are not forgotten."""
 
 import contextlib
-import errno
 import os
 import signal
 import threading
@@ -132,15 +131,6 @@ def test_ignored_signals_stay_ignored() -> None:
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-def test_signals_that_errors_stand_for() -> None:
-    """An output that nobody reads, or a terminal that is closed, stops as a signal does; a full disk does not."""
-    assert signal_of(KeyboardInterrupt()) == signal.SIGINT
-    assert signal_of(BrokenPipeError(errno.EPIPE, "Broken pipe")) == signal.SIGPIPE
-    assert signal_of(OSError(errno.EIO, "Input/output error")) == signal.SIGPIPE
-    assert signal_of(OSError(errno.ENOSPC, "No space left on device")) is None
-    assert signal_of(ZeroDivisionError()) is None
 
 
 @pytest.mark.parametrize("number", STOP_SIGNALS)

@@ -1,6 +1,6 @@
 """thermosplat-train with a clock on the compilation of kernels: what bench_training.py runs in processes of their own.
 
-    python benchmarks/clocked_training.py FILE DATA [flags of thermosplat-train]
+    python benchmarks/training/clocked_training.py FILE DATA [flags of thermosplat-train]
 
 Writes to FILE (JSON) the seconds in which Warp compiled kernels, in all and after the first step: another layout of the
 blending kernels, say, is compiled when the scene first asks for it. The decoders' in the first step.

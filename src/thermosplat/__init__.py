@@ -13,6 +13,14 @@ Every other public name of gsplat says what there is in its place.
 """
 
 import sys
+
+# "python -m" puts the current folder first, before it looks for what it is to run. Files that lie there, perhaps a
+# stranger's, would be taken for the modules that are imported from here on.
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:
+    _flags, _name, _rest = sys.orig_argv[-len(sys.argv)].partition("thermosplat")  # -m thermosplat, -umthermosplat.cli
+    if _name and _rest[:1] in ("", ".") and (not _flags or _flags[0] + _flags[-1] == "-m"):
+        del sys.path[0]
+
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

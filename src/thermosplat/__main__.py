@@ -3,6 +3,8 @@
 import sys
 from importlib import import_module
 
+from thermosplat.printing import safe_output
+
 COMMANDS = {
     "prepare": "thermosplat.cli.prepare",
     "train": "thermosplat.cli.train",
@@ -28,12 +30,12 @@ def main(argv: list[str] | None = None) -> int:
     if words and words[0] in COMMANDS:
         return import_module(COMMANDS[words[0]]).main(words[1:])
     usage = f"python -m thermosplat {'|'.join(COMMANDS)} ...    (each has --help)"
-    if words in (["--help"], ["-h"]):
-        print(usage)
-        return 0
-    problem = f"There is no command {words[0]!r}." if words else "No command given."
-    print(f"{problem}\n{usage}", file=sys.stderr)
-    return 2
+    asked = words in (["--help"], ["-h"])
+    with safe_output():
+        if not asked:
+            print(f"There is no command {words[0]!r}." if words else "No command given.", file=sys.stderr)
+        print(usage, file=sys.stdout if asked else sys.stderr)
+    return 0 if asked else 2
 
 
 if __name__ == "__main__":

@@ -1,10 +1,8 @@
 """The signals that stop a program: Ctrl-C (SIGINT), SIGTERM, and SIGHUP of a terminal that is closed.
 
-SIGTERM is what a cluster's time limit, docker stop and timeout send. An output that nobody reads any more (``| head``)
-stops a program, too.
+SIGTERM is what a cluster's time limit, docker stop and timeout send.
 """
 
-import errno
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -29,13 +27,9 @@ class Stopped(KeyboardInterrupt):
         self.number = number
 
 
-def signal_of(error: BaseException) -> signal.Signals | None:
-    """The signal that an exception stands for: SIGPIPE where nobody reads the output; None for any other error."""
-    if isinstance(error, KeyboardInterrupt):
-        return signal.Signals(getattr(error, "number", signal.SIGINT))
-    if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.EIO):  # EIO: the terminal was closed
-        return signal.SIGPIPE
-    return None
+def signal_of(stop: KeyboardInterrupt) -> signal.Signals:
+    """The signal that an interrupt stands for."""
+    return signal.Signals(getattr(stop, "number", signal.SIGINT))
 
 
 @contextmanager

@@ -91,7 +91,7 @@ def test_failed_cell_stops_no_other_and_time_runs_out(run: Run, tmp_path: Path) 
     assert not list(out.rglob("cell.log"))
     code, printed = run(*words, "--devices", "cpu")
     assert code == 2
-    assert "1 of 2 cells failed: empty / 3dgs / seed 42" in printed
+    assert "1 of 2 cells failed." in printed
     assert "empty / 3dgs / seed 42: failed: " in printed
     assert "2 cells, 0 of them finished. Steps: 3dgs 2" in printed
     assert "sample / 3dgs / seed 42: finished (2 of 2)" in printed
@@ -109,7 +109,8 @@ def test_failed_cell_is_named(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "matrix"
     code, printed = run(tmp_path / "empty", "--methods", "3dgs", "--devices", "cpu", "--out", out)
     assert code == 2
-    assert "1 of 1 cell failed: empty / 3dgs / seed 42 (exit code 2" in printed
+    assert "empty / 3dgs / seed 42 (exit code 2" in printed
+    assert "1 of 1 cell failed." in printed
     assert printed.count("no capture of a known layout") == 2  # when it failed, and at the end
     assert (out / "empty/3dgs/seed_42/cell.log").read_text().splitlines()[-1].startswith("Error: ")
 

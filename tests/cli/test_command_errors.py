@@ -1,10 +1,8 @@
 """How a command ends: exit codes, the panel, and what --debug adds."""
 
 import errno
-import io
 import os
 import signal
-import sys
 
 import pytest
 import torch
@@ -84,24 +82,35 @@ def test_stop_signals_have_the_shells_codes(number: signal.Signals, capsys: pyte
     assert "Interrupted." in capsys.readouterr().err
 
 
-def test_output_that_nobody_reads_is_no_error(capsys: pytest.CaptureFixture[str]) -> None:
-    """``| head`` ends a command as SIGPIPE would, without a word."""
-    assert run_command(failing(BrokenPipeError(errno.EPIPE, "Broken pipe")), debug=False) == 128 + signal.SIGPIPE
-    assert capsys.readouterr().err == ""
+@pytest.mark.parametrize("one_line", [False, True])
+def test_names_in_an_error_cannot_command_the_terminal(one_line: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither in the panel nor in a line, nor may they add lines of their own."""
+    error = UserError("a\x1b[2J\nError: b.jpg is wrong.", "rm a\u202eb")
+    assert run_command(failing(error), debug=False, one_line=one_line) == 2
+    said = capsys.readouterr().err
+    assert r"a\x1b[2J" + (" " if one_line else r"\n") + "Error: b.jpg is wrong." in said
+    assert r"rm a\u202eb" in said
+    assert not {"\x1b", "\u202e"} & set(said)
 
 
-@pytest.mark.parametrize(("encoding", "degrees"), [("utf-8", "°".encode()), ("ascii", b"\\xb0")])
-def test_what_cannot_be_encoded_is_escaped(encoding: str, degrees: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file name in Latin-1, or a terminal without some sign, ends no command."""
-    stdout = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
-    monkeypatch.setattr(sys, "stdout", stdout)
-    assert run_command(lambda: print("f\udcfcr.jpg, °C") or 0, debug=False) == 0
-    assert stdout.buffer.getvalue() == b"f\\udcfcr.jpg, " + degrees + b"C\n"
+def caused(error: Exception, cause: Exception) -> Exception:
+    error.__cause__ = cause
+    return error
 
 
-@pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory"), MemoryError()])
+@pytest.mark.parametrize(
+    "error",
+    [
+        torch.OutOfMemoryError("CUDA out of memory"),
+        MemoryError(),
+        ImportError("cv2.abi3.so: failed to map segment from shared object"),
+        OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)),
+        caused(RuntimeError("Failed to load the shared library"), OSError("warp.so: cannot allocate memory in block")),
+        RuntimeError("can't start new thread"),
+    ],
+)
 def test_out_of_memory_is_explained(error: BaseException, capsys: pytest.CaptureFixture[str]) -> None:
-    """Running out of memory is the user's to mend."""
+    """Running out of memory is the user's to mend, whoever says it in whatever words."""
     assert run_command(failing(error), debug=False) == 2
     assert "Out of memory" in capsys.readouterr().err
 

@@ -4,6 +4,7 @@ import gc
 import importlib
 import os
 import platform
+import resource
 import signal
 import subprocess
 import sys
@@ -11,7 +12,8 @@ from collections.abc import Mapping
 
 import pytest
 
-from thermosplat.cli.host_settings import importing, without_garbage_collection
+from thermosplat.cli.host_settings import WITH_TORCH, WITHOUT_TORCH, importing, without_garbage_collection
+from thermosplat.errors import UserError
 
 pytestmark = pytest.mark.usefixtures("stoppable")
 
@@ -89,3 +91,17 @@ def test_ctrl_c_waits_for_the_end_of_an_import() -> None:
         imported.append(True)
     assert imported
     assert gc.isenabled()
+
+
+@pytest.mark.parametrize(("limit", "least"), [(WITH_TORCH - 1, WITH_TORCH), (10**6, WITHOUT_TORCH), (None, WITH_TORCH)])
+def test_too_little_address_space_is_told(limit: int | None, least: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before libraries are loaded, which would fail one way or another (``ulimit -v``)."""
+    soft = resource.RLIM_INFINITY if limit is None else limit
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (soft, resource.RLIM_INFINITY))
+    if limit is None:
+        with importing(least):
+            return
+    said = "GiB of address space, and the libraries alone take up to"
+    with pytest.raises(UserError, match=said) as caught, importing(least):
+        pass
+    assert "ulimit -v unlimited" in caught.value.hint

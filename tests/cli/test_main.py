@@ -1,5 +1,6 @@
 """The commands as modules: python -m thermosplat train, and python -m thermosplat.cli.train."""
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -8,12 +9,30 @@ from pathlib import Path
 import pytest
 
 from thermosplat.__main__ import COMMANDS, main
+from training_processes import environment
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-def run_module(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, check=False)
+PLANTED = (
+    "ast concurrent csv dataclasses errno inspect json omegaconf pathlib rich shlex signal tempfile typing tyro yaml"
+)
+"""Modules that the commands import, by names that a stranger's folder may hold, too."""
+
+
+def run_module(*words: str, folder: Path | None = None, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run a module in a folder, with further environment variables."""
+    variables = environment() | variables
+    command = [sys.executable, "-m", *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder, env=variables)
+
+
+@pytest.fixture
+def strange(tmp_path: Path) -> Path:
+    """A folder with planted modules, each of which would end the command."""
+    for name in PLANTED.split():
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(99)")
+    return tmp_path
 
 
 def test_every_script_is_a_command() -> None:
@@ -23,10 +42,25 @@ def test_every_script_is_a_command() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_both_ways_run_the_command(name: str) -> None:
-    """The version is printed by the command itself."""
-    assert run_module("thermosplat", name, "--version").stdout.startswith("thermosplat ")
-    assert run_module(COMMANDS[name], "--version").stdout.startswith("thermosplat ")
+def test_both_ways_run_the_command(name: str, strange: Path) -> None:
+    """The version is printed by the command itself, whatever Python files lie in the current folder."""
+    for words in (("thermosplat", name), (COMMANDS[name],)):
+        assert run_module(*words, "--version", folder=strange).stdout.startswith("thermosplat ")
+
+
+@pytest.mark.parametrize("module", ["uses_thermosplat", "thermosplats"])
+def test_other_programs_keep_the_current_folder(module: str, tmp_path: Path) -> None:
+    """Those that import thermosplat, whatever they are called."""
+    (tmp_path / f"{module}.py").write_text("import sys, thermosplat; print(sys.path[0])")
+    assert run_module(module, folder=tmp_path).stdout == f"{tmp_path}\n"
+
+
+@pytest.mark.parametrize(("safe", "named", "code"), [("1", False, 0), ("", True, 99), ("1", True, 99)])
+def test_what_the_environment_names_is_kept(safe: str, named: bool, code: int, strange: Path) -> None:
+    """The folders of PYTHONPATH, where Python puts the current folder before them and where it does not."""
+    path = os.pathsep.join([*([str(strange)] if named else []), environment()["PYTHONPATH"]])
+    words = ("thermosplat", "train", "--version")
+    assert run_module(*words, folder=strange, PYTHONPATH=path, PYTHONSAFEPATH=safe).returncode == code
 
 
 def test_mistakes_end_with_2() -> None:

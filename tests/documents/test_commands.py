@@ -1,6 +1,7 @@
 """Commands in the documents: programs and flags exist."""
 
 import dataclasses
+import inspect
 import re
 from collections.abc import Iterator
 
@@ -10,11 +11,14 @@ from repository_documents import NAMES, REPOSITORY, code_blocks, read, without_c
 from thermosplat.cli.benchmark import BenchmarkArguments
 from thermosplat.cli.evaluate import EvalArguments
 from thermosplat.cli.exporting.arguments import ExportArguments
+from thermosplat.cli.exporting.map import PIXELS_BY_DEFAULT
+from thermosplat.cli.exporting.surface import VOXELS_BY_DEFAULT
 from thermosplat.cli.preparing.cameras import CalibrateArguments, RegisterArguments, SfmArguments
 from thermosplat.cli.preparing.files import CheckArguments, ImportArguments, PairArguments
 from thermosplat.cli.render import RenderArguments
 from thermosplat.cli.view import ViewArguments
 from thermosplat.config import TrainConfig
+from thermosplat.export.splat_fit.fitted_splats import PASSES
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
 FURTHER_SPECTRA = ("nir",)
@@ -81,6 +85,18 @@ def test_the_flags_of_commands_in_the_documents_exist(name: str) -> None:
                 own = own.split(" -- ")[0]  # what follows is for thermosplat-train
                 asked = set(re.findall(r"(?<=[\s\[])--[a-z][a-z-]*(?![\w.-])", own))
                 assert asked <= flags[found[0]], f"{name}: {line}"
+
+
+def test_numbers_of_exports_are_those_of_the_program() -> None:
+    """What the page and --help say of the fit, of points, voxels and pixels is what holds without a flag."""
+    page, texts = read("docs/exports.md"), " ".join(inspect.getsource(ExportArguments).split())
+    assert f"None: {PASSES['cpu']} on a CPU, {PASSES['cuda']} on a GPU" in texts
+    assert f"`--fit-passes {PASSES['cuda']}` is how long" in page
+    assert re.search(rf"That is the default on a GPU. On a\s+CPU it is {PASSES['cpu']},", page)
+    assert f"at most `--points {ExportArguments.points}`" in page
+    assert f"None: 1/{VOXELS_BY_DEFAULT} of the scene's longest side" in texts
+    assert PIXELS_BY_DEFAULT == 1000
+    assert "a thousandth of the map's longer side" in texts
 
 
 def test_continuous_integration_runs_the_readmes_test_command() -> None:

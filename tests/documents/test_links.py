@@ -57,6 +57,20 @@ def test_files_that_a_document_names_exist(name: str) -> None:
         assert any(path.endswith(f"/{file}") for path in known), f"{name} names {file}"
 
 
+def test_files_that_a_source_names_exist() -> None:
+    """The same of docstrings and comments, which name a module with or without its room."""
+    known = [f"/{path.relative_to(REPOSITORY).as_posix()}" for path in SOURCES]
+    of_others = {"examples/simple_trainer.py"}  # gsplat's
+    missing = {
+        (path.name, file)
+        for path in SOURCES
+        if "tests" not in path.relative_to(REPOSITORY).parts
+        for file in re.findall(r"(?<![\w./-])[\w-]+(?:/[\w-]+)*\.py\b", path.read_text(encoding="utf-8"))
+        if file not in of_others and not any(name.endswith(f"/{file}") for name in known)
+    }
+    assert not missing
+
+
 def test_documents_that_a_source_names_exist() -> None:
     """Comments and messages send a reader to pages that are there."""
     named = {

@@ -89,6 +89,94 @@ def test_ellipse_looks_at_the_focus_from_among_the_cameras() -> None:
     np.testing.assert_allclose(spread[[0, 2]], [3, 2], rtol=0.1)
 
 
+def orbit(*angles: float, radius: float = 3.0, height: float = 1.0, jitter: float = 0.0) -> np.ndarray:
+    """Cameras round a point at these angles [°], held by hand where there is jitter."""
+    chance = np.random.default_rng(3)
+    centres = [
+        [radius * np.cos(a), -height, radius * np.sin(a)] + jitter * chance.normal(size=3) for a in np.radians(angles)
+    ]
+    return np.stack([look_to(np.array(c), jitter * chance.normal(size=3) - c, UP) for c in centres])
+
+
+def dome() -> np.ndarray:
+    """Cameras all over half a sphere."""
+    angles = np.linspace(0, 350, 18)
+    return np.concatenate([orbit(*angles, radius=3 * np.cos(e), height=3 * np.sin(e)) for e in (0.1, 0.5, 0.9, 1.3)])
+
+
+def drone() -> np.ndarray:
+    """Cameras in strips that look straight down, nearly."""
+    chance = np.random.default_rng(3)
+    places = [np.array([x, -5.0, z]) for x in np.linspace(-4, 4, 9) for z in np.linspace(-3, 3, 7)]
+    north = np.array([0.0, 0.0, 1.0])
+    return np.stack([look_to(place, -UP + 0.03 * chance.normal(size=3), north) for place in places])
+
+
+def room() -> np.ndarray:
+    """Cameras in the middle of a room that look at its walls."""
+    ways = [np.array([np.cos(a), 0.0, np.sin(a)]) for a in np.linspace(0, 6, 20)]
+    return np.stack([look_to(0.5 * way, way, UP) for way in ways])
+
+
+def road() -> np.ndarray:
+    """Cameras in one line that look ahead."""
+    return np.stack(
+        [look_to(np.array([0.05 * np.sin(i), 0.0, i / 4]), -np.cross(UP, [1.0, 0, 0]), UP) for i in range(40)]
+    )
+
+
+@pytest.mark.parametrize(
+    ("cameras", "distance", "degrees"),
+    [
+        (orbit(*np.linspace(20, 140, 20)), 0.2, 5),
+        (orbit(*np.linspace(20, 140, 40), jitter=0.1), 0.4, 20),
+        (orbit(*np.linspace(20, 140, 20), height=3.0), 0.3, 5),
+        (orbit(0, 60, 120), 1.6, 30),
+        (orbit(*np.linspace(300, 420, 20)), 0.2, 5),
+        (orbit(*np.linspace(20, 320, 40)), 0.3, 5),
+        (orbit(*np.linspace(0, 50, 12), *np.linspace(180, 230, 20)), 0.3, 5),
+        (np.concatenate([orbit(*np.linspace(20, 140, 20)), orbit(50, radius=40)]), 0.9, 8),
+        (orbit(*np.linspace(0, 345, 24)), 0.4, 8),
+        (dome(), 0.9, 20),
+        (drone(), 0.8, 8),
+        (room(), 0.2, 10),
+        (road(), 0.2, 2),
+    ],
+    ids=[
+        "arc",
+        "jitter",
+        "from-above",
+        "three",
+        "over-0",
+        "most",
+        "two-arcs",
+        "outlier",
+        "ring",
+        "dome",
+        "drone",
+        "room",
+        "road",
+    ],
+)
+def test_ellipse_stays_where_cameras_were(cameras: np.ndarray, distance: float, degrees: float) -> None:
+    """Every pose is near a camera and looks about where that one looked; it moves, smoothly, and closes."""
+    poses, given = np.linalg.inv(ellipse_path(cameras, 60)), np.linalg.inv(cameras)
+    apart = np.linalg.norm(poses[:, None, :3, 3] - given[:, :3, 3], axis=-1)
+    assert apart.min(axis=1).max() < distance
+    cosines = np.einsum("fi,fi->f", poses[:, :3, 2], given[apart.argmin(axis=1), :3, 2])
+    assert cosines.min() > np.cos(np.radians(degrees))
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0, append=poses[:1, :3, 3]), axis=1)
+    assert steps.sum() > 1.5
+    assert steps.max() < 0.12 * steps.sum()
+
+
+def test_ellipse_goes_along_all_of_an_arc() -> None:
+    """From its first camera to its last one and back."""
+    places = centres(ellipse_path(orbit(*np.linspace(20, 140, 20)), 60))
+    angles = np.degrees(np.arctan2(places[:, 2], places[:, 0]))
+    np.testing.assert_allclose([angles.min(), angles.max()], [20, 140], atol=1)
+
+
 def test_spiral_stays_before_the_wall() -> None:
     """The spiral keeps within the cameras' reach and looks towards the wall."""
     poses = spiral_path(wall(), 30)

@@ -54,7 +54,7 @@ def test_a_file_in_other_units_looks_the_same(unit: float, tmp_path: Path) -> No
     write_splats(tmp_path / "b.ply", in_world(splats, where))
     looked = []
     for name, scale in (("a", 1.0), ("b", unit)):
-        scene = open_splats(tmp_path / f"{name}.ply", torch.device("cpu"))
+        scene = open_splats(tmp_path / f"{name}.ply", torch.device("cpu"))[0]
         viewmat = np.eye(4)
         viewmat[2, 3] = 4.0 * scale
         view = scene.view(scene.model.placement.viewmat_to_scene(viewmat), 50.0, 48, 36)

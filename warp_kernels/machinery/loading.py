@@ -11,11 +11,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-from pathlib import Path
+from contextlib import ExitStack, contextmanager, nullcontext
 from typing import ParamSpec, TypeVar
 
 import warp as wp
+
+from warp_kernels.machinery.stored_modules import StoredModule
 
 Arguments = ParamSpec("Arguments")
 Made = TypeVar("Made")
@@ -62,7 +63,7 @@ def start() -> None:
     Raises:
         KernelCacheError: if the folder for compiled kernels cannot be made.
     """
-    with one_at_a_time, _cache_errors([]):
+    with one_at_a_time, _cache_errors():
         wp.init()
 
 
@@ -82,9 +83,9 @@ def first_use(kernel: wp.Kernel, device: wp.Device, block: int) -> Iterator[None
     if use in _loaded:
         yield
         return
-    with one_at_a_time:
-        folder = _folder(kernel, 1 if device.is_cpu else block)
-        with _cache_errors([folder]), nullcontext() if _is_compiled(folder, device) else _told_if_slow(kernel):
+    with one_at_a_time, _cache_errors():
+        stored = StoredModule.of(kernel, device, block)
+        with nullcontext() if stored.is_whole() else _told_if_slow(kernel), stored.loaded():
             yield
         _loaded.add(use)
 
@@ -96,9 +97,9 @@ def must_compile(kernels: list[wp.Kernel], device: wp.Device) -> bool:
         kernels: launched on the CPU, or on CUDA with the block of their module.
         device: where they are launched.
     """
-    with one_at_a_time:
-        folders = {_folder(kernel, 1 if device.is_cpu else kernel.module.options["block_dim"]) for kernel in kernels}
-    return not all(_is_compiled(folder, device) for folder in folders)
+    with one_at_a_time, _cache_errors():
+        stored = {StoredModule.of(kernel, device, kernel.module.options["block_dim"]) for kernel in kernels}
+        return not all(module.is_whole() for module in stored)
 
 
 def load_for_cpu(kernels: list[wp.Kernel], workers: int) -> None:
@@ -112,41 +113,20 @@ def load_for_cpu(kernels: list[wp.Kernel], workers: int) -> None:
         KernelCacheError: if the folder for compiled kernels cannot be read or written.
     """
     modules = list({kernel.module.name: kernel.module for kernel in kernels}.values())
-    with one_at_a_time, _cache_errors([_folder(kernel, 1) for kernel in kernels]):
+    with one_at_a_time, _cache_errors(), ExitStack() as stored:
+        for module in sorted({StoredModule.of(kernel, wp.get_device("cpu"), 1) for kernel in kernels}):
+            stored.enter_context(module.loaded())
         wp.force_load("cpu", modules, block_dim=1, max_workers=workers)
 
 
-def _folder(kernel: wp.Kernel, block: int) -> Path:
-    """Where Warp keeps the compiled module of a kernel."""
-    return Path(wp.config.kernel_cache_dir) / kernel.module.get_module_identifier(block_dim=block)
-
-
-def _files(folder: Path) -> list[Path]:
-    """The files of a folder; none of one that is not there or cannot be read."""
-    try:
-        return list(folder.iterdir())
-    except OSError:
-        return []
-
-
-def _is_compiled(folder: Path, device: wp.Device) -> bool:
-    endings = (".o",) if device.is_cpu else (".cubin", ".ptx")
-    return any(path.suffix in endings for path in _files(folder))
-
-
 @contextmanager
-def _cache_errors(folders: list[Path]) -> Iterator[None]:
-    """Tells errors of Warp's cache, some of which Warp hides, from others."""
+def _cache_errors() -> Iterator[None]:
+    """Tells errors of Warp's cache from others."""
     try:
         yield
     except OSError as error:
         place = error.filename or wp.config.kernel_cache_dir
         raise KernelCacheError(f"{error.strerror or error} ({place})") from error
-    except Exception as error:
-        unreadable = [path for folder in folders for path in _files(folder) if not os.access(path, os.R_OK)]
-        if unreadable:
-            raise KernelCacheError(f"Permission denied ({unreadable[0]})") from error
-        raise
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.config.run_schedule import run_schedule
 from thermosplat.errors import UserError
@@ -94,9 +95,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _benchmark(arguments: BenchmarkArguments) -> int:
-    from thermosplat.method_matrix.processes import Job, choose_devices, run_jobs
-    from thermosplat.method_matrix.report import write_report
-    from thermosplat.method_matrix.results import Results
+    with importing():
+        from thermosplat.method_matrix.processes import Job, choose_devices, run_jobs
+        from thermosplat.method_matrix.report import write_report
+        from thermosplat.method_matrix.results import Results
 
     shard = parse_shard(arguments.shard)
     matrix, merged = _matrix(arguments), [Path(folder) for folder in arguments.merge]
@@ -145,13 +147,16 @@ def _benchmark(arguments: BenchmarkArguments) -> int:
         print(f"Time is up: {len(left)} of {_cells(len(cells))} not begun. The same command goes on.", flush=True)
     if finished or len(failed) + len(left) < len(jobs) or not jobs:
         for table in write_report(matrix.out, merged):
-            print(f"\n{table.title}\n\n{table.markdown()}", end="")
-        print(f"\nResults in {matrix.out}: results.json, per_view.csv, tables.md, .csv, .tex and sheets/")
+            for line in ("", table.title, "", *table.markdown().splitlines()):
+                print(line)
+        print()
+        print(f"Results in {matrix.out}: results.json, per_view.csv, tables.md, .csv, .tex and sheets/")
         if (matrix.out / "regions.md").is_file():
             print("Errors by region: regions.md, .csv and .tex there")
     if failed:
-        message = f"{len(failed)} of {_cells(len(cells))} failed:\n" + "\n".join(failed)
-        raise UserError(message, "The same command tries again.")
+        for line in failed:
+            print(line)
+        raise UserError(f"{len(failed)} of {_cells(len(cells))} failed.", "The same command tries again.")
     return 0
 
 

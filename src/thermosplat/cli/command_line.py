@@ -14,6 +14,7 @@ from typing import TypeVar
 import tyro
 
 from thermosplat import __version__
+from thermosplat.printing import help_printed
 
 Arguments = TypeVar("Arguments")
 
@@ -38,9 +39,10 @@ def parse_command_line(
     _join_lines_of_help(kind)  # type: ignore[arg-type]  # a class is hashable
     # tyro's own reading of the docstring ends before its examples
     description = inspect.cleandoc(kind.__doc__ or "")
-    if default is None:
-        return tyro.cli(kind, prog=prog, args=argv, description=description)
-    return tyro.cli(kind, prog=prog, args=argv, default=default, description=description)
+    with help_printed(argv):
+        if default is None:
+            return tyro.cli(kind, prog=prog, args=argv, description=description)
+        return tyro.cli(kind, prog=prog, args=argv, default=default, description=description)
 
 
 @cache

@@ -1,18 +1,16 @@
 """How commands end: 0, 2 with a panel for a mistake of the user's, 128 + its number after a signal (130: Ctrl-C)."""
 
 import errno
-import io
-import os
 import sys
 from collections.abc import Callable
-from contextlib import suppress
-from typing import TextIO
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.panel import Panel
 from rich.text import Text
 
+from thermosplat.cli.host_settings import allowed_memory
 from thermosplat.errors import UserError
+from thermosplat.printing import SafeConsole, printable, safe_output
 from thermosplat.stop_signals import signal_of, stopped_by_signals
 
 USER_ERROR = 2
@@ -28,6 +26,14 @@ _REFUSALS = {
     errno.EDQUOT: "Free some space, or give a path on another disk.",
 }
 """Why the system may refuse a path, wherever that comes up, and what helps."""
+_OUT_OF_MEMORY = (
+    "annot allocate memory",
+    "can't allocate memory",
+    "failed to map segment",
+    "Failed to allocate",
+    "Insufficient memory",
+    "can't start new thread",
+)
 _SHOWN_NAME = 120
 """Letters of a path that are shown."""
 
@@ -43,25 +49,8 @@ def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False)
     Returns:
         The exit code. Errors that are no mistake of the user's are raised as they are.
     """
-    _print_what_cannot_be_encoded()
-    with stopped_by_signals():
-        code = _code_of(body, debug, print_error_line if one_line else print_error)
-    try:
-        sys.stdout.flush()
-    except OSError as error:  # nobody reads what is left of it (| head)
-        _discard(sys.stdout)
-        number = signal_of(error)
-        if number is None:
-            raise
-        return code or 128 + number
-    return code
-
-
-def _print_what_cannot_be_encoded() -> None:
-    """Let file names in another encoding than the terminal's, and signs that it lacks, be printed as escapes."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
-            stream.reconfigure(errors="backslashreplace")
+    with safe_output(), stopped_by_signals():
+        return _code_of(body, debug, print_error_line if one_line else print_error)
 
 
 def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], None]) -> int:
@@ -73,27 +62,31 @@ def _code_of(body: Callable[[], int], debug: bool, tell: Callable[[str, str], No
         return stop.code
     except UserError as error:
         if debug:
-            Console(stderr=True).print_exception()
+            SafeConsole(stderr=True).print_exception()
         tell(error.message, error.hint)
         return USER_ERROR
-    except (KeyboardInterrupt, OSError) as error:
-        number = signal_of(error)
-        if number is None:
-            if debug or not isinstance(error, OSError) or error.errno not in _REFUSALS or not error.filename:
-                raise
-            name = str(error.filename)
-            shown = name if len(name) <= _SHOWN_NAME else f"{name[:_SHOWN_NAME]}... ({len(name):,} letters)"
-            tell(f"{shown} cannot be used: {error.strerror}.", _REFUSALS[error.errno])
-            return USER_ERROR
-        if isinstance(error, KeyboardInterrupt):
-            with suppress(OSError):
-                print("Interrupted.", file=sys.stderr)
-        return 128 + number
-    except (RuntimeError, MemoryError) as error:
-        if debug or not _is_out_of_memory(error):
+    except KeyboardInterrupt as stop:
+        print("Interrupted.", file=sys.stderr)
+        return 128 + signal_of(stop)
+    except Exception as error:
+        refusal = _refusal_of(error)
+        if debug or refusal is None:
             raise
-        tell("Out of memory.", "Close other programs that use this device, and try again.")
+        tell(*refusal)
         return USER_ERROR
+
+
+def _refusal_of(error: Exception) -> tuple[str, str] | None:
+    """What the system refused, a path or memory, and what helps; None for other errors."""
+    if isinstance(error, OSError) and error.errno in _REFUSALS and error.filename:
+        name = str(error.filename)
+        shown = name if len(name) <= _SHOWN_NAME else f"{name[:_SHOWN_NAME]}... ({len(name):,} letters)"
+        return f"{shown} cannot be used: {error.strerror}.", _REFUSALS[error.errno]
+    if _is_out_of_memory(error):
+        limit = allowed_memory()
+        told = "" if limit is None else f" A process may have {limit / 2**30:.1f} GiB here (ulimit -v)."
+        return f"Out of memory.{told}", "Close other programs that use this device, and try again."
+    return None
 
 
 def print_error(message: str, hint: str = "") -> None:
@@ -103,10 +96,11 @@ def print_error(message: str, hint: str = "") -> None:
         message: What is wrong.
         hint: What to do about it.
     """
-    lines = [Text(message)]
+    lines = [Text(printable(message))]
     if hint:
-        lines += [Text(), Text(hint, style="bold")]
-    Console(stderr=True, highlight=False).print(Panel(Group(*lines), title="Error", title_align="left", style="red"))
+        lines += [Text(), Text(printable(hint), style="bold")]
+    panel = Panel(Group(*lines), title="Error", title_align="left", style="red")
+    SafeConsole(stderr=True, highlight=False).print(panel)
 
 
 def print_error_line(message: str, hint: str) -> None:
@@ -114,27 +108,10 @@ def print_error_line(message: str, hint: str) -> None:
     print(" ".join(f"Error: {message} {hint}".split()), file=sys.stderr, flush=True)
 
 
-def print_last(text: str) -> None:
-    """Print the last words of a command, on stderr where nobody reads stdout any more."""
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            print(text, file=stream, flush=True)
-            return
-        except OSError:
-            _discard(stream)
-
-
-def _discard(stream: TextIO) -> None:
-    """Let what is left in a stream that nobody reads go nowhere: Python would fail when it writes it at its end."""
-    with suppress(OSError, ValueError):  # no file behind it
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
-
-
 def _is_out_of_memory(error: BaseException) -> bool:
-    if "torch" not in sys.modules:
-        return isinstance(error, MemoryError)
-    from thermosplat.training.session.out_of_memory import is_out_of_memory
-
-    return is_out_of_memory(error)
+    """Whether memory ran out, as Python, torch, Warp, OpenCV or the loader of libraries say it, or one they name."""
+    of_torch = type(error).__name__ == "OutOfMemoryError"
+    if of_torch or isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
+        return True
+    cause = error.__cause__ or error.__context__
+    return cause is not None and _is_out_of_memory(cause)

@@ -9,6 +9,7 @@ from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.config.files import data_from_anywhere
+from thermosplat.printing import SafeConsole
 from thermosplat.spectra import MAE, label, unit_label
 
 if TYPE_CHECKING:
@@ -42,8 +43,6 @@ def main(argv: list[str] | None = None) -> int:
 
 def _evaluate(arguments: EvalArguments) -> int:
     with importing():
-        from rich.console import Console
-
         from thermosplat.evaluation.held_out import file_stem
         from thermosplat.evaluation.held_out_poses import evaluate_refined, unrefined_sentences
         from thermosplat.evaluation.labelled_regions import write_regions
@@ -51,13 +50,12 @@ def _evaluate(arguments: EvalArguments) -> int:
         from thermosplat.evaluation.results_page import write_results_page
         from thermosplat.image_quality.lpips import find_lpips
 
-    console = Console(highlight=False, soft_wrap=True)
     loaded = load_run(arguments.run, step=arguments.step, device=arguments.device)
     capture = loaded.capture(arguments.data)
     for note in (*loaded.notes, *capture.notes):
-        console.print(note, markup=False)
+        print(note)
     lpips, lpips_note = find_lpips(arguments.lpips_weights or loaded.config.lpips_weights, loaded.device)
-    console.print(lpips_note, markup=False)
+    print(lpips_note)
     run = loaded.directory
     name = loaded.result_name(capture)
     strips, table = run.pictures("renders", f"eval_{name}"), run.stats / f"eval_{name}.csv"
@@ -79,22 +77,22 @@ def _evaluate(arguments: EvalArguments) -> int:
     numbers = run.stats / f"eval_{name}.json"
     data = data_from_anywhere(arguments.data or loaded.config.data)
     run.write_json(numbers, {**metrics, "steps": loaded.step, "data": data})
-    _print_metrics(console, loaded, metrics)
+    _print_metrics(loaded, metrics)
     for sentence in unrefined_sentences(metrics):
-        console.print(sentence, markup=False)
+        print(sentence)
     by_region = run.regions_json if loaded.is_own(capture) else run.stats / f"regions_{name}.json"
     regions = write_regions(
         run, loaded.model, judged.capture, loaded.step, loaded.sh_degree, loaded.device, path=by_region
     )
     if regions is not None:
-        _print_regions(console, regions)
-        console.print(f"By region {by_region}", markup=False)
+        _print_regions(regions)
+        print(f"By region {by_region}")
     write_results_page(run)
-    console.print(f"Numbers {numbers}, per view {table}, pictures {strips}", markup=False)
+    print(f"Numbers {numbers}, per view {table}, pictures {strips}")
     return 0
 
 
-def _print_metrics(console: Any, loaded: "LoadedRun", metrics: dict[str, Any]) -> None:
+def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any]) -> None:
     from rich.table import Table
 
     title = f"step {loaded.step:,}, {metrics['num_gaussians']:,} Gaussians"
@@ -110,7 +108,7 @@ def _print_metrics(console: Any, loaded: "LoadedRun", metrics: dict[str, Any]) -
             *((column, form) for _, column, form in measured),
         )
         table.add_row(label(name), *(_cell(numbers.get(column), form) for column, form in columns))
-    console.print(table)
+    SafeConsole(highlight=False, soft_wrap=True).print(table)
 
 
 def _measured_columns(numbers: Iterable[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
@@ -119,7 +117,7 @@ def _measured_columns(numbers: Iterable[Mapping[str, Any]]) -> list[tuple[str, s
     return [(rf"MAE \[{unit_label(name.removeprefix(MAE))}]", name, ".2f") for name in found]
 
 
-def _print_regions(console: Any, regions: "Regions") -> None:
+def _print_regions(regions: "Regions") -> None:
     from rich import box
     from rich.table import Table
 
@@ -141,7 +139,7 @@ def _print_regions(console: Any, regions: "Regions") -> None:
             texts = [_cell(numbers.get(measure), form) for _, measure, form in columns]
             table.add_row(shown, label(name), pixels, *texts)
             shown = pixels = ""
-    console.print(table)
+    SafeConsole(highlight=False, soft_wrap=True).print(table)
 
 
 def _cell(number: float | None, form: str) -> str:

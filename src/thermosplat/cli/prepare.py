@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from thermosplat.cli.host_settings import importing
+from thermosplat.cli.host_settings import WITHOUT_TORCH, importing
 from thermosplat.cli.preparing import cameras, files
 from thermosplat.cli.preparing.steps import capture_at, say, say_next
 from thermosplat.cli.program import run_program
@@ -67,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
 def _prepare(arguments: PrepareArguments) -> int:
     root = Path(arguments.capture_folder)
     files.import_source(arguments, root)
-    with importing():
+    with importing(WITHOUT_TORCH):
         from thermosplat.prepare.checking.check import check
         from thermosplat.prepare.pairing.pairing import pair_frames
 

@@ -10,6 +10,7 @@ from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
 from thermosplat.errors import UserError
+from thermosplat.printing import SafeConsole
 
 if TYPE_CHECKING:
     from thermosplat.novel_views.bookmarks import Bookmark
@@ -21,8 +22,9 @@ class RenderArguments(SpectraArguments, RunOnCaptureArguments):
     """Render a trained run along a camera path: a video or PNGs of one spectrum, or of several side by side."""
 
     path: str = "interp"
-    """interp: smoothly through the training views; ellipse: around the scene; spiral: in front of it; train, test: the
-    views of that split themselves. Or a bookmarks file of thermosplat-view: smoothly through its bookmarks."""
+    """interp: smoothly through the training views; ellipse: round the scene as far as cameras were; spiral: in front of
+    it; train, test: the views of that split themselves. Or a bookmarks file of thermosplat-view: smoothly through its
+    bookmarks."""
     format: Literal["mp4", "png"] = "mp4"
     """A video (H.264 after pip install ".[video]" in the repository), or a folder of PNGs, named
     by the frames on the train and test paths and numbered on the others."""
@@ -92,9 +94,10 @@ def _render(arguments: RenderArguments) -> int:
         color_bar=arguments.color_bar,
         title=arguments.title,
     )
-    shown_path = path or "bookmarks"
+    console = SafeConsole()
+    doing = f"Rendering {path or 'bookmarks'}"
     written = write_images(
-        track(images, f"Rendering {shown_path}", len(points), transient=True, disable=not sys.stdout.isatty()),
+        track(images, doing, len(points), console=console, transient=True, disable=not console.is_terminal),
         videos / name,
         format=arguments.format,
         fps=arguments.fps,

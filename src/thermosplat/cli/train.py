@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
-from thermosplat.cli.errors import print_last, run_command
+from thermosplat.cli.errors import run_command
 from thermosplat.cli.host_settings import importing, prepare_host, without_garbage_collection
 from thermosplat.cli.training.beginning import capture_and_trainer, check_capture_to_go_on_with
 from thermosplat.cli.training.devices import check_devices, devices_asked, train_on_devices
 from thermosplat.cli.training.ending import say_what_and_where
 from thermosplat.cli.viewer_flags import viewer_flags
 from thermosplat.config.files import data_from_anywhere
+from thermosplat.printing import print_last
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
@@ -82,7 +83,7 @@ def _train(argv: list[str]) -> int:
                 metrics = trainer.train()
     except TrainingInterrupted as stop:
         print_last(
-            f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}"
+            f"Stopped at step {trainer.state.step:,}; saved {stop.checkpoint}.", f"Go on with: {stop.resume_command}"
         )
         return stop.exit_code
     say_what_and_where(trainer, metrics)

@@ -73,7 +73,10 @@ _AT_MOST: dict[str, float] = {
     "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory
     "decoder.hidden_layers": 64,
 }
-_LARGEST_INTEGER = 2**63 - 1
+_LARGEST_INTEGER = 10**12
+"""Far beyond any count of steps, images or Gaussians; sums and products of such numbers stay below 2^63."""
+_LEAST_FLOAT, _LARGEST_FLOAT = 1e-30, 1e30
+"""float32, in which all of it is computed, has numbers from 1e-38 to 3e38."""
 _SHARES = (
     "loss.ssim_lambda",
     "loss.depth_spread_from",
@@ -119,6 +122,10 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float) and not math.isfinite(number):
                 raise UserError(f"{name(key)} must be finite, found {number}.")
+            if isinstance(number, float) and number and not _LEAST_FLOAT <= abs(number) <= _LARGEST_FLOAT:
+                bounds = f"{_LEAST_FLOAT:g} and {_LARGEST_FLOAT:g}"
+                raise UserError(f"{name(key)} must be 0 or between {bounds} in size, found {number}.")
+        check_text(value, name(key))
     for key, least in _AT_LEAST.items():
         if values[key] is not None and values[key] < least:
             raise UserError(f"{name(key)} must be at least {least}, found {shown(values[key])}.")
@@ -127,8 +134,8 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
             raise UserError(f"{name(key)} must be at most {most}, found {shown(values[key])}.")
     for key, value in values.items():
         for number in value if isinstance(value, tuple) else (value,):
-            if isinstance(number, int) and abs(number) > _LARGEST_INTEGER:
-                raise UserError(f"{name(key)} must be a whole number below 2^63, found {shown(number)}.")
+            if isinstance(number, int) and abs(number) > _LARGEST_INTEGER and key != "seed":
+                raise UserError(f"{name(key)} must be at most {_LARGEST_INTEGER:,}, found {shown(number)}.")
     for key in _SHARES:
         if not 0 <= values[key] <= 1:
             raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
@@ -166,6 +173,25 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     if not all(0 < share < 1 for share in config.auto_budget.prune_at):
         shares = config.auto_budget.prune_at
         raise UserError(f"{name('auto_budget.prune_at')} must be shares of the run between 0 and 1, found {shares}.")
+
+
+def check_text(value: object, what: str) -> None:
+    """Refuse the name of a file that a configuration cannot hold.
+
+    Args:
+        value: Any value; only texts and paths are looked at.
+        what: What it is, as the message shall call it.
+
+    Raises:
+        UserError: It has bytes that are no UTF-8, or what OmegaConf would fill in.
+    """
+    text = str(value)
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise UserError(f"{what} is {text}, which is not UTF-8.", "Rename that file or folder.") from error
+    if "${" in text:
+        raise UserError(f"{what} is {text}, and no configuration can hold ${{.", "Rename that file or folder.")
 
 
 def _check_camera_passes(config: TrainConfig, name: Any) -> None:

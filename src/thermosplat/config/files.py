@@ -1,6 +1,6 @@
 """Configurations as YAML: presets that come with the package, files of the user's, the resolved one of a run.
 
-A file states only what differs from its ``base``, another preset or file, or from the schema's defaults (config.py)
+A file states only what differs from its ``base``, another preset or file, or from the schema's defaults (schema.py)
 where it names none. Keys are strict: an unknown one is an error that names the nearest known key. Keys of version 0.1
 are read under today's names (renamed.py).
 """

@@ -40,6 +40,9 @@ _TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")
 """In a unit's name it says that values are temperatures."""
 _LIKE_A_UNIT = 0.75
 """Likeness (difflib's ratio) from which on a word is a mistyped unit: "celcius", not "reflectance" or "percent"."""
+MOST_POINT_SPREAD = 0.1
+"""Standard deviation of the widest blur that a camera may have [of an image's width]: nothing could be seen beyond it,
+and a pixel would take longer than all others."""
 
 Name = Callable[[str], str]
 
@@ -84,6 +87,8 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
         value = getattr(settings, field)
         if value is not None and value < 0:
             raise UserError(f"{called(field)} must be zero or positive, found {value}.")
+    if settings.point_spread > MOST_POINT_SPREAD:
+        raise UserError(f"{called('point_spread')} must be at most {MOST_POINT_SPREAD}, found {settings.point_spread}.")
     for field in _SHARES:
         value = getattr(settings, field)
         if not 0 <= value <= 1:

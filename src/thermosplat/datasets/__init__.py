@@ -6,6 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from thermosplat.config import LensUse, TrainConfig
+from thermosplat.config.checks import check_text
 from thermosplat.config.values import shortened
 from thermosplat.datasets.assemble import assemble
 from thermosplat.datasets.capture import Capture, Frame, View
@@ -79,6 +80,7 @@ def load_capture(
             f"The capture {shown} {what}.",
             "Give the folder that holds rgb/ or images/; for a first try: thermosplat-train sample",
         )
+    check_text(root.resolve(), "The capture's folder")
     try:
         listing = list_capture(root, spectra)
         name = name or root.resolve().name

@@ -1,4 +1,4 @@
-"""Image losses in Warp as a torch function: the fast path of losses.py on CUDA."""
+"""Image losses in Warp as a torch function: the fast path of losses/image_terms.py on CUDA."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

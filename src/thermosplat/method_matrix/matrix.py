@@ -7,6 +7,7 @@ from itertools import chain
 from pathlib import Path
 
 from thermosplat.config import TrainConfig
+from thermosplat.config.checks import check_config
 from thermosplat.config.files import to_yaml
 from thermosplat.config.run_schedule import run_schedule
 from thermosplat.errors import UserError
@@ -58,7 +59,7 @@ class Matrix:
         """The configuration of a cell.
 
         Raises:
-            UserError: An override does not fit it.
+            UserError: An override does not fit it, or a value is one that no run can work with.
         """
         config = cell_config(
             self.methods[cell.method],
@@ -73,6 +74,7 @@ class Matrix:
         for override in self.overrides:
             if override.concerns(cell):
                 config = override.applied(config)
+        check_config(config, source=str(cell))
         return config
 
     def missing(self, finished: Mapping[Cell, CellResult]) -> list[Cell]:

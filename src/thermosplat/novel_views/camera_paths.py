@@ -11,6 +11,18 @@ from thermosplat.errors import UserError
 Matrices = NDArray[np.floating]
 
 SPIRAL_TURNS = 2  # as in LLFF's spiral, which this path follows in spirit
+LARGEST_GAP = np.pi / 4
+"""Where no camera stood for more than this angle, and for three times the usual one, the ellipse does not go."""
+LEAST_ARC = np.pi / 18
+"""Cameras on a shorter arc did not go round anything."""
+LEAST_WIDTH = 0.2
+"""Nor did those that look at no common point from a place that is narrower than this share of its length."""
+MOST_ALIKE = 0.99
+"""Mean squared cosine between cameras' axes and their common direction, above which they are parallel: within 6°."""
+OUTLIER = 5.0
+"""Cameras so many times as far from the middle as half of them are left out."""
+SMOOTHED = np.pi / 18
+"""Standard deviation of the angle over which cameras nearby count, at least."""
 
 
 def interpolated_path(viewmats: Matrices, num_frames: int) -> Matrices:
@@ -39,30 +51,72 @@ def interpolated_path(viewmats: Matrices, num_frames: int) -> Matrices:
 
 
 def ellipse_path(viewmats: Matrices, num_frames: int) -> Matrices:
-    """An ellipse around what the cameras look at, in the plane they were moved in; for captures that go round a scene.
+    """Round what the cameras look at, where they were: all the way, or to and fro along the arc they stood on.
+
+    Distance, height and uprightness are those of the cameras nearby, in the mean; so is the viewing direction of
+    cameras that look at no common point, such as a drone's that look straight down. Those that stand in one line are
+    followed there and back.
 
     Args:
         viewmats: Training poses, shape [V, 4, 4], V >= 3.
         num_frames: Poses of the path F.
 
     Returns:
-        Shape [F, 4, 4]; every pose looks at the point nearest to all optical axes.
+        Shape [F, 4, 4].
     """
     _require(viewmats, 3, "ellipse")
     poses = np.linalg.inv(viewmats)
-    centres, up = poses[:, :3, 3], _unit(-poses[:, :3, 1].mean(axis=0))
-    focus = focus_point(poses)
-    offsets = centres - focus
-    heights = offsets @ up
-    level = offsets - heights[:, None] * up
-    major = np.linalg.svd(level - level.mean(axis=0))[2][0]
-    major = _unit(major - (major @ up) * up)
-    minor = np.cross(up, major)
-    # 90th percentile: the ellipse stays among the cameras and off their outliers.
-    radius_major, radius_minor = (np.percentile(np.abs(level @ axis), 90) for axis in (major, minor))
-    angles = np.linspace(0, 2 * np.pi, num_frames, endpoint=False)[:, None]
-    path = focus + radius_major * np.cos(angles) * major + radius_minor * np.sin(angles) * minor + heights.mean() * up
-    return np.stack([look_to(centre, focus - centre, up) for centre in path])
+    away = np.linalg.norm(poses[:, :3, 3] - np.median(poses[:, :3, 3], axis=0), axis=1)
+    reach = float(np.median(away))
+    if reach > 0:
+        poses = poses[away < OUTLIER * reach]
+    centres, forward, ups = poses[:, :3, 3], poses[:, :3, 2], -poses[:, :3, 1]
+    spread = centres - centres.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(spread)
+    focus = _focus_ahead(poses, reach)
+    middle, axis = centres.mean(axis=0), axes[2]  # across the plane they were moved in
+    if focus is not None:
+        middle, axis = focus, _unit(ups.mean(axis=0))
+    major = _unit(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]))
+    minor = np.cross(axis, major)
+    offsets = centres - middle
+    heights, right, ahead = offsets @ axis, offsets @ major, offsets @ minor
+    angles, radii = np.arctan2(ahead, right), np.hypot(right, ahead)
+    first, span, gap = _covered_arc(angles)
+    if span < LEAST_ARC or (focus is None and sizes[1] < LEAST_WIDTH * sizes[0]):
+        given = np.linalg.inv(poses)
+        return interpolated_path(np.concatenate([given, given[-2::-1]]), num_frames)
+    turns = np.linspace(0, 2 * np.pi, num_frames, endpoint=False)
+    path_angles = first + (turns if span == 2 * np.pi else span * (1 - np.cos(turns)) / 2)
+    apart = np.abs((path_angles[:, None] - angles + np.pi) % (2 * np.pi) - np.pi)
+    weights = np.exp(-0.5 * (apart**2 - apart.min(axis=1, keepdims=True) ** 2) / max(gap, SMOOTHED) ** 2)
+    weights /= weights.sum(axis=1, keepdims=True)
+    radius = weights @ radii
+    path = middle + (weights @ heights)[:, None] * axis
+    path += (radius * np.cos(path_angles))[:, None] * major + (radius * np.sin(path_angles))[:, None] * minor
+    directions = weights @ forward if focus is None else focus - path
+    return np.stack([look_to(*pose) for pose in zip(path, directions, weights @ ups)])
+
+
+def _covered_arc(angles: Matrices) -> tuple[float, float, float]:
+    """The arc along which most cameras stand, without a gap between them.
+
+    Args:
+        angles: Of the cameras, shape [V], in radians.
+
+    Returns:
+        Where it begins, its length, 2π where they stand all around, and the usual gap between them.
+    """
+    ordered = np.sort(angles)
+    gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
+    usual = float(np.median(gaps))
+    ends = np.flatnonzero(gaps > max(LARGEST_GAP, 3 * usual))  # last cameras before a gap
+    if len(ends) == 0:
+        return float(ordered[0]), 2 * np.pi, usual
+    counts = np.diff(ends, prepend=ends[-1] - len(angles))
+    last, count = ends[counts.argmax()], counts.max()
+    begin = ordered[(last - count + 1) % len(angles)]
+    return float(begin), float((ordered[last] - begin) % (2 * np.pi)), usual
 
 
 def spiral_path(viewmats: Matrices, num_frames: int) -> Matrices:
@@ -81,10 +135,10 @@ def spiral_path(viewmats: Matrices, num_frames: int) -> Matrices:
     centre, forward, up = centres.mean(axis=0), _unit(poses[:, :3, 2].mean(axis=0)), -poses[:, :3, 1].mean(axis=0)
     mean_pose = np.linalg.inv(look_to(centre, forward, up))
     radii = np.percentile(np.abs((centres - centre) @ mean_pose[:3, :3]), 90, axis=0)  # right, down, forward
-    focus, reach = focus_point(poses), np.linalg.norm(radii)
-    focus_depth = np.median(np.einsum("vi,vi->v", focus - centres, poses[:, :3, 2]))
-    # Parallel cameras have no focus; what they look at then lies ahead of all of the spiral, within 45 degrees.
-    target = focus if focus_depth > 0.5 * reach else centre + 2 * reach * forward
+    reach = float(np.linalg.norm(radii))
+    focus = _focus_ahead(poses, reach)
+    # what cameras without a focus look at lies ahead of all of the spiral, within 45 degrees
+    target = centre + 2 * reach * forward if focus is None else focus
     angles = np.linspace(0, 2 * np.pi * SPIRAL_TURNS, num_frames, endpoint=False)
     local = np.stack([np.cos(angles), -np.sin(angles), -np.sin(angles / SPIRAL_TURNS)], axis=1) * radii
     path = centre + local @ mean_pose[:3, :3].T
@@ -131,6 +185,19 @@ def focus_point(poses: Matrices) -> Matrices:
     return np.linalg.lstsq(projections.sum(axis=0), (projections @ centres[:, :, None]).sum(axis=0), rcond=1e-6)[0][
         :, 0
     ]
+
+
+def _focus_ahead(poses: Matrices, reach: float) -> Matrices | None:
+    """The point that the cameras look at; None of cameras that look in parallel, apart or past each other.
+
+    Args:
+        poses: Camera-to-world matrices, shape [V, 4, 4].
+        reach: How far the cameras are from their middle.
+    """
+    focus, forward = focus_point(poses), poses[:, :3, 2]
+    depths = np.einsum("vi,vi->v", focus - poses[:, :3, 3], forward)
+    alike = np.linalg.eigvalsh(forward.T @ forward)[-1] / len(forward)
+    return focus if np.median(depths) > 0.5 * reach and alike < MOST_ALIKE else None
 
 
 def _catmull_rom(keys: Matrices, times: Matrices) -> Matrices:

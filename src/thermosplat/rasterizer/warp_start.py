@@ -79,9 +79,9 @@ def _start(config: "TrainConfig") -> None:
     thermal_channels = model.feature_dim if decoupled else 0
     antialiased = model.rasterize_mode == "antialiased"
     kernels = cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased)
-    if must_compile_for_cpu(kernels):
-        print("Compiling kernels, once per machine (half a minute on two cores) ...", flush=True)
     try:
+        if must_compile_for_cpu(kernels):
+            print("Compiling kernels, once per machine (half a minute on two cores) ...", flush=True)
         compile_for_cpu(kernels)
     except KernelCacheError as error:
         raise kernel_cache.cache_error(error) from error

@@ -58,8 +58,11 @@ def write_atomically(path: Path, write: Callable[[Path], None], *, durable: bool
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8, with its line ends as they are; see :func:`write_atomically`."""
-    write_bytes(path, text.encode())
+    """Write a text file in UTF-8, with its line ends as they are; see :func:`write_atomically`.
+
+    Bytes of a file's name that are no UTF-8 are written as escapes.
+    """
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Torch's memory as Warp's arrays (warp_streams.py shares the device, rasterization_functions.py runs the steps).
+"""Torch's memory as Warp's arrays (streams.py shares the device with it).
 
 Torch owns every tensor that outlives a call. A flat array of Warp may be a tensor of any shape here: those that users
 see are made in the shape they see.

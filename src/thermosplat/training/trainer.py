@@ -297,10 +297,10 @@ class Trainer:
             forget_images(self.capture)
             return metrics
         except (KeyboardInterrupt, Exception) as error:
-            if (number := signal_of(error)) is not None:
+            if isinstance(error, KeyboardInterrupt):
                 with deferred_interrupts(redeliver=False):
                     self._stop_if_not_finite()
-                    raise TrainingInterrupted(self._save(), self.run.resume_command(), number) from None
+                    raise TrainingInterrupted(self._save(), self.run.resume_command(), signal_of(error)) from None
             if isinstance(error, ImageLostError):
                 raise self._image_lost(error) from error
             if not is_out_of_memory(error):

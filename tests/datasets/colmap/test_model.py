@@ -102,7 +102,7 @@ def test_names_in_another_encoding_are_told(tmp_path):
 
 
 def test_no_model(tmp_path):
-    """The message says where a model was looked for and what was found, the hint how to make one."""
+    """The message says where a model was looked for and what was found, the hint how a capture or a model is made."""
     write_colmap_folder(tmp_path, 3)
     for path in (tmp_path / "sparse" / "0").iterdir():
         path.unlink()
@@ -112,7 +112,9 @@ def test_no_model(tmp_path):
     assert "images/ (3 files)" in caught.value.message
     images = tmp_path / "images"
     command = f"colmap automatic_reconstructor --workspace_path {tmp_path} --image_path {images} --dense 0"
-    assert caught.value.hint == f"Make one: {command}"
+    prepare = f"become a capture, poses and all, with thermosplat-prepare {tmp_path} "
+    assert prepare in caught.value.hint
+    assert caught.value.hint.index(prepare) < caught.value.hint.index(command)
 
 
 def test_the_command_that_makes_a_model_is_quoted(tmp_path):
@@ -121,6 +123,7 @@ def test_the_command_that_makes_a_model_is_quoted(tmp_path):
     with pytest.raises(UserError) as caught:
         load_capture(tmp_path / "my shed")
     words = shlex.split(caught.value.hint)
+    assert words[words.index("thermosplat-prepare") + 1] == str(tmp_path / "my shed")
     assert words[words.index("--workspace_path") + 1] == str(tmp_path / "my shed")
     assert words[words.index("--image_path") + 1] == str(tmp_path / "my shed" / "rgb")
 

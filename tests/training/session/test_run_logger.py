@@ -4,6 +4,7 @@ import errno
 import io
 import json
 import math
+import os
 import sys
 import time
 from pathlib import Path
@@ -275,19 +276,22 @@ def test_full_disk_costs_lines_not_the_training(tmp_path: Path, monkeypatch: pyt
     assert said.count("Gaussians") == 3
 
 
-def test_output_that_nobody_reads_is_raised_once(tmp_path: Path) -> None:
-    """Training hears of it, where rich would end the process; what is said afterwards goes nowhere."""
+@pytest.mark.parametrize("number", [errno.EPIPE, errno.ENOSPC, errno.EIO])
+def test_an_output_that_cannot_be_written_is_told_once(
+    number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody reads it, the disk is full, or the terminal is gone: rich would end the process."""
 
     class Gone(io.StringIO):
         def flush(self) -> None:
-            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+            raise OSError(number, os.strerror(number))
 
     logger = RunLogger(RunDirectory(tmp_path), max_steps=5, log_every=1, device=torch.device("cpu"), tensorboard=False)
     logger.console.file = Gone()
-    with pytest.raises(BrokenPipeError):
-        logger.say("a line")
+    logger.say("a line")
     logger.say("another")
     logger.close()
+    assert capsys.readouterr().err == f"The output cannot be written ({os.strerror(number)}). The command goes on.\n"
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.4, "0:00"), (59.6, "1:00"), (754, "12:34"), (4354, "1:12:34")])

@@ -1,5 +1,6 @@
 """Kernels are made and loaded once, whoever asks; what takes long is told, and what cannot be read too."""
 
+import errno
 import subprocess
 import sys
 import threading
@@ -12,6 +13,9 @@ import warp as wp
 from warp_kernels.machinery import loading
 from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import KernelCacheError, first_use, made_once, must_compile
+from warp_kernels.machinery.stored_modules import StoredModule
+
+Captured = pytest.CaptureFixture[str]
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -97,13 +101,14 @@ def test_loaded_kernels_take_no_lock() -> None:
 
 @pytest.mark.parametrize(("compiled", "slow", "told"), [(False, 0.01, 1), (False, 60.0, 0), (True, 0.01, 0)])
 def test_slow_compiling_is_told(
-    compiled: bool, slow: float, told: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    compiled: bool, slow: float, told: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     """Once, and neither where it is quick nor where a kernel is only loaded."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     monkeypatch.setattr(loading, "SLOW", slow)
     monkeypatch.setattr(loading, "_quiet_until", 0.0)
     monkeypatch.setattr(loading, "_loaded", set())
-    monkeypatch.setattr(loading, "_is_compiled", lambda *_: compiled)
+    monkeypatch.setattr(StoredModule, "is_whole", lambda _: compiled)
     lines: list[str] = []
     for kernel in (double_kernel, triple_kernel):
         with first_use(kernel, wp.get_device("cpu"), 256):
@@ -116,31 +121,22 @@ def test_slow_compiling_is_told(
     assert all(line.startswith("Compiling kernels") and "double_kernel" in line for line in lines)
 
 
-def test_a_cache_that_lacks_a_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Its folder may be there, without a compiled file in it."""
-    device = wp.get_device("cpu")
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    assert must_compile([double_kernel], device)
-    folder = tmp_path / double_kernel.module.get_module_identifier(block_dim=1)
-    folder.mkdir()
-    assert must_compile([double_kernel], device)
-    (folder / "module.o").touch()
-    assert not must_compile([double_kernel], device)
-
-
 def test_files_that_cannot_be_read_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Warp itself says of a compiled file only that loading failed."""
+    """Warp itself says of a compiled file only that loading failed; other errors stay what they are."""
     device = wp.get_device("cpu")
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     monkeypatch.setattr(loading, "_loaded", set())
-    file = tmp_path / double_kernel.module.get_module_identifier(block_dim=1) / "module.o"
-    file.parent.mkdir()
-    file.touch()
     with pytest.raises(ZeroDivisionError), first_use(double_kernel, device, 256):
         raise ZeroDivisionError
-    monkeypatch.setattr(loading.os, "access", lambda path, mode: path != file)
-    with pytest.raises(KernelCacheError, match=r"Permission denied .*module\.o"), first_use(double_kernel, device, 256):
-        raise RuntimeError("Failed to load CPU module")
+
+    def refuse(module: StoredModule) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied", str(module.folder / module.names[0]))
+
+    monkeypatch.setattr(StoredModule, "is_whole", refuse)
+    with pytest.raises(KernelCacheError, match=r"Permission denied .*\.o"), first_use(double_kernel, device, 256):
+        pass
+    with pytest.raises(KernelCacheError, match=r"Permission denied .*\.o"):
+        must_compile([double_kernel], device)
 
 
 CACHE_IS_NO_FOLDER = """

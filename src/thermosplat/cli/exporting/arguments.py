@@ -19,7 +19,7 @@ class ExportArguments(SpectraArguments, RunOnCaptureArguments):
     """Folder for the files. None: in the result folder, ply/ for PLY and exports/ for the others."""
     fit_passes: int | None = None
     """How long the splats are fitted to what the decoders show: so many steps for each training view. 0: each Gaussian
-    stays and gets the colour that its own features decode to. None: 10 on a CPU, 60 on a GPU. Scenes without decoders
+    stays and gets the colour that its own features decode to. None: 30 on a CPU, 60 on a GPU. Scenes without decoders
     need no fit."""
     colors: Literal["palette", "scalar"] = "palette"
     """Spectra that are no photographs: in the colours of their palette, or their intensity from black to white."""

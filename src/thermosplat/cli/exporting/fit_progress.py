@@ -1,8 +1,9 @@
 """How far the fit of the splats is: a bar on a terminal, a line now and then elsewhere."""
 
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+
+from thermosplat.printing import SafeConsole
 
 LINE_EVERY = 10.0
 """Seconds between lines."""
@@ -16,11 +17,12 @@ def shown_steps(steps: Sequence[int], name: str, *, clock: Callable[[], float] =
         name: The spectrum whose splats are fitted.
         clock: Seconds.
     """
-    if not sys.stdout.isatty():
+    console = SafeConsole()
+    if not console.is_terminal:
         return _with_lines(steps, name, clock)
     from rich.progress import track
 
-    return track(steps, f"Fitting {name}", transient=True)
+    return track(steps, f"Fitting {name}", console=console, transient=True)
 
 
 def _with_lines(steps: Sequence[int], name: str, clock: Callable[[], float]) -> Iterator[int]:

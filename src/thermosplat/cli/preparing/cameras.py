@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from thermosplat.cli.host_settings import importing
+from thermosplat.cli.host_settings import WITHOUT_TORCH, importing
 from thermosplat.cli.preparing.steps import CaptureArguments, capture_at, say, say_next
 from thermosplat.errors import UserError
 
@@ -52,7 +52,7 @@ def run_calibrate(arguments: CalibrateArguments) -> int:
             "calibrate needs two folders with pictures of a board.",
             "Name them: thermosplat-prepare calibrate CAPTURE --rgb BOARDS/rgb --thermal BOARDS/thermal",
         )
-    with importing():
+    with importing(WITHOUT_TORCH):
         from thermosplat.prepare.calibration.boards import Board
         from thermosplat.prepare.calibration.calibrate import calibrate
 
@@ -65,7 +65,7 @@ def run_calibrate(arguments: CalibrateArguments) -> int:
 
 def run_sfm(arguments: SfmArguments) -> int:
     """``thermosplat-prepare sfm``; returns the exit code."""
-    with importing():
+    with importing(WITHOUT_TORCH):
         from thermosplat.prepare.structure.sfm import run_sfm as step
 
     capture = capture_at(arguments.capture)
@@ -76,7 +76,7 @@ def run_sfm(arguments: SfmArguments) -> int:
 
 def run_register(arguments: RegisterArguments) -> int:
     """``thermosplat-prepare register``; returns the exit code."""
-    with importing():
+    with importing(WITHOUT_TORCH):
         from thermosplat.prepare.registration.register import register
 
     capture = capture_at(arguments.capture)
@@ -87,7 +87,7 @@ def run_register(arguments: RegisterArguments) -> int:
 
 def find_cameras(capture: "CaptureFolder") -> None:
     """The steps between pairing and checking, of ``thermosplat-prepare FOLDER``: sfm, then register."""
-    with importing():
+    with importing(WITHOUT_TORCH):
         from thermosplat.prepare.capture_folder import OTHER
         from thermosplat.prepare.registration.register import register
         from thermosplat.prepare.structure.sfm import run_sfm

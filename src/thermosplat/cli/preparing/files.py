@@ -9,9 +9,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from thermosplat.cli.host_settings import importing
+from thermosplat.cli.host_settings import WITHOUT_TORCH, importing
 from thermosplat.cli.preparing.steps import CaptureArguments, capture_at, say, say_next
 from thermosplat.errors import UserError
+from thermosplat.printing import printable
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,8 @@ class SourceArguments:
         place = self.folder or self.rgb
         if not place:
             raise UserError("No folder given.", "Say where the files are: thermosplat-prepare FOLDER")
-        return str(Path("captures") / Path(os.path.abspath(os.path.expanduser(place))).name)
+        name = Path(os.path.abspath(os.path.expanduser(place))).name
+        return str(Path("captures") / printable(name))
 
     def folders(self) -> dict[str, str]:
         """Folder of each spectrum that was named.
@@ -116,7 +118,7 @@ def run_import(arguments: ImportArguments) -> int:
 
 def import_source(arguments: SourceArguments, root: Path) -> None:
     """Import what the arguments name into a capture's folder, and say what was found."""
-    with importing():
+    with importing(WITHOUT_TORCH):
         from thermosplat.prepare.importing.import_files import ImportOptions, import_files
         from thermosplat.prepare.importing.thermal_images import ThermalOptions
 
@@ -136,7 +138,7 @@ def import_source(arguments: SourceArguments, root: Path) -> None:
 
 def run_pair(arguments: PairArguments) -> int:
     """``thermosplat-prepare pair``; returns the exit code."""
-    with importing():
+    with importing(WITHOUT_TORCH):
         from thermosplat.prepare.pairing.pairing import pair_frames
 
     capture = capture_at(arguments.capture)
@@ -147,7 +149,7 @@ def run_pair(arguments: PairArguments) -> int:
 
 def run_check(arguments: CheckArguments) -> int:
     """``thermosplat-prepare check``; returns the exit code."""
-    with importing():
+    with importing(WITHOUT_TORCH):
         from thermosplat.prepare.checking.check import check
 
     capture = capture_at(arguments.capture)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from thermosplat.config.checks import check_text
+
 if TYPE_CHECKING:
     from thermosplat.prepare.capture_folder import CaptureFolder
     from thermosplat.prepare.steps import StepReport
@@ -24,10 +26,16 @@ class CaptureArguments:
 
 
 def capture_at(folder: str | Path) -> "CaptureFolder":
-    """The capture in a folder; "~" is the home directory."""
+    """The capture in a folder; "~" is the home directory.
+
+    Raises:
+        UserError: The folder's name is not UTF-8.
+    """
     from thermosplat.prepare.capture_folder import CaptureFolder
 
-    return CaptureFolder(Path(os.path.expanduser(folder)))
+    root = Path(os.path.expanduser(folder))
+    check_text(root.resolve(), "The capture's folder")
+    return CaptureFolder(root)
 
 
 def say(step: str, report: "StepReport") -> None:

@@ -13,6 +13,7 @@ import time
 from types import FrameType
 
 from thermosplat.cli.errors import print_error
+from thermosplat.cli.host_settings import importing
 from thermosplat.errors import UserError
 from thermosplat.stop_signals import STOP_SIGNALS, handled_signals
 
@@ -60,7 +61,8 @@ def check_devices(devices: int, device: str) -> None:
     Raises:
         UserError: This machine has fewer GPUs, or ``--device`` names one.
     """
-    import torch
+    with importing():
+        import torch
 
     if device == "cpu" or (device == "auto" and not torch.cuda.is_available()):
         return
@@ -93,7 +95,7 @@ def train_on_devices(devices: int, argv: list[str]) -> int:
         "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", threads),
         PARENT: str(os.getpid()),
     }
-    command = [sys.executable, "-m", "thermosplat", "train", *argv]
+    command = [sys.executable, "-P", "-m", "thermosplat", "train", *argv]
     processes: list[subprocess.Popen[bytes]] = []
 
     def pass_on(number: int, frame: FrameType | None) -> None:

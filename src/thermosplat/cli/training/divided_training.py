@@ -7,7 +7,6 @@ import contextlib
 import io
 import os
 import signal
-import sys
 import threading
 import time
 import traceback
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
-from thermosplat.cli.errors import print_error, print_last, run_command
+from thermosplat.cli.errors import print_error, run_command
 from thermosplat.cli.host_settings import importing, prepare_host
 from thermosplat.cli.training.beginning import capture_and_trainer, check_capture_to_go_on_with
 from thermosplat.cli.training.devices import GRACE, PARENT
@@ -27,6 +26,7 @@ from thermosplat.config.files import data_from_anywhere
 from thermosplat.distributed.lifeline import Lifeline
 from thermosplat.distributed.team import EndedElsewhere, Team
 from thermosplat.errors import UserError
+from thermosplat.printing import print_last, safe_output
 
 if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
@@ -61,20 +61,19 @@ class RankOfTraining:
     def main(self) -> int:
         """Train with the other ranks; the exit code."""
         _end_with_the_parent()
-        try:
-            code = run_command(self._train, debug="--debug" in self.argv)
-        except Exception:
-            time.sleep(FIRST_WORD)  # an exchange that broke as another rank died: the lifeline tells of that meanwhile
-            traceback.print_exc()
-            print_error("This rank failed, and the training ended with it.", self._how_to_go_on())
-            code = 1
-        if self.lifeline is not None:
-            if code and not self.agreed:
-                self.lifeline.failed(code)
-            else:
-                self.lifeline.done()
-        sys.stdout.flush()
-        sys.stderr.flush()
+        with safe_output():
+            try:
+                code = run_command(self._train, debug="--debug" in self.argv)
+            except Exception:
+                time.sleep(FIRST_WORD)  # an exchange that broke as another rank died: the lifeline tells of that
+                traceback.print_exc()
+                print_error("This rank failed, and the training ended with it.", self._how_to_go_on())
+                code = 1
+            if self.lifeline is not None:
+                if code and not self.agreed:
+                    self.lifeline.failed(code)
+                else:
+                    self.lifeline.done()
         os._exit(code)  # other threads wait for ranks that may not answer any more
 
     def _train(self) -> int:
@@ -131,7 +130,7 @@ class RankOfTraining:
             self.agreed = True
             if team.is_first:
                 print_last(
-                    f"Stopped at step {trainer.step:,}; saved {stop.checkpoint}.\nGo on with: {stop.resume_command}"
+                    f"Stopped at step {trainer.step:,}; saved {stop.checkpoint}.", f"Go on with: {stop.resume_command}"
                 )
             return stop.exit_code
         if team.is_first:

@@ -143,10 +143,12 @@ def missing_model(root: Path, images: Path) -> UserError:
     )
     if (root / "prepared").is_dir():
         return UserError(message, f"Go on with its preparation: thermosplat-prepare sfm {shlex.quote(str(root))}")
+    folder, of_images = shlex.quote(str(root)), shlex.quote(str(images))
     return UserError(
         message,
-        f"Make one: colmap automatic_reconstructor --workspace_path {shlex.quote(str(root))} "
-        f"--image_path {shlex.quote(str(images))} --dense 0",
+        f"The untouched files of two cameras become a capture, poses and all, with thermosplat-prepare {folder} (or "
+        "make a model of the images as they are: "
+        f"colmap automatic_reconstructor --workspace_path {folder} --image_path {of_images} --dense 0)",
     )
 
 

@@ -55,6 +55,10 @@ class ImportOptions:
         }
 
 
+_LONGEST_STEM = 200
+"""Bytes."""
+
+
 def import_files(folder: Path | None, capture: CaptureFolder, options: ImportOptions | None = None) -> StepReport:
     """Find photographs and thermal files, and write ``images/`` and ``frames.csv``.
 
@@ -241,11 +245,20 @@ def _names(files: Sequence[SourceFile]) -> list[str]:
         names = []
         for file in files:
             path = PurePosixPath(file.name)
-            stem = "_".join([*path.parts[:-1], path.stem][-parts:])
+            stem = _plain("_".join([*path.parts[:-1], path.stem][-parts:]))
             names.append(stem if file.frame is None else f"{stem}_{file.frame:06d}")
         if len(set(names)) == len(names):
             return names
     return [f"{name}_{number}" for number, name in enumerate(names)]  # one stem with several endings
+
+
+def _plain(stem: str) -> str:
+    """A name that COLMAP's text files and every disk can hold: no blanks, no signs that are not printed, not too long.
+
+    COLMAP separates names by blanks. A name has 255 bytes at most, and endings and numbers come after this one.
+    """
+    plain = "".join(sign if sign.isprintable() and not sign.isspace() else "_" for sign in stem)
+    return plain.encode()[:_LONGEST_STEM].decode(errors="ignore")
 
 
 def _shown(items: Sequence[Any], what: str) -> Iterable[Any]:

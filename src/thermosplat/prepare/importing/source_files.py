@@ -22,6 +22,7 @@ from thermosplat.prepare.importing.exif import parse_exif, read_exif
 from thermosplat.prepare.importing.flir_files import is_flir
 from thermosplat.prepare.importing.image_header import is_whole_jpeg, read_header
 from thermosplat.prepare.importing.video_frames import VIDEO_SUFFIXES, describe_video, moment, read_video_frame
+from thermosplat.printing import printable
 from thermosplat.regular_files import files_below
 
 Kind = Literal["color", "grey", "values", "flir", "dji"]
@@ -59,7 +60,8 @@ class SourceFile:
     @property
     def source(self) -> str:
         """As frames.csv names it."""
-        return self.name if self.frame is None else f"{self.name}#{self.frame}"
+        name = printable(self.name)
+        return name if self.frame is None else f"{name}#{self.frame}"
 
     def read(self) -> NDArray[Any]:
         """Its pixels as ``read_image`` gives them.

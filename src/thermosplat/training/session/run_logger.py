@@ -21,6 +21,7 @@ from rich.live import Live
 from rich.text import Text
 from torch import Tensor
 
+from thermosplat.printing import SafeConsole, printable
 from thermosplat.runs.atomic_writes import open_to_append, write_text
 from thermosplat.runs.run_directory import RunDirectory, finite_or_null
 from thermosplat.runs.written_files import TENSORBOARD_SUFFIX
@@ -52,15 +53,6 @@ class StepRecord:
     """Time spent in steps so far [s]."""
 
 
-class _Output(Console):
-    """Standard output. Where nobody reads it any more the training shall save itself; rich would end the process."""
-
-    def on_broken_pipe(self) -> None:
-        """Raise the BrokenPipeError that is being handled, once."""
-        self.quiet = True
-        raise  # rich calls this in its except clause
-
-
 class RunLogger:
     """Tells the user, metrics.jsonl and TensorBoard how the training goes.
 
@@ -87,7 +79,7 @@ class RunLogger:
         self.max_steps = max_steps
         self.log_every = log_every
         self.device = device
-        self.console = console if console is not None else _Output(highlight=False)
+        self.console = console if console is not None else SafeConsole(highlight=False)
         self.held_out: dict[str, float] = {}
         self.scene = ""
         """Which of several scenes is trained, for lines; "" where there is one."""
@@ -135,7 +127,8 @@ class RunLogger:
 
     def say(self, message: str) -> None:
         """Print one line above the live line."""
-        self.console.print(Text(message), soft_wrap=not self.console.is_terminal)  # a line of a log file stays one line
+        line = Text(printable(message))
+        self.console.print(line, soft_wrap=not self.console.is_terminal)  # a line of a log file stays one line
 
     @contextmanager
     def compiling(self) -> Iterator[None]:
@@ -206,10 +199,9 @@ class RunLogger:
 
     def close(self) -> None:
         """Take the live line down and close the files. The logger cannot be used afterwards."""
-        with suppress(OSError):  # the output may be what ended the training
-            self._report_late()
-            if self._live is not None:
-                self._live.stop()
+        self._report_late()
+        if self._live is not None:
+            self._live.stop()
         self._live = None
         if self._writer is not None:
             with suppress(OSError):  # a full disk

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rich.console import Console
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
@@ -22,6 +21,7 @@ from thermosplat.datasets.kept_images import forget_images
 from thermosplat.datasets.stored_pixels import ImageLostError
 from thermosplat.distributed.team import EndedElsewhere, Team
 from thermosplat.errors import UserError
+from thermosplat.printing import SafeConsole
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians
@@ -122,7 +122,7 @@ class DividedTrainer(Trainer):
         if self.team.is_first:
             return super()._make_logger()
         never = 2**62
-        silent = Console(quiet=True, file=io.StringIO())
+        silent = SafeConsole(quiet=True, file=io.StringIO())
         return RunLogger(
             self.run, max_steps=never, log_every=never, device=self.device, tensorboard=False, console=silent
         )

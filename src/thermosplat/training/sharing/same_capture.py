@@ -73,7 +73,7 @@ def _digest(*parts: "np.ndarray | str") -> str:
     found = hashlib.blake2b(digest_size=8)
     for part in parts:
         if isinstance(part, str):
-            found.update(part.encode())
+            found.update(part.encode(errors="backslashreplace"))
         else:
             found.update(f"{part.shape} {part.dtype}".encode())
             found.update(np.ascontiguousarray(part).data)

@@ -99,7 +99,7 @@ class Leader:
             self._copy()
             watch.between_steps(self)
         except KeyboardInterrupt as stop:  # a viewer's, or a signal to any rank; all stop after this meeting
-            trainer.wish.note(signal_of(stop) or 0)
+            trainer.wish.note(signal_of(stop))
         self._say(Word.GO_ON)
 
     def _go_on_alone(self) -> None:
