@@ -8,7 +8,7 @@ grey ones and those in a palette's colours are thermal.
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -179,26 +179,35 @@ def prefer_values(files: Sequence[SourceFile]) -> tuple[list[SourceFile], list[s
     ]
 
 
-def one_camera(spectrum: str, files: Sequence[SourceFile], take_most: bool) -> tuple[list[SourceFile], list[str]]:
+def one_camera(
+    spectrum: str, files: Sequence[SourceFile], take_most: bool, turn_back: int | None = None
+) -> tuple[list[SourceFile], list[str]]:
     """Images of one camera at one size.
 
     Args:
         spectrum: Name of the spectrum.
         files: Its images.
         take_most: Of several cameras or sizes take the most frequent.
+        turn_back: Degrees by which images whose sides are swapped are turned clockwise; None: they are refused.
 
     Returns:
         The images to take, and what to say about the others.
 
     Raises:
-        UserError: There are several, and ``take_most`` is not set.
+        UserError: There are several, and nothing says what to do with them.
     """
     kinds: Counter[tuple[str, int, int]] = Counter(_camera(file) for file in files)
     if len(kinds) <= 1:
         return list(files), []
     best = kinds.most_common(1)[0][0]
-    taken = [file for file in files if _camera(file) == best]
+    swapped = best[0], best[2], best[1]
     left = [file for file in files if _camera(file) != best]
+    turned = [file for file in left if _camera(file) == swapped]
+    if turned and turn_back is not None:
+        back = [replace(file, turn=turn_back) if file in turned else file for file in files]
+        taken, said = one_camera(spectrum, back, take_most)
+        count = counted(len(turned), f"{spectrum} image was", f"{spectrum} images were")
+        return taken, [f"{count} turned by {turn_back}° (first: {turned[0].name}).", *said]
     described = ", ".join(
         f"{count} of {width}x{height} px{f' ({camera})' if camera else ''}"
         for (camera, width, height), count in kinds.most_common(4)
@@ -208,18 +217,22 @@ def one_camera(spectrum: str, files: Sequence[SourceFile], take_most: bool) -> t
         gone = (
             f"{counted(len(left), f'{spectrum} image')} of another camera or size {agreeing(len(left), 'was', 'were')}"
         )
-        return taken, [f"{gone} left out: {described}; {first}."]
-    turned = all((file.height, file.width) == best[1:] for file in left)
-    why = (
-        " The others were turned by a program; copy them from the camera again, as EXIF turns nothing."
-        if turned
-        else " All images of a spectrum must come from one camera at one zoom and size."
-    )
+        return [file for file in files if _camera(file) == best], [f"{gone} left out: {described}; {first}."]
+    message = f"The {spectrum} images are of {len(kinds)} cameras or sizes: {described}; {first}."
+    if len(turned) == len(left):
+        raise UserError(
+            f"{message} The others were turned by a program.",
+            "Turn them back, clockwise: --turn-back 90, or 270. Or copy them from the camera again, or leave them out: "
+            "--take-most",
+        )
     raise UserError(
-        f"The {spectrum} images are of {len(kinds)} cameras or sizes: {described}; {first}.{why}",
+        f"{message} All images of a spectrum must come from one camera at one zoom and size.",
         "Take the most frequent alone with --take-most, or name the folders: --rgb DIR --thermal DIR",
     )
 
 
 def _camera(file: SourceFile) -> tuple[str, int, int]:
-    return " ".join(filter(None, (file.exif.make, file.exif.model))), file.width, file.height
+    width, height = (file.height, file.width) if file.turn else (file.width, file.height)
+    if file.kind in ("flir", "dji"):  # the values stay as the sensor has them when a program turns the picture
+        width, height = max(width, height), min(width, height)
+    return " ".join(filter(None, (file.exif.make, file.exif.model))), width, height
