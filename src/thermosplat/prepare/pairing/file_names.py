@@ -30,7 +30,7 @@ def name_key(row: FrameRow) -> str | None:
 def number_key(row: FrameRow) -> str | None:
     """The last number in the file's name that is no time, without leading zeros; of a video frame its number."""
     name, _, frame = row.source.partition("#")
-    numbers = re.findall(r"\d+", _without_time(PurePosixPath(name).stem))
+    numbers = re.findall(r"\d+", _time_and_rest(PurePosixPath(name).stem)[1])
     return frame or (str(int(numbers[-1])) if numbers else None)
 
 
@@ -46,17 +46,7 @@ def folder_key(row: FrameRow) -> str:
 
 def name_time(row: FrameRow) -> float | None:
     """The time in the file's name [s] since 1970, as if it were UTC; None where there is none."""
-    stem = PurePosixPath(row.source.partition("#")[0]).stem
-    if (found := _DATE_AND_TIME.search(stem)) is not None:
-        *numbers, fraction = found.groups()
-        try:
-            moment = datetime(*map(int, numbers), tzinfo=UTC)  # type: ignore[misc, arg-type]
-        except ValueError:
-            return None
-        return moment.timestamp() + float(f"0.{(fraction or '').lstrip('.,') or 0}")
-    if (found := _SINCE_1970.search(stem)) is not None:
-        return float(f"{found[1]}.{found[2] or found[3] or 0}")
-    return None
+    return _time_and_rest(PurePosixPath(row.source.partition("#")[0]).stem)[0]
 
 
 def is_named_by_time(row: FrameRow) -> bool:
@@ -64,8 +54,20 @@ def is_named_by_time(row: FrameRow) -> bool:
     return name_time(row) is not None and number_key(row) is None
 
 
-def _without_time(stem: str) -> str:
-    return _SINCE_1970.sub(" ", _DATE_AND_TIME.sub(" ", stem))
+def _time_and_rest(stem: str) -> tuple[float | None, str]:
+    """The time in a name, and the name without it."""
+    if (found := _DATE_AND_TIME.search(stem)) is not None:
+        *numbers, fraction = found.groups()
+        try:
+            moment = datetime(*map(int, numbers), tzinfo=UTC)  # type: ignore[misc, arg-type]
+        except ValueError:
+            return None, stem
+        seconds = moment.timestamp() + float(f"0.{(fraction or '').lstrip('.,') or 0}")
+    elif (found := _SINCE_1970.search(stem)) is not None:
+        seconds = float(f"{found[1]}.{found[2] or found[3] or 0}")
+    else:
+        return None, stem
+    return seconds, f"{stem[: found.start()]} {stem[found.end() :]}"
 
 
 def _common_words(name: str, letters: str = ascii_lowercase) -> str:
