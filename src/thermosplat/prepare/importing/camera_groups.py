@@ -39,9 +39,14 @@ _LETTERS = {LEADING: "wv", OTHER: "tr", "zoom": "z"}
 _PALETTE_LIMIT = 25.0
 """Mean distance of an image's colours from FLIR Iron or its own palette [8-bit levels] up to which it is
 pseudo-colour; measured in capture_palette.py."""
-_GREY_LIMIT = 6.0
-"""Mean difference between the channels of a colour image [8-bit levels] up to which it is grey."""
+_GREY_LIMIT = 10.0
+"""Mean difference between the channels of a colour image [8-bit levels] up to which it is grey; white-hot pictures of
+cameras have 2 to 8."""
 _SAMPLED = 3
+_LARGEST_SENSOR = 2048 * 1536
+"""Pixels of the largest pictures of uncooled thermal cameras (FLIR's UltraMax, which makes four of one)."""
+_LARGER = 2
+"""How many times the pixels of thermal pictures photographs beside them have at least."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,7 @@ def group_files(files: Sequence[SourceFile]) -> Groups:
     sentences = []
     if roles["zoom"] and not roles[LEADING]:
         roles[LEADING], roles["zoom"] = roles["zoom"], []
+        sentences.append("The photographs are of the zoom camera, whose field of view must be the same in all.")
     if roles["msx"] and not roles[OTHER]:
         roles[OTHER], roles["msx"] = roles["msx"], []
     for role, why in (("zoom", "of the zoom camera: its field of view changes"), ("msx", "with visible edges (MSX)")):
@@ -132,11 +138,20 @@ def _add_unnamed(roles: dict[str, list[SourceFile]]) -> None:
     for file in unnamed:
         camera = (file.exif.make, file.exif.model, file.width, file.height, file.kind, file.frame and file.name)
         by_camera.setdefault(camera, []).append(file)
-    for group in by_camera.values():
-        thermal = not any(file.is_radiometric for file in roles[OTHER]) and looks_thermal(group)
-        roles[OTHER if thermal else LEADING] += group
+    measured = any(file.is_radiometric for file in roles[OTHER])
+    alike = {kind for kind, group in by_camera.items() if not measured and looks_thermal(group)}
+    sizes = [_pixels(by_camera[kind][0]) for kind in alike] + [_pixels(file) for file in roles[OTHER]]
+    for kind, group in by_camera.items():
+        # photographs of a grey wall look thermal, too: they are larger, and have a sensitivity
+        photographs = _pixels(group[0]) > min(_LARGEST_SENSOR, _LARGER * min(sizes, default=_LARGEST_SENSOR))
+        sensitive = any(file.exif.iso is not None for file in group)
+        roles[OTHER if kind in alike and not (photographs or sensitive) else LEADING] += group
     for role in (LEADING, OTHER):
         roles[role].sort(key=lambda file: (file.name, file.frame or 0))
+
+
+def _pixels(file: SourceFile) -> int:
+    return file.width * file.height
 
 
 def looks_thermal(files: Sequence[SourceFile]) -> bool:
@@ -165,18 +180,32 @@ def prefer_values(files: Sequence[SourceFile]) -> tuple[list[SourceFile], list[s
         The files to take, and what to say about the others.
     """
     kinds = Counter(file.kind for file in files if file.is_radiometric)
+    emptied = [file for file in files if not file.is_radiometric and _is_of_radiometric_maker(file)]
+    said = []
+    if emptied:
+        count = counted(len(emptied), "thermal picture holds", "thermal pictures hold")
+        said = [
+            f"{count} no measured values, though cameras of this maker save them (first: {emptied[0].name}): a program "
+            "has saved the pictures again without them, or the camera was not set to. Copy them from the card again."
+        ]
     if not kinds:
-        return list(files), []
+        return list(files), said
     best = kinds.most_common(1)[0][0]
     taken = [file for file in files if file.kind == best]
     left = [file for file in files if file.kind != best]
     if not left:
-        return taken, []
+        return taken, said
     return taken, [
+        *said,
         f"{counted(len(left), 'thermal picture')} without temperatures {agreeing(len(left), 'was', 'were')} left out, "
         f"because {counted(len(taken), 'file has', 'files have')} them "
-        f"(first left out: {left[0].name})."
+        f"(first left out: {left[0].name}).",
     ]
+
+
+def _is_of_radiometric_maker(file: SourceFile) -> bool:
+    maker = (file.exif.make or "").lower()
+    return file.frame is None and file.kind in ("color", "grey") and maker.startswith(("dji", "flir"))
 
 
 def one_camera(

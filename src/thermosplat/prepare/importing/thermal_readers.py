@@ -29,8 +29,8 @@ from thermosplat.thermal.thermal_parameters import ThermalParameters
 
 _SATURATED = 0.01
 """Share of pixels above what a camera can measure that have no temperature, as dead ones; more are a hot scene."""
-_CENTER_LIMIT = 3.0
-"""How far [°C] the middle may lie from what an XT states in whole degrees: 0.5 in files of two cameras."""
+_MIDDLE, _ROUNDED = 4, 1.5
+"""How many pixels from the middle an XT may have measured, and how far [°C] its whole degrees may lie beside them."""
 
 
 class Reader(Protocol):
@@ -252,13 +252,14 @@ def _check_xt(file: SourceFile, celsius: NDArray[Any]) -> None:
         return
     fields = xmp_fields(xmp_packet(read_regular_file(file.path)))
     height, width = celsius.shape
-    middle = float(np.nanmedian(celsius[height // 2 - 2 : height // 2 + 2, width // 2 - 2 : width // 2 + 2]))
+    middle = celsius[height // 2 - _MIDDLE : height // 2 + _MIDDLE, width // 2 - _MIDDLE : width // 2 + _MIDDLE]
+    low, high = float(np.nanmin(middle)), float(np.nanmax(middle))
     try:
         named = float(fields["CentralTemperature"])
     except (KeyError, ValueError):
-        named = middle
-    if not abs(named - middle) <= _CENTER_LIMIT:
-        raise _wrong(file.path, f"the middle has {middle:.1f} °C, and the file states {named:.0f} °C")
+        named = low
+    if not low - _ROUNDED <= named <= high + _ROUNDED:
+        raise _wrong(file.path, f"the middle has {low:.1f} to {high:.1f} °C, and the file states {named:.0f} °C")
     if not shows_the_same(celsius, read_image(file.path), file.exif.digital_zoom or 1.0):
         raise _wrong(file.path, "the picture in it shows something else")
 
