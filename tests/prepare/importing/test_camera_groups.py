@@ -73,7 +73,7 @@ def test_mostly_cold_pictures_keep_their_palette(tmp_path: Path, capture: Captur
 def test_photographs_of_a_grey_wall(
     tmp_path: Path, capture: CaptureFolder, size: tuple[int, int], exif: dict[str, Any], thermal_name: str
 ) -> None:
-    """They are told from grey thermal pictures by their size, alone or beside smaller ones, and by their sensitivity."""
+    """They are told from grey thermal pictures by their size, alone or beside others, and by their sensitivity."""
     for number in range(5):
         write_grey(tmp_path / "in" / f"P{number}.jpg", number, size, **exif)
         write_grey(tmp_path / "in" / thermal_name.format(number), number, (96, 72))

@@ -187,5 +187,5 @@ def test_files_that_fail_are_left_out_where_the_user_says_so(tmp_path: Path, ins
     capture = CaptureFolder(tmp_path / "out")
     said = " ".join(import_files(folder, capture, ImportOptions(skip_unreadable=True)).sentences)
     assert "1 thermal file was left out (first: The temperatures in" in said
-    assert "Not corrected are an emissivity of 0.95, 25 °C reflected and 5.0 m, as each file says" in said
+    assert "correct them for an emissivity of 0.95, 25 °C reflected and 5.0 m; nothing is corrected here" in said
     assert len(capture.read_frames("thermal")) == 6

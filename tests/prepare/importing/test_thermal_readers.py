@@ -141,7 +141,7 @@ def test_parameters_survive_their_file(tmp_path: Path) -> None:
     assert read_parameters(path) == {}
     path.write_text(parameters_text(some))
     assert read_parameters(path) == some
-    assert stated(list(some.values())) == "an emissivity of 0.90 to 1.00, 20 °C reflected and 0.0 m, as each file says"
+    assert stated(list(some.values())) == "an emissivity of 0.90 to 1.00, 20 °C reflected and 0.0 m"
     for damage in ("[]", "{", '{"images": {"a": {}}}', '{"images": {"a": {"applied": true, "emissivity": "NaN"}}}'):
         path.write_text(damage)
         with pytest.raises(UserError, match=r"thermal_parameters\.json is damaged"):

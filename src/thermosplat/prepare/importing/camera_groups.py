@@ -36,7 +36,7 @@ _NEAR_INFRARED = re.compile("near[ _-]?(infrared|ir)", re.IGNORECASE)
 """A further spectrum, which is not thermal."""
 _LETTERS = {LEADING: "wv", OTHER: "tr", "zoom": "z"}
 """The same as single letters at the end of a name: DJI's wide, visible, thermal, radiometric and zoom cameras."""
-_PALETTE_LIMIT = 25.0
+PALETTE_LIMIT = 25.0
 """Mean distance of an image's colours from FLIR Iron or its own palette [8-bit levels] up to which it is
 pseudo-colour; measured in capture_palette.py."""
 _GREY_LIMIT = 10.0
@@ -170,7 +170,7 @@ def _is_thermal_picture(path: Path) -> bool:
     if float(np.ptp(image.astype(np.int16), axis=-1).mean()) <= _GREY_LIMIT:
         return True
     palette = read_flir_palette(path) or FLIR_IRON
-    return palette.residual(image / np.float32(255)) <= _PALETTE_LIMIT
+    return palette.residual(image / np.float32(255)) <= PALETTE_LIMIT
 
 
 def prefer_values(files: Sequence[SourceFile]) -> tuple[list[SourceFile], list[str]]:

@@ -224,7 +224,7 @@ def _placed(rows: Sequence[FrameRow]) -> list[str]:
     if not parts:
         return []
     rtk = f" RTK was not fixed in {counted(lost, 'image')}." if lost else ""
-    return [f"{' and '.join(parts)} {agreeing(len(parts), 'has', 'have')} a GPS position.{rtk}"]
+    return [f"{' and '.join(parts)} have a GPS position.{rtk}"]
 
 
 def _orientation(rows: Sequence[FrameRow]) -> list[str]:

@@ -16,6 +16,7 @@ from thermosplat.datasets.images.image_bytes import read_regular_file
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.counted import agreeing, counted
+from thermosplat.prepare.importing.camera_groups import PALETTE_LIMIT
 from thermosplat.prepare.importing.dji_files import DjiFile, read_dji
 from thermosplat.prepare.importing.dji_programs import INSTALL, PROGRAMS, Conversion, converted, installed
 from thermosplat.prepare.importing.embedded_picture import shows_the_same
@@ -122,7 +123,9 @@ class FlirReader:
 
     def sentences(self) -> list[str]:
         """With which assumptions, and how many pixels the cameras cannot measure."""
-        said = [f"Temperatures were computed from the counts of FLIR files, for {stated(self._seen)}."]
+        said = [
+            f"Temperatures were computed from the counts of FLIR files, for {stated(self._seen)}, as each file says."
+        ]
         if self._beyond:
             name, _, extreme, image = self._beyond[0]
             pixels = sum(count for _, count, _, _ in self._beyond)
@@ -162,12 +165,14 @@ class DjiReader:
     def sentences(self) -> list[str]:
         """Where temperatures come from, and what is in them."""
         which = " and ".join(self._models)
+        values = stated(self._seen)
         if self._conversion is not None:
             programs = " and ".join(dict.fromkeys(self._conversion.programs.values())) or "an installed program"
-            return [f"Counts of {which} files were converted by {programs}, for {stated(self._seen)}."]
+            how = f"for {values}, as each file says" if values else "with its own assumptions, as the files state none"
+            return [f"Counts of {which} files were converted by {programs}, {how}."]
         return [
             f"Temperatures were read from {which} files as they are stored: those of a black body before the lens. "
-            f"Not corrected are {stated(self._seen)}, as DJI's programs do."
+            f"DJI's programs correct them for {values or 'what the file states'}; nothing is corrected here."
         ]
 
 
@@ -222,6 +227,8 @@ def _pictures_offer(file: DjiFile) -> str:
     name, residual = min(
         ((n, p.residual(colors)) for n, p in (("grey", GREY), ("iron", FLIR_IRON))), key=lambda o: o[1]
     )
+    if residual > PALETTE_LIMIT:
+        return f"Their pictures can be taken as levels if you have their palette, which is not {name}: --palette FILE."
     return (
         f"Or take their pictures as levels without degrees: --palette {name}, from which they lie {residual:.1f} of "
         "255 levels."
@@ -229,7 +236,7 @@ def _pictures_offer(file: DjiFile) -> str:
 
 
 def stated(parameters: Sequence[ThermalParameters]) -> str:
-    """What files state of object and distance, in words: one value, or from which to which."""
+    """What files state of object and distance, in words: one value, or from which to which; empty for nothing."""
     parts = []
     for name, form, what in (
         ("emissivity", "{:.2f}", "an emissivity of {}"),
@@ -240,10 +247,7 @@ def stated(parameters: Sequence[ThermalParameters]) -> str:
         if values:
             ends = list(dict.fromkeys(form.format(end) for end in (min(values), max(values))))
             parts.append(what.format(" to ".join(ends)))
-    if not parts:
-        return "what the files state"
-    words = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-    return f"{words}, as each file says"
+    return "".join(parts) if len(parts) < 2 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def _check_xt(file: SourceFile, celsius: NDArray[Any]) -> None:
