@@ -49,9 +49,7 @@ def test_too_few_boards_are_counted(tmp_path: Path) -> None:
 def test_a_board_of_other_numbers_is_told_at_once(tmp_path: Path) -> None:
     """Squares that were counted for corners: the message has the numbers, after a few of the images."""
     rgb, thermal = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=4)
-    with pytest.raises(
-        UserError, match=rf"show a checkerboard of 8x6 inner corners .* none of {columns}x{rows}"
-    ) as caught:
+    with pytest.raises(UserError, match=r"show a checkerboard of 8x6 inner corners .* none of 9x7") as caught:
         calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, Board("checkerboard", 9, 7, 0.04))
     assert "--columns 8 --rows 6" in str(caught.value.hint)
 

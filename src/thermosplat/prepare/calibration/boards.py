@@ -113,7 +113,7 @@ def _scale(image: NDArray[np.generic], kind: BoardKind) -> float:
 def _refined(image: NDArray[np.generic], pixels: NDArray[np.float32], shrunk: float) -> NDArray[np.float32]:
     """Corners of a reduced image, at full size."""
     window = 2 + round(2 * shrunk)
-    corners = np.ascontiguousarray(pixels[:, None])
+    corners = pixels.reshape(-1, 1, 2).copy()
     return cv2.cornerSubPix(next(_pictures(image, 1)), corners, (window, window), (-1, -1), _EXACT)[:, 0]
 
 
