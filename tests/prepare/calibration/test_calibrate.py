@@ -55,7 +55,7 @@ def test_a_board_of_other_numbers_is_told_at_once(tmp_path: Path) -> None:
 
 
 def test_boards_in_large_photographs(tmp_path: Path) -> None:
-    """They are found at a smaller size, and their corners lie where they do in the small photograph, to 0.25 px there."""
+    """They are found at a smaller size, and lie where they do in the small photograph, to 0.25 px there."""
     rgb, _ = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=1)
     image = cv2.imread(str(rgb / "00.png"), cv2.IMREAD_UNCHANGED)
     small, large = (find_board(one, CHECKERBOARD) for one in (image, cv2.resize(image, None, fx=3, fy=3)))

@@ -16,8 +16,8 @@ _DICTIONARY = cv2.aruco.DICT_5X5_100
 _DETECTION_WIDTH = 640
 """Smaller images are enlarged to at least this width [px], where detectors work better."""
 _LARGEST_SIDE = 1200
-"""Checkerboards are looked for at most at this size [px], where corners are good to a tenth of a pixel: a photograph of 4
-megapixels took 15 s, of 12 megapixels a minute."""
+"""Checkerboards are looked for at most at this size [px], where corners are good to a tenth of a pixel: a photograph of
+4 megapixels took 15 s, one of 12 megapixels a minute."""
 _FEWEST_CORNERS = 8
 """Of a ChArUco board, which need not be seen as a whole."""
 
