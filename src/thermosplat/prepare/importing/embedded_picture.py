@@ -2,8 +2,8 @@
 
 Edges of both are compared at a small size: those of the values' ranks, so that no unit and no contrast counts, and
 those of the picture's colours, so that no palette does. A shift of some pixels is allowed: pictures of a DJI H20N lie
-12 px beside their values. In eleven files of DJI's and FLIR's whose picture shows all of the values the correlation is
-0.8 or more, in all others and between files 0.14 at most.
+12 px beside their values. In eleven files of DJI's cameras the correlation is 0.75 to 0.97. For values that are
+mirrored or turned by 180° it is 0.18 at most, between files 0.14 (``benchmarks/records/prepare.md``).
 """
 
 from typing import Any
