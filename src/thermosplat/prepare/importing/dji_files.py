@@ -33,14 +33,15 @@ _LEAST_VALUES = 120 * 90
 """Fewer are no image of a sensor."""
 _END_OF_IMAGE = b"\xff\xd9"
 """The XT S does not write it, and without it OpenCV decodes nothing."""
-_MAGIC, _LINEAR = b"\xff\xd2\xd1\xff", "iirp"
+_MAGIC, _DIRP, _LINEAR = b"\xff\xd2\xd1\xff", b"\xaa\x55\x12\x06", "iirp"
 _SIZE_AT, _PARAMETERS_AT = 0x9D, 0x20
 """Where the state of "iirp" files has width and height (uint16), and air temperature [°C], distance [m], emissivity,
 humidity and reflected temperature (float32). Files of the M2EA have these at the very beginning (ExifTool)."""
-_FRAME_AT, _MEANS_AT = 0x133, 0x144
-"""Where files of H30T and M4T have the level of a frame, five times in 13 bytes, and its mean."""
-_MEAN_LIMIT = 3.0
-"""How far [°C] the mean of the values may lie from that: 0.06 °C in files of both."""
+_FRAME_AT, _LEVELS_AT = 0x133, 0x142
+"""Where files of H30T and M4T have a level of the frame, five times in 13 bytes, and then the lowest, mean and highest
+value of a part of it."""
+_BESIDE = 3.0
+"""How far [°C] these may lie outside the values of the file, which may be of the next frame."""
 _POSSIBLE = (-100.0, 700.0)
 """Temperatures [°C] of scenes; 16 bits end at 751 °C."""
 _AGAIN = (
@@ -91,9 +92,13 @@ class DjiFile:
         low, high = (float(end) for end in np.percentile(celsius, [1, 99]))
         if not (_POSSIBLE[0] < low and high < _POSSIBLE[1]):
             raise _contradicted(self.path, f"they lie between {low:.0f} and {high:.0f} °C")
-        stated = self._stated_mean()
-        if stated is not None and abs(stated - float(celsius.mean())) > _MEAN_LIMIT:
-            raise _contradicted(self.path, f"their mean is {celsius.mean():.1f} °C and the file states {stated:.1f} °C")
+        lowest, highest = float(celsius.min()), float(celsius.max())
+        for stated in self._stated_levels():
+            if not lowest - _BESIDE <= stated <= highest + _BESIDE:
+                span = f"{lowest:.1f} to {highest:.1f} °C"
+                raise _contradicted(
+                    self.path, f"they are {span}, and the file states {stated:.1f} °C of a part of them"
+                )
         self.check_picture(celsius)
         return celsius
 
@@ -115,17 +120,24 @@ class DjiFile:
         decoded = cv2.imdecode(whole, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         return None if decoded is None else np.ascontiguousarray(decoded[..., ::-1])
 
-    def _stated_mean(self) -> float | None:
-        """The mean of the frame [°C], where the camera's state has it."""
-        levels = {self.state[at : at + 2] for at in range(_FRAME_AT, _FRAME_AT + 15, 3)}
-        if len(levels) != 1 or len(self.state) < _MEANS_AT + 2 or levels == {b"\0\0"}:
-            return None
-        return struct.unpack_from("<H", self.state, _MEANS_AT)[0] / _STEPS_PER_KELVIN - ZERO_CELSIUS
+    def _stated_levels(self) -> list[float]:
+        """Lowest, mean and highest temperature [°C] of a part of the frame, where the camera's state has them."""
+        same = {self.state[at : at + 2] for at in range(_FRAME_AT, _FRAME_AT + 15, 3)}
+        if len(same) != 1 or same == {b"\0\0"} or len(self.state) < _LEVELS_AT + 6:
+            return []
+        levels = struct.unpack_from("<3H", self.state, _LEVELS_AT)
+        return [level / _STEPS_PER_KELVIN - ZERO_CELSIUS for level in levels]
 
 
 def is_dji_thermal(content: bytes, make: str | None) -> bool:
-    """Whether a JPEG is DJI's with the values of a thermal sensor inside, whole or not."""
-    if make is None or not make.upper().startswith("DJI"):
+    """Whether a JPEG is DJI's with the values of a thermal sensor inside, whole or not.
+
+    Args:
+        content: The file.
+        make: Its maker by EXIF data, which a program may have dropped.
+    """
+    states_it = joined(content, _APP4).startswith((_MAGIC, _DIRP))
+    if not (states_it or (make is not None and make.upper().startswith("DJI"))):
         return False
     return any(len(joined(content, marker)) >= 2 * _LEAST_VALUES for marker in (_APP3, _APP4))
 
@@ -163,7 +175,7 @@ def _sensor_size(length: int, state: bytes, picture: tuple[int, int]) -> tuple[i
 def _layout(state: bytes) -> str:
     if state.startswith(_MAGIC):
         return state[4:8].decode("ascii", "replace")
-    if state.startswith(b"\xaa\x55"):
+    if state.startswith(_DIRP):
         return "dirp"
     return _LINEAR if _floats(state, 0) is not None else ""
 

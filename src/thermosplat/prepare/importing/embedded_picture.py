@@ -25,9 +25,10 @@ def shows_the_same(values: NDArray[Any], picture: NDArray[np.uint8], zoom: float
 
     Args:
         values: [H, W] in any unit; NaN where there is none.
-        picture: [h, w, 3] in any palette, perhaps turned by 90° as a whole.
+        picture: [h, w] or [h, w, 3] in any palette, perhaps turned by 90° as a whole.
         zoom: The picture may show the middle of the values alone, enlarged so many times.
     """
+    picture = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, -1)
     finite = np.isfinite(values)
     whole = np.where(finite, values, np.median(values[finite]) if finite.any() else 0)
     turned = (picture.shape[0] > picture.shape[1]) != (values.shape[0] > values.shape[1])

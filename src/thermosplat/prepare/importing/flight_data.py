@@ -13,8 +13,8 @@ from thermosplat.prepare.capture_folder import Exif
 from thermosplat.prepare.importing.jpeg_segments import APP0, segments
 
 _MARK = b"http://ns.adobe.com/xap/1.0/\0"
-_PREFIXES = r"(?:drone-[\w-]+|DJI|FLIR|Camera)"
-_FIELD = re.compile(rf'\b{_PREFIXES}:(\w+)(?:\s*=\s*"([^"<]{{0,99}})"|>([^<]{{1,99}})</)')
+_PREFIXES = r"(?:drone-[\w-]{1,30}|DJI|FLIR|Camera)"
+_FIELD = re.compile(rf'\b{_PREFIXES}:(\w{{1,60}})(?:\s{{0,9}}=\s{{0,9}}"([^"<]{{0,99}})"|>([^<]{{1,99}})<)')
 _NO_FIX = ("invalid", "none")
 """What GpsStatus says where the receiver had no position."""
 
