@@ -4,6 +4,7 @@
       images/rgb/<name>.jpg        photographs as the camera wrote them
       images/thermal/<name>.png    16-bit values; units.json beside them names their unit
       frames.csv                   one row per image: where it comes from, its size, time, place and camera
+      thermal_parameters.json      emissivity, distance and the like of each thermal file that states them
       pairs.csv                    which thermal image was taken with which photograph
       calibration.json             lenses and the pose between the cameras, where a board was seen
       sparse/0/                    the COLMAP model: the photographs, then the thermal camera as part of a rig
@@ -40,22 +41,40 @@ class Exif:
         latitude: [°], north positive.
         longitude: [°], east positive.
         altitude: [m] above sea level.
+        relative_altitude: [m] above the place of take-off.
+        position_std: Standard deviation of the position [m] as an RTK receiver states it, the larger of east and north.
+        altitude_std: The same of the altitude [m].
+        rtk_flag: What DJI says of the receiver: 0 no fix, 16 GPS alone, 34 RTK to decimetres, 50 to centimetres.
+        gimbal_yaw: Where the camera looked [°], clockwise from north.
+        gimbal_pitch: The same [°], -90 straight down.
+        gimbal_roll: The same [°].
         focal_length_mm: Focal length [mm].
         focal_length_35mm: The focal length [mm] with the same field of view on 36x24 mm film.
         make: Maker of the camera.
         model: Name of the camera.
         orientation: 1 to 8, how the stored pixels are turned for display.
+        iso: Sensitivity of the exposure, which only photographs have.
+        digital_zoom: How far the picture was enlarged.
     """
 
     time: str | None = None
     latitude: float | None = None
     longitude: float | None = None
     altitude: float | None = None
+    relative_altitude: float | None = None
+    position_std: float | None = None
+    altitude_std: float | None = None
+    rtk_flag: int | None = None
+    gimbal_yaw: float | None = None
+    gimbal_pitch: float | None = None
+    gimbal_roll: float | None = None
     focal_length_mm: float | None = None
     focal_length_35mm: float | None = None
     make: str | None = None
     model: str | None = None
     orientation: int | None = None
+    iso: float | None = None
+    digital_zoom: float | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +125,11 @@ class CaptureFolder:
     def units_json(self) -> Path:
         """What the values of the thermal images mean."""
         return self.images(OTHER) / "units.json"
+
+    @property
+    def thermal_parameters(self) -> Path:
+        """What each thermal file says of its object, air and camera (``thermal.thermal_parameters``)."""
+        return self.root / "thermal_parameters.json"
 
     @property
     def frames_csv(self) -> Path:

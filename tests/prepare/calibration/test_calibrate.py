@@ -8,7 +8,7 @@ import pytest
 
 from seen_boards import true_rig, write_boards
 from thermosplat.errors import UserError
-from thermosplat.prepare.calibration.boards import Board
+from thermosplat.prepare.calibration.boards import Board, find_board
 from thermosplat.prepare.calibration.calibrate import calibrate
 from thermosplat.prepare.calibration.calibration_file import read_calibration
 from thermosplat.prepare.capture_folder import CaptureFolder
@@ -44,6 +44,26 @@ def test_too_few_boards_are_counted(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"checkerboard of 11x9 was found in 0 of 3 photographs"):
         calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, Board("checkerboard", 11, 9, 0.03))
     assert not (tmp_path / "capture" / "calibration.json").exists()
+
+
+def test_a_board_of_other_numbers_is_told_at_once(tmp_path: Path) -> None:
+    """Squares that were counted for corners: the message has the numbers, after a few of the images."""
+    rgb, thermal = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=4)
+    with pytest.raises(UserError, match=r"show a checkerboard of 8x6 inner corners .* none of 9x7") as caught:
+        calibrate(CaptureFolder(tmp_path / "capture"), rgb, thermal, Board("checkerboard", 9, 7, 0.04))
+    assert "--columns 8 --rows 6" in str(caught.value.hint)
+
+
+def test_boards_in_large_photographs(tmp_path: Path) -> None:
+    """They are found at a smaller size, and lie where they do in the small photograph, to 0.25 px there."""
+    rgb, _ = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=1)
+    image = cv2.imread(str(rgb / "00.png"), cv2.IMREAD_UNCHANGED)
+    small, large = (find_board(one, CHECKERBOARD) for one in (image, cv2.resize(image, None, fx=3, fy=3)))
+    assert small is not None
+    assert large is not None
+    enlarged = 3 * (small.pixels + 0.5) - 0.5
+    nearest = np.linalg.norm(enlarged[:, None] - large.pixels[None], axis=-1).min(1)
+    assert nearest.max() < 0.75
 
 
 def test_folders_must_go_together(tmp_path: Path) -> None:

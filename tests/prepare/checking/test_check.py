@@ -1,5 +1,6 @@
 """The check of a capture: what it says of good and of bad images, and the page."""
 
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import yaml
 
 from camera_folders import centikelvin, scene, write_photograph, write_two_cameras, write_values
 from thermosplat.datasets.images.image_files import read_image
+from thermosplat.datasets.lens import Lens
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder
 from thermosplat.prepare.checking import check as module
@@ -22,6 +24,7 @@ from thermosplat.prepare.checking.findings import (
     texture_findings,
     thermal_findings,
 )
+from thermosplat.prepare.checking.plane_warp import PlaneWarp
 from thermosplat.prepare.checking.sensor_orientation import Orientation
 from thermosplat.prepare.importing.import_files import import_files
 from thermosplat.prepare.pairing.pairing import pair_frames
@@ -165,19 +168,63 @@ def test_edges_of_the_photographs_in_thermal_pictures_are_told() -> None:
     assert msx_findings([(photograph, flat) for photograph in photographs]) == []
 
 
-def test_a_registered_camera_may_be_turned_and_not_mirrored(
-    capture: CaptureFolder, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("quarter", [0, 1, 2, 3])
+def test_the_turn_of_a_registered_camera(quarter: int) -> None:
+    """It is what turns the images of this very camera upright."""
+    upright = scene(1, 64, 64)
+    turned = np.ascontiguousarray(np.rot90(upright, quarter))
+    pose = np.eye(4)
+    pose[:2, :2] = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), quarter)
+    lens = Lens("PINHOLE", (60.0, 60.0, 32.0, 32.0), 64, 64)
+    seen = PlaneWarp(lens, lens, pose, 2.0).thermal_on_photograph(turned, 64, 64)
+    assert np.abs(seen[2:-2, 2:-2].astype(int) - upright[2:-2, 2:-2]).max() <= 1
+    assert 90 * module._quarters(pose) == Orientation(90 * quarter, False).turn
+
+
+@pytest.mark.parametrize(
+    ("images", "registered", "said"),
+    [
+        (None, 180, ""),
+        (Orientation(0, False), None, ""),
+        (Orientation(0, False), 0, ""),
+        (Orientation(180, False), None, "! Thermal images look turned or mirrored .* again with --turn 180"),
+        (
+            Orientation(180, False),
+            180,
+            "Thermal images are turned by 180° .*, and so is the registered camera: nothing",
+        ),
+        (Orientation(90, False), 90, "Thermal images are turned by 90° .*, and so is the registered camera: nothing"),
+        (Orientation(180, False), 0, "! Thermal images are turned by 180° .* the registered camera by 0°: .*register"),
+        (Orientation(0, False), 180, "! Thermal images are turned by 0° .* the registered camera by 180°"),
+        (Orientation(90, False), 270, "! Thermal images are turned by 90° .* the registered camera by 270°"),
+        (Orientation(0, True), 0, "! Thermal images look turned or mirrored .* again with --mirror"),
+        (Orientation(180, True), 180, "! Thermal images look turned or mirrored .* again with --turn 180 --mirror"),
+    ],
+)
+def test_images_are_held_against_the_registered_camera(
+    capture: CaptureFolder,
+    monkeypatch: pytest.MonkeyPatch,
+    images: Orientation | None,
+    registered: int | None,
+    said: str,
 ) -> None:
-    """A turned sensor is a warning before it is registered and a fact afterwards; a mirrored one stays a warning."""
+    """A turned sensor is no fault if its camera is turned likewise; images that were turned afterwards are."""
     pair_frames(capture)
-    monkeypatch.setattr(module, "find_orientation", lambda _: Orientation(180, False))
-    assert any(said.startswith("! ") and "again with --turn 180" in said for said in check(capture).sentences)
-    write_bytes(capture.marker("register"), b"{}")
-    (said,) = [one for one in check(capture).sentences if "--turn 180" in one]
-    assert said.startswith("Thermal images are turned against the photographs, and so is the registered camera")
-    capture.marker("check").unlink()
-    monkeypatch.setattr(module, "find_orientation", lambda _: Orientation(0, True))
-    assert any(said.startswith("! ") and "again with --mirror" in said for said in check(capture).sentences)
+    monkeypatch.setattr(module, "find_orientation", lambda _: images)
+    monkeypatch.setattr(module, "_registered_turn", lambda *_: registered)
+    found = [one for one in check(capture).sentences if "turned" in one]
+    assert len(found) == bool(said)
+    if said:
+        assert re.match(said, found[0])
+
+
+def test_images_that_change_are_looked_at_again(capture: CaptureFolder) -> None:
+    """A check is complete for the images that it has seen."""
+    pair_frames(capture)
+    check(capture)
+    path = capture.images("thermal") / "IR_0003.png"
+    cv2.imwrite(str(path), read_image(path)[::-1, ::-1])
+    assert not check(capture).before
 
 
 def test_recommendations(capture: CaptureFolder) -> None:

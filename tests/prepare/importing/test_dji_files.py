@@ -1,116 +1,158 @@
-"""DJI's radiometric JPEGs, with programs that stand in for those that a user installs."""
+"""DJI's radiometric JPEGs: what is read of them without a program, and what is refused; made files, and real ones."""
 
 import os
-import stat
-import sys
+from contextlib import suppress
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from camera_folders import exif_segment, write_photograph
-from thermosplat.datasets.images.image_files import read_image
+from camera_folders import write_photograph
+from dji_jpeg import Layout, linear, warm, white_hot, write_dji_jpeg
 from thermosplat.errors import UserError
-from thermosplat.prepare.capture_folder import CaptureFolder
 from thermosplat.prepare.importing.dji_files import is_dji_thermal, read_dji
-from thermosplat.prepare.importing.import_files import import_files
 
-IRP = """
-words = sys.argv[1:]
-assert words[:1] == ["-s"] and words[2:6] == ["-a", "measure", "--measurefmt", "float32"] and words[6] == "-o", words
-assert open(words[1], "rb").read(2) == bytes([0xFF, 0xD8])
-assert os.environ["LD_LIBRARY_PATH"].split(":")[0] == os.path.dirname(os.path.realpath(sys.argv[0]))
-array.array("f", [10 + 30 * i / (36 * 48 - 1) for i in range(36 * 48)]).tofile(open(words[7], "wb"))
-"""
-CLI = """
-import cv2, numpy as np, pathlib
-words = sys.argv[1:]
-assert words[0] == "process" and words[5:] == ["-o", "temp_c:tiff"], words
-options = dict(zip(words[1::2], words[2::2]))
-out = pathlib.Path(options["--output-dir"]); out.mkdir()
-for path in pathlib.Path(options["--input-dir"]).iterdir():
-    cv2.imwrite(str(out / (path.stem + "_temp_c.tiff")), np.linspace(10, 40, 36 * 48, dtype="f4").reshape(36, 48))
-"""
+DATA = Path(os.environ.get("THERMOSPLAT_TEST_DATA", Path(__file__).resolve().parents[4] / "shared" / "data"))
+REAL = DATA / "real_files"
+LINEAR = {
+    "H20N_DJI_0001_R.JPG": (5.975, 9.299, 42.225),
+    "H30T_DJI_0001_R.JPG": (15.100, 20.360, 91.788),
+    "M2EA_DJI_0001_R.JPG": (-3.962, 18.083, 39.912),
+    "M30T_DJI_0001_R.JPG": (15.163, 16.455, 23.538),
+    "M3T_DJI_0001_R.JPG": (25.475, 30.626, 45.038),
+    "M4T_DJI_0001_R.JPG": (-3.212, 14.649, 16.663),
+}
+"""Minimum, mean and maximum [°C]: stored / 64 - 273.15, which the SDK's own correction leaves as it is where object and
+air have one temperature (0.04 °C, see ``dji_files``)."""
+COUNTS = {"DJI_H20T.jpg": "DJI ZH20T", "DJI_XTS.jpg": "DJI XT S", "M3TD_DJI_0001_R.JPG": "DJI M3TD"}
 
 
-def install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, body: str) -> None:
-    """Put a program on the PATH, as the only one there."""
-    folder.mkdir(exist_ok=True)
-    program = folder / name
-    program.write_text(f"#!{sys.executable}\nimport array, os, sys\n{body}")
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("PATH", str(folder))
+def real(name: str) -> Path:
+    """A camera's file, or the test is skipped."""
+    if not (REAL / name).is_file():
+        pytest.skip(f"no real_files/{name} in the shared data folder (THERMOSPLAT_TEST_DATA)")
+    return REAL / name
 
 
-def write_dji(path: Path, number: int) -> Path:
-    """A JPEG with DJI's name and a segment APP3."""
-    content = write_photograph(path, number, size=(48, 36)).read_bytes()
-    path.write_bytes(content[:2] + exif_segment(make="DJI", model="M3T") + b"\xff\xe3\x00\x04ab" + content[2:])
-    return path
+@pytest.mark.parametrize("name", LINEAR)
+def test_real_files_with_temperatures(name: str) -> None:
+    """They pass every check, and mirrored values do not; emissivity and distance are what DJI's SDK shows."""
+    file = read_dji(real(name))
+    assert file.holds_temperatures
+    celsius = file.celsius()
+    assert (celsius.min(), celsius.mean(), celsius.max()) == pytest.approx(LINEAR[name], abs=0.001)
+    with pytest.raises(UserError, match="the picture in it shows something else"):
+        file.check_picture(celsius[:, ::-1])
+    stated = file.parameters
+    assert (stated.applied, stated.emissivity, stated.reflected_celsius, stated.humidity) == (False, 0.95, 25.0, 0.5)
+    assert stated.distance_metres == (13.0 if "H30T" in name else 5.0)
+    assert stated.air_celsius == {"H30T": 21.1875, "M4T_": 16.437}.get(name[:4], 25.0)
 
 
-def test_dji_files_are_told_by_maker_and_segment(tmp_path: Path) -> None:
-    """The maker and the segment together."""
-    content = write_dji(tmp_path / "a.jpg", 1).read_bytes()
+@pytest.mark.parametrize("name", COUNTS)
+def test_real_files_with_counts(name: str) -> None:
+    """They are said to hold none, with the model's name; their pictures show the counts all the same."""
+    file = read_dji(real(name))
+    assert (file.holds_temperatures, file.model) == (False, COUNTS[name])
+    file.check_picture(file.stored.astype(np.float32))
+
+
+def test_dji_files_are_told_by_maker_and_segments(tmp_path: Path) -> None:
+    """The maker, and segments that are large enough for a sensor's values."""
+    content = write_dji_jpeg(tmp_path / "a.jpg", linear(warm(1))).read_bytes()
     assert is_dji_thermal(content, "DJI")
-    assert not is_dji_thermal(content, "FLIR")
+    assert is_dji_thermal(content, None)  # EXIF data may be gone
+    no_state = content.replace(b"iirp", b"none").replace(b"\xff\xd2\xd1\xff", bytes(4))
+    assert not is_dji_thermal(no_state, "FLIR")
     assert not is_dji_thermal(write_photograph(tmp_path / "b.jpg", 1).read_bytes(), "DJI")
+    assert not is_dji_thermal(content[:2] + b"\xff\xe3\x00\x04ab" + content[-200:], "DJI")
 
 
-@pytest.mark.parametrize(("name", "body"), [("dji_irp", IRP), ("dji-thermal-cli", CLI)])
-def test_both_programs_are_called_and_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, body: str
-) -> None:
-    """Both are called as their documents say, and what they write is read."""
-    install(tmp_path / "bin", monkeypatch, name, body)
-    expected = np.linspace(10, 40, 36 * 48).reshape(36, 48)
-    assert read_dji(write_dji(tmp_path / "a.jpg", 1), 48, 36) == pytest.approx(expected, abs=1e-4)
-
-
-def test_import_calls_the_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Temperatures in DJI's files become those of the capture."""
-    install(tmp_path / "bin", monkeypatch, "dji_irp", IRP)
-    expected = np.linspace(10, 40, 36 * 48).reshape(36, 48)
-    for number in range(5):
-        write_dji(tmp_path / "in" / f"DJI_{number}_T.JPG", number)
-        write_photograph(tmp_path / "in" / f"DJI_{number}_W.JPG", number)
-    capture = CaptureFolder(tmp_path / "out")
-    import_files(tmp_path / "in", capture)
-    stored = read_image(capture.images("thermal") / "DJI_3_T.png") / 100 - 273.15
-    assert np.abs(stored - expected).max() < 0.006
-
-
-@pytest.mark.parametrize("floor", [-273.15, -273.0])
-def test_pixels_without_a_temperature(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, floor: float) -> None:
-    """The program writes its floor there; the import fills them from their neighbours."""
-    written = 'np.linspace(10, 40, 36 * 48, dtype="f4")'
-    floored = CLI.replace(written, f'np.append(np.linspace(10, 40, 36 * 48 - 3), [{floor}] * 3).astype("f4")')
-    assert floored != CLI
-    install(tmp_path / "bin", monkeypatch, "dji-thermal-cli", floored)
-    celsius = read_dji(write_dji(tmp_path / "a_T.JPG", 1), 48, 36)
-    assert np.isnan(celsius).sum() == 3
-    assert np.nanmin(celsius) == 10
-
-
-def test_without_a_program_both_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sentence that names both."""
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(UserError, match=r"neither dji_irp nor dji-thermal-cli is on the PATH"):
-        read_dji(write_dji(tmp_path / "a.jpg", 1), 48, 36)
+@pytest.mark.parametrize("layout", ["iirp", "m2ea"])
+def test_stored_temperatures(tmp_path: Path, layout: Layout) -> None:
+    """Values come back, and what the file states of object and air; nothing of it is applied."""
+    file = read_dji(write_dji_jpeg(tmp_path / "a.jpg", linear(warm(1)), layout))
+    assert np.abs(file.celsius() - warm(1)).max() <= 1 / 32 + 1e-4
+    stated = file.parameters
+    assert (stated.emissivity, stated.distance_metres, stated.air_celsius) == (0.95, 5.0, 25.0)
+    assert not stated.applied
 
 
 @pytest.mark.parametrize(
-    ("body", "pattern"),
-    [
-        ("sys.exit('no such camera')", "exit code 1: no such camera"),
-        ("pass", "it wrote nothing"),
-        ("array.array('f', [0] * 7).tofile(open(sys.argv[8], 'wb'))", "it wrote 7 values for a picture of 48x36"),
-        ("array.array('f', [-273.15] * 36 * 48).tofile(open(sys.argv[8], 'wb'))", "are no temperatures"),
-    ],
+    ("layout", "low_bits"), [("iirp", 1), ("hirp", 0), ("hirp", 3), ("dirp", 2), ("dirp", 0), ("xts", 1)]
 )
-def test_programs_that_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, pattern: str) -> None:
-    """Each way is an error with the file's name."""
-    install(tmp_path / "bin", monkeypatch, "dji_irp", body)
-    with pytest.raises(UserError, match=rf"dji_irp cannot read .*a.jpg: .*{pattern}"):
-        read_dji(write_dji(tmp_path / "a.jpg", 1), 48, 36)
-    assert os.environ["PATH"] == str(tmp_path / "bin")
+def test_counts_are_no_temperatures(tmp_path: Path, layout: Layout, low_bits: int) -> None:
+    """Low bits that are set, or a layout of another part of the SDK, whatever its values look like."""
+    file = read_dji(write_dji_jpeg(tmp_path / "a.jpg", linear(warm(1)) | np.uint16(low_bits), layout))
+    assert not file.holds_temperatures
+    assert file.parameters.emissivity == (None if layout == "xts" else 0.95)
+
+
+def test_pictures_of_any_palette(tmp_path: Path) -> None:
+    """Black-hot, a rainbow, one that is shifted, one that is enlarged, and one that a program turned."""
+    stored = linear(warm(2))
+    grey = white_hot(stored)
+    rainbow = cv2.applyColorMap(grey[..., 0], cv2.COLORMAP_JET)
+    shifted = np.roll(grey, (2, 4), (0, 1))
+    for picture in (255 - grey, rainbow, shifted, np.rot90(grey), cv2.resize(grey, None, fx=2, fy=2)):
+        file = read_dji(write_dji_jpeg(tmp_path / "a.jpg", stored, picture=np.ascontiguousarray(picture)))
+        file.celsius()
+    middle = cv2.resize(grey[32:96, 40:120], (160, 128))
+    file = read_dji(write_dji_jpeg(tmp_path / "a.jpg", stored, picture=middle, zoom=2.0))
+    file.celsius()
+
+
+@pytest.mark.parametrize("kind", ["another", "mirrored", "upside down", "grey", "noise"])
+def test_pictures_of_something_else(tmp_path: Path, kind: str) -> None:
+    """Temperatures whose picture shows something else are refused."""
+    stored = linear(warm(3))
+    pictures = {
+        "another": white_hot(warm(4)),
+        "mirrored": white_hot(stored)[:, ::-1],
+        "upside down": white_hot(stored)[::-1, ::-1],
+        "grey": np.full((128, 160, 3), 128, np.uint8),
+        "noise": np.random.default_rng(0).integers(0, 255, (128, 160, 3), np.uint8),
+    }
+    file = read_dji(write_dji_jpeg(tmp_path / "a.jpg", stored, picture=np.ascontiguousarray(pictures[kind])))
+    with pytest.raises(UserError, match=r"a\.jpg cannot be right: the picture in it shows something else"):
+        file.celsius()
+
+
+def test_what_else_a_file_says(tmp_path: Path) -> None:
+    """The levels of a part of the frame that newer cameras state, and what temperatures are possible at all."""
+    stored = linear(warm(5))
+    low, high = float(warm(5).min()), float(warm(5).max())
+    read_dji(write_dji_jpeg(tmp_path / "a.jpg", stored, levels=(low - 1, 15, high - 2))).celsius()
+    for levels in ((low - 10, 15, high), (low, 15, high + 10), (low, high + 20, high)):
+        with pytest.raises(UserError, match=r"and the file states -?\d+\.\d °C of a part of them"):
+            read_dji(write_dji_jpeg(tmp_path / "a.jpg", stored, levels=levels)).celsius()
+    cold = (stored // 8) & np.uint16(0xFFFC)
+    with pytest.raises(UserError, match=r"they lie between -2\d\d and -2\d\d °C"):
+        read_dji(write_dji_jpeg(tmp_path / "a.jpg", cold.astype(np.uint16))).celsius()
+
+
+def test_segments_that_are_missing(tmp_path: Path) -> None:
+    """A file whose values are cut off or lack a part is refused, and never read as a smaller image."""
+    whole = write_dji_jpeg(tmp_path / "a.jpg", linear(np.tile(warm(6), (2, 2)))).read_bytes()
+    first = whole.index(b"\xff\xe3")
+    second = first + 2 + int.from_bytes(whole[first + 2 : first + 4], "big")
+    for content in (whole[:first] + whole[second:], whole[: second + 30_000]):
+        (tmp_path / "b.jpg").write_bytes(content)
+        with pytest.raises(UserError, match=r"radiometric data in .*b\.jpg is damaged: [\d,]+ bytes are no image"):
+            read_dji(tmp_path / "b.jpg")
+
+
+def test_damaged_files_end_in_sentences(tmp_path: Path) -> None:
+    """Random damage gives temperatures that pass the checks, counts, or an error of the user's kind."""
+    whole = write_dji_jpeg(tmp_path / "a.jpg", linear(warm(7)), levels=(12, 15, 18)).read_bytes()
+    rng = np.random.default_rng(0)
+    path = tmp_path / "b.jpg"
+    for _ in range(60):
+        content = bytearray(whole[: rng.integers(2, len(whole))] if rng.random() < 0.3 else whole)
+        for place in rng.integers(2, len(content), 20):
+            content[place] = rng.integers(0, 256)
+        path.write_bytes(content)
+        with suppress(UserError):
+            file = read_dji(path)
+            assert not file.holds_temperatures or np.isfinite(file.celsius()).all()

@@ -57,6 +57,56 @@ def test_real_files_agree_with_flyr() -> None:
     assert compared >= 10
 
 
+@pytest.mark.parametrize("storage", ["plain", "png"])
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("counts_order", "<>")
+def test_byte_orders(tmp_path: Path, storage: Storage, order: str, counts_order: str) -> None:
+    """The counts themselves tell their order, whatever the record's is; where they are equal, the record does."""
+    kinds = {"storage": storage, "order": order, "counts_order": counts_order}
+    assert np.array_equal(read_flir(write_flir_jpeg(tmp_path / "a.jpg", COUNTS, **kinds)).counts, COUNTS)
+    noise = (12_000 + np.random.default_rng(0).integers(0, 300, (48, 64))).astype(np.uint16)
+    assert np.array_equal(read_flir(write_flir_jpeg(tmp_path / "a.jpg", noise, **kinds)).counts, noise)
+    if order == counts_order:
+        plain = np.full((48, 64), 12_345, np.uint16)
+        assert np.array_equal(read_flir(write_flir_jpeg(tmp_path / "a.jpg", plain, **kinds)).counts, plain)
+
+
+def test_a_real_camera_of_the_other_byte_order() -> None:
+    """The ThermaCAM EX320 beside FLIR Tools' numbers: 19.80, 27.70 and 37.14 °C."""
+    path = DATA.parent / "cases" / "20-flir-ex320" / "BillHotFlashThermography.jpg"
+    if not path.is_file():
+        pytest.skip("no cases/20-flir-ex320 beside the shared data folder (THERMOSPLAT_TEST_DATA)")
+    celsius = read_flir(path).celsius
+    assert (celsius.min(), celsius.mean(), celsius.max()) == pytest.approx((19.80, 27.70, 37.14), abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("name", "middle"), [("DJI_XT2", 34), ("DJI_XTR", 26), ("FLIR_AX8", 25.1), ("FLIR_B60", -7.2), ("FLIR_E40", 20.9)]
+)
+def test_real_files_agree_with_what_they_show(name: str, middle: float) -> None:
+    """The middle's temperature as it stands in the picture or in XMP, read by eye; AX8: the mean."""
+    path = DATA / "real_files" / f"{name}.jpg"
+    if not path.is_file():
+        pytest.skip("no real_files in the shared data folder (THERMOSPLAT_TEST_DATA)")
+    celsius = read_flir(path).celsius
+    height, width = celsius.shape
+    seen = (
+        celsius if name == "FLIR_AX8" else celsius[height // 2 - 1 : height // 2 + 1, width // 2 - 1 : width // 2 + 1]
+    )
+    assert np.mean(seen) == pytest.approx(middle, abs=0.6)
+
+
+def test_what_a_camera_can_measure(tmp_path: Path) -> None:
+    """As the file states it, and without end where it states nonsense."""
+    assert read_flir(write_flir_jpeg(tmp_path / "a.jpg", COUNTS, camera={0x98: 423.15, 0x9C: 233.15})).span == (
+        pytest.approx(-40, abs=0.01),
+        pytest.approx(150, abs=0.01),
+    )
+    for nonsense in ({}, {0x98: 200.0, 0x9C: 300.0}, {0x98: float("nan"), 0x9C: 0.0}, {0x98: float("inf")}):
+        span = read_flir(write_flir_jpeg(tmp_path / "a.jpg", COUNTS, camera=nonsense)).span
+        assert span == (-np.inf, np.inf)
+
+
 def test_the_photograph_inside_a_flir_file(tmp_path: Path) -> None:
     """The embedded photograph comes out as the camera compressed it."""
     photograph = np.full((60, 80, 3), (200, 100, 50), np.uint8)

@@ -14,7 +14,8 @@ from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder
 from thermosplat.prepare.importing import import_files as module
-from thermosplat.prepare.importing.import_files import ImportOptions, import_files
+from thermosplat.prepare.importing.import_files import import_files
+from thermosplat.prepare.importing.import_options import ImportOptions
 from thermosplat.prepare.importing.thermal_images import ThermalOptions
 from thermosplat.thermal.radiometry import FLIR_IRON
 from tiff_files import NODATA, ORIENTATION, tiff_file

@@ -1,5 +1,6 @@
 """The thermal camera from the scene itself: where it sees true points, and what is said where it cannot be found."""
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -44,10 +45,15 @@ def with_thermal_images(capture: CaptureFolder, change: object) -> None:
 def test_true_points_land_where_the_true_camera_sees_them(room: Room, tmp_path: Path) -> None:
     """Half a pixel in the median, though nothing was known of lens and pose; training reads the rig."""
     truth, capture = room[0], copied(room[1], tmp_path / "capture")
-    register(capture)
+    said = " ".join(register(capture).sentences)
     model = pycolmap.Reconstruction(capture.sparse)
     errors = thermal_error(truth, model)
     assert np.median(errors) < 0.5
+    stated = re.search(r"focal length: ([\d.]+) px, from [\d.]+% by the edges and [\d.]+% by the focal length of", said)
+    lens = re.search(r"Thermal lens: focal length ([\d.]+) px", said)
+    assert stated
+    assert lens
+    assert abs(float(lens[1]) - truth.thermal.mean_focal_length()) < 2 * float(stated[1]) < 20
     assert np.percentile(errors, 95) < 1.5
     assert sum(image.name.startswith("thermal/") for image in model.images.values()) == 12
     frames = load_capture(capture.root).train

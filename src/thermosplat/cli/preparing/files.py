@@ -51,7 +51,10 @@ class SourceArguments:
     take_most: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """If the images of a spectrum come from several cameras or sizes, take the most frequent."""
     skip_unreadable: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Leave out images that cannot be read."""
+    """Leave out images that cannot be read, and thermal files of which no temperatures can be had."""
+    turn_back: Literal[90, 270] | None = None
+    """Images whose sides are swapped against the others', which a program has turned, are turned clockwise by so many
+    degrees. None: they are refused."""
 
     @property
     def capture_folder(self) -> str:
@@ -119,7 +122,8 @@ def run_import(arguments: ImportArguments) -> int:
 def import_source(arguments: SourceArguments, root: Path) -> None:
     """Import what the arguments name into a capture's folder, and say what was found."""
     with importing(WITHOUT_TORCH):
-        from thermosplat.prepare.importing.import_files import ImportOptions, import_files
+        from thermosplat.prepare.importing.import_files import import_files
+        from thermosplat.prepare.importing.import_options import ImportOptions
         from thermosplat.prepare.importing.thermal_images import ThermalOptions
 
     if arguments.every < 1:
@@ -130,6 +134,7 @@ def import_source(arguments: SourceArguments, root: Path) -> None:
         every=arguments.every,
         take_most=arguments.take_most,
         skip_unreadable=arguments.skip_unreadable,
+        turn_back=arguments.turn_back,
         thermal=ThermalOptions(**shared),
     )
     folder = Path(os.path.expanduser(arguments.folder)) if arguments.folder else None

@@ -1,5 +1,6 @@
 """Lenses and the pose between the cameras from pictures of a board: one step of preparing a capture."""
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.images.image_files import list_images, read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.calibration.board_calibration import BoardCalibration, SeenPair, calibrate_rig
-from thermosplat.prepare.calibration.boards import Board, SeenBoard, find_board
+from thermosplat.prepare.calibration.boards import Board, SeenBoard, find_board, seen_checkerboard
 from thermosplat.prepare.calibration.calibration_file import write_calibration
 from thermosplat.prepare.capture_folder import CaptureFolder
 from thermosplat.prepare.counted import counted
@@ -21,6 +22,8 @@ from thermosplat.prepare.whole_files import write_png
 FEWEST_BOARDS = 5
 """Pairs with a board in both images; 15 to 30 are usual."""
 _SHOWN, _TILE = 6, 320
+_TRIED = 4
+"""Images after which a board of another size is looked for, if none of them shows the one that was stated."""
 _RETAKE = (
     "Check --board, --columns and --rows (inner corners, not squares). Fill a third of both images with the board, "
     "warm it or tilt it against the sky, hold still, and take 15 to 30 pictures at several angles."
@@ -66,6 +69,8 @@ def _calibrate(capture: CaptureFolder, rgb: Path, thermal: Path, board: Board) -
             for image in side:
                 found.append(find_board(image, board))
                 advance(1)
+                if len(found) == _TRIED and not any(found):
+                    _refuse_another_size(side[:_TRIED], board)
     numbers = [k for k, both in enumerate(zip(*seen)) if all(one is not None for one in both)]
     pairs = [
         SeenPair(files[0][k].name, one, other)
@@ -85,6 +90,26 @@ def _calibrate(capture: CaptureFolder, rgb: Path, thermal: Path, board: Board) -
     write_png(capture.check / "calibration.png", picture)
     write_calibration(capture.calibration_json, result.rig)
     return _findings(result, pairs, len(files[0]))
+
+
+def _refuse_another_size(images: Sequence[NDArray[np.generic]], board: Board) -> None:
+    """Refuse to go on where the board has other numbers of corners than was stated.
+
+    Raises:
+        UserError: Half of these images or more show one checkerboard, and it is another one.
+    """
+    if board.kind != "checkerboard":
+        return
+    sizes = Counter(size for image in images if (size := seen_checkerboard(image)) is not None)
+    (columns, rows), count = max(sizes.items(), key=lambda item: item[1], default=((0, 0), 0))
+    if 2 * count < len(images) or {columns, rows} == {board.columns, board.rows}:
+        return
+    raise UserError(
+        f"The first {len(images)} images show a checkerboard of {columns}x{rows} inner corners ({count} of them), and "
+        f"none of {board.columns}x{board.rows}.",
+        f"Count the corners where four squares meet, not the squares: --columns {columns} --rows {rows}, or the other "
+        "way round.",
+    )
 
 
 def _size(images: Sequence[NDArray[np.generic]], folder: Path) -> tuple[int, int]:

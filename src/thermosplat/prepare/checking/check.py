@@ -1,5 +1,6 @@
 """What a capture has, and what may go wrong: in sentences, as a contact sheet and as one page."""
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from thermosplat.prepare.checking.plane_warp import PlaneWarp, read_warps
 from thermosplat.prepare.checking.sensor_orientation import Orientation, find_orientation
 from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.progress import tracked
-from thermosplat.prepare.steps import StepReport, read_marker, require_step, run_step
+from thermosplat.prepare.steps import StepReport, require_step, run_step
 from thermosplat.prepare.whole_files import write_png
 from thermosplat.runs.atomic_writes import write_bytes
 from thermosplat.spectra import COUNTS, label
@@ -58,7 +59,7 @@ def check(capture: CaptureFolder) -> StepReport:
         settings={},
         inputs=[
             *(capture.marker(step) for step in ("import", "pair", "calibrate", "sfm", "register")),
-            *(capture.frames_csv, capture.pairs_csv, capture.root / "sparse"),
+            *(capture.frames_csv, capture.pairs_csv, capture.root / "sparse", capture.root / "images"),
         ],
         outputs=[capture.check / PAGE],
     )
@@ -177,27 +178,61 @@ def _pair_findings(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[Fin
     """Orientation of the sensors, and visible edges in thermal pictures."""
     chosen = _spread(pairs, _COMPARED)
     images = [(_photograph(capture, one.rgb), read_image(capture.images(OTHER) / one.thermal)) for one in chosen]
-    found = []
-    if (orientation := find_orientation(images)) is not None and not orientation.upright:
-        found.append(_turned(capture, orientation))
+    found = _turned(find_orientation(images), _registered_turn(capture, chosen), capture.root)
     measured = capture.units_json.exists() and read_statement(capture.units_json, OTHER).unit != COUNTS
     if not measured:  # MSX is drawn into pictures, not into temperatures
         found += msx_findings([(photograph, shown_thermal(thermal)) for photograph, thermal in images])
     return found
 
 
-def _turned(capture: CaptureFolder, orientation: Orientation) -> Finding:
-    """Thermal images that are not upright; a registered camera may be turned, and cannot be mirrored."""
-    if read_marker(capture, "register") is not None and not orientation.mirror:
-        return Finding(
-            "fact",
-            "Thermal images are turned against the photographs, and so is the registered camera: nothing has to be "
-            f"done. For upright pictures import them with {orientation.flags}.",
+def _registered_turn(capture: CaptureFolder, pairs: Sequence[PairRow]) -> int | None:
+    """By how many degrees, clockwise, images of the registered camera have to be turned; None where none is."""
+    folder = find_model(capture.root)
+    names = [(f"{LEADING}/{one.rgb}", f"{OTHER}/{one.thermal}") for one in pairs]
+    warps = {} if folder is None else read_warps(folder, names)
+    turns = Counter(_quarters(warp.thermal_from_photograph) for warp in warps.values())
+    return 90 * turns.most_common(1)[0][0] if turns else None
+
+
+def _quarters(pose: NDArray[np.float64]) -> int:
+    """Turn about the axis of sight in quarters: where the photograph's right is in the thermal image."""
+    return round(np.degrees(np.arctan2(-pose[1, 0], pose[0, 0])) / 90) % 4
+
+
+def _turned(orientation: Orientation | None, registered: int | None, root: Path) -> list[Finding]:
+    """Thermal images that are not as their camera is: it may be turned like them, and cannot be mirrored.
+
+    Args:
+        orientation: How the images have to be turned; None where nothing stands out.
+        registered: The same of the registered camera [°]; None where none is registered.
+        root: The capture's folder.
+    """
+    if orientation is None or (orientation.upright and not registered):
+        return []
+    if orientation.mirror or registered is None:
+        flags = orientation.flags
+        return [
+            Finding(
+                "warning",
+                f"Thermal images look turned or mirrored against the photographs. Import them again with {flags}.",
+            )
+        ]
+    if orientation.turn == registered:
+        return [
+            Finding(
+                "fact",
+                f"Thermal images are turned by {orientation.turn}° against the photographs, and so is the registered "
+                f"camera: nothing has to be done. For upright pictures import them with {orientation.flags}.",
+            )
+        ]
+    return [
+        Finding(
+            "warning",
+            f"Thermal images are turned by {orientation.turn}° against the photographs, and the registered camera by "
+            f"{registered}°: temperatures come to lie elsewhere. If a program has turned the images since, import them "
+            f"again; then register again: thermosplat-prepare register {root}",
         )
-    return Finding(
-        "warning",
-        f"Thermal images look turned or mirrored against the photographs. Import them again with {orientation.flags}.",
-    )
+    ]
 
 
 def _pictures(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[tuple[str, NDArray[np.uint8]]]:

@@ -8,7 +8,7 @@ grey ones and those in a palette's colours are thermal.
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -36,12 +36,17 @@ _NEAR_INFRARED = re.compile("near[ _-]?(infrared|ir)", re.IGNORECASE)
 """A further spectrum, which is not thermal."""
 _LETTERS = {LEADING: "wv", OTHER: "tr", "zoom": "z"}
 """The same as single letters at the end of a name: DJI's wide, visible, thermal, radiometric and zoom cameras."""
-_PALETTE_LIMIT = 25.0
+PALETTE_LIMIT = 25.0
 """Mean distance of an image's colours from FLIR Iron or its own palette [8-bit levels] up to which it is
 pseudo-colour; measured in capture_palette.py."""
-_GREY_LIMIT = 6.0
-"""Mean difference between the channels of a colour image [8-bit levels] up to which it is grey."""
+_GREY_LIMIT = 10.0
+"""Mean difference between the channels of a colour image [8-bit levels] up to which it is grey; white-hot pictures of
+cameras have 2 to 8."""
 _SAMPLED = 3
+_LARGEST_SENSOR = 2048 * 1536
+"""Pixels of the largest pictures of uncooled thermal cameras (FLIR's UltraMax, which makes four of one)."""
+_LARGER = 2
+"""How many times the pixels of thermal pictures photographs beside them have at least."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,7 @@ def group_files(files: Sequence[SourceFile]) -> Groups:
     sentences = []
     if roles["zoom"] and not roles[LEADING]:
         roles[LEADING], roles["zoom"] = roles["zoom"], []
+        sentences.append("The photographs are of the zoom camera, whose field of view must be the same in all.")
     if roles["msx"] and not roles[OTHER]:
         roles[OTHER], roles["msx"] = roles["msx"], []
     for role, why in (("zoom", "of the zoom camera: its field of view changes"), ("msx", "with visible edges (MSX)")):
@@ -132,11 +138,20 @@ def _add_unnamed(roles: dict[str, list[SourceFile]]) -> None:
     for file in unnamed:
         camera = (file.exif.make, file.exif.model, file.width, file.height, file.kind, file.frame and file.name)
         by_camera.setdefault(camera, []).append(file)
-    for group in by_camera.values():
-        thermal = not any(file.is_radiometric for file in roles[OTHER]) and looks_thermal(group)
-        roles[OTHER if thermal else LEADING] += group
+    measured = any(file.is_radiometric for file in roles[OTHER])
+    alike = {kind for kind, group in by_camera.items() if not measured and looks_thermal(group)}
+    sizes = [_pixels(by_camera[kind][0]) for kind in alike] + [_pixels(file) for file in roles[OTHER]]
+    for kind, group in by_camera.items():
+        # photographs of a grey wall look thermal, too: they are larger, and have a sensitivity
+        photographs = _pixels(group[0]) > min(_LARGEST_SENSOR, _LARGER * min(sizes, default=_LARGEST_SENSOR))
+        sensitive = any(file.exif.iso is not None for file in group)
+        roles[OTHER if kind in alike and not (photographs or sensitive) else LEADING] += group
     for role in (LEADING, OTHER):
         roles[role].sort(key=lambda file: (file.name, file.frame or 0))
+
+
+def _pixels(file: SourceFile) -> int:
+    return file.width * file.height
 
 
 def looks_thermal(files: Sequence[SourceFile]) -> bool:
@@ -155,7 +170,7 @@ def _is_thermal_picture(path: Path) -> bool:
     if float(np.ptp(image.astype(np.int16), axis=-1).mean()) <= _GREY_LIMIT:
         return True
     palette = read_flir_palette(path) or FLIR_IRON
-    return palette.residual(image / np.float32(255)) <= _PALETTE_LIMIT
+    return palette.residual(image / np.float32(255)) <= PALETTE_LIMIT
 
 
 def prefer_values(files: Sequence[SourceFile]) -> tuple[list[SourceFile], list[str]]:
@@ -165,40 +180,63 @@ def prefer_values(files: Sequence[SourceFile]) -> tuple[list[SourceFile], list[s
         The files to take, and what to say about the others.
     """
     kinds = Counter(file.kind for file in files if file.is_radiometric)
+    emptied = [file for file in files if not file.is_radiometric and _is_of_radiometric_maker(file)]
+    said = []
+    if emptied:
+        count = counted(len(emptied), "thermal picture holds", "thermal pictures hold")
+        said = [
+            f"{count} no measured values, though cameras of this maker save them (first: {emptied[0].name}): a program "
+            "has saved the pictures again without them, or the camera was not set to. Copy them from the card again."
+        ]
     if not kinds:
-        return list(files), []
+        return list(files), said
     best = kinds.most_common(1)[0][0]
     taken = [file for file in files if file.kind == best]
     left = [file for file in files if file.kind != best]
     if not left:
-        return taken, []
+        return taken, said
     return taken, [
+        *said,
         f"{counted(len(left), 'thermal picture')} without temperatures {agreeing(len(left), 'was', 'were')} left out, "
         f"because {counted(len(taken), 'file has', 'files have')} them "
-        f"(first left out: {left[0].name})."
+        f"(first left out: {left[0].name}).",
     ]
 
 
-def one_camera(spectrum: str, files: Sequence[SourceFile], take_most: bool) -> tuple[list[SourceFile], list[str]]:
+def _is_of_radiometric_maker(file: SourceFile) -> bool:
+    maker = (file.exif.make or "").lower()
+    return file.frame is None and file.kind in ("color", "grey") and maker.startswith(("dji", "flir"))
+
+
+def one_camera(
+    spectrum: str, files: Sequence[SourceFile], take_most: bool, turn_back: int | None = None
+) -> tuple[list[SourceFile], list[str]]:
     """Images of one camera at one size.
 
     Args:
         spectrum: Name of the spectrum.
         files: Its images.
         take_most: Of several cameras or sizes take the most frequent.
+        turn_back: Degrees by which images whose sides are swapped are turned clockwise; None: they are refused.
 
     Returns:
         The images to take, and what to say about the others.
 
     Raises:
-        UserError: There are several, and ``take_most`` is not set.
+        UserError: There are several, and nothing says what to do with them.
     """
     kinds: Counter[tuple[str, int, int]] = Counter(_camera(file) for file in files)
     if len(kinds) <= 1:
         return list(files), []
     best = kinds.most_common(1)[0][0]
-    taken = [file for file in files if _camera(file) == best]
+    swapped = best[0], best[2], best[1]
     left = [file for file in files if _camera(file) != best]
+    turned = [file for file in left if _camera(file) == swapped]
+    if turned and turn_back is not None:
+        back = [replace(file, turn=turn_back) if file in turned else file for file in files]
+        taken, said = one_camera(spectrum, back, take_most)
+        count = counted(len(turned), f"{spectrum} image was", f"{spectrum} images were")
+        return taken, [f"{count} turned by {turn_back}° (first: {turned[0].name}).", *said]
     described = ", ".join(
         f"{count} of {width}x{height} px{f' ({camera})' if camera else ''}"
         for (camera, width, height), count in kinds.most_common(4)
@@ -208,18 +246,22 @@ def one_camera(spectrum: str, files: Sequence[SourceFile], take_most: bool) -> t
         gone = (
             f"{counted(len(left), f'{spectrum} image')} of another camera or size {agreeing(len(left), 'was', 'were')}"
         )
-        return taken, [f"{gone} left out: {described}; {first}."]
-    turned = all((file.height, file.width) == best[1:] for file in left)
-    why = (
-        " The others were turned by a program; copy them from the camera again, as EXIF turns nothing."
-        if turned
-        else " All images of a spectrum must come from one camera at one zoom and size."
-    )
+        return [file for file in files if _camera(file) == best], [f"{gone} left out: {described}; {first}."]
+    message = f"The {spectrum} images are of {len(kinds)} cameras or sizes: {described}; {first}."
+    if len(turned) == len(left):
+        raise UserError(
+            f"{message} The others were turned by a program.",
+            "Turn them back, clockwise: --turn-back 90, or 270. Or copy them from the camera again, or leave them out: "
+            "--take-most",
+        )
     raise UserError(
-        f"The {spectrum} images are of {len(kinds)} cameras or sizes: {described}; {first}.{why}",
+        f"{message} All images of a spectrum must come from one camera at one zoom and size.",
         "Take the most frequent alone with --take-most, or name the folders: --rgb DIR --thermal DIR",
     )
 
 
 def _camera(file: SourceFile) -> tuple[str, int, int]:
-    return " ".join(filter(None, (file.exif.make, file.exif.model))), file.width, file.height
+    width, height = (file.height, file.width) if file.turn else (file.width, file.height)
+    if file.kind in ("flir", "dji"):  # the values stay as the sensor has them when a program turns the picture
+        width, height = max(width, height), min(width, height)
+    return " ".join(filter(None, (file.exif.make, file.exif.model))), width, height

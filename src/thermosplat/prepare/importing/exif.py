@@ -1,4 +1,4 @@
-"""When, where and with which camera a picture was taken: EXIF data of JPEG and TIFF files.
+"""When, where and with which camera a picture was taken: EXIF data of JPEG and TIFF files, and XMP of drones.
 
 Format: EXIF 2.32 (CIPA DC-008) on TIFF 6.0. OpenCV has no reader of it, and Pillow is not a dependency. Damaged data
 counts as absent, because pictures are of use without it.
@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from thermosplat.prepare.capture_folder import Exif
+from thermosplat.prepare.importing.flight_data import with_flight_data, xmp_packet
+from thermosplat.prepare.importing.jpeg_segments import APP0, segments
 from thermosplat.regular_files import open_regular
 
 _HEAD = 1 << 18
@@ -26,6 +28,7 @@ _MAKE, _MODEL, _ORIENTATION, _DATE = 0x010F, 0x0110, 0x0112, 0x0132
 _DATE_ORIGINAL, _ZONE, _ZONE_ORIGINAL = 0x9003, 0x9010, 0x9011
 _SUBSECONDS, _SUBSECONDS_ORIGINAL = 0x9290, 0x9291
 _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
+_ISO, _DIGITAL_ZOOM, _XMP = 0x8827, 0xA404, 0x02BC
 _DATE_FORMAT = "%Y:%m:%d %H:%M:%S"
 
 
@@ -42,15 +45,14 @@ def read_exif(path: Path) -> Exif:
 
 
 def parse_exif(content: bytes) -> Exif:
-    """The EXIF data in a JPEG or TIFF file's bytes."""
-    tiff = content if content[:4] in (b"II*\0", b"MM\0*") else _exif_segment(content)
+    """The EXIF data in a JPEG or TIFF file's bytes, and what a drone wrote beside it."""
+    is_tiff = content[:4] in (b"II*\0", b"MM\0*")
+    tiff = content if is_tiff else _exif_segment(content)
     order = {b"II": "<", b"MM": ">"}.get(tiff[:2])
-    if order is None or len(tiff) < 8:
-        return Exif()
-    main = _table(tiff, order, _number(tiff, order, 4))
-    inner = main | _table(tiff, order, main.get(_EXIF_IFD))
-    gps = _table(tiff, order, main.get(_GPS_IFD))
-    return Exif(
+    main = _table(tiff, order, _number(tiff, order, 4)) if order is not None and len(tiff) >= 8 else {}
+    inner = main | _table(tiff, order or "<", main.get(_EXIF_IFD))
+    gps = _table(tiff, order or "<", main.get(_GPS_IFD))
+    found = Exif(
         time=_time(inner),
         latitude=_degrees(gps.get(2), gps.get(1), "S", 90),
         longitude=_degrees(gps.get(4), gps.get(3), "W", 180),
@@ -60,18 +62,16 @@ def parse_exif(content: bytes) -> Exif:
         make=_text(main.get(_MAKE)),
         model=_text(main.get(_MODEL)),
         orientation=value if (value := main.get(_ORIENTATION)) in range(1, 9) else None,
+        iso=_positive(inner.get(_ISO)),
+        digital_zoom=zoom if (zoom := _positive(inner.get(_DIGITAL_ZOOM)) or 0) > 1 else None,
     )
+    return with_flight_data(found, _bytes(main.get(_XMP)) if is_tiff else xmp_packet(content))
 
 
 def _exif_segment(content: bytes) -> bytes:
     """The TIFF inside a JPEG's EXIF segment; empty where there is none."""
-    at = 2 if content.startswith(b"\xff\xd8") else len(content)
-    while at + 4 <= len(content) and content[at] == 0xFF and content[at + 1] not in (0xDA, 0xD9):
-        length = int.from_bytes(content[at + 2 : at + 4], "big")
-        if content[at + 1] == 0xE1 and content[at + 4 : at + 10] == b"Exif\0\0":
-            return content[at + 10 : at + 2 + length]
-        at += 2 + length
-    return b""
+    bodies = (body for marker, body in segments(content) if marker == APP0 + 1)
+    return next((body[6:] for body in bodies if body.startswith(b"Exif\0\0")), b"")
 
 
 def _number(tiff: bytes, order: str, at: int) -> int:
@@ -110,6 +110,12 @@ def _text(value: Any) -> str | None:
     if not isinstance(value, bytes):
         return None
     return value.split(b"\0")[0].decode("utf-8", "replace").strip() or None
+
+
+def _bytes(value: Any) -> bytes:
+    """A value of bytes, which tables hold as such or as numbers."""
+    sound = isinstance(value, bytes | tuple) and all(isinstance(one, int) and 0 <= one < 256 for one in value)
+    return bytes(value) if sound else b""
 
 
 def _positive(value: Any) -> float | None:

@@ -50,9 +50,9 @@ def read_header(path: Path) -> ImageHeader:
     try:
         with open_regular(path) as file:
             head = file.read(_HEAD)
-            found = _jpeg(head)
+            found = jpeg_header(head)
             if found is None and head.startswith(b"\xff\xd8"):
-                found = _jpeg(head + file.read())
+                found = jpeg_header(head + file.read())
     except OSError as error:
         raise UserError(f"Cannot read {path}: {error.strerror or error}.") from error
     if found is not None:
@@ -70,7 +70,8 @@ def is_whole_jpeg(content: bytes) -> bool:
     return content.find(b"\xff\xd9", at) >= 0
 
 
-def _jpeg(content: bytes) -> ImageHeader | None:
+def jpeg_header(content: bytes) -> ImageHeader | None:
+    """The header of a JPEG's picture; None where there is none, or in another file."""
     at = 2 if content.startswith(b"\xff\xd8") else len(content)
     while at + 10 <= len(content) and content[at] == 0xFF:
         kind = content[at + 1]

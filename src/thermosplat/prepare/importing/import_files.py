@@ -1,20 +1,20 @@
 """From what the cameras wrote to the images of a capture: photographs as they are, thermal files as values."""
 
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from thermosplat.datasets.images.image_files import JPEG_SUFFIXES, read_image
-from thermosplat.datasets.images.unread_formats import unread_note
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, FrameRow
 from thermosplat.prepare.counted import agreeing, counted
-from thermosplat.prepare.importing.camera_groups import Groups, group_files, one_camera, prefer_values
 from thermosplat.prepare.importing.flir_files import read_flir
-from thermosplat.prepare.importing.source_files import SourceFile, SourceFolder, read_folder
-from thermosplat.prepare.importing.thermal_images import ThermalOptions, import_thermal
+from thermosplat.prepare.importing.found_files import LEAST_PHOTOGRAPHS, find_files
+from thermosplat.prepare.importing.import_options import ImportOptions
+from thermosplat.prepare.importing.source_files import SourceFile
+from thermosplat.prepare.importing.thermal_images import import_thermal
 from thermosplat.prepare.progress import tracked
 from thermosplat.prepare.steps import StepReport, run_step
 from thermosplat.prepare.whole_files import link_whole, write_jpeg
@@ -22,37 +22,8 @@ from thermosplat.regular_files import files_below
 from thermosplat.runs.atomic_writes import sweep, write_bytes
 from thermosplat.spectra import label
 
-LEAST_PHOTOGRAPHS = 5
-"""Photographs without which no scene can be reconstructed; a good one has 30 or more."""
-
-
-@dataclass(frozen=True)
-class ImportOptions:
-    """What the user says about the files.
-
-    Args:
-        folders: Folder of each spectrum that is not to be found by itself.
-        every: Of a video every so many frames are taken.
-        take_most: Of several cameras or sizes in one spectrum take the most frequent.
-        skip_unreadable: Leave out files that cannot be read.
-        thermal: How thermal files are turned into values.
-    """
-
-    folders: Mapping[str, str] = field(default_factory=dict)
-    every: int = 15
-    take_most: bool = False
-    skip_unreadable: bool = False
-    thermal: ThermalOptions = field(default_factory=ThermalOptions)
-
-    def settings(self) -> dict[str, Any]:
-        """As plain values, for the step's file."""
-        return {
-            "folders": dict(self.folders),
-            "every": self.every,
-            "take_most": self.take_most,
-            "skip_unreadable": self.skip_unreadable,
-            "thermal": self.thermal.settings(),
-        }
+_RTK_FIXED = 50
+"""What DJI writes for a position to some centimetres."""
 
 
 _LONGEST_STEM = 200
@@ -120,19 +91,21 @@ def _files_below(root: Path, capture: CaptureFolder) -> list[Path]:
 def _clear(capture: CaptureFolder) -> None:
     """Remove what an import with other settings or files left."""
     shutil.rmtree(capture.root / "images", ignore_errors=True)
-    for path in (capture.frames_csv, capture.pairs_csv):
+    for path in (capture.frames_csv, capture.pairs_csv, capture.thermal_parameters):
         path.unlink(missing_ok=True)
 
 
 def _import(folder: Path | None, capture: CaptureFolder, options: ImportOptions) -> list[str]:
-    groups, sentences = _find(folder, capture, options)
+    groups, sentences = find_files(folder, capture, options)
     for spectrum in groups.files:
         sweep(capture.images(spectrum))
     rows: list[FrameRow] = []
     for spectrum, files in groups.files.items():
         names = _names(files)
         if spectrum == OTHER:
-            found, said = import_thermal(files, names, capture, options.thermal)
+            found, said = import_thermal(
+                files, names, capture, options.thermal, skip_unreadable=options.skip_unreadable
+            )
             sentences += said
         else:
             found = [
@@ -141,102 +114,11 @@ def _import(folder: Path | None, capture: CaptureFolder, options: ImportOptions)
             ]
         rows += found
     if LEADING not in groups.files:  # of FLIR files alone
-        rows = [*_embedded(capture, groups.files[OTHER], rows), *rows]
-    sentences = [_counted(rows), *sentences, *_further(rows), *_orientation(rows)]
+        photographs, said = _embedded(capture, groups.files[OTHER], rows)
+        rows, sentences = [*photographs, *rows], [*sentences, *said]
+    sentences = [_counted(rows), *sentences, *_further(rows), *_placed(rows), *_orientation(rows)]
     capture.write_frames(rows)
     return sentences
-
-
-def _find(folder: Path | None, capture: CaptureFolder, options: ImportOptions) -> tuple[Groups, list[str]]:
-    """The files by spectrum, each of one camera."""
-    found: dict[str, Sequence[SourceFile]] = {}
-    sentences: list[str] = []
-    if options.folders:
-        for spectrum, place in options.folders.items():
-            found[spectrum] = _look(Path(place), capture, options, sentences).files
-            if not found[spectrum]:
-                raise _nothing(Path(place), f"{label(spectrum)} images")
-    else:
-        if folder is None:
-            raise UserError("No folder given.", "Say where the files are: thermosplat-prepare FOLDER")
-        content = _look(folder, capture, options, sentences)
-        if not content.files:
-            raise _nothing(folder, "photographs and thermal files", content.others)
-        groups = group_files(content.files)
-        sentences += groups.sentences
-        found = {spectrum: files for spectrum, files in groups.files.items() if files}
-        _check_both(folder, found)
-    if OTHER in found:
-        found[OTHER], said = prefer_values(found[OTHER])
-        sentences += said
-    for spectrum, files in found.items():
-        found[spectrum], said = one_camera(label(spectrum), files, options.take_most)
-        sentences += said
-    photographs = len(found.get(LEADING, found.get(OTHER, ())))
-    if photographs < LEAST_PHOTOGRAPHS:
-        raise UserError(
-            f"{counted(photographs, 'usable photograph was', 'usable photographs were')} found in "
-            f"{folder or options.folders[LEADING]}; "
-            f"a scene needs at least {LEAST_PHOTOGRAPHS}, from different places, and 30 or more to look good."
-            f"{''.join(f' {sentence}' for sentence in sentences)}",
-            "Take more (docs/capturing.md), or name the right folders: --rgb DIR --thermal DIR",
-        )
-    return Groups({spectrum: tuple(files) for spectrum, files in found.items()}), sentences
-
-
-def _look(folder: Path, capture: CaptureFolder, options: ImportOptions, sentences: list[str]) -> SourceFolder:
-    """All images of a folder; unreadable ones are an error, or left out and said."""
-    content = read_folder(
-        folder,
-        every=options.every,
-        skip=[capture.root],
-        progress=lambda paths, count: tracked(paths, "looking at files", count),
-    )
-    unread = unread_note(folder)
-    if unread is not None:
-        sentences.append(unread)
-    if content.unreadable:
-        path, reason = content.unreadable[0]
-        total = len(content.unreadable) + len(content.files)
-        count = f"{len(content.unreadable)} of {counted(total, 'image')}"
-        found = f"{count} in {folder} cannot be read (first: {path}: {reason})"
-        if not options.skip_unreadable:
-            raise UserError(f"{found}.", "Copy them from the camera again, or leave them out: --skip-unreadable")
-        sentences.append(f"{found}; {agreeing(len(content.unreadable), 'it was', 'they were')} left out.")
-    return content
-
-
-def _check_both(folder: Path, found: Mapping[str, Sequence[SourceFile]]) -> None:
-    """Refuse a folder with one spectrum only, except radiometric files that have photographs inside."""
-    if OTHER not in found:
-        first = found[LEADING][0]
-        raise UserError(
-            f"{folder} has {counted(len(found[LEADING]), 'photograph')} and no thermal files that could be told "
-            "from them "
-            f"(first: {first.name}).",
-            "Name both folders: --rgb DIR --thermal DIR. For photographs alone: --rgb DIR",
-        )
-    if LEADING not in found:
-        files = found[OTHER]
-        if files[0].kind == "flir" and read_flir(files[0].path).photograph is not None:
-            return
-        raise UserError(
-            f"{folder} has {counted(len(files), 'thermal file')} and no photographs (first: {files[0].name}). "
-            "The poses of the "
-            "cameras are found on photographs, because thermal images have too little texture.",
-            "Add the photographs of the same moments, or name their folder: --rgb DIR --thermal DIR",
-        )
-
-
-def _nothing(folder: Path, wanted: str, others: int = 0) -> UserError:
-    inside = sorted(path.name + ("/" if path.is_dir() else "") for path in folder.iterdir()) if folder.is_dir() else []
-    shown = ", ".join(inside[:8]) + (", ..." if len(inside) > 8 else "")
-    files = f" and {counted(others, 'file that is no image', 'files that are no images')}" if others else ""
-    unread = unread_note(folder)
-    return UserError(
-        f"No {wanted} in {folder}. Found: {shown or 'nothing'}{files}.{'' if unread is None else f' {unread}'}",
-        "Give the folder that the cameras' files were copied to; JPEG, PNG, TIFF and videos are read.",
-    )
 
 
 def _names(files: Sequence[SourceFile]) -> list[str]:
@@ -266,23 +148,30 @@ def _shown(items: Sequence[Any], what: str) -> Iterable[Any]:
 
 
 def _photograph(capture: CaptureFolder, spectrum: str, file: SourceFile, name: str) -> FrameRow:
-    """Bring one photograph to its place, unchanged; frames of videos become JPEGs."""
+    """Bring one photograph to its place, unchanged; frames of videos, and what has to be turned, become JPEGs."""
     ending = ".jpg" if file.path.suffix.lower() in JPEG_SUFFIXES else file.path.suffix.lower()
-    target = capture.images(spectrum) / f"{name}{ending if file.frame is None else '.jpg'}"
-    if file.frame is not None:
+    made = file.frame is not None or file.turn != 0
+    target = capture.images(spectrum) / f"{name}{'.jpg' if made else ending}"
+    if made:
         if not target.exists():
             write_jpeg(target, file.read())
     elif not target.exists() or target.stat().st_size != file.path.stat().st_size:
         link_whole(file.path, target)
-    return file.row(spectrum, target.name, file.width, file.height)
+    width, height = (file.height, file.width) if file.turn else (file.width, file.height)
+    return file.row(spectrum, target.name, width, height)
 
 
-def _embedded(capture: CaptureFolder, files: Sequence[SourceFile], thermal: Sequence[FrameRow]) -> list[FrameRow]:
-    """The photographs inside radiometric files, under the names of their thermal images."""
-    rows = []
-    for file, row in _shown(list(zip(files, thermal)), "embedded photographs"):
+def _embedded(
+    capture: CaptureFolder, files: Sequence[SourceFile], thermal: Sequence[FrameRow]
+) -> tuple[list[FrameRow], list[str]]:
+    """The photographs inside radiometric files, under the names of their thermal images, and which have none."""
+    rows, without = [], []
+    by_source = {file.source: file for file in files}
+    for row in _shown(list(thermal), "embedded photographs"):
+        file = by_source[row.source]
         content = read_flir(file.path).photograph
         if content is None:
+            without.append(file.name)
             continue
         ending = ".jpg" if content.startswith(b"\xff\xd8") else ".png"
         target = capture.images(LEADING) / f"{PurePosixPath(row.file).stem}{ending}"
@@ -290,7 +179,17 @@ def _embedded(capture: CaptureFolder, files: Sequence[SourceFile], thermal: Sequ
         height, width = read_image(target).shape[:2]
         photograph = file.row(LEADING, target.name, width, height)
         rows.append(replace(photograph, focal_length_mm=None, focal_length_35mm=None))  # EXIF has the thermal lens's
-    return rows
+    if len(rows) < LEAST_PHOTOGRAPHS:
+        raise UserError(
+            f"{len(rows)} of {counted(len(thermal), 'radiometric file')} {agreeing(len(rows), 'has', 'have')} a "
+            f"photograph inside (first without: {without[0]}); a scene needs at least {LEAST_PHOTOGRAPHS}.",
+            "Switch on that the camera saves the photograph, or name the folder of the photographs: --rgb DIR "
+            "--thermal DIR",
+        )
+    if not without:
+        return rows, []
+    count = f"{len(without)} of {counted(len(thermal), 'radiometric file')}"
+    return rows, [f"{count} {agreeing(len(without), 'has', 'have')} no photograph inside (first: {without[0]})."]
 
 
 def _further(rows: Sequence[FrameRow]) -> list[str]:
@@ -324,6 +223,22 @@ def _counted(rows: Sequence[FrameRow]) -> str:
         group = [row for row in rows if row.spectrum == spectrum]
         parts.append(f"{counted(len(group), f'{label(spectrum)} image')} of {group[0].width}x{group[0].height} px")
     return f"{' and '.join(parts)}."
+
+
+def _placed(rows: Sequence[FrameRow]) -> list[str]:
+    """How many images have a position, and whether RTK was lost."""
+    parts, lost = [], 0
+    for spectrum in dict.fromkeys(row.spectrum for row in rows):
+        group = [row for row in rows if row.spectrum == spectrum]
+        placed = sum(row.latitude is not None for row in group)
+        if placed:
+            parts.append(f"{placed} of {counted(len(group), f'{label(spectrum)} image')}")
+        flags = [row.rtk_flag for row in group if row.rtk_flag is not None]
+        lost += sum(flag != _RTK_FIXED for flag in flags) if _RTK_FIXED in flags else 0
+    if not parts:
+        return []
+    rtk = f" RTK was not fixed in {counted(lost, 'image')}." if lost else ""
+    return [f"{' and '.join(parts)} have a GPS position.{rtk}"]
 
 
 def _orientation(rows: Sequence[FrameRow]) -> list[str]:

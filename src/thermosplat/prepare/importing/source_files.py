@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.images.image_bytes import read_regular_file
@@ -20,6 +21,7 @@ from thermosplat.prepare.capture_folder import Exif, FrameRow
 from thermosplat.prepare.importing.dji_files import is_dji_thermal
 from thermosplat.prepare.importing.exif import parse_exif, read_exif
 from thermosplat.prepare.importing.flir_files import is_flir
+from thermosplat.prepare.importing.foreign_formats import foreign_sentences
 from thermosplat.prepare.importing.image_header import is_whole_jpeg, read_header
 from thermosplat.prepare.importing.video_frames import VIDEO_SUFFIXES, describe_video, moment, read_video_frame
 from thermosplat.printing import printable
@@ -42,6 +44,7 @@ class SourceFile:
         height: [px].
         exif: When, where and with what it was taken.
         frame: Number of the frame in a video; None for an image file.
+        turn: Degrees by which its pixels are turned clockwise, to be like those of the others.
     """
 
     path: Path
@@ -51,6 +54,7 @@ class SourceFile:
     height: int
     exif: Exif
     frame: int | None = None
+    turn: int = 0
 
     @property
     def is_radiometric(self) -> bool:
@@ -69,7 +73,11 @@ class SourceFile:
         Raises:
             UserError: They cannot be decoded.
         """
-        return read_image(self.path) if self.frame is None else read_video_frame(self.path, self.frame)
+        return self.turned(read_image(self.path) if self.frame is None else read_video_frame(self.path, self.frame))
+
+    def turned(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        """Pixels of this file [H, W, ...], turned as it has to be."""
+        return np.ascontiguousarray(np.rot90(pixels, -self.turn // 90)) if self.turn else pixels
 
     def row(self, spectrum: str, file: str, width: int, height: int) -> FrameRow:
         """The row of frames.csv for an image of a capture that is made of this one.
@@ -91,11 +99,13 @@ class SourceFolder:
         files: Its images in the order of their names, frames of videos among them.
         unreadable: Files that cannot be read, each with the reason.
         others: Number of files that are no images.
+        foreign: A sentence for each format of thermal cameras that is not read.
     """
 
     files: tuple[SourceFile, ...]
     unreadable: tuple[tuple[Path, str], ...]
     others: int
+    foreign: tuple[str, ...] = ()
 
 
 def read_folder(
@@ -142,7 +152,8 @@ def read_folder(
         except UserError as error:
             unreadable.append((path, error.message))
     others = sum(path.suffix.lower() not in IMAGE_SUFFIXES | VIDEO_SUFFIXES for path in everything)
-    return SourceFolder(tuple(files), tuple(unreadable), others)
+    foreign = foreign_sentences([path for path in everything if _is_wanted(path, folder, left_out)], folder)
+    return SourceFolder(tuple(files), tuple(unreadable), others, tuple(foreign))
 
 
 def _is_wanted(path: Path, folder: Path, left_out: set[Path]) -> bool:
@@ -165,9 +176,9 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
         if path.suffix.lower() in JPEG_SUFFIXES:
             content = read_regular_file(path)
             exif = parse_exif(content)
-            if not is_whole_jpeg(content):
-                return "it is cut off"
             kind = "flir" if is_flir(content) else "dji" if is_dji_thermal(content, exif.make) else kind
+            if not is_whole_jpeg(content) and kind != "dji":  # the XT S writes no end of its picture
+                return "it is cut off"
         else:
             exif = read_exif(path)
     except UserError as error:

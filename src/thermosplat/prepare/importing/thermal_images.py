@@ -14,15 +14,16 @@ from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import OTHER, CaptureFolder, FrameRow
 from thermosplat.prepare.counted import agreeing, counted
+from thermosplat.prepare.importing.dji_programs import installed
 from thermosplat.prepare.importing.source_files import SourceFile
+from thermosplat.prepare.importing.thermal_readers import Reader, holds_counts, reader_for
 from thermosplat.prepare.importing.thermal_values import (
     STEPS_PER_KELVIN,
-    Meaning,
     StoredUnit,
     TooHot,
     choose_meaning,
-    read_values,
-    unit_sentence,
+    counts_of,
+    levels_of,
 )
 from thermosplat.prepare.progress import tracked
 from thermosplat.prepare.whole_files import write_png
@@ -30,11 +31,15 @@ from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_bytes
 from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, THERMAL, unit_named
 from thermosplat.thermal.planck_counts import ZERO_CELSIUS
-from thermosplat.thermal.radiometry import Palette
+from thermosplat.thermal.radiometry import GREY, Palette
+from thermosplat.thermal.thermal_parameters import ThermalParameters, parameters_text
 
 Turn = Literal[0, 90, 180, 270]
 _RESIDUAL_LIMIT, _RESIDUAL_LIMIT_ASSUMED = 15.0, 25.0
 """As in capture_palette.py, where they were measured: beyond it an image does not have the palette."""
+_GREY_LIMIT = 6.0
+"""Mean distance from grey [8-bit levels] up to which a picture is white-hot: the channels of such JPEGs differ by up to
+8 levels. The colours of a mostly cold picture in FLIR Iron lie nearer to that palette."""
 _SAMPLED = 6
 
 
@@ -82,15 +87,21 @@ class ThermalOptions:
 
 
 def import_thermal(
-    files: Sequence[SourceFile], names: Sequence[str], capture: CaptureFolder, options: ThermalOptions
+    files: Sequence[SourceFile],
+    names: Sequence[str],
+    capture: CaptureFolder,
+    options: ThermalOptions,
+    *,
+    skip_unreadable: bool = False,
 ) -> tuple[list[FrameRow], list[str]]:
-    """Write the thermal images of a capture and ``units.json``.
+    """Write the thermal images of a capture, ``units.json`` and ``thermal_parameters.json``.
 
     Args:
         files: The files, all of one kind; radiometric, or pictures.
         names: Their names in the capture, without endings.
         capture: The capture.
         options: What the user says.
+        skip_unreadable: Leave out radiometric files of which no temperatures can be had.
 
     Returns:
         Their rows of frames.csv, and what was found.
@@ -98,41 +109,65 @@ def import_thermal(
     Raises:
         UserError: A file cannot be read, or the options do not fit.
     """
-    if not files[0].is_radiometric:
+    if not files[0].is_radiometric or _pictures_are_asked_for(files, options):
         return _import_pictures(files, names, capture, options)
     meaning = choose_meaning(files, options.unit, options.scale, options.offset)
     units: tuple[StoredUnit, ...] = ("counts",) if meaning.unit == COUNTS else ("centikelvin", "decikelvin")
-    for unit in units:
-        try:
-            return _import_values(files, names, capture, options, meaning, unit)
-        except TooHot:
-            for name in names:
-                _target(capture, name).unlink(missing_ok=True)
+    targets = [_target(capture, name) for name in names]
+    complete = _stated_unit(capture) in units and all(target.exists() for target in targets)
+    with reader_for(files, [] if complete else files, meaning) as reader:
+        for unit in units:
+            try:
+                return _import_values(files, targets, capture, options, reader, unit, skip_unreadable)
+            except TooHot:
+                for target in targets:
+                    target.unlink(missing_ok=True)
     raise AssertionError("the last unit raises no TooHot")
+
+
+def _pictures_are_asked_for(files: Sequence[SourceFile], options: ThermalOptions) -> bool:
+    """The user says how to read the pictures of files with counts that no installed program converts."""
+    asked = options.palette is not None or options.range is not None or options.keep_color
+    return asked and not installed() and any(holds_counts(file) for file in files)
 
 
 def _import_values(
     files: Sequence[SourceFile],
-    names: Sequence[str],
+    targets: Sequence[Path],
     capture: CaptureFolder,
     options: ThermalOptions,
-    meaning: Meaning,
+    reader: Reader,
     unit: StoredUnit,
+    skip_unreadable: bool,
 ) -> tuple[list[FrameRow], list[str]]:
-    rows, dead, lowest, highest = [], 0, np.inf, -np.inf
-    for file, name in tracked(zip(files, names), "importing thermal images", len(files)):
-        target = _target(capture, name)
-        if target.exists() and _stated_unit(capture) == unit:
-            values = read_image(target)
-        else:
-            read, filled = read_values(file, meaning, unit)
-            values, dead = options.upright(read), dead + filled
-            if _stated_unit(capture) != unit:
-                _state(capture, unit)
-            write_png(target, values)
+    rows: list[FrameRow] = []
+    failed: list[UserError] = []
+    parameters: dict[str, ThermalParameters] = {}
+    dead, lowest, highest = 0, np.inf, -np.inf
+    for file, target in tracked(zip(files, targets), "importing thermal images", len(files)):
+        try:
+            if not (target.exists() and _stated_unit(capture) == unit):
+                celsius = reader.celsius(file)
+                read, filled = counts_of(file.path) if celsius is None else levels_of(file.path, celsius, unit)
+                dead += filled
+                if _stated_unit(capture) != unit:
+                    _state(capture, unit)
+                write_png(target, options.upright(file.turned(read)))
+            if (said := reader.parameters(file)) is not None:
+                parameters[target.name] = said
+        except UserError as error:
+            if not skip_unreadable:
+                raise
+            failed.append(error)
+            continue
+        values = read_image(target)
         lowest, highest = min(lowest, float(values.min())), max(highest, float(values.max()))
         rows.append(_row(target.name, file, values))
-    sentences = [unit_sentence(meaning, files[0])]
+    if not rows:
+        raise failed[0]
+    if parameters:
+        write_bytes(capture.thermal_parameters, parameters_text(parameters).encode())
+    sentences = reader.sentences()
     if unit == COUNTS:
         sentences.append(f"They lie between {lowest:,.0f} and {highest:,.0f}.")
     else:
@@ -143,6 +178,9 @@ def _import_values(
             f"{counted(dead, 'pixel')} without a temperature {agreeing(dead, 'was', 'were')} filled from the "
             "neighbours."
         )
+    if failed:
+        count = counted(len(failed), "thermal file was", "thermal files were")
+        sentences.append(f"{count} left out (first: {failed[0].message.rstrip('.')}).")
     return rows, sentences
 
 
@@ -153,7 +191,7 @@ def _import_pictures(
     config = replace(THERMAL, palette=options.palette)
     chosen = choose_palette(capture.root, OTHER, config, [file.path for file in files if file.frame is None])
     images = [file.read() for file in files[:: -(-len(files) // _SAMPLED)]]
-    colored = [image for image in images if image.ndim == 3 and not _is_grey(image)]
+    colored = [image for image in images if not _is_grey(image, chosen.palette)]
     distances = [chosen.palette.residual(image[::4, ::4] / np.float32(255)) for image in colored]
     residual = float(np.mean(distances)) if distances else 0.0
     limit = _RESIDUAL_LIMIT if chosen.stated else _RESIDUAL_LIMIT_ASSUMED
@@ -175,11 +213,19 @@ def _levels(image: NDArray[Any], palette: Palette, span: tuple[float, float] | N
     if image.ndim == 2:
         intensity = np.asarray(image / np.float32(np.iinfo(image.dtype).max), np.float32)
     else:
-        intensity = _levels_of_grey(image) if _is_grey(image) else palette.to_intensity(image)
+        intensity = _levels_of_grey(image) if _is_grey(image, palette) else palette.to_intensity(image)
     if span is None:
         return np.rint(intensity * np.float32(65535)).astype(np.uint16)
     celsius = span[0] + intensity.astype(np.float64) * (span[1] - span[0])
     return np.rint((celsius + ZERO_CELSIUS) * STEPS_PER_KELVIN["centikelvin"]).clip(0, 65535).astype(np.uint16)
+
+
+def _is_grey(image: NDArray[Any], palette: Palette) -> bool:
+    """Whether a picture [H, W, ...] is white-hot, and not one in a palette."""
+    if image.ndim == 2:
+        return True
+    colors = image[::4, ::4] / np.float32(255)
+    return GREY.residual(colors) <= min(_GREY_LIMIT, palette.residual(colors))
 
 
 def _levels_of_grey(image: NDArray[Any]) -> NDArray[np.float32]:
@@ -205,10 +251,6 @@ def _picture_sentences(
             "--range MIN MAX states the °C of the palette's ends; radiometric files are better."
         )
     return [f"Thermal pictures were turned into values{how}.{degrees}"]
-
-
-def _is_grey(image: NDArray[Any]) -> bool:
-    return image.ndim == 2 or int(np.ptp(image[::4, ::4].astype(np.int16), axis=-1).max()) <= 4
 
 
 def _target(capture: CaptureFolder, name: str) -> Path:

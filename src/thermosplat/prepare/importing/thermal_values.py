@@ -6,6 +6,7 @@ counts stay as they are, unless the user says what they mean.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import cv2
@@ -14,8 +15,6 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.images.image_files import ImagePixels, read_pixels
 from thermosplat.errors import UserError
-from thermosplat.prepare.importing.dji_files import read_dji
-from thermosplat.prepare.importing.flir_files import read_flir
 from thermosplat.prepare.importing.source_files import SourceFile
 from thermosplat.spectra import COUNTS
 from thermosplat.thermal.planck_counts import ZERO_CELSIUS
@@ -103,12 +102,12 @@ def choose_meaning(files: Sequence[SourceFile], unit: str | None, scale: float |
     return Meaning(judge_unit(*stored, integer=integer))
 
 
-def read_values(file: SourceFile, meaning: Meaning, unit: StoredUnit) -> tuple[NDArray[np.uint16], int]:
-    """The values of a thermal file as they are stored in a capture.
+def levels_of(path: Path, celsius: NDArray[Any], unit: StoredUnit) -> tuple[NDArray[np.uint16], int]:
+    """Temperatures as they are stored in a capture.
 
     Args:
-        file: A radiometric file.
-        meaning: What its values mean.
+        path: The file that they come from, for messages.
+        celsius: [H, W] [°C]; NaN, or absolute zero and below, where there is none.
         unit: The unit to store.
 
     Returns:
@@ -116,28 +115,17 @@ def read_values(file: SourceFile, meaning: Meaning, unit: StoredUnit) -> tuple[N
 
     Raises:
         TooHot: A temperature does not fit into the unit.
-        UserError: The file cannot be read, or has too many pixels without a value.
+        UserError: Too many pixels have no value.
     """
-    celsius: NDArray[Any] | None
-    if file.kind == "flir":
-        celsius = read_flir(file.path).celsius
-    elif file.kind == "dji":
-        celsius = read_dji(file.path, file.width, file.height)
-    else:
-        pixels = read_pixels(file.path)
-        celsius, void = meaning.celsius(pixels.image), without_value(pixels)
-        if celsius is None:
-            return _counts(file, pixels.image, void), int(void.sum())
-        celsius = np.where(void, np.nan, celsius)
     dead = ~np.isfinite(celsius) | (celsius <= -ZERO_CELSIUS)
-    _check_dead(file, dead)
+    _check_dead(path, dead)
     count = int(dead.sum())
     filled = _filled(celsius, dead) if count else celsius
     levels = np.rint((filled + ZERO_CELSIUS) * STEPS_PER_KELVIN[unit])
     if levels.max() > np.iinfo(np.uint16).max:
         if unit == "centikelvin":
             raise TooHot
-        raise UserError(f"{file.path} has temperatures up to {filled.max():,.0f} °C.", "Is the unit right? See --unit.")
+        raise UserError(f"{path} has temperatures up to {filled.max():,.0f} °C.", "Is the unit right? See --unit.")
     return levels.astype(np.uint16), count
 
 
@@ -149,28 +137,36 @@ def without_value(pixels: ImagePixels) -> NDArray[np.bool_]:
     return void if pixels.mask is None else void | ~pixels.mask
 
 
-def _check_dead(file: SourceFile, dead: NDArray[np.bool_]) -> None:
+def _check_dead(path: Path, dead: NDArray[np.bool_]) -> None:
     count = int(dead.sum())
     if count > _MOST_DEAD * dead.size:
         raise UserError(
-            f"{file.path} has {count:,} of {dead.size:,} pixels without a temperature.",
+            f"{path} has {count:,} of {dead.size:,} pixels without a temperature.",
             "Export the file again, or leave it out.",
         )
 
 
-def _counts(file: SourceFile, stored: NDArray[Any], void: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    _check_dead(file, void)
-    if void.any():
+def counts_of(path: Path) -> tuple[NDArray[np.uint16], int]:
+    """The counts of a file without degrees, uint16 [H, W], and how many pixels had none and got their neighbours'.
+
+    Raises:
+        UserError: They are neither 16-bit counts nor temperatures in a unit that can be told, or too many are none.
+    """
+    pixels = read_pixels(path)
+    stored, void = pixels.image, without_value(pixels)
+    _check_dead(path, void)
+    count = int(void.sum())
+    if count:
         stored = np.where(void, np.rint(_filled(stored, void)), stored).astype(stored.dtype)
     if stored.dtype == np.uint16:
-        return stored
+        return stored, count
     if (stored != np.rint(stored)).any() or stored.min() < 0 or stored.max() > 65535:
         raise UserError(
-            f"{file.path} holds values {stored.min():,.6g} to {stored.max():,.6g} that are neither "
+            f"{path} holds values {stored.min():,.6g} to {stored.max():,.6g} that are neither "
             "temperatures in a unit that can be told, nor 16-bit counts.",
             "Say what they are: --unit celsius or kelvin, perhaps with --scale and --offset.",
         )
-    return stored.astype(np.uint16)
+    return stored.astype(np.uint16), count
 
 
 def _filled(values: NDArray[Any], dead: NDArray[np.bool_]) -> NDArray[Any]:
@@ -180,21 +176,13 @@ def _filled(values: NDArray[Any], dead: NDArray[np.bool_]) -> NDArray[Any]:
 
 
 def unit_sentence(meaning: Meaning, file: SourceFile) -> str:
-    """What the values were taken for, in words."""
+    """What the values of plain files, such as this one, were taken for, in words."""
     if meaning.unit == COUNTS:
         hint = ""
         if (file.exif.make or "").lower().startswith("workswell"):
             hint = " Workswell's usual convention, unverified here, is --unit celsius --scale 0.025 --offset -100."
         stated = "" if meaning.stated else "; their unit could not be told"
         return f"Thermal values are sensor counts without degrees{stated}. --unit, --scale and --offset say more.{hint}"
-    if file.kind == "flir":
-        camera = read_flir(file.path).camera
-        return (
-            f"Temperatures were computed from the counts of FLIR files, for an emissivity of {camera.emissivity:.2f}, "
-            f"{camera.reflected - ZERO_CELSIUS:.0f} °C reflected and {camera.distance:.1f} m, as the first file says."
-        )
-    if file.kind == "dji":
-        return "Temperatures were read from DJI's files by an installed program."
     how = "as stated" if meaning.stated else "judged by the values; --unit says otherwise"
     degrees = measured_unit(meaning.unit)
     return f"Thermal values were read as {meaning.unit} ({how}) and are kept as {degrees and 'temperatures'}."

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-_FINEST = 0.05
-"""Seconds: no clock in EXIF data is more exact."""
+_FINEST, _WHOLE_SECOND = 0.05, 1.0
+"""Seconds: no clock in EXIF data is more exact. Whole seconds of two clocks differ by one from moment to moment."""
 _CANDIDATES = 4000
 """Differences that are tried; of longer lists a part is."""
 _SHORTEST_RUN, _GAPS_IN_RUN = 4, 1.5
@@ -34,7 +34,8 @@ class ClockOffset:
 def find_clock_offset(first: ArrayLike, second: ArrayLike) -> ClockOffset:
     """Find the difference that gives most images a partner, and the partners.
 
-    The tolerance is a quarter of the median time between images of a camera, so that neighbours are not confused. Of
+    The tolerance is a quarter of the median time between images of a camera, so that neighbours are not confused, and a
+    second where that is the smallest step of the clocks. Of
     differences with equally many pairs the one with the smallest residuals wins, and of those the smallest difference.
 
     Args:
@@ -47,7 +48,9 @@ def find_clock_offset(first: ArrayLike, second: ArrayLike) -> ClockOffset:
     one, two = np.asarray(first, np.float64), np.asarray(second, np.float64)
     gaps = np.concatenate([np.diff(one), np.diff(two)])
     gaps = gaps[gaps > 0]
-    tolerance = max(_FINEST, float(np.median(gaps)) / 4) if gaps.size else 1.0
+    whole = bool((one == np.rint(one)).all() and (two == np.rint(two)).all())
+    finest = _WHOLE_SECOND if whole else _FINEST
+    tolerance = max(finest, float(np.median(gaps)) / 4) if gaps.size else 1.0
     differences = (two[None, :] - one[:, None]).ravel()
     if differences.size > _CANDIDATES:
         differences = np.sort(differences)[:: -(-differences.size // _CANDIDATES)]

@@ -1,8 +1,10 @@
 """Which thermal image was taken with which photograph.
 
 Rules, in the order in which they are tried: one source file (a FLIR file with its photograph), the same name without
-the words that tell the cameras apart, the same last number in the name, the time with a constant difference between the
-clocks, and the order. The first rule that pairs nearly all images is taken; what it leaves over is listed.
+the words that tell the cameras apart, the same last number in the name, the time in EXIF data or in the name with a
+constant difference between the clocks, and the order. The first rule that pairs nearly all images is taken; what it
+leaves over is listed. Numbers begin again in other folders: where folders of both cameras agree, images are paired
+within them alone.
 """
 
 import re
@@ -15,8 +17,8 @@ from typing import Literal
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, FrameRow, PairRow
 from thermosplat.prepare.counted import counted
-from thermosplat.prepare.importing.camera_groups import named_role
 from thermosplat.prepare.pairing.clock_offset import find_clock_offset
+from thermosplat.prepare.pairing.file_names import folder_key, is_named_by_time, name_key, name_time, number_key
 from thermosplat.prepare.steps import StepReport, require_step, run_step
 
 Rule = Literal["auto", "name", "number", "time", "order"]
@@ -74,8 +76,8 @@ def _by_rule(photographs: Sequence[FrameRow], thermals: Sequence[FrameRow], rule
     tried: list[str] = []
     rules: dict[str, Callable[[], tuple[Pairs, list[str]]]] = {
         "source": lambda: _by_key(photographs, thermals, lambda row: row.source, "they come from the same files"),
-        "name": lambda: _by_key(photographs, thermals, name_key, "their names agree, but for the camera"),
-        "number": lambda: _by_key(photographs, thermals, number_key, "the last numbers in their names agree"),
+        "name": lambda: _by_name(photographs, thermals),
+        "number": lambda: _by_folder_and(photographs, thermals, number_key, "the last numbers in their names agree"),
         "time": lambda: _by_time(photographs, thermals),
         "order": lambda: _by_order(photographs, thermals, asked=rule == "order"),
     }
@@ -99,24 +101,14 @@ def _by_rule(photographs: Sequence[FrameRow], thermals: Sequence[FrameRow], rule
     )
 
 
-def name_key(row: FrameRow) -> str | None:
-    """The file's name without the words that tell the cameras apart, in lower case."""
-    stem = PurePosixPath(row.source.partition("#")[0]).stem
-    words = [word for word in re.split(r"[^A-Za-z0-9]+", stem) if word]
-    kept = [word for place, word in enumerate(words) if not _names_camera(word, last=place == len(words) - 1)]
-    frame = row.source.partition("#")[2]
-    return " ".join(filter(None, [*kept, frame])).lower() or None
-
-
-def _names_camera(word: str, *, last: bool) -> bool:
-    return bool(named_role(word)) or (last and len(word) == 1 and word.isalpha())
-
-
-def number_key(row: FrameRow) -> str | None:
-    """The last number in the file's name, without leading zeros; of a video frame its number."""
-    name, _, frame = row.source.partition("#")
-    numbers = re.findall(r"\d+", PurePosixPath(name).stem)
-    return frame or (str(int(numbers[-1])) if numbers else None)
+def _by_name(photographs: Sequence[FrameRow], thermals: Sequence[FrameRow]) -> tuple[Pairs, list[str]]:
+    """Names that agree; of names that are times only those of clocks that agree."""
+    pairs, said = _by_folder_and(photographs, thermals, name_key, "their names agree, but for the camera")
+    if pairs and all(is_named_by_time(row) for row in (*photographs, *thermals)):
+        by_time, _ = _by_time(photographs, thermals)
+        if len(by_time) > len(pairs):  # equal seconds of clocks that differ by some seconds
+            return [], []
+    return pairs, said
 
 
 def _by_key(
@@ -134,10 +126,37 @@ def _by_key(
     return pairs, [f"Paired because {why}{_clock_of(pairs)}."]
 
 
+def _by_folder_and(
+    photographs: Sequence[FrameRow], thermals: Sequence[FrameRow], key: Callable[[FrameRow], str | None], why: str
+) -> tuple[Pairs, list[str]]:
+    """Pairs of one folder; across folders only where these say nothing and no key comes twice in a spectrum."""
+
+    def both(row: FrameRow) -> str | None:
+        name = key(row)
+        return None if name is None else f"{folder_key(row)}/{name}"
+
+    folders = [{folder_key(row) for row in rows} for rows in (photographs, thermals)]
+    inside, said = _by_key(photographs, thermals, both, f"{why}{' in each folder' if len(folders[1]) > 1 else ''}")
+    if len(inside) >= _ENOUGH * min(len(photographs), len(thermals)):
+        return inside, said
+    written_together = {_folder(row) for row in photographs} & {_folder(row) for row in thermals}
+    names = [[name for row in rows if (name := key(row)) is not None] for rows in (photographs, thermals)]
+    begins_again = any(len(set(found)) < len(found) for found in names)
+    # one camera's folders may be those of its hundreds (100_FLIR, 101_FLIR), beside one of the other camera
+    agree = folders[0] & folders[1] and min(len(one) for one in folders) > 1
+    if written_together or begins_again or agree:
+        return inside, said
+    return _by_key(photographs, thermals, key, why)
+
+
+def _folder(row: FrameRow) -> str:
+    return str(PurePosixPath(row.source.partition("#")[0]).parent)
+
+
 def _clock_of(pairs: Pairs) -> str:
     """How far the clocks differ in pairs that were found otherwise."""
     differences = sorted(
-        two - one for photograph, thermal in pairs if (one := seconds(photograph)) and (two := seconds(thermal))
+        two - one for photograph, thermal in pairs if (one := exif_time(photograph)) and (two := exif_time(thermal))
     )
     if not differences:
         return ""
@@ -166,11 +185,13 @@ def _by_time(photographs: Sequence[FrameRow], thermals: Sequence[FrameRow]) -> t
 
 
 def _timed(rows: Sequence[FrameRow]) -> list[tuple[float, FrameRow]]:
-    timed = [(time, row) for row in rows if (time := seconds(row)) is not None]
+    """Rows with the times in EXIF data or in their names, of which more are different."""
+    choices = [[(time, row) for row in rows if (time := moment(row)) is not None] for moment in (exif_time, name_time)]
+    timed = max(choices, key=lambda choice: len({time for time, _ in choice}))
     return sorted(timed, key=lambda item: (item[0], item[1].file))
 
 
-def seconds(row: FrameRow) -> float | None:
+def exif_time(row: FrameRow) -> float | None:
     """The time of an image [s] since 1970; times without a zone count as UTC. None where there is none."""
     if row.time is None:
         return None
@@ -188,12 +209,18 @@ def _ahead(difference: float) -> str:
 
 
 def _by_order(photographs: Sequence[FrameRow], thermals: Sequence[FrameRow], *, asked: bool) -> tuple[Pairs, list[str]]:
-    """The first with the first and so on, by name; without being asked only for equally many of each."""
-    if len(photographs) != len(thermals) and not asked:
+    """The first with the first and so on, by name, in each folder that both have; without being asked only for equally
+    many of each."""
+    shared = {folder_key(row) for row in photographs} & {folder_key(row) for row in thermals}
+    groups: dict[str, list[list[FrameRow]]] = {}
+    for side, rows in enumerate((photographs, thermals)):
+        for row in sorted(rows, key=_natural):
+            groups.setdefault(folder_key(row) if shared else "", [[], []])[side].append(row)
+    if not asked and any(len(one) != len(other) for one, other in groups.values()):
         return [], []
-    order = [sorted(rows, key=_natural) for rows in (photographs, thermals)]
     why = "as --by order asks" if asked else "because neither names nor numbers nor times agree"
-    return list(zip(*order)), [f"Paired by order alone, {why}: look at check/ whether that is right."]
+    pairs = [pair for one, other in groups.values() for pair in zip(one, other)]
+    return pairs, [f"Paired by order alone, {why}: look at check/ whether that is right."]
 
 
 def _natural(row: FrameRow) -> list[tuple[int, str]]:

@@ -99,7 +99,7 @@ def align(
         stages: Which of ``rig_camera.UNKNOWNS`` change, with search range and robust scale of each step [px].
     """
     usual = RigCamera.looking_along(camera.width, camera.height, 1.0)
-    information = _prior(edges, camera)
+    information = prior_information(edges, camera)
     finer = max(1.0, camera.width / _WIDTH)
     steps = [(names, (finer * reach, finer * scale)) for names, windows in stages for reach, scale in windows]
     deviations = np.zeros(len(UNKNOWNS))
@@ -124,7 +124,18 @@ def align(
     return Alignment(camera, deviations, _meetings(camera, edges, slopes))
 
 
-def _prior(edges: EdgePoints, camera: RigCamera) -> Array:
+def edge_information(camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> Array:
+    """[11, 11] what the matches of a camera that is aligned say of all unknowns, by the scatter of their residuals."""
+    reach, scale = (max(1.0, camera.width / _WIDTH) * value for value in STAGES[-1][1][-1])
+    points, offsets, normals = _matches(camera, edges, slopes, reach)
+    rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
+    weights = 1 / (1 + (offsets / scale) ** 2) ** 2
+    scatter = (weights * offsets**2).sum() / max(weights.sum(), 1e-9)
+    return (rows * weights[:, None]).T @ rows / max(scatter, 1e-9)
+
+
+def prior_information(edges: EdgePoints, camera: RigCamera) -> Array:
+    """[11] how firmly each of ``rig_camera.UNKNOWNS`` is near its usual value: one over its variance."""
     depth = float(np.median(edges.points[:, 2])) if len(edges.points) else 1.0
     spreads = _SPREADS.copy()
     spreads[3:6] = _TRANSLATION * depth

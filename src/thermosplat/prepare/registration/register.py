@@ -6,6 +6,7 @@ principal point, distortion and pose (``edge_alignment``). Where a board was see
 alignment finds the one number that is left: the scale of the scene, which becomes metric.
 """
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,6 +26,7 @@ from thermosplat.prepare.registration.edge_alignment import STAGES, Alignment, a
 from thermosplat.prepare.registration.edge_correlation import correlate
 from thermosplat.prepare.registration.rig_camera import RigCamera
 from thermosplat.prepare.registration.rig_model import is_photograph, with_thermal
+from thermosplat.prepare.registration.stated_error import edges_deviation, photographs_deviation
 from thermosplat.prepare.registration.stereo_edges import EdgePoints, photograph_edges
 from thermosplat.prepare.registration.thermal_edges import mirrored, slopes
 from thermosplat.prepare.steps import StepReport, require_step, run_step
@@ -47,6 +49,12 @@ _AS_WELL = 0.98
 """Share of the edges' meetings that a camera without a baseline must keep."""
 _AT_ONE_PLACE = tuple(
     (tuple(name for name in names if name not in ("tx", "ty", "tz")), windows) for names, windows in STAGES[1:]
+)
+_UNSURE = 0.02
+"""Standard deviation of the photographs' focal length, as a share of it, from which on it is worth a word."""
+_DEPTH = (
+    "The scene has too little depth to tell it better: take photographs from other distances or at other angles, or "
+    "calibrate with a board."
 )
 _BOARD = "Or calibrate with a board: thermosplat-prepare calibrate --help"
 _TRANSLATION = (("tx", "ty", "tz"), ((12, 5.0),) * 6 + ((6, 2.0),) * 4 + ((3, 0.8),) * 6)
@@ -123,8 +131,23 @@ def _register(capture: CaptureFolder) -> list[str]:
             "Are the right images paired (pairs.csv)? Contours of warm and cold things must be visible in both. "
             + _BOARD,
         )
+    if calibration is None:
+        said += _uncertainty(found, edges_deviation(found, edges, fields), photographs_deviation(model))
     write_model(with_thermal(model, found.camera, pairs), capture.sparse)
     return [*_findings(found, edges, paired, len(pairs)), *said]
+
+
+def _uncertainty(found: Alignment, by_edges: float, by_photographs: float) -> list[str]:
+    """How far the thermal focal length may be off, and what to do where the photographs do not tell it."""
+    focal_length = found.camera.lens[0]
+    if not math.isfinite(by_photographs):
+        return [f"The photographs do not tell their focal length, and so not the thermal one. {_DEPTH}"]
+    total = focal_length * math.hypot(by_edges, by_photographs)
+    said = (
+        f"Standard deviation of the thermal focal length: {total:.1f} px, from {by_edges:.1%} by the edges and "
+        f"{by_photographs:.1%} by the focal length of the photographs."
+    )
+    return [f"{said} {_DEPTH}" if by_photographs > _UNSURE else said]
 
 
 def _thermal_images(capture: CaptureFolder, names: Sequence[str]) -> list[NDArray[np.generic]]:
@@ -216,8 +239,7 @@ def _findings(found: Alignment, edges: EdgePoints, names: Sequence[str], pairs: 
         f"The thermal camera is registered in {len(names)} of {counted(pairs, 'pair')}; {found.near:.0%} of the "
         "edges of "
         f"photographs meet a thermal edge, {found.by_chance:.0%} would by chance.",
-        f"Thermal lens: focal length {f:.1f} px (standard deviation {f * found.deviations[6]:.2f}), principal point "
-        f"{cx:.1f}, {cy:.1f}, distortion {k1:.3f}, {k2:.3f}.",
+        f"Thermal lens: focal length {f:.1f} px, principal point {cx:.1f}, {cy:.1f}, distortion {k1:.3f}, {k2:.3f}.",
     ]
     if baseline == 0:
         said.append(
