@@ -8,7 +8,7 @@ from importlib.util import find_spec
 import pytest
 
 from thermosplat.errors import UserError
-from thermosplat.viewer.door import MOST_TABS, Door, address, open_server
+from thermosplat.viewer.door import MOST_CONNECTIONS, MOST_TABS, Door, address, open_server
 
 if find_spec("viser") is None:
     pytest.skip("viser is not installed (the extra viewer)", allow_module_level=True)
@@ -197,6 +197,16 @@ def test_only_so_many_tabs_are_open(local: tuple[Door, int]) -> None:
         wait_for(lambda: door._tabs < MOST_TABS)
         with websocket(port) as tab:
             assert tab.recv(timeout=120)
+
+
+def test_only_so_many_connections_are_open(local: tuple[Door, int]) -> None:
+    """Those that say nothing count, too: a request beyond them gets 503, and is answered when they have gone."""
+    _, port = local
+    with contextlib.ExitStack() as opened:
+        for _ in range(MOST_CONNECTIONS):
+            opened.enter_context(socket.create_connection(("127.0.0.1", port), timeout=120))
+        wait_for(lambda: asked(port, "/")[0] == 503)
+    wait_for(lambda: asked(port, "/")[0] == 200)
 
 
 def test_another_version_of_the_page_is_sent_away(local: tuple[Door, int], capfd: pytest.CaptureFixture[str]) -> None:

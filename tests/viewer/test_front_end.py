@@ -12,7 +12,7 @@ import pytest
 from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import read_bookmarks
 from thermosplat.viewer import visitor as visitor_module
-from thermosplat.viewer.front_end import Viewer
+from thermosplat.viewer.front_end import Shared, Viewer
 from thermosplat.viewer.orbit import orbit
 from thermosplat.viewer.picture_sizes import LARGEST_SIDE, MOST_IMAGES
 from viewed_toy import viewed_toy
@@ -168,5 +168,10 @@ def test_bookmarks_are_there_the_next_time(tmp_path: Path, viewer: Viewer) -> No
 
 
 def test_saved_files_have_names_of_their_own(viewer: Viewer) -> None:
-    """Also two of one second."""
+    """Also two of one second; what a program that was ended left half-written is deleted."""
     assert len({viewer.shared.new_file("view") for _ in range(50)}) == 50
+    left = viewer.shared.folder / ".path_20260102_030405_001.0123456789abcdef.tmp.mp4"
+    left.parent.mkdir()
+    left.touch()
+    Shared(viewer.shared.renderer, viewer.shared.folder, viewer.shared.turns)
+    assert not left.exists()

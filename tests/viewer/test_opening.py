@@ -1,13 +1,16 @@
 """A run, a checkpoint and a PLY file open as scenes; what is something else ends with a sentence."""
 
+import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from thermosplat.cli import view
 from thermosplat.errors import UserError
+from thermosplat.viewer import front_end
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
 from thermosplat.viewer.opening import open_scene
 from toy_run import many_frames, toy_run_config, toy_trainer
@@ -78,3 +81,23 @@ def test_mistakes_end_with_a_sentence(
     assert view.main([word.format(run=run, file=file) for word in words]) == 2
     message = " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert said in message
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_ctrl_c_waits_for_no_picture(run: Path, ended: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where one is still being rendered the process ends at once, with the same code: Python would abort under it."""
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    def leave(code: int) -> None:
+        raise SystemExit(f"at once, {code}")
+
+    monkeypatch.setattr(view, "threading", SimpleNamespace(Event=lambda: SimpleNamespace(wait=interrupted)))
+    monkeypatch.setattr(front_end, "Viewer", lambda *a, **k: SimpleNamespace(url="", stop=lambda: ended))
+    monkeypatch.setattr(os, "_exit", leave)
+    if ended:
+        assert view.main([str(run), "--device", "cpu"]) == 130
+        return
+    with pytest.raises(SystemExit, match="at once, 130"):
+        view.main([str(run), "--device", "cpu"])
