@@ -121,8 +121,9 @@ class Placement:
         origin = " ".join(f"{coordinate:.12g}" for coordinate in self.origin)
         how = [f"from {origin}"] if self.is_moved else []
         how += [f"in units of {self.unit:.6g}"] if self.unit != 1.0 else []
-        counted = f"Inside, coordinates are counted {' and '.join(how)}"
-        return [f"{counted}, which suits float32 and the near plane. Files have the capture's own."]
+        counted = f"Inside, coordinates are counted {' and '.join(how)}, which suits float32 and the near plane."
+        splats = ", and splats lie relative to that origin (geo.json)" if self.is_moved else ""
+        return [f"{counted} Files have the capture's own{splats}."]
 
 
 WORLD = Placement()
