@@ -11,7 +11,7 @@ from capture_folders import write_transforms
 from moved_captures import UTM, WORLDS, pixels, write_moved
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
-from thermosplat.datasets.placement import USUAL_SIZE, WORLD, Placement
+from thermosplat.datasets.placement import USUAL_REACH, WORLD, Placement
 
 CENTERS = np.random.default_rng(0).normal(size=(20, 3))
 POINTS = np.random.default_rng(1).normal(size=(50, 3))
@@ -21,20 +21,31 @@ def placed(scale: float = 1.0, offset: tuple[float, float, float] = (0.0, 0.0, 0
     return Placement.of(scale * CENTERS + offset, scale * POINTS + offset)
 
 
-@pytest.mark.parametrize("scale", [0.3, 1.0, 50.0, 300.0])
+@pytest.mark.parametrize("scale", [0.3, 1.0, 300.0, 1e5])
 def test_usual_coordinates_stay(scale: float) -> None:
-    """From a nerfstudio capture in a box of 1 to a flight in metres, some sizes from the origin."""
+    """From a nerfstudio capture in a box of 1 to a flight in metres or millimetres, some sizes from the origin."""
     for shift in (0.0, 5.0):
         assert placed(scale, (shift * scale, 0.0, 0.0)) == WORLD
 
 
-@pytest.mark.parametrize("scale", [1e-9, 1e-3, 0.01, 1e4, 1e9])
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 0.01, 1e8])
 def test_other_sizes_become_usual_ones(scale: float) -> None:
-    """By a power of two, so that numbers keep their digits."""
+    """By a power of two, so that numbers keep their digits: what is nearest to cameras lies at about 1."""
     unit = placed(scale).unit
     assert np.log2(unit) == round(np.log2(unit))
-    size = max(np.median(np.linalg.norm(places - np.median(CENTERS, axis=0), axis=1)) for places in (CENTERS, POINTS))
-    assert 0.7 < scale * size / unit / USUAL_SIZE < 1.42
+    nearest = np.median([np.sort(np.linalg.norm(POINTS - center, axis=1))[9] for center in CENTERS])
+    assert 0.7 < scale * nearest / unit / USUAL_REACH < 1.43
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
+def test_a_street_keeps_what_is_near(unit: float) -> None:
+    """Five kilometres of it, whose houses are 3 to 10 m away: in no unit does the near plane reach them."""
+    rng = np.random.default_rng(0)
+    along = np.sort(rng.uniform(0, 5000, 400))
+    centers = np.stack([along, rng.normal(size=400), np.full(400, 2.0)], axis=1)
+    houses = np.stack([rng.uniform(0, 5000, 40_000), *rng.uniform(3, 10, (2, 40_000))], axis=1)
+    placement = Placement.of(unit * centers, unit * houses)
+    assert unit * 3.0 / placement.unit > 0.1
 
 
 @pytest.mark.parametrize(
@@ -59,6 +70,8 @@ def test_outliers_and_missing_points_do_not_decide() -> None:
         WORLD
     )
     assert Placement.of(np.zeros((3, 3)), np.zeros((0, 3))) == WORLD
+    on_cameras = np.vstack([np.repeat(CENTERS, 12, axis=0), 5.0 + POINTS])
+    assert Placement.of(CENTERS, on_cameras).unit * 1e6 > 0.5
     assert Placement.of(CENTERS + 1e6, np.zeros((0, 3))).is_moved
 
 

@@ -27,6 +27,7 @@ def _state() -> dict[str, Any]:
             "decoders": None,
             "color_spaces": {"rgb": "photograph", "thermal": "color"},
             "unscented": False,
+            "placement": {},
         },
         "scales": {"thermal": {"kind": "color", "range": (10.0, 30.0), "unit": "celsius"}},
         "training": {"seconds": {"train": 1.5}},

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from splat_scenes import random_splats
-from thermosplat.datasets.placement import Placement
+from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.errors import UserError
 from thermosplat.export.formats.compressed_ply import write_compressed_ply
 from thermosplat.export.formats.ply import write_splats
@@ -63,6 +63,7 @@ def test_a_file_in_other_units_looks_the_same(unit: float, tmp_path: Path) -> No
         assert image.colors is not None
         assert depth.field is not None
         looked.append((image.colors.astype(int), depth.field / scale))
+        assert (scene.model.placement == WORLD) == (scale >= 1.0)
     assert looked[0][0].max() > 50
     np.testing.assert_allclose(looked[1][0], looked[0][0], atol=2)
     np.testing.assert_allclose(looked[1][1], looked[0][1], rtol=1e-3)

@@ -92,7 +92,7 @@ def open_splats(path: Path, device: torch.device) -> tuple[ViewedScene, list[str
         )
     values = {name: value[finite] for name, value in parameters.items()}
     centers = np.stack([rows[axis][finite.numpy()].astype(np.float64) for axis in "xyz"], axis=-1)
-    placement = Placement.of(centers, centers)
+    placement = _placement(centers)
     values["means"] = torch.from_numpy(placement.to_scene(centers).astype(np.float32))
     values["log_scales"] = values["log_scales"] - math.log(placement.unit)
     gaussians = Gaussians(values)
@@ -100,6 +100,13 @@ def open_splats(path: Path, device: torch.device) -> tuple[ViewedScene, list[str
     config = ModelConfig(gaussian_sets="separate", feature_dim=0)
     model = SceneModel(config, DecoderConfig(), [spectrum], {SPECTRUM: gaussians}, placement=placement)
     return ViewedScene(path.name, model.to(device).eval(), degree, {SPECTRUM: PixelScale("photograph")}, device), notes
+
+
+def _placement(centers: NDArray[np.float64]) -> Placement:
+    """Where Gaussians [N, 3] lie in the file's world, as a camera needs it that sees all of them."""
+    middle = np.median(centers, axis=0)
+    radius = float(np.median(np.linalg.norm(centers - middle, axis=1)))
+    return Placement.of(middle[None] - (0.0, 0.0, 3.0 * radius), centers)
 
 
 def _read(path: Path) -> NDArray[Any]:
