@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from thermosplat.prepare.checking.sensor_orientation import Orientation, find_orientation
+from thermosplat.datasets.lens import Lens
+from thermosplat.prepare.checking.plane_warp import PlaneWarp
+from thermosplat.prepare.checking.sensor_orientation import Orientation, find_orientation, orientation_as_registered
 
 
 def pair(number: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
@@ -38,6 +40,23 @@ def test_orientations(quarter: int, mirror: bool) -> None:
     found = find_orientation(turned)
     assert found == Orientation(90 * quarter, mirror)
     assert found.upright == (quarter == 0 and not mirror)
+
+
+@pytest.mark.parametrize("quarter", [0, 1, 2])
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("camera", [0, 2])
+def test_images_beside_their_registered_camera(quarter: int, mirror: bool, camera: int) -> None:
+    """What is said makes them what the camera sees, which may be built in upside down itself."""
+    turned = []
+    for photograph, thermal in PAIRS:
+        seen = np.rot90(thermal, camera)
+        turned.append((photograph, np.ascontiguousarray(np.rot90(seen[:, ::-1] if mirror else seen, quarter))))
+    pose = np.diag([1 - camera, 1 - camera, 1.0, 1.0])
+    lenses = Lens("PINHOLE", (260.0, 260.0, 160.0, 120.0), 320, 240), Lens("PINHOLE", (162.5, 162.5, 80, 60), 160, 120)
+    warps = [PlaneWarp(*lenses, pose, 2.0)] * len(turned)
+    assert orientation_as_registered(turned, warps) == Orientation(90 * quarter, mirror)
+    assert orientation_as_registered([(photograph, PAIRS[0][1]) for photograph, _ in turned], warps) is None
+    assert orientation_as_registered(turned[:4], warps[:4]) is None
 
 
 def test_nothing_stands_out() -> None:

@@ -18,7 +18,7 @@ from thermosplat.prepare.checking.check_page import check_page
 from thermosplat.prepare.checking.contact_sheet import row, sheet, shown_thermal
 from thermosplat.prepare.checking.findings import Finding, msx_findings, texture_findings, thermal_findings
 from thermosplat.prepare.checking.plane_warp import PlaneWarp, read_warps
-from thermosplat.prepare.checking.sensor_orientation import Orientation, find_orientation
+from thermosplat.prepare.checking.sensor_orientation import find_orientation, orientation_as_registered
 from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.progress import tracked
 from thermosplat.prepare.steps import StepReport, require_step, run_step
@@ -178,61 +178,60 @@ def _pair_findings(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[Fin
     """Orientation of the sensors, and visible edges in thermal pictures."""
     chosen = _spread(pairs, _COMPARED)
     images = [(_photograph(capture, one.rgb), read_image(capture.images(OTHER) / one.thermal)) for one in chosen]
-    found = _turned(find_orientation(images), _registered_turn(capture, chosen), capture.root)
+    found = _orientation_findings(capture, chosen, images)
     measured = capture.units_json.exists() and read_statement(capture.units_json, OTHER).unit != COUNTS
     if not measured:  # MSX is drawn into pictures, not into temperatures
         found += msx_findings([(photograph, shown_thermal(thermal)) for photograph, thermal in images])
     return found
 
 
-def _registered_turn(capture: CaptureFolder, pairs: Sequence[PairRow]) -> int | None:
-    """By how many degrees, clockwise, images of the registered camera have to be turned; None where none is."""
+def _orientation_findings(
+    capture: CaptureFolder, pairs: Sequence[PairRow], images: Sequence[tuple[NDArray[np.uint8], NDArray[Any]]]
+) -> list[Finding]:
+    """Thermal images that are not as their registered camera sees, or as the photographs are where none is registered.
+
+    A registered camera may be turned, like its images, and cannot be mirrored.
+    """
     folder = find_model(capture.root)
     names = [(f"{LEADING}/{one.rgb}", f"{OTHER}/{one.thermal}") for one in pairs]
     warps = {} if folder is None else read_warps(folder, names)
-    turns = Counter(_quarters(warp.thermal_from_photograph) for warp in warps.values())
-    return 90 * turns.most_common(1)[0][0] if turns else None
-
-
-def _quarters(pose: NDArray[np.float64]) -> int:
-    """Turn about the axis of sight in quarters: where the photograph's right is in the thermal image."""
-    return round(np.degrees(np.arctan2(-pose[1, 0], pose[0, 0])) / 90) % 4
-
-
-def _turned(orientation: Orientation | None, registered: int | None, root: Path) -> list[Finding]:
-    """Thermal images that are not as their camera is: it may be turned like them, and cannot be mirrored.
-
-    Args:
-        orientation: How the images have to be turned; None where nothing stands out.
-        registered: The same of the registered camera [°]; None where none is registered.
-        root: The capture's folder.
-    """
-    if orientation is None or (orientation.upright and not registered):
-        return []
-    if orientation.mirror or registered is None:
-        flags = orientation.flags
+    if not warps:
+        orientation = find_orientation(images)
+        if orientation is None or orientation.upright:
+            return []
+        what = "look turned or mirrored against the photographs"
+        return [Finding("warning", f"Thermal images {what}. Import them again with {orientation.flags}.")]
+    placed = [(one, warps[name]) for one, name in zip(images, names) if name in warps]
+    changed = orientation_as_registered([one for one, _ in placed], [warp for _, warp in placed])
+    if changed is not None and not changed.upright:
         return [
             Finding(
                 "warning",
-                f"Thermal images look turned or mirrored against the photographs. Import them again with {flags}.",
+                f"Thermal images are not as they were registered, but would be if turned by {changed.turn}°"
+                f"{' and mirrored' if changed.mirror else ''}. If a program has changed them since, import them again; "
+                f"then register again: thermosplat-prepare register {capture.root}",
             )
         ]
-    if orientation.turn == registered:
-        return [
-            Finding(
-                "fact",
-                f"Thermal images are turned by {orientation.turn}° against the photographs, and so is the registered "
-                f"camera: nothing has to be done. For upright pictures import them with {orientation.flags}.",
-            )
-        ]
+    turns = Counter(quarters(warp.thermal_from_photograph) for _, warp in placed)
+    turn = 90 * turns.most_common(1)[0][0]
+    if changed is None or turn == 0:
+        return []
     return [
         Finding(
-            "warning",
-            f"Thermal images are turned by {orientation.turn}° against the photographs, and the registered camera by "
-            f"{registered}°: temperatures come to lie elsewhere. If a program has turned the images since, import them "
-            f"again; then register again: thermosplat-prepare register {root}",
+            "fact",
+            f"Thermal images are turned by {turn}° against the photographs, and so is the registered camera: nothing "
+            f"has to be done. For upright pictures import them with --turn {turn}.",
         )
     ]
+
+
+def quarters(pose: NDArray[np.float64]) -> int:
+    """Turn about the axis of sight in quarters, clockwise, that makes images of a camera upright.
+
+    Args:
+        pose: [4, 4] of the photograph's camera in its axes.
+    """
+    return round(np.degrees(np.arctan2(-pose[1, 0], pose[0, 0])) / 90) % 4
 
 
 def _pictures(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[tuple[str, NDArray[np.uint8]]]:
