@@ -24,7 +24,7 @@ from thermosplat.rasterizer.project import project
 from thermosplat.rasterizer.ray_blending import blend_along_rays, check_ray_arguments
 from thermosplat.rasterizer.render_options import render_options
 from thermosplat.rasterizer.replay.replayed_calls import replayed
-from thermosplat.rasterizer.signals import coefficients_like, grouped, rejoined
+from thermosplat.rasterizer.signals import grouped, rejoined
 from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
 
 
@@ -191,10 +191,6 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
         )
     options = render_options(render_mode, sh_degree, extra_signals_sh_degree, channel_chunk)
     check_color_choice(colors, options.sh_degree, render_mode)
-    if options.sh_degree is not None:
-        colors = coefficients_like(means, colors)
-    if options.extra_signals_sh_degree is not None:
-        extra_signals = coefficients_like(means, extra_signals)
     coefficients = (radial_coeffs, tangential_coeffs, thin_prism_coeffs, ftheta_coeffs)
     lens = LensArguments(with_ut, *coefficients, rolling_shutter, viewmats_rs)
     if with_eval3d or options.hits or return_normals or rays is not None:
@@ -215,10 +211,10 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
                 "deterministic": deterministic and getattr(means, "is_cuda", False),
             },
         )
-    drawn = grouped("colors", colors, options.sh_degree) if options.colors else {}
+    drawn = grouped("colors", colors, options.sh_degree, means) if options.colors else {}
     color_groups = len(drawn)
     if extra_signals is not None:
-        drawn |= grouped("extra_signals", extra_signals, options.extra_signals_sh_degree, clamped=False)
+        drawn |= grouped("extra_signals", extra_signals, options.extra_signals_sh_degree, means, clamped=False)
     if sparse_grad:
         check_sparse_gradients(means, packed=packed, distributed=distributed)
         visible: list[Tensor] = []

@@ -20,20 +20,21 @@ class RasterizationInfo(dict[str, Any]):
 
     def __init__(self, values: dict[str, Any], computed: dict[str, Callable[[], Any]]) -> None:
         super().__init__(values, **dict.fromkeys(computed))
-        self._computed = computed
+        self.computed = computed
+        """By key, what is computed when it is first read."""
 
     def __getitem__(self, key: str) -> Any:
-        if key in self._computed:
-            self[key] = self._computed[key]()  # which forgets the computation; one that fails can be tried again
+        if key in self.computed:
+            self[key] = self.computed[key]()  # which forgets the computation; one that fails can be tried again
         return super().__getitem__(key)
 
     def __setitem__(self, key: str, value: Any) -> None:
-        self._computed.pop(key, None)
+        self.computed.pop(key, None)
         super().__setitem__(key, value)
 
     def __delitem__(self, key: str) -> None:
         super().__delitem__(key)
-        self._computed.pop(key, None)
+        self.computed.pop(key, None)
 
     def __iter__(self) -> Iterator[str]:
         # Defined so that dict(info), {**info} and info.copy() read through __getitem__.
@@ -47,13 +48,13 @@ class RasterizationInfo(dict[str, Any]):
 
     def pop(self, key: str, *default: Any) -> Any:
         """As ``dict.pop``."""
-        if key in self._computed:
+        if key in self.computed:
             self[key]
         return super().pop(key, *default)
 
     def setdefault(self, key: str, default: Any = None) -> Any:
         """As ``dict.setdefault``."""
-        if key in self._computed:
+        if key in self.computed:
             return self[key]
         return super().setdefault(key, default)
 
@@ -65,7 +66,7 @@ class RasterizationInfo(dict[str, Any]):
             compute: Computes the value.
         """
         self[key] = None
-        self._computed[key] = compute
+        self.computed[key] = compute
 
     # dict's own of these go past __getitem__, __setitem__ and __delitem__.
 
@@ -85,7 +86,7 @@ class RasterizationInfo(dict[str, Any]):
 
     def clear(self) -> None:
         """As ``dict.clear``."""
-        self._computed.clear()
+        self.computed.clear()
         super().clear()
 
     def items(self) -> Any:
@@ -102,7 +103,7 @@ class RasterizationInfo(dict[str, Any]):
         return dict, (dict(self),)  # pickled and copied as a plain dict: what is still to compute is a function
 
     def _compute_all(self) -> None:
-        for key in list(self._computed):
+        for key in list(self.computed):
             self[key]
 
 

@@ -22,6 +22,9 @@ IDS = ("batch_ids", "camera_ids", "gaussian_ids")
 PICKED = ("radii", "means2d", "depths", "conics", "opacities", "tiles_per_gauss")
 """Entries of one value or row for each Gaussian before each camera."""
 
+PAIRS = "flatten_ids"
+"""Flat indices of Gaussians, which become those of rows."""
+
 
 def packed_where_asked(function: Function) -> Function:
     """Lets a function that always returns whole tensors in ``info`` return packed ones, as its ``packed`` says.
@@ -37,30 +40,46 @@ def packed_where_asked(function: Function) -> Function:
         *images, info = function(*arguments, **options)
         if arguments[packed_at] if len(arguments) > packed_at else options.get("packed", True):
             among = arguments[distributed_at] if len(arguments) > distributed_at else options.get("distributed", False)
-            info = packed_info(info, distributed=bool(among))
+            pack(info, distributed=bool(among))
         return *images, info
 
     return cast("Function", called)
 
 
-def packed_info(info: RasterizationInfo, *, distributed: bool) -> RasterizationInfo:
-    """The same with one row for each Gaussian that a camera sees, in the order of scenes, cameras and Gaussians.
+def pack(info: RasterizationInfo, *, distributed: bool) -> None:
+    """Gives one row to each Gaussian that a camera sees, in the order of scenes, cameras and Gaussians.
 
     Args:
-        info: Of a call that is not packed.
+        info: Of a call that is not packed, changed in place. Nothing is computed before it is read.
         distributed: Pairs and tiles are those of the Gaussians that this rank received, as in gsplat, and stay.
     """
-    rows = functools.cache(lambda: PackedRows(info["visible"]))
-    computed: dict[str, Callable[[], Any]] = {key: partial(info.__getitem__, key) for key in info}
+    # What reads the whole tensors holds them and not the dictionary, which would hold itself.
+    whole: dict[str, Callable[[], Tensor]] = {}
+    for key in (*PICKED, PAIRS, "visible"):
+        whole[key] = info.computed.get(key) or partial(_the_same, dict.get(info, key))
+
+    @functools.cache
+    def rows() -> PackedRows:
+        return PackedRows(whole["visible"]())
+
+    def ids(place: int) -> Tensor:
+        return rows().ids[place]
+
+    def picked(key: str) -> Tensor:
+        return rows().shown(whole[key]())
+
     for place, key in enumerate(IDS):
-        computed[key] = partial(lambda place: rows().ids[place], place)
+        info.computed[key] = partial(ids, place)
     for key in PICKED:
-        computed[key] = partial(lambda key: rows().shown(info[key]), key)
-    computed["flatten_ids"] = lambda: rows().numbered(info["flatten_ids"])
+        info.computed[key] = partial(picked, key)
+    info.computed[PAIRS] = lambda: rows().numbered(whole[PAIRS]())
     if distributed:
-        for key in ("tiles_per_gauss", "flatten_ids"):
-            computed[key] = partial(info.__getitem__, key)
-    return RasterizationInfo({}, computed)
+        for key in ("tiles_per_gauss", PAIRS):
+            info.computed[key] = whole[key]
+
+
+def _the_same(value: Any) -> Any:
+    return value
 
 
 class PackedRows:

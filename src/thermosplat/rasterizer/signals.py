@@ -14,6 +14,9 @@ from torch.nn.functional import pad
 GROUP = 3
 """Channels that the kernels sum at a time."""
 
+HALF = (torch.float16, torch.bfloat16)
+"""Types of 16 bits, which kernels do not read."""
+
 
 class Signal(NamedTuple):
     """Something to be blended, as a caller gives it."""
@@ -26,32 +29,15 @@ class Signal(NamedTuple):
     """Sums of spherical harmonics below 0 become 0, as those of colours do."""
 
 
-def coefficients_like(means: Tensor, values: Any) -> Any:
-    """Coefficients in the two more forms that gsplat's main branch takes: in 16 bits, and the same for all scenes.
-
-    Args:
-        means: [..., N, 3].
-        values: [..., (C,) N, K, D] or a pair of such; [N, K, D] are shared by all scenes. Not checked yet.
-
-    Returns:
-        The same in the type of ``means``, and of as many scenes.
-    """
-    if isinstance(values, tuple):
-        return tuple(coefficients_like(means, one) for one in values)
-    if not isinstance(values, Tensor) or not isinstance(means, Tensor):
-        return values
-    if values.dtype in (torch.float16, torch.bfloat16):
-        values = values.to(means.dtype)
-    return values.expand(*means.shape[:-2], *values.shape) if values.dim() == 3 and means.dim() > 2 else values
-
-
-def grouped(name: str, values: Any, sh_degree: int | None, *, clamped: bool = True) -> dict[str, Signal]:
+def grouped(name: str, values: Any, sh_degree: int | None, means: Tensor, *, clamped: bool = True) -> dict[str, Signal]:
     """A signal in groups of three channels.
 
     Args:
         name: Of the argument; a group has its channels behind that.
-        values: As the caller gave them, not checked yet.
+        values: As the caller gave them, not checked yet. Coefficients may be in two more forms, as in gsplat's main
+            branch: with 16 bits, and [N, K, D] for all scenes.
         sh_degree: Active degree; None: values are blended as they are, in one group.
+        means: [..., N, 3], whose type and scenes coefficients get.
         clamped: As in ``Signal``.
 
     Returns:
@@ -59,7 +45,11 @@ def grouped(name: str, values: Any, sh_degree: int | None, *, clamped: bool = Tr
     """
     if sh_degree is None:
         return {name: Signal(values, None, clamped)}
+    if isinstance(values, tuple):
+        return {name: Signal(tuple(_of_scenes(one, means) for one in values), sh_degree, clamped)}
     dense = isinstance(values, Tensor) and values.layout is torch.strided and values.dim() > 0
+    if dense and (values.dtype in HALF or (values.dim() == 3 and getattr(means, "ndim", 0) > 2)):
+        values = _of_scenes(values, means)
     channels = values.shape[-1] if dense else GROUP
     if channels in (0, GROUP):
         return {name: Signal(values, sh_degree, clamped)}
@@ -69,6 +59,15 @@ def grouped(name: str, values: Any, sh_degree: int | None, *, clamped: bool = Tr
         filled = pad(group, (0, GROUP - group.shape[-1]))
         groups[f"{name}[..., {first}:{first + group.shape[-1]}]"] = Signal(filled, sh_degree, clamped)
     return groups
+
+
+def _of_scenes(values: Any, means: Any) -> Any:
+    """Coefficients in the type of the means, and of as many scenes."""
+    if not isinstance(values, Tensor) or not isinstance(means, Tensor):
+        return values
+    if values.dtype in HALF:
+        values = values.to(means.dtype)
+    return values.expand(*means.shape[:-2], *values.shape) if values.dim() == 3 and means.dim() > 2 else values
 
 
 def rejoined(groups: Sequence[Tensor], values: Any) -> Tensor:
