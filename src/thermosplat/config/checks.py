@@ -58,6 +58,7 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.least_gain": 0,
     "auto_budget.spectrum_loss": 0,
     "auto_budget.spectrum_patience": 0,
+    "auto_budget.spectrum_fall": 0,
     "auto_budget.held_change": 0,
     "densification.position_noise": 0,
     "densification.grad_threshold": 0,
@@ -83,6 +84,8 @@ _SHARES = (
     "optimizer.cooldown_from",
     "densification.prune_opacity",
     "densification.keep_opacity",
+    "auto_budget.few_views_until",
+    "auto_budget.fallen_views_until",
 )
 _POSITIVE = (
     "steps_scaler",

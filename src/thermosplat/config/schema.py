@@ -288,6 +288,18 @@ class AutoBudgetConfig:
     it is held where it was best, and goes back to it at the last pruning if it is so far below then. Open choice."""
     spectrum_patience: int = 1000
     """So many steps it must have been best ago. Open choice."""
+    few_views_until: float = 0.33
+    """Share of the run up to which the validation views stay withheld if they are more than a twentieth of a spectrum's
+    views and no images are noisy (``sparse_noise``), also where growth ends earlier. A scene may fit few views ever
+    better and be ever worse, and they say so. 0: up to the end of growth. Open choice;
+    benchmarks/records/low-light.md."""
+    fallen_views_until: float = 0.5
+    """Share of the run up to which they stay withheld where a spectrum has fallen (``spectrum_fall``) by then: it goes
+    back only if it is as far below its best there, since a scene may be worse for a while. Open choice;
+    benchmarks/records/low-light.md."""
+    spectrum_fall: float = 0.3
+    """Fall of such a capture's validation views in one spectrum [dB] from which on it goes back to where it was best,
+    whatever its noise: in all of the last ``spectrum_patience`` steps before they are released. Open choice."""
     held_change: float = 0.02
     """A spectrum that went back is compared with what the scene showed when it was best. A view that differs from that
     by less than this, measured as for ``prune_change``, has no gradient in it: the other spectra alone shape the scene.

@@ -5,6 +5,8 @@
   growth stops and they are trained on like the others. Held-out test views steer nothing.
 - Where images are noisy they stay withheld up to the last removal: a spectrum that they say learns noise is held about
   where it was best (noise_watch.py), and then taught by the scene of that step (teacher.py).
+- Where views are few, and not noisy, they stay withheld for some time beyond growth, and a spectrum that fell far goes
+  back, too.
 - At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
   Nothing is removed while it still grows, which ends with the last share at the latest, nor of a scene that is not
@@ -171,6 +173,11 @@ class AutoBudget:
         """Whether a capture misses each of the withheld views: they are many of all, and images are not noisy."""
         return self._withholds_many and not self.state.noisy
 
+    @property
+    def _watches_falls(self) -> bool:
+        """Whether any spectrum may go back that the withheld views of few say has fallen."""
+        return self._few_views and self.teaches and self.settings.few_views_until > 0
+
     def _validates_at(self, step: int) -> bool:
         if not (step % self.settings.validate_every == 0 and self.withholds()):
             return False
@@ -201,7 +208,7 @@ class AutoBudget:
         if state.noise_watch is not None:
             teacher = partial(self._teacher, sh_degree)
             loss, patience = settings.spectrum_loss, settings.spectrum_patience
-            state.noise_watch.judge(step, means, loss, patience, teacher)
+            state.noise_watch.judge(step, means, loss, patience, teacher, noisy_only=not self._watches_falls)
         if not state.growing:
             self._release()
             return
@@ -236,9 +243,10 @@ class AutoBudget:
         """Train on the withheld views, too, unless a spectrum is watched by them."""
         watch = self.state.noise_watch
         if watch is not None and self._has_seen_enough(watch):
-            for name in watch.end(self.settings.spectrum_loss):
+            fall = self.settings.spectrum_fall if self._watches_falls else math.inf
+            for name in watch.end(self.settings.spectrum_loss, fall):
                 best, then = watch.best[name]
-                now = watch.lately[name]
+                _, now = watch.lately[name][-1]
                 self._say(
                     f"Withheld {label(name)} views were best after step {then:,}: {best:.2f} dB, and now "
                     f"{now:.2f}. From here on the scene learns its {label(name)} from how it looked then."
@@ -248,7 +256,14 @@ class AutoBudget:
 
     def _has_seen_enough(self, watch: NoiseWatch) -> bool:
         """Whether withheld views have said what they can once growth has ended."""
-        return self.state.step >= self._last_removal or self._few_views or not watch.watches()
+        step = self.state.step
+        if step >= self._last_removal:
+            return True
+        if self._watches_falls:
+            fallen = watch.fallen(self.settings.spectrum_fall)
+            share = self.settings.fallen_views_until if fallen else self.settings.few_views_until
+            return step >= round(share * self.config.max_steps)
+        return self._few_views or not watch.watches()
 
     def scores(self, sh_degree: int, change: ImageChange) -> dict[str, Tensor]:
         """What each Gaussian is worth to the training images, [N] by name of the set.

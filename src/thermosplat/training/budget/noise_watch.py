@@ -9,7 +9,9 @@ when the watch ends, the spectrum goes back to it: the scene as it was then teac
 That is decided at the end, since two views may be wrong about the first fall.
 
 Only spectra are held whose error is to a good part noise: in images without noise, what withheld views lose by a view
-more or less is not noise that was learnt.
+more or less is not noise that was learnt. But where views are few, a spectrum whose withheld views have lost much by
+the end of the watch goes back whatever its noise: a scene may fit few views ever better and be ever worse. It may also
+be worse for a while only, so that the watch lasts longer where they have lost much.
 """
 
 import math
@@ -42,7 +44,7 @@ class NoiseWatch:
         errors: By spectrum, the squared errors that the frames had when they were last trained on, [num_frames]
             float32; 0 where that was never.
         best: By spectrum that was watched, the best PSNR of the withheld views [dB] and its step.
-        lately: Likewise the PSNR of the last look.
+        lately: Likewise steps and PSNR of the last looks.
         held: The spectra whose floors have risen.
         teachers: By spectrum, what those that went back to where they were best are trained on.
         over: Whether none is watched any more, and no view withheld for it.
@@ -53,7 +55,7 @@ class NoiseWatch:
         self.floors = {name: torch.full((num_frames,), value, device=device) for name, value in noise.items()}
         self.errors = {name: torch.zeros(num_frames, device=device) for name in noise}
         self.best: dict[str, tuple[float, int]] = {}
-        self.lately: dict[str, float] = {}
+        self.lately: dict[str, list[tuple[int, float]]] = {}
         self._errors_at_best: dict[str, Tensor] = {}
         self._best_teachers: dict[str, Teacher] = {}
         self.held: tuple[str, ...] = ()
@@ -83,23 +85,37 @@ class NoiseWatch:
         """Hold spectra by floors alone."""
         self._best_teachers, self.teachers = {}, {}
 
-    def end(self, loss: float = math.inf) -> list[str]:
+    def end(self, loss: float = math.inf, fall: float = math.inf) -> list[str]:
         """Watch no further spectrum.
 
         Args:
             loss: What withheld views must have lost [dB] for a held spectrum to go back to where it was best.
+            fall: What they must have lost in all of the last looks for any spectrum to go back.
 
         Returns:
             The spectra that go back: they have teachers from now on.
         """
+        fallen = self.fallen(fall)
         found = [
             name
             for name in self._best_teachers
-            if name in self.held and self.best[name][0] - self.lately.get(name, math.inf) >= loss
+            if name in fallen or (name in self.held and self.best[name][0] - self._looks(name)[-1] >= loss)
         ]
         self.teachers |= {name: self._best_teachers[name] for name in found}
         self.over, self._best_teachers = True, {}
         return found
+
+    def fallen(self, fall: float) -> list[str]:
+        """The spectra that could go back and whose withheld views have lost as much in all of the last looks.
+
+        Args:
+            fall: The loss [dB].
+        """
+        return [name for name in self._best_teachers if self.best[name][0] - max(self._looks(name)) >= fall]
+
+    def _looks(self, name: str) -> list[float]:
+        """PSNR of the withheld views in the last looks; infinite where there were none."""
+        return [psnr for _, psnr in self.lately.get(name, ())] or [math.inf]
 
     @torch.no_grad()
     def note(self, index: Tensor, squared_errors: Mapping[str, Tensor]) -> None:
@@ -145,6 +161,8 @@ class NoiseWatch:
         loss: float,
         patience: int,
         teacher: Callable[[], Teacher | None] = lambda: None,
+        *,
+        noisy_only: bool = True,
     ) -> list[str]:
         """Raise the floors of spectra that withheld views say are fitted too closely; note who is better than ever.
 
@@ -152,14 +170,15 @@ class NoiseWatch:
             step: The step done.
             psnrs: PSNR of the withheld views [dB], the mean of each spectrum.
             loss: What it must have lost [dB].
-            patience: Steps since it was best.
+            patience: Steps since it was best, and those whose looks are remembered.
             teacher: The scene as it is now; None where there is no room for it.
+            noisy_only: Watch no spectrum whose error has little noise.
 
         Returns:
             The spectra that are held from now on.
         """
         shares = {name: self.noise_share(name) for name in self.noise if name in psnrs}
-        watched = [name for name, share in shares.items() if share >= SOON_NOISY]
+        watched = [name for name, share in shares.items() if share >= SOON_NOISY or not noisy_only]
         better = [name for name in watched if psnrs[name] > self.best.get(name, (-math.inf, 0))[0]]
         now = teacher() if better else None
         for name in better:
@@ -171,7 +190,8 @@ class NoiseWatch:
         found = []
         for name in watched:
             best, best_step = self.best[name]
-            self.lately[name] = psnrs[name]
+            before = [look for look in self.lately.get(name, ()) if step - look[0] < patience]
+            self.lately[name] = [*before, (step, psnrs[name])]
             fallen = best - psnrs[name] >= loss and step - best_step >= patience
             if fallen and shares[name] >= NOISY and name not in self.held:
                 self._hold(name)
@@ -221,9 +241,8 @@ class NoiseWatch:
             for name, tensor in own.items():
                 tensor.copy_(self._of_frames(saved[name]))
         self.best, self._errors_at_best = best, at_best
-        looks = {name: look for name, look in state.get("lately", {}).items() if name in self.noise}
-        # of version 0.2 the steps and PSNR of several
-        self.lately = {name: float(look[-1][1] if isinstance(look, list) else look) for name, look in looks.items()}
+        lately = state.get("lately", {})
+        self.lately = {n: [(int(step), float(psnr)) for step, psnr in lately[n]] for n in self.noise if n in lately}
         self.held = tuple(name for name in self.noise if name in state["held"])
         self.over = bool(state["over"])
 
