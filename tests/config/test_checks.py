@@ -100,7 +100,7 @@ def test_no_number_may_be_without_an_end() -> None:
     fields += [(name, field) for name, group in groups.items() for field in fields_of(group)]
     numbers = [".".join(filter(None, (group, field.name))) for group, field in fields if field.type is float]
     assert len(numbers) > 40
-    assert {"spectra.rgb.factor", "spectra.thermal.charbonnier"} <= set(numbers)
+    assert {"spectra.rgb.factor", "spectra.thermal.squared"} <= set(numbers)
     for key in numbers:
         with pytest.raises(UserError, match="must be finite"):
             check_config(changed(key, float("inf")))

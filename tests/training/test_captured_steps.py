@@ -114,7 +114,7 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
     mcmc = DensificationConfig(strategy="mcmc", max_gaussians=300, start_step=4, stop_step=60, every=10)
 
     def run(name: str, graph: bool) -> Trainer:
-        thermal = {"exposure": "affine", "charbonnier": 0.02, "swept_depth": 0.1, "point_spread": 0.02}
+        thermal = {"exposure": "affine", "squared": 30.0, "swept_depth": 0.1, "point_spread": 0.02}
         robust = {"rgb": {"exposure": "affine"}, "thermal": thermal}
         config = toy_run_config(max_steps=40, spectra=robust)
         loss = dataclasses.replace(config.loss, opacity_reg=0.01, scale_reg=0.01, depth_spread=0.1)
