@@ -329,6 +329,16 @@ def test_a_setting_that_is_gone(name: str, tmp_path: Path) -> None:
         assert full in notes[0]
 
 
+def test_a_choice_that_is_gone(tmp_path: Path) -> None:
+    """Told of what is trained; in a file a mistake that names the choices there are."""
+    notes: list[str] = []
+    assert from_dict({"decoder_precision": "bfloat16"}, notes=notes) == TrainConfig()
+    assert notes == ["the configuration: bfloat16 is no decoder_precision any more. Decoders train in float32 or tf32."]
+    (tmp_path / "mine.yaml").write_text("decoder_precision: bfloat16\n")
+    with pytest.raises(UserError, match='must be one of "float32", "tf32", found'):
+        load_config(tmp_path / "mine.yaml")
+
+
 def test_an_old_name_of_a_setting_that_is_gone(tmp_path: Path) -> None:
     """Version 0.1's names are followed, and what a spectrum is called does not matter."""
     for old in filter(gone, NEW_NAMES):

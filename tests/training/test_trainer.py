@@ -225,19 +225,6 @@ def test_the_demo_is_not_recommended_to_itself(
     assert any("--config demo" in line for line in said) is recommended
 
 
-def test_decoder_precision_reaches_the_step(tmp_path: Path, capture: Capture) -> None:
-    """bfloat16 decoders change what a step does, a little; tf32 on the CPU is float32."""
-    states = {}
-    for precision in ("float32", "tf32", "bfloat16"):
-        config = dataclasses.replace(toy_run_config(), decoder_precision=precision)
-        trainer = toy_trainer(tmp_path / precision, config, capture)
-        trainer._train_step()
-        states[precision] = trainer.model.gaussians("shared").features.detach().clone()
-    assert torch.equal(states["float32"], states["tf32"])
-    assert not torch.equal(states["float32"], states["bfloat16"])
-    assert (states["float32"] - states["bfloat16"]).abs().max() < 0.02
-
-
 def test_degree_4_trains_and_is_saved(tmp_path: Path) -> None:
     """Its coefficients exist from the start, move once the degree is in use, and are in the checkpoint."""
     config = toy_run_config(6, sh_degree=4, sh_degree_interval=1)

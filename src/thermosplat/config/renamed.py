@@ -70,6 +70,8 @@ GONE = {
     "optimizer.exposures_lr_final": _SOLVED,
 }
 """What became of a setting by its dotted name; ``*`` stands for any spectrum."""
+_CHOICES = {"decoder_precision": ("bfloat16", "Decoders train in float32 or tf32.")}
+"""Choices of settings that there are no more, and what there is."""
 
 
 def gone(name: str) -> Gone | None:
@@ -110,6 +112,9 @@ def with_todays_names(values: dict[str, Any], *, source: str, notes: list[str] |
     for name, of_name in GONE.items():
         for full in _named(values, name):
             _leave_out(of_name, full, _taken(values, full), source, notes)
+    for name, (choice, why) in _CHOICES.items() if notes is not None else ():
+        if values.get(name) == choice:
+            notes.append(f"{source}: {values.pop(name)} is no {name} any more. {why}")
     return values
 
 

@@ -370,10 +370,10 @@ class TrainConfig:
     """On CUDA, decode by fused kernels, or where there are none for the decoders, their precision or the device let
     torch.compile fuse them (half a minute at the first step, kept for later runs; left out where Triton or a C compiler
     is missing). --no-compile: plain PyTorch."""
-    decoder_precision: Literal["float32", "tf32", "bfloat16"] = "tf32"
+    decoder_precision: Literal["float32", "tf32"] = "tf32"
     """Precision of the decoders in training steps; parameters and evaluation are always float32. With "tf32" matrix
     products round their inputs to 10 bits of mantissa (TensorFloat-32, or float16 in the fused kernels); on the CPU it
-    is float32. "bfloat16" costs about 1 dB of thermal PSNR (benchmarks/records/thermosplat-preset.md)."""
+    is float32."""
     seed: int = 42
     """Seed of everything random. gsplat."""
     deterministic: bool = False
