@@ -8,7 +8,7 @@ import dataclasses
 import yaml
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.renamed import NEW_NAMES, gone
+from thermosplat.config.renamed import GONE, NEW_NAMES, gone
 from thermosplat.errors import UserError
 
 _COUNTERPARTS = {
@@ -20,7 +20,6 @@ _COUNTERPARTS = {
     "--loss.ssim-lambda": "--ssim-lambda --lambda-dssim --pipeline.model.ssim-lambda",
     "--eval-steps": "--test-iterations --steps-per-eval-all-images",
     "--save-steps": "--save-iterations --steps-per-save",
-    "--model.rasterize-mode antialiased": "--antialiased --antialiasing --pipeline.model.rasterize-mode",
     "--optimizer.means-lr": "--means-lr --position-lr-init --optimizers.means.optimizer.lr",
     "--densification.start-step": "--strategy.refine-start-iter --densify-from-iter --pipeline.model.warmup-length",
     "--densification.stop-step": "--strategy.refine-stop-iter --densify-until-iter --pipeline.model.stop-split-at",
@@ -34,6 +33,8 @@ _COUNTERPARTS = {
     "--random-background": "--random-bkgd --pipeline.model.background-color",
     "--resume": "--ckpt --start-checkpoint --load-dir",
 }
+_NOTHING = {"model.rasterize_mode": "--antialiased --antialiasing --pipeline.model.rasterize-mode"}
+"""Flags that have no counterpart any more, by the setting that they had."""
 _DATA = ("-s", "--source-path", "--data", "--data-dir")
 _OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.split()} | {
     f"--{old.replace('_', '-')}": f"--{new.removeprefix('spectra.').replace('_', '-')}"
@@ -67,6 +68,9 @@ def refuse_foreign_flags(argv: list[str]) -> None:
             raise UserError(
                 f"thermosplat-train has no flag {given}.", f"Give the folder without a flag: thermosplat-train {folder}"
             )
+        for name, flags in _NOTHING.items():
+            if flag in flags.split():
+                raise UserError(f"thermosplat-train has no flag {given}.", GONE[name].why)
         if flag in _OURS:
             raise UserError(f"thermosplat-train has no flag {given}.", f"The flag here: {_OURS[flag]}")
 

@@ -65,6 +65,11 @@ class Gone:
 
 _SOLVED = Gone((1e-3, 1e-4), "Exposures are solved for, without a learning rate.")
 GONE = {
+    "model.rasterize_mode": Gone(
+        ("classic",),
+        "Scenes are trained and rendered with classic rasterization; the function rasterization has both.",
+        shapes_images=True,
+    ),
     "spectra.*.charbonnier": Gone((0.0,), "Differences count as |d| + k d², with the k that spectra.*.squared gives."),
     "optimizer.exposures_lr": _SOLVED,
     "optimizer.exposures_lr_final": _SOLVED,

@@ -57,8 +57,6 @@ class ModelConfig:
     feature_dim: int = 8
     """Latent channels d per Gaussian, decoded per pixel. 0: none, each spectrum is rendered from its SH colours; a
     shared set then holds those of every spectrum (ThermalGaussian OMMG, MMOne)."""
-    rasterize_mode: Literal["classic", "antialiased"] = "classic"
-    """As gsplat's rasterization. ThermoSplat and 3DGS use classic; antialiased is Mip-Splatting's 2D filter."""
     eps2d: float = 0.3
     """Added to the variances of a Gaussian's footprint along both axes of the image [px²]: 0.3 blurs by a deviation of
     0.55 px. 3DGS and gsplat."""

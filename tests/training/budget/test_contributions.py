@@ -1,6 +1,6 @@
 """Contributions are sums of blending weights."""
 
-from typing import Any, Literal
+from typing import Any
 
 import pytest
 import torch
@@ -31,15 +31,12 @@ def drawn(model: SceneModel, name: str, chosen: int, capture: Any) -> list[float
     return sums
 
 
-@pytest.mark.parametrize("mode", ["classic", "antialiased"])
 @pytest.mark.parametrize("aligned", [True, False])
 @pytest.mark.parametrize("others", [{}, {"nir": {}, "red": {"opacity": "own"}}])
-def test_shares_of_blending_weights(
-    others: dict[str, dict[str, Any]], aligned: bool, mode: Literal["classic", "antialiased"]
-) -> None:
+def test_shares_of_blending_weights(others: dict[str, dict[str, Any]], aligned: bool) -> None:
     """A Gaussian's share is what is drawn of it alone among the others, in all spectra, as the model draws it."""
     capture = toy_capture(aligned=aligned, others=tuple(others))
-    model = toy_model(toy_config(rasterize_mode=mode, spectra=others), capture)
+    model = toy_model(toy_config(spectra=others), capture)
     with torch.no_grad():
         model.gaussians("shared").log_scales[:30] -= 2.0  # of the size of a pixel
     shares = contributions(model, [toy_frame(capture), toy_frame(capture)])["shared"]
