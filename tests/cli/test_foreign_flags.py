@@ -41,6 +41,11 @@ def test_flags_of_other_trainers(words: list[str], hint: str) -> None:
     assert hint in caught.value.hint
 
 
+def refused(words: list[str]) -> None:
+    refuse_foreign_flags(words)
+    without_gone_flags(words)
+
+
 def test_every_flag_of_the_migration_table_has_a_hint() -> None:
     """What the table calls otherwise than thermosplat-train does is known, and led to what the table says."""
     rows = [
@@ -54,8 +59,9 @@ def test_every_flag_of_the_migration_table_has_a_hint() -> None:
                 if flag.replace("_", "-") in row[-1] or flag == "--eval-mode interval":
                     continue
                 with pytest.raises(UserError) as caught:
-                    refuse_foreign_flags([flag, "x"])
-                assert any(word in caught.value.hint for word in ours or [row[-1].strip()]), flag
+                    refused([flag, "x"])
+                said = f"{caught.value.message} {caught.value.hint}"
+                assert any(word in said for word in ours or [row[-1].strip()]), flag
 
 
 @pytest.mark.parametrize(

@@ -127,13 +127,6 @@ def test_balance_of_one_set() -> None:
         check_config(replace(config, without=("thermal",)))
 
 
-def test_one_background() -> None:
-    """Random colours, or one colour."""
-    check_config(TrainConfig(random_background=True))
-    with pytest.raises(UserError, match="--background and --random-background exclude each other"):
-        check_config(TrainConfig(random_background=True, background=(0.0, 1.0, 0.0)))
-
-
 def test_decomposition_is_of_two_spectra() -> None:
     """A third one that shares the set has no place in it; one that is left out does not disturb."""
     config = with_spectra(load_config("mmone"), nir={"opacity": "own"})

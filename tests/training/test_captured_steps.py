@@ -42,7 +42,6 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"others": ("nir",), "aligned": False},
     ),
     "shared, pixels that do not count": ({}, {"masked": True}),
-    "shared, random colours behind the images": ({"random_background": True}, {}),
     "shared, thermal lines that are read one after the other": ({}, {"aligned": False, "shaken": ("thermal",)}),
 }
 

@@ -34,7 +34,6 @@ NIR = {"others": ("nir",)}
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "shared": ({}, {}),
     "shared, two cameras": ({}, {"aligned": False}),
-    "shared, random colours behind the images": ({"random_background": True}, {}),
     "separate, scalar thermal": ({"model": SEPARATE}, {"thermal_kind": "scalar"}),
     "three spectra, two opacities": ({"spectra": {"nir": {}}}, NIR),
     "three spectra, three opacities, two cameras": (

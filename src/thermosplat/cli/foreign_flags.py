@@ -30,10 +30,12 @@ _COUNTERPARTS = {
     "--densification.grad-threshold": (
         "--strategy.grow-grad2d --densify-grad-threshold --pipeline.model.densify-grad-thresh"
     ),
-    "--random-background": "--random-bkgd --pipeline.model.background-color",
     "--resume": "--ckpt --start-checkpoint --load-dir",
 }
-_NOTHING = {"model.rasterize_mode": "--antialiased --antialiasing --pipeline.model.rasterize-mode"}
+_NOTHING = {
+    "model.rasterize_mode": "--antialiased --antialiasing --pipeline.model.rasterize-mode",
+    "random_background": "--random-bkgd --pipeline.model.background-color",
+}
 """Flags that have no counterpart any more, by the setting that they had."""
 _DATA = ("-s", "--source-path", "--data", "--data-dir")
 _OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.split()} | {

@@ -156,10 +156,6 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
             raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
     if not all(0 <= channel <= 1 for channel in config.background):
         raise UserError(f"{name('background')} must be three values between 0 and 1, found {config.background}.")
-    if config.random_background and any(config.background):
-        raise UserError(
-            f"{name('background')} and {name('random_background')} exclude each other.", "Leave one of them out."
-        )
     check_spectra(config, name)
     _check_model(config, name)
     if config.decoder.branches == "separate" and config.decoder.modulation:

@@ -70,6 +70,7 @@ GONE = {
         "Scenes are trained and rendered with classic rasterization; the function rasterization has both.",
         shapes_images=True,
     ),
+    "random_background": Gone((False,), "Behind a scene there is the same colour in every step: the background."),
     "spectra.*.charbonnier": Gone((0.0,), "Differences count as |d| + k d², with the k that spectra.*.squared gives."),
     "optimizer.exposures_lr": _SOLVED,
     "optimizer.exposures_lr_final": _SOLVED,

@@ -393,10 +393,6 @@ class TrainConfig:
     auto_budget settings) and leaves the rest out; "fixed" is what the densification settings give."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Colour behind the SH render of a photograph, 0 to 1. 3DGS: black."""
-    random_background: bool = False
-    """In training only, each step has random colours behind the images of every spectrum, so that nothing stays
-    transparent which the capture shows: what is black, too, must then be opaque. For rooms: a sky that must be opaque
-    may come to lie before the scene. gsplat's random_bkgd."""
     resume: str | None = None
     """Result folder of an interrupted run to go on with."""
     overwrite: bool = False

@@ -245,7 +245,7 @@ class TrainingStep:
         return Differentiated(rendered, losses, errors)
 
     def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part) -> RenderedFrame:
-        """The frame's images as the losses see them: before random colours, with the exposures of its photographs."""
+        """The frame's images as the losses see them: with the exposures of its photographs."""
         config, state = self.config, self.state
         blends_depths = kind.depth_spread or (kind.swept_depths and self.swept)
         render = partial(
@@ -261,10 +261,6 @@ class TrainingStep:
             rendered = render(frame.views, shared_cameras=apart or frame.shared_cameras)
         else:
             rendered = render_with_others(render, frame.views, part.calls)
-        if state.behind is not None:
-            for name, color in zip(state.model.spectra, state.behind, strict=True):
-                if name in rendered.images:
-                    rendered.put_behind(name, color)
         if state.exposures is not None and frame.index is not None:
             if kind.exposing:
                 state.exposures.compare(rendered, frame)
