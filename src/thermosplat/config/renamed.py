@@ -74,6 +74,18 @@ GONE = {
     "spectra.*.charbonnier": Gone((0.0,), "Differences count as |d| + k d², with the k that spectra.*.squared gives."),
     "optimizer.exposures_lr": _SOLVED,
     "optimizer.exposures_lr_final": _SOLVED,
+    "auto_budget.prune_by": Gone(
+        ("removal",), "A Gaussian's importance is the change of the images where it alone is left out."
+    ),
+    **{
+        f"auto_budget.{name}": Gone((value,))
+        for name, value in {
+            **{"prune_change": 0.02, "offset_shrinkage": 0.02, "offset_change": 0.02, "feature_change": 0.01},
+            **{"sh_change": 0.01, "rounding_change": 0.002, "measured_views": 12, "noise_floor": 1.0},
+            **{"sparse_noise": 0.033, "validation_views": 2, "least_gain": 0.02, "spectrum_loss": 0.05},
+            **{"few_views_until": 0.33, "fallen_views_until": 0.5, "spectrum_fall": 0.3, "held_change": 0.02},
+        }.items()
+    },
 }
 """What became of a setting by its dotted name; ``*`` stands for any spectrum."""
 _CHOICES = {"decoder_precision": ("bfloat16", "Decoders train in float32 or tf32.")}
@@ -118,8 +130,8 @@ def with_todays_names(values: dict[str, Any], *, source: str, notes: list[str] |
     for name, of_name in GONE.items():
         for full in _named(values, name):
             _leave_out(of_name, full, _taken(values, full), source, notes)
-    for name, (choice, why) in _CHOICES.items() if notes is not None else ():
-        if values.get(name) == choice:
+    for name, (choice, why) in _CHOICES.items():
+        if notes is not None and values.get(name) == choice:  # in a file, reading it names the choices
             notes.append(f"{source}: {values.pop(name)} is no {name} any more. {why}")
     return values
 
