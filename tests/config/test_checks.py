@@ -63,9 +63,7 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ("auto_budget.prune_at", (0.5, 1.0), "--auto-budget.prune-at must be shares of the run between 0 and 1"),
         ("resolution.growth_power", -1.0, "--resolution.growth-power must be at least 0"),
         ("resolution.factors", (2.0,), "one share of the run for each factor, found 1 and 0"),
-        ("auto_budget.prune_change", -1.0, "--auto-budget.prune-change must be at least 0"),
-        ("auto_budget.noise_floor", -1.0, "--auto-budget.noise-floor must be at least 0"),
-        ("auto_budget.feature_change", -1.0, "--auto-budget.feature-change must be at least 0"),
+        ("auto_budget.spectrum_patience", -1, "--auto-budget.spectrum-patience must be at least 0"),
         ("densification.reset_opacity", 0.0, "--densification.reset-opacity must lie between 0 and 1"),
         ("densification.reset_opacity", 1.0, "--densification.reset-opacity must lie between 0 and 1"),
         ("densification.growth", -0.1, "--densification.growth must be at least 0"),
@@ -100,7 +98,7 @@ def test_no_number_may_be_without_an_end() -> None:
     fields += [(name, field) for name, group in groups.items() for field in fields_of(group)]
     numbers = [".".join(filter(None, (group, field.name))) for group, field in fields if field.type is float]
     assert len(numbers) > 40
-    assert {"spectra.rgb.factor", "spectra.thermal.charbonnier"} <= set(numbers)
+    assert {"spectra.rgb.factor", "spectra.thermal.squared"} <= set(numbers)
     for key in numbers:
         with pytest.raises(UserError, match="must be finite"):
             check_config(changed(key, float("inf")))
@@ -125,13 +123,6 @@ def test_balance_of_one_set() -> None:
     check_config(config)
     with pytest.raises(UserError, match=r"--loss\.balance is about separate sets"):
         check_config(replace(config, without=("thermal",)))
-
-
-def test_one_background() -> None:
-    """Random colours, or one colour."""
-    check_config(TrainConfig(random_background=True))
-    with pytest.raises(UserError, match="--background and --random-background exclude each other"):
-        check_config(TrainConfig(random_background=True, background=(0.0, 1.0, 0.0)))
 
 
 def test_decomposition_is_of_two_spectra() -> None:

@@ -33,7 +33,7 @@ RESERVED = frozenset(
 """Names that files, tables and modules use for something else."""
 _AT_LEAST_ZERO = (
     *("loss", "loss_noise", "features", "smoothness", "smoothness_noise", "smoothness_least"),
-    *("charbonnier", "squared", "swept_depth", "point_spread", "point_spread_noise"),
+    *("squared", "swept_depth", "point_spread", "point_spread_noise"),
 )
 _SHARES = ("train_from", "train_until")
 _TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")
