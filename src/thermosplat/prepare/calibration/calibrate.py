@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.datasets.images.image_bytes import read_regular_file
 from thermosplat.datasets.images.image_files import list_images
 from thermosplat.errors import UserError
 from thermosplat.prepare.calibration.board_calibration import BoardCalibration, SeenPair, calibrate_rig
@@ -88,7 +89,9 @@ def _calibrate(capture: CaptureFolder, rgb: Path, thermal: Path, board: Board) -
 
 
 def _read(path: Path) -> NDArray[np.generic]:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    content = np.frombuffer(read_regular_file(path), np.uint8)  # by name OpenCV crashes where that is no UTF-8
+    flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+    image = cv2.imdecode(content, flags) if len(content) else None
     if image is None:
         raise UserError(f"Cannot read the image {path}.", "Remove it and its partner, or write it as PNG.")
     return image if image.ndim == 2 else image[..., :3]
