@@ -117,6 +117,16 @@ def test_whole_numbers_have_an_end(key: str, value: int) -> None:
         check_config(changed(key, (value,) if key == "save_steps" else value))
 
 
+@pytest.mark.parametrize("key", ["data", "result_dir", "lpips_weights", "resume", "spectra.thermal.palette"])
+@pytest.mark.parametrize(("name", "why"), [("caf\udce9", "which is not UTF-8"), ("a${b", "can hold ${")])
+def test_names_that_a_configuration_cannot_hold(key: str, name: str, why: str) -> None:
+    """It is written as YAML, in UTF-8, and ${...} in it means something else."""
+    with pytest.raises(UserError) as caught:
+        check_config(changed(key, name))
+    assert why in caught.value.message
+    check_config(changed(key, "ünï 温度\n\x1b[2J"))
+
+
 def test_latent_channels_of_the_modelled_spectra() -> None:
     """As few as the losses supervise; the message says which, a spectrum that is left out has none."""
     config = replace(TrainConfig(), model=replace(TrainConfig().model, feature_dim=3))
