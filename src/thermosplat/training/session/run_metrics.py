@@ -24,7 +24,7 @@ def run_metrics(
         config: The whole configuration.
     """
     seconds, model = state.seconds, state.model
-    beside = {name: evaluated[name] for name in ("training_views", "remarks") if name in evaluated}
+    beside: dict[str, Any] = {name: evaluated[name] for name in ("training_views", "remarks") if name in evaluated}
     evaluated = {name: value for name, value in evaluated.items() if name not in beside}
     corrections = state.corrections
     return {
