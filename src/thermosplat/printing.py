@@ -124,7 +124,8 @@ def safe_output() -> Iterator[None]:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115  until the end
     outputs = _Output(sys.stdout, lines=False), _Output(sys.stderr, lines=True)
     for output in outputs:
-        if hasattr(output.stream, "reconfigure") and output.stream.errors == "strict":
+        # "surrogateescape" is what Python takes where LANG=C
+        if hasattr(output.stream, "reconfigure") and output.stream.errors in ("strict", "surrogateescape"):
             output.stream.reconfigure(errors="backslashreplace")  # signs that the terminal lacks
     with redirect_stdout(outputs[0]), redirect_stderr(outputs[1]):
         try:
