@@ -198,6 +198,43 @@ def test_export_elsewhere(run: Run, finished: Path, tmp_path: Path) -> None:
     assert small.stat().st_size < 0.35 * original.stat().st_size  # 17 of 62 properties
 
 
+def test_temperatures_recalculated_by_every_command(run: Run, finished: Path, tmp_path: Path) -> None:
+    """Results have names of their own and say that they are recalculated; what a run measured stays as it was."""
+    asked = ["--emissivity", 0.7, "--reflected", 15]
+    kept = (finished / "regions.json").read_bytes() if (finished / "regions.json").exists() else None
+    code, printed = run(evaluate.main, finished, "--device", "cpu", *asked)
+    assert code == 0
+    assert "recalculated: emissivity 0.7, reflected 15 °C" in printed
+    assert "Nobody says what this capture's temperatures were computed with" in printed
+    numbers = json.loads((finished / "stats" / f"eval_{STEPS:06d}_recalculated.json").read_text())
+    usual = json.loads((finished / "metrics.json").read_text())
+    assert numbers["thermal"]["mae_celsius"] > 1.1 * usual["thermal"]["mae_celsius"]
+    assert numbers["thermal"]["psnr"] == pytest.approx(usual["thermal"]["psnr"], abs=1e-3)
+    assert kept == ((finished / "regions.json").read_bytes() if kept is not None else None)
+    code, printed = run(render.main, finished, "--path", "test", "--format", "png", "--spectra", "thermal", *asked)
+    assert code == 0
+    assert (finished / "videos" / f"test_thermal_{STEPS:06d}_recalculated").is_dir()
+    points = ["--format", "points", "--points", 50, "--spectra", "thermal", "--output", tmp_path]
+    assert run(export.main, finished, *points, *asked)[0] == 0
+    assert b"scalar_thermal_recalculated" in (tmp_path / "points_thermal.ply").read_bytes()[:2000]
+
+
+@pytest.mark.parametrize(
+    ("main", "words", "message"),
+    [
+        (evaluate.main, ["--emissivity", 0.3], "no temperature is recalculated"),
+        (render.main, ["--humidity", 50], "--humidity must be 0 to 1"),
+        (export.main, ["--air", 5], "these files have colours alone"),
+        (evaluate.main, ["--labels", "nowhere.yaml"], "nowhere.yaml cannot be read"),
+    ],
+)
+def test_what_cannot_be_recalculated(run: Run, finished: Path, main: object, words: list[object], message: str) -> None:
+    """One sentence says why, and nothing is rendered."""
+    code, printed = run(main, finished, *words)
+    assert code == 2
+    assert message in printed
+
+
 def test_export_fits_colors(run: Run, finished: Path, tmp_path: Path) -> None:
     """The fit is on unless it is switched off; both distances from the exact render are printed, the fit's no worse."""
     code, printed = run(export.main, finished, "--spectra", "thermal", "--output", tmp_path, "--fit-passes", 1)

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Literal
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
+from thermosplat.cli.recalculating import asked_temperatures
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.errors import UserError
 from thermosplat.printing import SafeConsole
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class RenderArguments(SpectraArguments, RunOnCaptureArguments):
+class RenderArguments(TemperatureSettings, SpectraArguments, RunOnCaptureArguments):
     """Render a trained run along a camera path: a video or PNGs of one spectrum, or of several side by side."""
 
     path: str = "interp"
@@ -74,6 +76,7 @@ def _render(arguments: RenderArguments) -> int:
     capture = loaded.capture(arguments.data)
     for note in (*loaded.notes, *capture.notes):
         print(note)
+    temperatures = asked_temperatures(arguments, loaded, capture)
     count, device = arguments.frames, loaded.device
     if path is None:
         points = bookmarked_viewpoints(capture, bookmarks, shown, num_frames=count, device=device)
@@ -81,6 +84,7 @@ def _render(arguments: RenderArguments) -> int:
         points = viewpoints(capture, path, shown, num_frames=count, device=device)
     layout = "" if arguments.layout == "side-by-side" else f"-{arguments.layout}"
     name = f"{path or 'bookmarks'}{layout}_{'-'.join(shown)}_{loaded.result_name(capture)}"
+    name += "_recalculated" if temperatures.text else ""
     videos = loaded.directory.videos
     check_is_no_link(videos / name)
     images = rendered_images(
@@ -91,6 +95,7 @@ def _render(arguments: RenderArguments) -> int:
         layout=arguments.layout,
         color_bar=arguments.color_bar,
         title=arguments.title,
+        temperatures=temperatures,
     )
     console = SafeConsole()
     doing = f"Rendering {path or 'bookmarks'}"

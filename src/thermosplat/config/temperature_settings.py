@@ -29,18 +29,19 @@ class TemperatureSettings:
     thermal_parameters.yaml say; where all are None, nothing is recalculated."""
 
     emissivity: float | None = None
-    """Temperatures are recalculated: emissivity of what is seen, 0.5 to 1. None: as it was applied."""
+    """Recalculate temperatures with this emissivity of what is seen, 0.5 to 1 (docs/temperatures.md). None: as it was
+    applied."""
     reflected: float | None = None
-    """The same: temperature of what the surfaces reflect [°C]."""
+    """Recalculate them with this temperature [°C] of what surfaces reflect. None: as it was applied."""
     air: float | None = None
-    """The same: temperature of the air [°C]. The length of the path through it is each pixel's own distance, where
-    the scene has a scale in metres."""
+    """Recalculate them with this temperature [°C] of the air, whose path is each pixel's own distance where the scene
+    has a scale in metres. None: as it was applied."""
     humidity: float | None = None
-    """The same: relative humidity of the air, 0 to 1."""
+    """Recalculate them with this relative humidity of the air, 0 to 1. None: as it was applied."""
     window: float | None = None
-    """The same: what a window before the lens lets pass, 0 to 1."""
+    """Recalculate them with what a window before the lens lets pass, 0 to 1. None: as it was applied."""
     labels: str | None = None
-    """The same: a YAML file with values by label of label images (docs/temperatures.md)."""
+    """Recalculate them with other values by label of label images: a YAML file."""
 
     @property
     def given(self) -> dict[str, float]:

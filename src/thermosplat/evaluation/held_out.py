@@ -16,15 +16,16 @@ from torch import Tensor
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.datasets.read_ahead import read_ahead
-from thermosplat.image_quality.metrics import mean_absolute_error, psnr, right_outside, ssim
+from thermosplat.image_quality.metrics import psnr, right_outside, ssim
 from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
 from thermosplat.pictures.image_display import spectrum_bytes, write_png
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.background_writes import background_writes
 from thermosplat.scene.model import SceneModel
-from thermosplat.spectra import MAE, label, unit_label
+from thermosplat.spectra import BIAS, MAE, label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 Lpips = Callable[[Tensor, Tensor], float | None]
 
@@ -50,6 +51,8 @@ class RenderedView:
     """What pixel values mean."""
     values: Tensor | None
     """[H, W]; where there are measured values."""
+    temperatures: SceneTemperatures | None = None
+    """How values are recalculated; None: they are not."""
 
     @property
     def mask(self) -> Tensor | None:
@@ -69,9 +72,27 @@ class RenderedView:
         """
         return pixel_intensity(self.image, self.scale)
 
+    @cached_property
+    def missed(self) -> Tensor | None:
+        """Measured values of the render minus those of the photograph, both recalculated where they are: float64
+        [H, W], NaN where nothing was measured; None of a spectrum without values."""
+        if self.values is None:
+            return None
+        rendered, expected = self.scale.value(self.intensity), self.values
+        if self.temperatures is not None:
+            around = self.temperatures.surroundings(self.spectrum, self.camera)
+            rendered = self.temperatures.recalculated(self.spectrum, rendered, around).values
+            expected = self.temperatures.recalculated(self.spectrum, expected, around).values
+        return (rendered.double() - expected.double()).where(self.values.isfinite(), torch.nan)
+
 
 def rendered_views(
-    model: SceneModel, frame: Frame, scales: Mapping[str, PixelScale], sh_degree: int, device: torch.device | str
+    model: SceneModel,
+    frame: Frame,
+    scales: Mapping[str, PixelScale],
+    sh_degree: int,
+    device: torch.device | str,
+    temperatures: SceneTemperatures | None = None,
 ) -> Iterator[RenderedView]:
     """Render a frame; yields its spectra that are both modelled and photographed.
 
@@ -81,6 +102,7 @@ def rendered_views(
         scales: The capture's scales.
         sh_degree: Highest SH degree in use.
         device: Where the model is.
+        temperatures: How measured values are recalculated; None: they are not.
     """
     # without the scale, so that no palette is inverted for the photographs: only renders are asked for intensities
     views = {name: view_tensors(view, None, device) for name, view in frame.views.items() if name in model.spectra}
@@ -91,7 +113,7 @@ def rendered_views(
         if view.image is not None:
             measured = scales[name].measured_unit is not None
             values = view.values if measured else None
-            yield RenderedView(name, view, image.clamp(0, 1), view.image, scales[name], values)
+            yield RenderedView(name, view, image.clamp(0, 1), view.image, scales[name], values, temperatures)
 
 
 @torch.no_grad()
@@ -104,6 +126,7 @@ def evaluate(
     lpips: Lpips | None = None,
     strips_dir: Path | None = None,
     csv_path: Path | None = None,
+    temperatures: SceneTemperatures | None = None,
 ) -> dict[str, Any]:
     """Render every held-out view, clamped to [0, 1], and compare it with its image.
 
@@ -115,16 +138,18 @@ def evaluate(
         lpips: LPIPS of two images [H, W, 3] in [0, 1]; None leaves the LPIPS numbers null.
         strips_dir: Folder for one PNG per frame: ground truth, render and error of its spectra.
         csv_path: File for the numbers of every view.
+        temperatures: How temperatures are recalculated before they are compared; None: they are not.
 
     Returns:
-        By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>"}``, the last where its values are
-        measured, each the mean over the views that have it, None where none has; None as a whole for a spectrum without
-        held-out views. "spectra" lists their names; "num_gaussians" counts the Gaussians.
+        By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>", "bias_<unit>"}``, each the mean over the
+        views that have it, None where none has; None as a whole for a spectrum without held-out views. The last two are
+        there where its values are measured: the mean absolute error, and that of render minus image. "spectra" lists
+        their names; "num_gaussians" counts the Gaussians.
     """
     rows: list[dict[str, Any]] = []
     with background_writes() as write:
         for frame in read_ahead(capture.test):
-            results = list(rendered_views(model, frame, capture.scales, sh_degree, device))
+            results = list(rendered_views(model, frame, capture.scales, sh_degree, device, temperatures))
             numbers = [_numbers(result, lpips) for result in results]
             rows += [{"frame": frame.name, "spectrum": r.spectrum, **values} for r, values in zip(results, numbers)]
             if strips_dir is not None and results:
@@ -168,10 +193,11 @@ def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | Non
         "lpips": None if lpips is None else lpips(result.counted, result.target),
     }
     if result.scale.unit is not None:
-        numbers[f"{MAE}{result.scale.unit}"] = None
-        if result.values is not None:
-            error = mean_absolute_error(result.intensity, result.values, result.scale)
-            numbers[f"{MAE}{result.scale.unit}"] = error
+        numbers |= {f"{MAE}{result.scale.unit}": None, f"{BIAS}{result.scale.unit}": None}
+        if result.missed is not None and result.values is not None and result.values.isfinite().any():
+            missed = result.missed[result.values.isfinite()]
+            numbers[f"{MAE}{result.scale.unit}"] = missed.abs().mean().item()
+            numbers[f"{BIAS}{result.scale.unit}"] = missed.mean().item()
     return {name: _finite(number) for name, number in numbers.items()}
 
 
@@ -188,10 +214,10 @@ def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
     shown = spectrum_bytes(truth, result.scale), spectrum_bytes(render, result.scale)
     called = label(result.spectrum)
     unit = result.scale.measured_unit
-    if unit is None or result.values is None or result.scale.range is None:
+    if unit is None or result.missed is None or result.scale.range is None:
         return Comparison(called, score, *shown, error, LARGEST_ERROR)
     low, high = result.scale.range
-    missed = (result.scale.value(result.intensity) - result.values).abs().nan_to_num()  # unmeasured: no error
+    missed = result.missed.abs().nan_to_num()  # unmeasured: no error
     largest = LARGEST_MEASURED_ERROR * (high - low)
     return Comparison(called, score, *shown, missed.cpu().numpy(), largest, unit=unit_label(unit))
 

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame
@@ -14,11 +15,13 @@ from thermosplat.datasets.frame_tensors import ViewTensors, distortion_tensor, w
 from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import Bookmark, fov_camera, path_through
 from thermosplat.novel_views.camera_paths import ellipse_path, interpolated_path, spiral_path
-from thermosplat.pictures.image_display import Image8, spectrum_bytes
+from thermosplat.pictures.hatching import hatched
+from thermosplat.pictures.image_display import Image8, rgb_bytes, spectrum_bytes
 from thermosplat.pictures.layouts import Layout, arranged, with_legend
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import listed, unit_label
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 PathName = Literal["interp", "ellipse", "spiral", "train", "test"]
 PATHS: tuple[PathName, ...] = get_args(PathName)
@@ -128,6 +131,7 @@ def rendered_images(
     layout: Layout = "side-by-side",
     color_bar: bool = False,
     title: str = "",
+    temperatures: SceneTemperatures | None = None,
 ) -> Iterator[Image8]:
     """Render viewpoints one after the other, as images to look at.
 
@@ -139,22 +143,42 @@ def rendered_images(
         layout: How the shown spectra are put together (:func:`~thermosplat.pictures.layouts.arranged`).
         color_bar: Put a colour bar of each measured spectrum beside the picture.
         title: One line above it; "" for none.
+        temperatures: How temperatures are recalculated; None: they are not. Pictures that are say so in the title, and
+            pixels that are not are hatched.
 
     Yields:
         8-bit RGB [H, W, 3].
     """
+    if temperatures is not None and temperatures.text:
+        title = "; ".join(filter(None, (title, temperatures.text)))
+        scales = {name: temperatures.shown_scale(name) for name in scales}
     for index, point in enumerate(points):
         rendered = model.render(point.views, sh_degree=sh_degree)
         names = [name for name in model.spectra if name in rendered.images]
         if not names:
             continue
-        images = [spectrum_bytes(rendered.images[name].cpu().numpy(), scales[name]) for name in names]
+        images = [
+            _picture(name, rendered.images[name], point.views[name], scales[name], temperatures) for name in names
+        ]
         picture = arranged(images, layout, index / max(1, len(points) - 1))
         if color_bar or title:
             measured = [name for name in names if color_bar and scales[name].measured_unit is not None]
             units = [unit_label(scales[name].measured_unit or "") for name in measured]
             picture = with_legend(picture, [scales[name] for name in measured], units, title)
         yield picture
+
+
+def _picture(
+    name: str, image: Tensor, view: ViewTensors, scale: PixelScale, temperatures: SceneTemperatures | None
+) -> Image8:
+    """A rendered image for the eye; recalculated where that is asked for, with ``scale`` the recalculated one."""
+    if temperatures is None or not temperatures.recalculates(name) or scale.range is None:
+        return spectrum_bytes(image.cpu().numpy(), scale)
+    made = temperatures.of_image(name, image, view)
+    low, high = scale.range
+    shares = (made.values.cpu().numpy() - low) / max(high - low, 1e-12)
+    picture = rgb_bytes(scale.palette.to_color(shares))
+    return picture if made.changed is None else hatched(picture, ~made.changed)
 
 
 def _viewpoint(frame: Frame, shown: Collection[str], device: torch.device | str) -> Viewpoint:

@@ -118,7 +118,7 @@ class Recalculation:
         values, changed, reasons = measured.copy(), np.zeros(measured.shape, bool), []
         for surface, where in self._parts(measured.shape, labels):
             asked = surface.settings.over(self.settings)
-            if not asked.given or not where.any():
+            if not (asked.given or surface.mirror) or not where.any():
                 continue
             if (reason := _refusal(surface, asked, self.stated)) is not None:
                 reasons.append(reason)

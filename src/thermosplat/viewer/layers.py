@@ -24,6 +24,7 @@ from thermosplat.scene.views import Rendering, render_view
 from thermosplat.spectra import label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import Palette, PixelScale
+from thermosplat.thermography.scene_temperatures import SceneTemperatures, Surroundings, Values
 from thermosplat.viewer.photographs import Photographs
 from thermosplat.viewer.viewed_scene import ViewedScene
 
@@ -76,6 +77,10 @@ class LayerImage:
     """What the values are, such as "temperature"."""
     decimals: int = 2
     """Digits behind the point that its values are shown with."""
+    changed: NDArray[np.bool_] | None = None
+    """Where temperatures were recalculated, shape [H, W]; None: nothing is."""
+    reasons: tuple[str, ...] = ()
+    """Why they were not elsewhere, a sentence each."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -114,28 +119,39 @@ class LayerRenderer:
         self.photographs = Photographs(scene)
 
     @torch.no_grad()
-    def render(self, layers: Iterable[Layer], view: ViewTensors, *, values: bool = True) -> dict[Layer, LayerImage]:
+    def render(
+        self,
+        layers: Iterable[Layer],
+        view: ViewTensors,
+        *,
+        values: bool = True,
+        temperatures: SceneTemperatures | None = None,
+    ) -> dict[Layer, LayerImage]:
         """Render layers from one view.
 
         Args:
             layers: Which ones.
             view: Camera and pose, on the model's device.
             values: Also the values behind pseudo-colours, which takes a while; without, such a layer has its colours.
+            temperatures: How temperatures are recalculated; None: they are not.
 
         Returns:
             The layers.
         """
+        shown = _Temperatures(temperatures or SceneTemperatures(self.scene.model, self.scene.scales), view)
         scene, wanted = self.scene, list(dict.fromkeys(layers))
         from_model = {layer.spectrum for layer in wanted if layer.kind in ("image", "opacity", "features", "error")}
         rendered = RenderedFrame()
         if from_model:
             rendered = scene.model.render(dict.fromkeys(from_model, view), sh_degree=scene.sh_degree)
-        return {layer: self._layer(layer, view, rendered, values) for layer in wanted}
+        return {layer: self._layer(layer, view, rendered, values, shown) for layer in wanted}
 
-    def _layer(self, layer: Layer, view: ViewTensors, rendered: RenderedFrame, values: bool) -> LayerImage:
+    def _layer(
+        self, layer: Layer, view: ViewTensors, rendered: RenderedFrame, values: bool, shown: "_Temperatures"
+    ) -> LayerImage:
         name, scale = layer.spectrum, self.scene.scales[layer.spectrum]
         if layer.kind == "image":
-            return image_layer(layer, rendered.images[name], scale, values=values)
+            return image_layer(layer, rendered.images[name], scale, values=values, temperatures=shown)
         if layer.kind == "depth":
             model = self.scene.model
             depth = model.placement.unit * model.render_depth(name, view)
@@ -152,21 +168,28 @@ class LayerRenderer:
             return LayerImage(layer, None, colors, display_palette("white hot"), None, "", "features")
         photograph = self.photographs.nearest(name, view)
         if layer.kind == "photograph":
-            return image_layer(layer, torch.nan_to_num(photograph.image), scale, values=values, valid=photograph.valid)
-        return self._error(layer, rendered.images[name].clamp(0, 1), photograph.image, scale)
+            taken, valid = torch.nan_to_num(photograph.image), photograph.valid
+            return image_layer(layer, taken, scale, values=values, valid=valid, temperatures=shown)
+        return self._error(layer, rendered.images[name].clamp(0, 1), photograph.image, scale, shown)
 
-    def _error(self, layer: Layer, image: Tensor, photograph: Tensor, scale: PixelScale) -> LayerImage:
+    def _error(
+        self, layer: Layer, image: Tensor, photograph: Tensor, scale: PixelScale, shown: "_Temperatures"
+    ) -> LayerImage:
         """Absolute difference of the image and the nearest photograph, in the unit that the images have."""
         palette = display_palette("inferno")
         if scale.measured_unit is None or scale.range is None:
             field = (image - photograph).abs().mean(dim=-1).cpu().numpy()
             return LayerImage(layer, field, None, palette, (0.0, LARGEST_ERROR), "", "error", 3)
         hidden = photograph.isnan().any(dim=-1)
-        seen = pixel_intensity(torch.nan_to_num(photograph), scale)
-        error = (scale.value(pixel_intensity(image, scale)) - scale.value(seen)).abs()
+        seen = shown.of(layer.spectrum, scale.value(pixel_intensity(torch.nan_to_num(photograph), scale)))
+        made = shown.of(layer.spectrum, scale.value(pixel_intensity(image, scale)))
+        error = (made.values - seen.values).abs()
         field = torch.where(hidden, torch.nan, error).cpu().numpy()
         largest = LARGEST_MEASURED_ERROR * (scale.range[1] - scale.range[0])
-        return LayerImage(layer, field, None, palette, (0.0, largest), unit_label(scale.measured_unit), "error")
+        unit = unit_label(scale.measured_unit)
+        return LayerImage(
+            layer, field, None, palette, (0.0, largest), unit, "error", changed=made.changed, reasons=made.reasons
+        )
 
     def _offset(self, name: str, view: ViewTensors) -> Tensor:
         """Mean opacity offset logit α_s - logit α of the Gaussians that either spectrum sees, [H, W]; NaN: none."""
@@ -186,8 +209,33 @@ class LayerRenderer:
         return FeatureColors.of(gaussians.expanded(gaussians.features), gaussians.largest_opacities)
 
 
+class _Temperatures:
+    """Recalculated values of one view, whose depths and labels are looked up once.
+
+    Args:
+        scene: How temperatures are recalculated.
+        view: The view.
+    """
+
+    def __init__(self, scene: SceneTemperatures, view: ViewTensors) -> None:
+        self.scene, self._view = scene, view
+        self._around: dict[str, Surroundings | None] = {}
+
+    def of(self, spectrum: str, values: Tensor) -> Values:
+        """Values [H, W] of a spectrum, as they are asked for."""
+        if spectrum not in self._around:
+            self._around[spectrum] = self.scene.surroundings(spectrum, self._view)
+        return self.scene.recalculated(spectrum, values, self._around[spectrum])
+
+
 def image_layer(
-    layer: Layer, image: Tensor, scale: PixelScale, *, values: bool, valid: Tensor | None = None
+    layer: Layer,
+    image: Tensor,
+    scale: PixelScale,
+    *,
+    values: bool,
+    valid: Tensor | None = None,
+    temperatures: _Temperatures | None = None,
 ) -> LayerImage:
     """An image of a spectrum: colours of a photograph, else values, in the unit that metrics.json's errors have.
 
@@ -197,22 +245,29 @@ def image_layer(
         scale: What its pixel values mean.
         values: As of ``LayerRenderer.render``.
         valid: Mask [H, W] of the pixels that are there; None: all.
+        temperatures: How temperatures are recalculated; None: they are not.
     """
     image, measured = image.clamp(0, 1), scale.measured_unit
     span = scale.range if measured is not None and scale.range is not None else (0.0, 1.0)
     unit = "" if measured is None else unit_label(measured)
     quantity = "intensity" if measured is None else "temperature" if unit == "°C" else measured
     decimals = 2 if unit == "°C" else 3
-    if scale.kind == "photograph" or (scale.kind == "color" and not values):
+    recalculates = temperatures is not None and temperatures.scene.recalculates(layer.spectrum)
+    if scale.kind == "photograph" or (scale.kind == "color" and not values and not recalculates):
         colors = _bytes(image if valid is None else torch.where(valid[..., None], image, 0.0))
         if scale.kind == "photograph":
             return LayerImage(layer, None, colors, scale.palette, None)
         return LayerImage(layer, None, colors, scale.palette, span, unit, quantity, decimals)
     intensity = pixel_intensity(image, scale)  # evaluation.held_out.RenderedView.intensity, whose errors are the MAE
-    field = intensity if measured is None else scale.value(intensity)
-    if valid is not None:
-        field = torch.where(valid, field, torch.nan)
-    return LayerImage(layer, field.cpu().numpy(), None, scale.palette, span, unit, quantity, decimals)
+    made = Values(intensity if measured is None else scale.value(intensity))
+    if temperatures is not None and recalculates:
+        made = temperatures.of(layer.spectrum, made.values)
+        span = temperatures.scene.shown_scale(layer.spectrum).range or span
+    field = made.values if valid is None else torch.where(valid, made.values, torch.nan)
+    seen = field.cpu().numpy()
+    return LayerImage(
+        layer, seen, None, scale.palette, span, unit, quantity, decimals, changed=made.changed, reasons=made.reasons
+    )
 
 
 def _bytes(colors: Tensor) -> Image8:

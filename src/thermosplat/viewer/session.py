@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.novel_views.bookmarks import Bookmark
 from thermosplat.pictures.image_display import Image8
 from thermosplat.thermal.radiometry import Palette
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 from thermosplat.viewer.display import Comparison, Display, compared
 from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer
 from thermosplat.viewer.measurements import Measurement, Pixel, Shape, marked_picture, measure, value_at, with_unit
@@ -90,12 +92,18 @@ class ViewSession:
     gone: threading.Event = field(default_factory=threading.Event)
     """Set when nobody looks any more: what is rendered for this viewer ends."""
 
+    temperatures: SceneTemperatures = field(init=False)
+    """How measured values are made, recalculated if the viewer wants that."""
+
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
+        self.temperatures = self.renderer.scene.temperatures
 
     def aside(self) -> "ViewSession":
         """A viewer of its own that sees the same, for pictures of other places and sizes; it leaves with this one."""
-        return replace(self, displays=dict(self.displays), measurements=list(self.measurements))
+        other = replace(self, displays=dict(self.displays), measurements=list(self.measurements))
+        other.temperatures = self.temperatures
+        return other
 
     # ---- what is seen ------------------------------------------------------------------------------------------------
 
@@ -140,6 +148,11 @@ class ViewSession:
             self.shown = shown
         return shown
 
+    def recalculate(self, settings: TemperatureSettings) -> None:
+        """Show and measure temperatures with other settings from now on."""
+        self.temperatures = self.temperatures.asking(settings)
+        self.forget_picture()
+
     def forget_picture(self) -> None:
         """Render anew next time: the model has changed."""
         with self._lock:
@@ -154,12 +167,15 @@ class ViewSession:
         values: bool = True,
         unwanted: Callable[[], bool] = bool,
     ) -> dict[Layer, LayerImage]:
+        temperatures = self.temperatures
+
         def render() -> dict[Layer, LayerImage]:
             if self.gone.is_set():
                 raise ViewingEnded
             if unwanted():
                 raise Unwanted
-            return self.renderer.render(layers, self._tensors(view, width, height), values=values)
+            tensors = self._tensors(view, width, height)
+            return self.renderer.render(layers, tensors, values=values, temperatures=temperatures)
 
         rendered = self.turns.run(render)
         if unwanted():
@@ -181,6 +197,8 @@ class ViewSession:
         }
 
     def _needs_values(self, layer: Layer) -> bool:
+        if layer.kind in ("image", "photograph") and self.temperatures.recalculates(layer.spectrum):
+            return True
         return self.display(layer).needs_values(self.renderer.scene.scales[layer.spectrum].palette)
 
     def _picture(self, wish: Wish, layers: dict[Layer, LayerImage]) -> Image8:
@@ -214,7 +232,7 @@ class ViewSession:
         if image is None or value is None:
             return None
         what = "" if image.unit or not image.quantity else f"{image.quantity} "
-        return value, f"{what}{with_unit(value, image.unit, image.decimals)}"
+        return value, f"{what}{with_unit(value, image.unit, image.decimals)}{recalculated_text(image, x, y)}"
 
     def measure(self, shape: Shape, points: Sequence[Pixel], shown: Shown | None = None) -> Measurement | None:
         """Measure the layer that a picture at rest shows at the first point, and keep the measurement.
@@ -279,6 +297,15 @@ class ViewSession:
             if image.field is not None or image.quantity not in ("", "features"):
                 return display.palette_of(image), *display.range_of(image), image.unit or image.quantity
         return None
+
+
+def recalculated_text(image: LayerImage, x: float, y: float) -> str:
+    """Whether the value under a point is recalculated, for people; "" where none of the picture's is."""
+    if image.changed is None:
+        return ""
+    height, width = image.changed.shape
+    done = image.changed[min(int(y * height), height - 1), min(int(x * width), width - 1)]
+    return " (recalculated)" if done else " (not recalculated)"
 
 
 def outline(made: Measurement) -> list[Pixel]:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.novel_views.bookmarks import Bookmark
 from thermosplat.novel_views.camera_paths import interpolated_path
 from thermosplat.pictures.image_display import write_png
@@ -186,6 +187,11 @@ class Visitor:
     def wish(self, **changes: Any) -> None:
         """Change what is to be seen; fields of ``Wish``."""
         self.session.wish = replace(self.session.wish, **changes)
+        self.wake()
+
+    def recalculate(self, settings: TemperatureSettings) -> None:
+        """Show temperatures with other settings."""
+        self.session.recalculate(settings)
         self.wake()
 
     def set_share(self, share: float) -> None:

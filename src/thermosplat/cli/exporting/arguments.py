@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
+from thermosplat.config.temperature_settings import TemperatureSettings
 
 
 @dataclass(frozen=True)
-class ExportArguments(SpectraArguments, RunOnCaptureArguments):
+class ExportArguments(TemperatureSettings, SpectraArguments, RunOnCaptureArguments):
     """Write a trained run for other programs, one file for each spectrum: splat_rgb.ply, splat_thermal.ply, ..."""
 
     format: Literal["ply", "compressed-ply", "spz", "sog", "glb", "usd", "points", "mesh", "orthomosaic"] = "ply"

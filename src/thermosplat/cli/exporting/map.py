@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thermosplat.cli.recalculating import asked_temperatures
+
 if TYPE_CHECKING:
     from thermosplat.cli.exporting.arguments import ExportArguments
     from thermosplat.evaluation.loaded_run import LoadedRun
@@ -33,6 +35,7 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
     capture = loaded.capture(arguments.data)
     for note in capture.notes:
         print(note)
+    temperatures = asked_temperatures(arguments, loaded, capture)
     names = arguments.chosen(list(loaded.model.spectra))
     leading = next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
     frame = georeferenced_frame(capture, leading) if arguments.up is None else None
@@ -51,9 +54,11 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
     grid = MapGrid.covering(frame, extent, pixel, top)
     for name in names:
         scale = loaded.scales[name]
-        picture = render_map(loaded.model, name, scale, grid, sh_degree=loaded.sh_degree)
+        picture = render_map(loaded.model, name, scale, grid, sh_degree=loaded.sh_degree, temperatures=temperatures)
         path = folder / f"orthomosaic_{name}.tif"
-        write_map(path, picture, name, scale, grid)
+        recalculated = temperatures.text if temperatures.recalculates(name) else ""
+        write_map(path, picture, name, scale, grid, recalculated=recalculated)
         unit = "colours" if len(picture) == 3 else scale.measured_unit or "intensity"
+        unit += ", recalculated" if recalculated else ""
         covered = np.isfinite(picture[0]).mean()
         print(f"{path}: {grid.width:,} x {grid.height:,} pixels of {pixel:.4g}, {unit}, {covered:.0%} covered")

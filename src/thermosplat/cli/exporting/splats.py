@@ -4,6 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thermosplat.cli.recalculating import asked_temperatures
 from thermosplat.errors import UserError
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
     """
     from thermosplat.export.formats.splat_formats import SPLAT_FORMATS, Described, write_format
     from thermosplat.export.origin_file import write_origin
-    from thermosplat.export.scene import spectrum_values, write_scene
+    from thermosplat.export.scene import write_scene
 
     scene, sources = _scene(arguments, loaded)
     if arguments.format == "ply":
@@ -38,10 +39,7 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
             measured = {name: unit for name in scene if (unit := loaded.scales[name].measured_unit) is not None}
             if not measured:
                 raise UserError("No spectrum of this run has a unit, so nothing is measured.", "Leave --values out.")
-            values = {
-                f"scalar_{name}_{unit}": spectrum_values(loaded.model, name, loaded.scales)
-                for name, unit in measured.items()
-            }
+            values = _values(arguments, loaded, measured)
             scalars = {name: {scalar: of_each[sources[name]] for scalar, of_each in values.items()} for name in scene}
         written = write_scene(scene, folder, compact=arguments.compact, scalars=scalars)
     else:
@@ -56,6 +54,34 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
         dropped = f", {file.num_dropped:,} invisible or broken ones left out" if file.num_dropped else ""
         size = file.path.stat().st_size / 1e6
         print(f"{file.path}: {file.num_gaussians:,} Gaussians, {size:.1f} MB{dropped}")
+
+
+def _values(arguments: "ExportArguments", loaded: "LoadedRun", measured: dict[str, str]) -> "dict[str, Tensor]":
+    """What each Gaussian measures, by the name of the property; recalculated over its way to the nearest camera."""
+    import numpy as np
+    import torch
+
+    from thermosplat.export.scene import spectrum_values
+    from thermosplat.export.surfaces.depth_views import RECALCULATED
+    from thermosplat.thermography.scene_temperatures import Surroundings
+
+    capture = loaded.capture(arguments.data) if arguments.any_given else None
+    temperatures = asked_temperatures(arguments, loaded, capture)
+    values: "dict[str, Tensor]" = {}
+    for name, unit in measured.items():
+        around = Surroundings(None, None)
+        if capture is not None and temperatures.metres_per_unit is not None:
+            views = [frame.views[name].viewmat for frame in capture.train if name in frame.views]
+            centers = torch.as_tensor(np.linalg.inv(np.stack(views))[:, :3, 3], dtype=torch.float32)
+            means = loaded.model.gaussians(loaded.model.set_of(name)).means.detach().cpu()
+            nearest = torch.stack([(means - center).norm(dim=1) for center in centers]).amin(dim=0)
+            unit_length = loaded.model.placement.unit * temperatures.metres_per_unit
+            around = Surroundings(unit_length * nearest.double().numpy(), None)
+        made = temperatures.recalculated(name, spectrum_values(loaded.model, name, loaded.scales), around)
+        values[f"scalar_{name}_{unit}"] = made.values
+        if made.changed is not None:
+            values[f"scalar_{name}_{RECALCULATED}"] = torch.as_tensor(made.changed).float().to(made.values.device)
+    return values
 
 
 def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSplats, dict[str, Tensor | slice]]":

@@ -4,6 +4,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thermosplat.cli.recalculating import asked_temperatures
+
 if TYPE_CHECKING:
     from thermosplat.cli.exporting.arguments import ExportArguments
     from thermosplat.evaluation.loaded_run import LoadedRun
@@ -32,6 +34,7 @@ def export_surface(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pa
     capture = loaded.capture(arguments.data)
     for note in capture.notes:
         print(note)
+    temperatures = asked_temperatures(arguments, loaded, capture)
     model, scales, sh_degree = loaded.model, loaded.scales, loaded.sh_degree
     low, high = scene_bounds(capture)
     voxel = arguments.voxel if arguments.voxel is not None else float((high - low).max()) / VOXELS_BY_DEFAULT
@@ -39,13 +42,19 @@ def export_surface(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pa
         points = viewpoints(capture, "train", [name], num_frames=1, device=loaded.device)
         views = [point.views[name] for point in points]
         comments = [f"thermosplat {name}", "frame and unit of the capture's poses"]
+        comments += [f"temperatures {temperatures.text}"] if temperatures.text else []
         path = folder / f"{arguments.format}_{name}.ply"
         if arguments.format == "points":
-            cloud = depth_points(model, name, views, scales, sh_degree=sh_degree, most=arguments.points)
+            cloud = depth_points(
+                model, name, views, scales, sh_degree=sh_degree, most=arguments.points, temperatures=temperatures
+            )
             write_points(path, cloud.points, cloud.colors, cloud.values, comments)
             print(f"{path}: {len(cloud.points):,} points{_with(cloud.values)}")
         else:
-            mesh = tsdf_mesh(model, name, views, scales, (low, high), voxel=voxel, sh_degree=sh_degree)
+            bounds = low, high
+            mesh = tsdf_mesh(
+                model, name, views, scales, bounds, voxel=voxel, sh_degree=sh_degree, temperatures=temperatures
+            )
             cloud = mesh.vertices
             write_points(path, cloud.points, cloud.colors, cloud.values, comments, faces=mesh.faces)
             print(f"{path}: {len(mesh.faces):,} triangles of voxels of {voxel:.3g}{_with(cloud.values)}")
