@@ -43,6 +43,18 @@ class Rendering(NamedTuple):
     """Also tell how far depths spread along rays, with this limit (``warp_depth_spread``); None: do not."""
     distributed: bool = False
     """The set is divided over ranks, each of which renders a view of its own now."""
+    needs_depth: bool = False
+    """Also blend depths, whether their spread is asked for or not."""
+
+    @property
+    def blends_depth(self) -> bool:
+        """Whether depths are blended with features."""
+        return self.needs_depth or self.depth_spread_limit is not None
+
+    @property
+    def background(self) -> Tensor | None:
+        """Colour behind photographs, [3]; None: black."""
+        return None if self.backgrounds is None else self.backgrounds[0]
 
 
 def camera_arguments(view: "ViewTensors") -> dict[str, Any]:
