@@ -79,7 +79,8 @@ def compare_frame(
     found = _fused(terms, ssim_lambda, smoothed) if fused else _Found(_filtered(terms, ssim_lambda), {})
     losses = {term.name: found.losses[term.name] for term in terms}
     losses |= {one.name: one.loss for losses in asked.values() for one in losses if isinstance(one, LossTerm)}
-    spectra = {one.name: name for name, losses in asked.items() for one in losses}
+    owners = {one.name: name for name, losses in asked.items() for one in losses}
+    spectra = {term: owners[term] for term in losses}
     errors = {}
     for name, image, view, target in _seen(rendered, frame, config):
         known = found.squared_errors.get(name) if view.mask is None else None
