@@ -118,6 +118,10 @@ class SpectrumConfig:
         object.__setattr__(self, "unit", unit_named(self.unit))
 
 
+STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "point_spread_noise")
+"""Fields of ``SpectrumConfig`` that decide which parameters there are: a run goes on with what it began with."""
+
+
 def unit_named(word: str) -> str:
     """A unit by any usual spelling: "Kelvin", "°C", "deg C", "centi-kelvins", "mK"; another word as it is.
 

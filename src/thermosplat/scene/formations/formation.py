@@ -225,6 +225,16 @@ class Formation(nn.Module):
         """
         raise NotImplementedError
 
+    def scores(self, image: Tensor, target: Tensor, mask: Tensor | None) -> Mapping[str, float]:
+        """What a held-out image is judged by beside PSNR, SSIM, LPIPS and errors of measured values, by name.
+
+        Args:
+            image: The image, clamped to [0, 1], [H, W, channels].
+            target: What it should have been, [H, W, channels].
+            mask: bool [H, W], which pixels count; None: all.
+        """
+        return {}
+
     def numbers(self) -> Mapping[str, float]:
         """What training has found beside images, for metrics.json, by name."""
         return {}

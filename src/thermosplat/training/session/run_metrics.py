@@ -43,6 +43,7 @@ def run_metrics(
         "feature_channels": feature_channels(model),
         "opacity_offsets_kept": offsets_kept(model),
         "point_spreads": model.formations.found("point_spread"),
+        "formations": {name: dict(model.formations[name].numbers()) for name in model.spectra},
     }
 
 
