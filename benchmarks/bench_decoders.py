@@ -130,7 +130,7 @@ def variants(decoders: Decoders) -> dict[str, Variant]:
     """By name every way there is on the decoders' device to decode both branches."""
     on_cuda = next(decoders.parameters()).device.type == "cuda"
     found: dict[str, Variant] = {}
-    for precision in ("float32", "tf32", "bfloat16") if on_cuda else ("float32", "bfloat16"):
+    for precision in ("float32", "tf32"):
         eager = FastDecoders(decoders, compiled=False, precision=precision)
         found[f"torch, {precision}"] = Variant(eager.decode, eager.precise)
     if on_cuda and can_compile():

@@ -154,16 +154,6 @@ def _of_images_first(asked: dict[str, list[ImageTerm | LossTerm]]) -> list[Image
     return sorted(terms, key=lambda term: term.name not in asked)
 
 
-def charbonnier(differences: Tensor, epsilon: float) -> Tensor:
-    """Mean of sqrt(d² + ε²) - ε: d² / 2ε for differences well below ε, |d| - ε for those well above it.
-
-    Args:
-        differences: Any shape.
-        epsilon: ε > 0, in the differences' units.
-    """
-    return torch.sqrt(differences.square() + epsilon**2).mean() - epsilon
-
-
 @dataclass(frozen=True)
 class _Found:
     """What comes of comparing images: weighted losses by name, and squared errors by name."""
@@ -201,12 +191,7 @@ def _fused(terms: Sequence[ImageTerm], ssim_lambda: float, smoothed: dict[str, f
 
 def _filtered(terms: Sequence[ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
     """Weighted image losses by name, by ``ssim_map``."""
-    losses = _unweighted([term for term in terms if term.charbonnier == 0], ssim_lambda)
-    robust = [term for term in terms if term.charbonnier > 0]
-    structural = _unweighted(robust, 1.0)  # 1 - SSIM alone
-    for term in robust:
-        difference = charbonnier(term.render - term.target, term.charbonnier)
-        losses[term.name] = (1 - ssim_lambda) * difference + ssim_lambda * structural[term.name]
+    losses = _unweighted(terms, ssim_lambda)
     for term in terms:
         if term.squared > 0:
             squares = (term.render - term.target).square().mean()

@@ -6,13 +6,12 @@ Only training steps see them like this; evaluation and rendering use the plain d
 import importlib.util
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from typing import Literal
 
 import torch
-from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.scene.decoder import Decode, Decoder
@@ -20,7 +19,7 @@ from thermosplat.scene.decoders import Decoders
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.training.fused_decoders import FusedDecoders, teams
 
-Precision = Literal["float32", "tf32", "bfloat16"]
+Precision = Literal["float32", "tf32"]
 
 
 class FastDecoders:
@@ -34,20 +33,16 @@ class FastDecoders:
         compiled: On CUDA, let fused kernels decode where there are some for the decoders and the precision
             (fused_decoders.py); otherwise let torch.compile, where it works, join element-wise work into few kernels,
             which takes some seconds once a size.
-        precision: Of activations and matrix products: "float32"; "tf32", whose products round their inputs to 10 bits
-            of mantissa; "bfloat16", which also keeps activations in 16 bits, 7 of them mantissa, and halves the
-            traffic. Parameters, their updates and the images are float32 in any case.
+        precision: Of matrix products: "float32"; "tf32", which rounds their inputs to 10 bits of mantissa. Parameters,
+            their updates and the images are float32 in any case.
     """
 
     def __init__(self, decoder: Decoder, *, compiled: bool, precision: Precision) -> None:
         self._matmul = "highest" if precision == "float32" else "high"
         fused = _fused(decoder) if compiled and precision == "tf32" else None
         self.decode: Decode = decoder.decode if fused is None else fused.decode
-        if fused is None:
-            if precision == "bfloat16":
-                self.decode = _in_bfloat16(self.decode)
-            if compiled and can_compile():
-                self.decode = torch.compile(self.decode, dynamic=False)
+        if fused is None and compiled and can_compile():
+            self.decode = torch.compile(self.decode, dynamic=False)
 
     @contextmanager
     def precise(self) -> Iterator[None]:
@@ -80,28 +75,15 @@ def fast_decoding(
         config: The whole configuration.
         device: Where they are.
     """
-    on_cuda, decoder = device.type == "cuda", formations.decoder
-    if decoder is None or not (on_cuda or config.decoder_precision == "bfloat16"):
+    if formations.decoder is None or device.type != "cuda":
         return nullcontext
-    fast = FastDecoders(decoder, compiled=on_cuda and config.compile, precision=config.decoder_precision)
+    fast = FastDecoders(formations.decoder, compiled=config.compile, precision=config.decoder_precision)
     return partial(fast.active, formations)
 
 
 def _fused(decoder: Decoder) -> FusedDecoders | None:
     """The decoder by fused kernels; None where there are none for it."""
     return FusedDecoders(decoder) if isinstance(decoder, Decoders) and teams(decoder) else None
-
-
-def _in_bfloat16(decode: Decode) -> Decode:
-    """``decode`` under autocast, with float32 images."""
-
-    def run(features: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        device = next(iter(features.values())).device.type
-        with torch.autocast(device, torch.bfloat16):
-            images = decode(features)
-        return {name: image.float() for name, image in images.items()}
-
-    return run
 
 
 def can_compile() -> bool:

@@ -47,10 +47,10 @@ def image_terms(
         At most one of the image and one of the features, "features_<spectrum>".
     """
     terms: list[ImageTerm | LossTerm] = []
-    epsilon, image = settings.charbonnier, rendered.images.get(name)
+    image = rendered.images.get(name)
     if settings.loss > 0 and image is not None and view.image is not None:
         compared, truth = (image, view.image) if view.mask is None else masked(image, view.image, view.mask)
-        terms.append(ImageTerm(name, settings.loss, compared, truth, 0, epsilon, settings.squared))
+        terms.append(ImageTerm(name, settings.loss, compared, truth, 0, settings.squared))
     weight = weights.features * (settings.features or 0.0)
     # latent channels stand for an intensity, of a photograph for colours
     target = view.image if view.intensity is None else view.intensity[..., None]
@@ -58,7 +58,7 @@ def image_terms(
     if weight > 0 and blended is not None and target is not None:
         if view.mask is not None:
             blended, target = masked(blended, target, view.mask, first)
-        terms.append(ImageTerm(f"features_{name}", weight, blended, target, first, epsilon))
+        terms.append(ImageTerm(f"features_{name}", weight, blended, target, first))
     return terms
 
 

@@ -26,6 +26,8 @@ def run_metrics(
         config: The whole configuration.
     """
     seconds, model = state.seconds, state.model
+    beside: dict[str, Any] = {name: evaluated[name] for name in ("training_views", "remarks") if name in evaluated}
+    evaluated = {name: value for name, value in evaluated.items() if name not in beside}
     corrections = state.corrections
     return {
         **evaluated,
@@ -44,6 +46,7 @@ def run_metrics(
         "opacity_offsets_kept": offsets_kept(model),
         "point_spreads": model.formations.found("point_spread"),
         "formations": {name: dict(model.formations[name].numbers()) for name in model.spectra},
+        **beside,
     }
 
 
