@@ -8,7 +8,7 @@ This file imports nothing heavy, so that ``thermosplat-train --help`` answers at
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 Source = Literal["photograph", "auto", "color", "raw"]
@@ -117,6 +117,10 @@ class SpectrumConfig:
         object.__setattr__(self, "unit", unit_named(self.unit))
 
 
+STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "point_spread_noise")
+"""Fields of ``SpectrumConfig`` that decide which parameters there are: a run goes on with what it began with."""
+
+
 def unit_named(word: str) -> str:
     """A unit by any usual spelling: "Kelvin", "°C", "deg C", "centi-kelvins", "mK"; another word as it is.
 
@@ -164,8 +168,8 @@ class Spectrum:
     """First latent channel that is supervised with its images, and one beyond the last; equal: none is."""
     modulated_by: str | None
     """Spectrum whose prior modulates its decoded image; None: it has a prior of its own."""
-    point_spread: float = 0.0
-    """Blur of its images before training [of an image's width]; 0: none."""
+    settings: SpectrumConfig = field(default_factory=SpectrumConfig, compare=False)
+    """What else was asked for: its formation reads it."""
 
     @property
     def is_photograph(self) -> bool:
@@ -213,10 +217,19 @@ def model_spectra(
             opacity="shared" if place == 0 else spectrum.opacity,
             latent=latent[name],
             modulated_by=_modulating(name, spectra),
-            point_spread=spectrum.point_spread,
+            settings=spectrum,
         )
         for place, (name, spectrum) in enumerate(spectra.items())
     )
+
+
+def first_photograph(spectra: Sequence[Spectrum]) -> str | None:
+    """The spectrum of which SH colours are blended beside features: a photograph that comes first; None: there is none.
+
+    Args:
+        spectra: All of a model, in order.
+    """
+    return spectra[0].name if spectra[0].is_photograph else None
 
 
 def _modulating(name: str, spectra: Mapping[str, SpectrumConfig]) -> str | None:

@@ -8,7 +8,8 @@ from torch import nn
 
 from thermosplat.config import DecoderConfig
 from thermosplat.scene.decoders import Decoders
-from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
+from thermosplat.scene.formations.kinds import make_decoder
+from thermosplat.scene.spectrum_decoders import SpectrumDecoders
 from thermosplat.spectra import Spectrum
 
 RGB = Spectrum("rgb", 3, "photograph", "shared", (0, 3), "thermal")
@@ -74,9 +75,9 @@ def test_a_spectrum_that_is_not_decoded() -> None:
 
 def test_configuration_decides() -> None:
     """Joined or separate branches; a viewing direction adds three inputs, a frequency twice the features."""
-    assert isinstance(make_decoders(CONFIG, 6, [RGB, THERMAL]), SpectrumDecoders)
-    joined = make_decoders(DecoderConfig(hidden_dim=8, view_direction=True), 6, [RGB, THERMAL])
+    assert isinstance(make_decoder(CONFIG, 6, [RGB, THERMAL]), SpectrumDecoders)
+    joined = make_decoder(DecoderConfig(hidden_dim=8, view_direction=True), 6, [RGB, THERMAL])
     assert isinstance(joined, Decoders)
     assert joined.image("rgb", torch.zeros(2, 2, 9)).shape == (2, 2, 3)
-    both = make_decoders(DecoderConfig(hidden_dim=8, view_direction=True, fourier_frequency=3.0), 6, [RGB, THERMAL])
+    both = make_decoder(DecoderConfig(hidden_dim=8, view_direction=True, fourier_frequency=3.0), 6, [RGB, THERMAL])
     assert both.image("rgb", torch.zeros(2, 2, 21)).shape == (2, 2, 3)

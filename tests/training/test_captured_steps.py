@@ -13,6 +13,7 @@ from thermosplat.config import AutoBudgetConfig, DensificationConfig, Resolution
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.plain_steps import PlainSteps
+from thermosplat.training.session.run_metrics import feature_channels
 from thermosplat.training.trainer import Trainer
 from toy_run import enlarged, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -215,7 +216,7 @@ def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
     assert isinstance(captured.steps, CapturedSteps)
     assert captured.steps._graphs
     assert captured.guard.first_bad() is None
-    assert captured.model.feature_channels == plain.model.feature_channels == 1
+    assert feature_channels(captured.model) == feature_channels(plain.model) == 1
     ours, theirs = captured.model.gaussians("shared"), plain.model.gaussians("shared")
     torch.testing.assert_close(ours.means, theirs.means, rtol=0.05, atol=5e-3)
 

@@ -50,8 +50,8 @@ def test_a_packed_frame_keeps_its_lenses() -> None:
     copy = packed_elsewhere(frame)
     assert copy.memory is not None
     copy.memory.zero_()
-    assert frame.views["rgb"].fisheye
-    assert not frame.views["thermal"].fisheye
+    assert frame.views["rgb"].lens_model == "fisheye"
+    assert frame.views["thermal"].lens_model == "pinhole"
     torch.testing.assert_close(frame.views["thermal"].lens, torch.tensor([*BARREL.radial, *BARREL.tangential]))
     assert not copy.views["thermal"].lens.any()
 

@@ -169,19 +169,19 @@ def test_no_blur_is_learnt_of_noise(tmp_path: Path) -> None:
     )
     runs = {sigma: noisy(many_frames(toy_capture()), thermal=sigma) for sigma in (1, 8)}
     clean = toy_trainer(tmp_path / "clean", config, runs[1])
-    assert clean.model.point_spreads == pytest.approx({"thermal": 0.05})
+    assert clean.model.formations.found("point_spread") == pytest.approx({"thermal": 0.05})
     assert clean.image_notes == ()
 
     trainer = toy_trainer(tmp_path / "noisy", config, runs[8])
-    assert trainer.model.point_spreads == {}
+    assert trainer.model.formations.found("point_spread") == {}
     (note,) = trainer.image_notes
     assert note.endswith("): no point spread.")
     trainer.train()
     resumed = Trainer.resume(dataclasses.replace(config, max_steps=14), runs[8], trainer.run)
     resumed.train()
-    assert resumed.model.point_spreads == {}
+    assert resumed.model.formations.found("point_spread") == {}
     loaded = load_run(trainer.run.path, device="cpu")
-    assert (loaded.step, loaded.model.point_spreads) == (14, {})
+    assert (loaded.step, loaded.model.formations.found("point_spread")) == (14, {})
     assert loaded.config.spectra["thermal"].point_spread == 0.05  # as it was asked for
 
 
@@ -238,7 +238,8 @@ def test_noise_of_other_images_changes_no_model(tmp_path: Path, then: int, now: 
     trainer.save()
     resumed = Trainer.resume(config, noisy(many_frames(toy_capture()), thermal=now), trainer.run)
     resumed.train()
-    assert list(resumed.model.point_spreads) == list(trainer.model.point_spreads) == ([] if then == 8 else ["thermal"])
+    blurred = [list(one.model.formations.found("point_spread")) for one in (resumed, trainer)]
+    assert blurred == 2 * [[] if then == 8 else ["thermal"]]
     assert load_run(trainer.run.path, device="cpu").step == config.max_steps
 
 

@@ -127,17 +127,18 @@ def test_one_run_trains_all_scenes(tmp_path: Path, capture: Capture) -> None:
     again = trainer.model.gaussians("shared")
     assert len(again) == len(capture.points)
     assert not torch.equal(again.features, start)
-    decoders = {key: value.clone() for key, value in trainer.model.decoders.state_dict().items()}
+    decoders = {key: value.clone() for key, value in trainer.model.formations.decoder.state_dict().items()}
     for _ in range(16):
         trainer._train_step()
     assert trainer.step == 16
     assert not trainer.state.kept_scenes
     second = len(trainer.model.gaussians("shared")) - len(first["shared"]["means"])
     assert second > len(capture.points)  # both have grown
-    for key, value in trainer.model.decoders.state_dict().items():
+    for key, value in trainer.model.formations.decoder.state_dict().items():
         assert torch.equal(value, decoders[key])
     trainer._train_step()
-    assert any(not torch.equal(value, decoders[key]) for key, value in trainer.model.decoders.state_dict().items())
+    trained = trainer.model.formations.decoder.state_dict()
+    assert any(not torch.equal(value, decoders[key]) for key, value in trained.items())
 
 
 def test_what_a_user_sees(tmp_path: Path, capture: Capture, capsys: pytest.CaptureFixture[str]) -> None:

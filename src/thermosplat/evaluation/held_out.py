@@ -21,6 +21,7 @@ from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
 from thermosplat.pictures.image_display import spectrum_bytes, write_png
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.background_writes import background_writes
+from thermosplat.scene.formations.formation import Formation
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import BIAS, MAE, label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
@@ -30,7 +31,7 @@ from thermosplat.thermography.scene_temperatures import SceneTemperatures
 Lpips = Callable[[Tensor, Tensor], float | None]
 
 COLUMNS = ("psnr", "ssim", "lpips")
-"""Metrics of every spectrum; measured ones have "mae_<unit>" as well."""
+"""Metrics of every spectrum; measured ones have "mae_<unit>" as well, and a kind of formation may have its own."""
 LARGEST_ERROR = 0.25  # of the value range 0 to 1, at the bright end of error maps
 LARGEST_MEASURED_ERROR = 0.1  # of the range of values, where they are measured
 
@@ -51,6 +52,8 @@ class RenderedView:
     """What pixel values mean."""
     values: Tensor | None
     """[H, W]; where there are measured values."""
+    formation: Formation | None = None
+    """How it was formed; says what else it is judged by."""
     temperatures: SceneTemperatures | None = None
     """How values are recalculated; None: they are not."""
 
@@ -113,7 +116,9 @@ def rendered_views(
         if view.image is not None:
             measured = scales[name].measured_unit is not None
             values = view.values if measured else None
-            yield RenderedView(name, view, image.clamp(0, 1), view.image, scales[name], values, temperatures)
+            formation = rendered.formations.get(name)
+            image = image.clamp(0, 1)
+            yield RenderedView(name, view, image, view.image, scales[name], values, formation, temperatures)
 
 
 @torch.no_grad()
@@ -141,10 +146,10 @@ def evaluate(
         temperatures: How temperatures are recalculated before they are compared; None: they are not.
 
     Returns:
-        By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>", "bias_<unit>"}``, each the mean over the
-        views that have it, None where none has; None as a whole for a spectrum without held-out views. The last two are
-        there where its values are measured: the mean absolute error, and that of render minus image. "spectra" lists
-        their names; "num_gaussians" counts the Gaussians.
+        By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>", "bias_<unit>"}`` and
+        ``Formation.scores``, each the mean over the views that have it, None where none has; None as a whole for a
+        spectrum without held-out views. The mean absolute error and the bias, that of render minus image, are there
+        where its values are measured. "spectra" lists their names; "num_gaussians" counts the Gaussians.
     """
     rows: list[dict[str, Any]] = []
     with background_writes() as write:
@@ -198,6 +203,8 @@ def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | Non
             missed = result.missed[result.values.isfinite()]
             numbers[f"{MAE}{result.scale.unit}"] = missed.abs().mean().item()
             numbers[f"{BIAS}{result.scale.unit}"] = missed.mean().item()
+    if result.formation is not None:
+        numbers |= result.formation.scores(result.image, result.target, result.mask)
     return {name: _finite(number) for name, number in numbers.items()}
 
 

@@ -31,7 +31,7 @@ from torch import Tensor, nn
 from thermosplat.config import Refined
 from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.capture import Capture, Frame, View
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, has_fisheye, lens_tensor
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, lens_tensor
 from thermosplat.refinement.camera_motion import moved_camera, moved_frame, with_focal_factor
 from thermosplat.refinement.preconditioning import normal_matrix, points_in_view, preconditioner
 
@@ -271,7 +271,7 @@ def camera_tensors(view: View) -> ViewTensors:
         camera.height,
         distortion=distortion,
         lens=None if lens is None else lens.double(),
-        fisheye=has_fisheye(camera),
+        lens_model=camera.lens_model,
         readout=None if view.readout is None else torch.from_numpy(view.readout.motion),
         line_order="top-to-bottom" if view.readout is None else view.readout.order,
     )

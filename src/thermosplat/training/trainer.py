@@ -28,8 +28,9 @@ from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import FolderGoneError, RunDirectory
+from thermosplat.scene.formations.saved_formations import as_trained
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.model import SceneModel, as_trained
+from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import offload
 from thermosplat.stop_signals import deferred_interrupts, raise_lost_stop, signal_of
 from thermosplat.training.batch_steps import BatchSteps
@@ -43,7 +44,7 @@ from thermosplat.training.captured_batches import CapturedBatches
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_limit import with_limit
 from thermosplat.training.density.gaussian_ops import become_copy
-from thermosplat.training.fast_decoders import fast_decoders
+from thermosplat.training.fast_decoders import fast_decoding
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.resolution_schedule import most_gaussians, resolution_note
@@ -150,13 +151,15 @@ class Trainer:
             if not self.state.growing:
                 self.state.noise_watch.end()
         self.device_step = TrainingStep(
-            config, self.state, self.guard, PairCapacity(self.device), tolerances=self.tolerances
+            config,
+            self.state,
+            self.guard,
+            PairCapacity(self.device),
+            fast_decoding(self.model.formations, config, self.device),
+            tolerances=self.tolerances,
         )
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
-        fast = fast_decoders(self.model.decoders, config, self.device)
-        if fast is not None:
-            self.device_step.decoding = fast.active
         self.steps: PlainSteps | CapturedSteps | BatchSteps = self._make_steps()
         self.checkpoints = CheckpointWriter(self.logger.say)
         self.results = RunResults(config, capture, run, self.state, self.logger, self.device)
@@ -418,8 +421,8 @@ class Trainer:
         state = self.state
         start = of_passes(self.config) if state.camera_passes > 1 else self.config
         model = self._make_model(None, replace(start, seed=seed_of_scene(self.config.seed, len(kept))))
-        if kept and model.decoders is not None and self.model.decoders is not None:
-            model.decoders.load_state_dict(self.model.decoders.state_dict())
+        if kept:
+            model.formations.load_state_dict(self.model.formations.state_dict())
         state.start_anew(model, kept)
 
     def _scene_ends(self, step: int) -> bool:
@@ -451,7 +454,7 @@ class Trainer:
         return kept_scene(self.model)
 
     def _joined_sets(self, scenes: Sequence[Scene]) -> dict[str, Gaussians]:
-        return joined_sets(scenes, self.config, list(self.model.spectra.values()))
+        return joined_sets(scenes, self.config, self.model.formations)
 
     def _join_scenes(self, sets: Mapping[str, Gaussians]) -> None:
         self.state.take(sets)

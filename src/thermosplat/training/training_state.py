@@ -91,8 +91,8 @@ class TrainingState:
         self.optimizers: dict[str, Optimizers] = {
             name: gaussian_optimizers(gaussians, config.optimizer) for name, gaussians in self.gaussian_sets.items()
         }
-        if model.decoders is not None:
-            self.optimizers["decoders"] = {"decoders": network_optimizer(model.decoders, config.optimizer)}
+        if any(True for _ in model.formations.parameters()):
+            self.optimizers["decoders"] = {"decoders": network_optimizer(model.formations, config.optimizer)}
         self.exposures: Exposures | None = None
         exposed = [spectrum for name, spectrum in model.spectra.items() if config.spectra[name].exposure != "fixed"]
         if exposed:
@@ -171,8 +171,7 @@ class TrainingState:
         self.take({name: model.gaussians(name) for name in self.gaussian_sets})
         for strategy in self.strategies.values():
             strategy.growing = True
-        if self.model.decoders is not None and model.decoders is not None:
-            self.model.decoders.load_state_dict(model.decoders.state_dict())
+        self.model.formations.load_state_dict(model.formations.state_dict())
         for parameter in [] if self.exposures is None else self.exposures.parameters():
             parameter.zero_()
         for owner in self.optimizers.keys() - self.gaussian_sets.keys():
@@ -344,7 +343,7 @@ class TrainingState:
         self.camera_passes = training.camera_passes
         self.scenes_left, self.kept_scenes = training.scenes_left, list(training.kept_scenes)
         for scene in filter(None, self.kept_scenes):
-            restored_sets(scene, checkpoint.config, list(self.model.spectra.values()))  # whether it can be
+            restored_sets(scene, checkpoint.config, self.model.formations)  # whether it can be
         self.noisy = self.noisy if training.noisy is None else training.noisy
         self.growing = training.growing
         self.offsets_dropped = training.offsets_dropped

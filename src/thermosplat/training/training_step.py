@@ -332,7 +332,7 @@ class TrainingStep:
     def _feature_norm(self) -> dict[str, Tensor]:
         """The penalty on the latent features, where there are some and it is asked for."""
         weight = self.config.loss.feature_norm
-        if weight == 0 or self.state.model.decoders is None:
+        if weight == 0 or not self.state.model.has_features:
             return {}
         return {"feature_norm": weight * feature_norm_loss(self.state.gaussian_sets[SHARED].features)}
 

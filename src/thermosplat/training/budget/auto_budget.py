@@ -313,7 +313,7 @@ class AutoBudget:
             sh_degree: Degree of the spherical harmonics in use.
         """
         state = self.state
-        if state.model.decoders is None:
+        if not state.model.has_features:
             return
         change = self.images(sh_degree, self.config)
         if change.not_learnt:
