@@ -292,19 +292,19 @@ def test_spots_lines_and_files(browser: Any, viewer: Viewer) -> None:
     tab.page.wait_for_timeout(1000)
     click(400, 250)
     wait_for(lambda: len(session.measurements) == 2, tab.page)
-    use("Area")
+    use("Rectangle")
     tab.page.mouse.move(260, 260)
     tab.page.mouse.down()
     tab.page.mouse.move(350, 330, steps=5)
     tab.page.mouse.up()
     wait_for(lambda: len(session.measurements) == 3, tab.page)
-    assert [made.name for made in session.measurements] == ["S1", "L1", "A1"]
+    assert [made.name for made in session.measurements] == ["S1", "L1", "R1"]
     scale = tab.visitor.scene.scales["thermal"]
     degrees = scale.value(pixel_intensity(tab.rendered("thermal"), scale)).numpy()
     spot, _, area = session.measurements
-    assert spot.mean == degrees[300, 300]
-    assert area.maximum <= degrees[255:336, 255:356].max() + 1e-4
-    assert area.count == pytest.approx(91 * 71, rel=0.05)
+    assert spot.numbers.mean == degrees[300, 300]
+    assert area.numbers.maximum <= degrees[255:336, 255:356].max() + 1e-4
+    assert area.numbers.count == pytest.approx(91 * 71, rel=0.05)
     tab.page.get_by_role("button", name="Save as CSV and PNG").click()
     folder = viewer.shared.folder
     wait_for(lambda: folder.is_dir() and len(list(folder.glob("measurements_*.png"))) == 1, tab.page)
@@ -312,6 +312,14 @@ def test_spots_lines_and_files(browser: Any, viewer: Viewer) -> None:
     assert table.read_text(encoding="utf-8").count("\n") == 4
     tab.page.get_by_role("button", name="Delete the last").click()
     wait_for(lambda: len(session.measurements) == 2, tab.page)
+    tab.page.get_by_role("button", name="Undo").click()
+    wait_for(lambda: len(session.measurements) == 3, tab.page)
+    names = ["S1", "L1", "R1"]
+    again = Viewer(viewed_toy(), folder, port=0)  # a restart
+    try:
+        assert list(again.shared.book.pages.by_name) == names
+    finally:
+        again.stop()
 
 
 def test_the_photograph_lies_over_the_render_while_p_is_held(browser: Any, viewer: Viewer) -> None:

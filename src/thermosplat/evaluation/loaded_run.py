@@ -32,7 +32,7 @@ from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermal.recalculation import Recalculation
 from thermosplat.thermal.thermal_parameters import capture_parameters
 from thermosplat.thermography.label_images import LabelImages
-from thermosplat.thermography.measurements_file import MEASUREMENTS, read_scale
+from thermosplat.thermography.measurements_file import FOLDER, MEASUREMENTS, read_scale
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 
@@ -123,7 +123,7 @@ class LoadedRun:
             capture: The run's capture (``capture``), whose folder says what was applied. Label images need it. None:
                 the folder that it was trained from is looked at.
             metres_per_unit: Length of a unit of the capture's own poses [m]; None: that of a measured length
-                (``RUN/measurements.json``), else nobody knows it.
+                (``RUN/measurements/measurements.json``), else nobody knows it.
 
         Raises:
             UserError: A setting is impossible, no spectrum has temperatures, or a file is damaged.
@@ -147,7 +147,7 @@ class LoadedRun:
             names = [name for name, scale in self.scales.items() if scale.measured_unit == CELSIUS]
             labels = {name: LabelImages(capture, self.model, name, labels_file, self.device) for name in names}
         if metres_per_unit is None:
-            metres_per_unit = read_scale(self.directory.path / MEASUREMENTS)
+            metres_per_unit = read_scale(self.directory.path / FOLDER / MEASUREMENTS)
         return SceneTemperatures(self.model, self.scales, made, metres_per_unit=metres_per_unit, labels=labels)
 
     def _corrections(self, capture: Capture, learnt: dict[str, Any]) -> CameraCorrections:

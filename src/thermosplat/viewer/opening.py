@@ -9,11 +9,9 @@ from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run, load_run_of_checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.spectra import CELSIUS
+from thermosplat.thermography.measurements_file import FOLDER
 from thermosplat.viewer.splat_file import open_splats
 from thermosplat.viewer.viewed_scene import ViewedScene
-
-FOLDER = "measurements"
-"""Of a run, where a viewer saves files."""
 
 OTHER_FORMATS = (".splat", ".ksplat", ".spz", ".sog", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
 """Endings of Gaussians' other files."""
