@@ -121,7 +121,8 @@ def test_saved_pictures_are_of_this_view_in_full_size(viewer: Viewer) -> None:
         page.set(button, True)
         page.is_heard()
         wait_for(lambda: not long_work())
-    table, *pictures = sorted(viewer.shared.folder.iterdir())
+    (table,) = viewer.shared.folder.glob("*.csv")
+    pictures = sorted(viewer.shared.folder.glob("*.png"))
     assert table.read_text(encoding="utf-8").count("\n") == 3
     session = page.visitor.session.aside()
     expected = session.marked(session.render(page.visitor.view(), 96, 72))
