@@ -31,6 +31,7 @@ from thermosplat.spectra import BUILT_IN_PALETTES, CELSIUS, SpectrumConfig
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermal.recalculation import Recalculation
 from thermosplat.thermal.thermal_parameters import capture_parameters
+from thermosplat.thermography.certainty import Certainty
 from thermosplat.thermography.label_images import LabelImages
 from thermosplat.thermography.measurements_file import FOLDER, MEASUREMENTS, read_scale
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
@@ -149,6 +150,27 @@ class LoadedRun:
         if metres_per_unit is None:
             metres_per_unit = read_scale(self.directory.path / FOLDER / MEASUREMENTS)
         return SceneTemperatures(self.model, self.scales, made, metres_per_unit=metres_per_unit, labels=labels)
+
+    def certainties(self, capture: Capture) -> dict[str, Certainty]:
+        """How sure measured values are, by spectrum; found when it is first asked for, and kept in the run.
+
+        Args:
+            capture: The run's capture.
+        """
+        stats, name = self.directory.stats, self.result_name(capture)
+        return {
+            spectrum: Certainty(
+                self.model,
+                capture,
+                spectrum,
+                scale,
+                sh_degree=self.sh_degree,
+                device=self.device,
+                keep=stats / f"certainty_{spectrum}_{name}.json",
+            )
+            for spectrum, scale in self.scales.items()
+            if scale.measured_unit is not None and any(spectrum in frame.views for frame in capture.train)
+        }
 
     def _corrections(self, capture: Capture, learnt: dict[str, Any]) -> CameraCorrections:
         """What training found wrong with the cameras of its capture."""

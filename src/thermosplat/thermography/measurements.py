@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.thermography.certainty import DOUBTS, Sure
 from thermosplat.thermography.extents import area_of, points_at
 from thermosplat.thermography.shapes import AREAS, Place, Shape, covered, outline
 
@@ -116,6 +117,8 @@ class Seen:
     """How, for people."""
     reasons: tuple[str, ...] = ()
     """Why they were not elsewhere."""
+    sure: Sure | None = None
+    """How sure the values are; None: nobody knows."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,12 @@ class Numbers:
     """Share of the pixels whose were."""
     reasons: tuple[str, ...]
     """Why others' were not."""
+    uncertainty: float | None = None
+    """Half of the 95% interval of the mean; errors of neighbouring pixels are taken for one and the same."""
+    doubted_share: float = 0.0
+    """Share of the pixels that should not be read."""
+    doubts: tuple[str, ...] = ()
+    """Why not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +178,12 @@ class Measurement:
     @property
     def mean_text(self) -> str:
         """The mean for people: "23.41 °C"; recalculated ones say so."""
-        mark = " (recalculated)" if self.numbers.recalculated_share > 0 else ""
-        return f"{with_unit(self.numbers.mean, self.numbers.unit, self.numbers.decimals)}{mark}"
+        found = self.numbers
+        mark = " (recalculated)" if found.recalculated_share > 0 else ""
+        if found.uncertainty is None:
+            return f"{with_unit(found.mean, found.unit, found.decimals)}{mark}"
+        digits = 1 if found.uncertainty >= 0.1 else 2
+        return f"{with_unit(found.mean, f'± {found.uncertainty:.{digits}f} {found.unit}', digits)}{mark}"
 
     @property
     def text(self) -> str:
@@ -252,7 +265,22 @@ def measure(definition: Definition, seen: Seen) -> Numbers | None:
         recalculated=seen.recalculated if changed.any() else "",
         recalculated_share=float(changed.mean()),
         reasons=seen.reasons if not changed.all() else (),
+        **_how_sure(seen.sure, rows, columns),
     )
+
+
+def _how_sure(sure: Sure | None, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> dict[str, Any]:
+    """The fields of ``Numbers`` on that."""
+    if sure is None:
+        return {}
+    half, doubts = sure.half_width[rows, columns], sure.doubts[rows, columns]
+    known = np.isfinite(half)
+    named = sorted((text for bit, text in DOUBTS.items() if (doubts & bit).any()), key=list(DOUBTS.values()).index)
+    return {
+        "uncertainty": float(np.sqrt(np.mean(half[known] ** 2))) if known.any() else None,
+        "doubted_share": float((doubts > 0).mean()),
+        "doubts": tuple(named),
+    }
 
 
 def profile(definition: Definition, values: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -16,7 +16,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, fields
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -227,16 +227,19 @@ def _settings(stated: Any, path: Path | None) -> dict[str, float]:
 
 
 def _numbers(stated: Any) -> Numbers:
-    values = {one.name: stated[one.name] for one in fields(Numbers)}
+    values = {one.name: stated.get(one.name, one.default) for one in fields(Numbers)}
+    if missing := [name for name, value in values.items() if value is MISSING]:
+        raise KeyError(missing[0])
     for name in ("minimum_px", "maximum_px"):
         values[name] = tuple(map(_finite, values[name]))
     for name in ("minimum_point", "maximum_point"):
         values[name] = None if values[name] is None else tuple(map(_finite, values[name]))
     values["points"] = tuple(None if point is None else tuple(map(_finite, point)) for point in values["points"])
-    values["reasons"] = tuple(map(str, values["reasons"]))
-    for name in ("minimum", "maximum", "mean", "std", "recalculated_share"):
+    for name in ("reasons", "doubts"):
+        values[name] = tuple(map(str, values[name]))
+    for name in ("minimum", "maximum", "mean", "std", "recalculated_share", "doubted_share"):
         values[name] = _finite(values[name])
-    for name in ("length", "area", "alarm_share", "alarm_area"):
+    for name in ("length", "area", "alarm_share", "alarm_area", "uncertainty"):
         values[name] = None if values[name] is None else _finite(values[name])
     values["count"] = int(values["count"])
     for name in ("quantity", "unit", "recalculated"):
@@ -262,10 +265,10 @@ def _finite(value: Any) -> float:
 
 
 COLUMNS = (
-    *("name", "shape", "layer", "spectrum", "quantity", "unit", "min", "max", "mean", "std", "pixels"),
+    *("name", "shape", "layer", "spectrum", "quantity", "unit", "min", "max", "mean", "plus_minus", "std", "pixels"),
     *("length_m", "area_m2", "length_world", "area_world2", "alarm", "alarm_share", "alarm_area_m2"),
     *("min_px", "max_px", "min_point", "max_point", "points", "places_px", "picture_px", "view", "fov_y", "viewmat"),
-    *("recalculated", "recalculated_share", "reasons"),
+    *("recalculated", "recalculated_share", "reasons", "doubted_share", "doubts"),
 )
 """Of the table, one row for each measurement and one for each difference."""
 
@@ -281,7 +284,7 @@ def table_text(pages: Pages) -> str:
             {
                 **{"name": said.name, "shape": said.shape, "layer": said.layer, "spectrum": said.spectrum},
                 **{"quantity": found.quantity, "unit": found.unit, "min": found.minimum, "max": found.maximum},
-                **{"mean": found.mean, "std": found.std, "pixels": found.count},
+                **{"mean": found.mean, "plus_minus": found.uncertainty, "std": found.std, "pixels": found.count},
                 **{name: metric.get(name) for name in ("length_m", "area_m2", "alarm_area_m2")},
                 **{"length_world": found.length, "area_world2": found.area},
                 **{"alarm": said.alarm.text if said.alarm else "", "alarm_share": found.alarm_share},
@@ -292,7 +295,8 @@ def table_text(pages: Pages) -> str:
                 **{"view": said.standpoint.name, "fov_y": said.standpoint.fov_y},
                 "viewmat": _spaced(said.standpoint.viewmat.ravel().tolist()),
                 **{"recalculated": found.recalculated, "recalculated_share": found.recalculated_share},
-                "reasons": " ".join(found.reasons),
+                **{"reasons": " ".join(found.reasons), "doubted_share": found.doubted_share},
+                "doubts": "; ".join(found.doubts),
             }
         )
     for first, second in pages.differences:

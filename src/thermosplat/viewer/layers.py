@@ -23,6 +23,7 @@ from thermosplat.scene.views import Rendering, render_view
 from thermosplat.spectra import label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import Palette, PixelScale
+from thermosplat.thermography.certainty import DOUBTS, Sure
 from thermosplat.thermography.scene_temperatures import SceneTemperatures, Surroundings, Values
 from thermosplat.viewer.photographs import Photographs
 from thermosplat.viewer.viewed_scene import ViewedScene
@@ -33,10 +34,11 @@ _LABELS = {
     "opacity": "opacity, {}",
     "offset": "opacity offset, {}",
     "features": "features, {}",
+    "doubt": "how sure, {}",
     "error": "error, {}",
     "photograph": "photograph, {}",
 }
-_OTHERS = ("depth", "offset", "photograph")
+_OTHERS = ("depth", "offset", "doubt", "photograph")
 """Layers that a render of the spectrum's image does not have."""
 _SPREAD = 3.0
 """Standard deviations of the features' principal components from black to full colour, to either side."""
@@ -78,9 +80,9 @@ class LayerImage:
     decimals: int = 2
     """Digits behind the point that its values are shown with."""
     changed: NDArray[np.bool_] | None = None
-    """Where temperatures were recalculated, shape [H, W]; None: nothing is."""
+    """Where temperatures were recalculated, or in "how sure" may be read, shape [H, W]; None: it does not matter."""
     reasons: tuple[str, ...] = ()
-    """Why they were not elsewhere, a sentence each."""
+    """Why they were not, or may not, elsewhere; a sentence each."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -102,6 +104,7 @@ def available_layers(scene: ViewedScene) -> list[Layer]:
     layers += [Layer("features", name) for name in spectra if model.formations[name].takes_features]
     layers += [Layer(kind, name) for name in spectra for kind in model.formations[name].layers]
     photographed = [name for name in spectra if any(name in frame.views for frame in scene.frames)]
+    layers += [Layer("doubt", name) for name in scene.certainties]
     layers += [Layer("error", name) for name in photographed]
     layers += [Layer("photograph", name) for name in photographed]
     return layers
@@ -157,6 +160,15 @@ class LayerRenderer:
             depth = model.placement.unit * model.render_depth(name, view)
             field = torch.where(depth > 0, depth, torch.nan).cpu().numpy()
             return LayerImage(layer, field, None, display_palette("turbo"), None, "world units", "depth", 3)
+        if layer.kind == "doubt":
+            sure = self.how_sure(Layer("image", name), view)
+            field = np.full((view.height, view.width), np.nan) if sure is None else sure.half_width
+            doubted = None if sure is None else sure.doubts == 0
+            reasons = () if sure is None else tuple(text for bit, text in DOUBTS.items() if (sure.doubts & bit).any())
+            unit = unit_label(scale.measured_unit or "")
+            shown_field, inferno = field.astype(np.float32), display_palette("inferno")
+            said = tuple(f"hatched, not to be read: {reason}" for reason in reasons)
+            return LayerImage(layer, shown_field, None, inferno, None, unit, "±", changed=doubted, reasons=said)
         if layer.kind == "opacity":
             field = rendered.alphas[name][..., 0].cpu().numpy()
             return LayerImage(layer, field, None, display_palette("white hot"), (0.0, 1.0), "", "opacity", 3)
@@ -205,6 +217,20 @@ class LayerRenderer:
         largest = torch.maximum(logits, gaussians.logit_opacities)
         image, alpha, _ = render_view(gaussians, offsets[:, None].contiguous(), largest, model.seen(view), how)
         return torch.where(alpha > 1e-3, image / alpha.clamp(min=1e-3), torch.nan)[..., 0]
+
+    @torch.no_grad()
+    def how_sure(self, layer: Layer, view: ViewTensors) -> Sure | None:
+        """How sure the values of an image are; None where nobody knows.
+
+        Args:
+            layer: The image.
+            view: From where it is rendered.
+        """
+        certainty = self.scene.certainties.get(layer.spectrum) if layer.kind == "image" else None
+        if certainty is None:
+            return None
+        field = self.render([layer], view)[layer].field  # not recalculated: images are compared with images
+        return None if field is None else certainty.of_view(view, field)
 
     @cached_property
     def features_basis(self) -> "FeatureColors":

@@ -17,6 +17,7 @@ from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.datasets.frame_tensors import ViewTensors, without_pixels
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS
+from thermosplat.thermography.certainty import Sure
 from thermosplat.thermography.hot_regions import HotPixels, Region, find_regions
 from thermosplat.thermography.measurement_book import Pages
 from thermosplat.thermography.measurements import Definition, Measurement, Numbers, Seen, Standpoint, measure
@@ -51,10 +52,9 @@ class Measurer:
         """
         layer = self.layer(definition)
         depth = Layer("depth", definition.spectrum)
-        images = self.renderer.render(
-            [layer, depth], self.tensors(definition.standpoint), temperatures=self.asked(definition)
-        )
-        return seen_layer(images[layer], images[depth], self.asked(definition))
+        view = self.tensors(definition.standpoint)
+        images = self.renderer.render([layer, depth], view, temperatures=self.asked(definition))
+        return seen_layer(images[layer], images[depth], self.asked(definition), self.renderer.how_sure(layer, view))
 
     def layer(self, definition: Definition) -> Layer:
         """The layer of a definition.
@@ -152,13 +152,16 @@ class Measurer:
         raise UserError("Nothing is measured in this scene: no spectrum has a unit.")
 
 
-def seen_layer(image: LayerImage, depth: LayerImage | None, temperatures: SceneTemperatures) -> Seen:
+def seen_layer(
+    image: LayerImage, depth: LayerImage | None, temperatures: SceneTemperatures, sure: Sure | None = None
+) -> Seen:
     """A layer as measurements see it.
 
     Args:
         image: The layer, of values.
         depth: The depth of its spectrum from the same view.
         temperatures: How it was recalculated.
+        sure: How sure its values are.
 
     Raises:
         UserError: It is a layer of colours.
@@ -176,4 +179,5 @@ def seen_layer(image: LayerImage, depth: LayerImage | None, temperatures: SceneT
         changed=image.changed,
         recalculated="" if image.changed is None else temperatures.text,
         reasons=image.reasons,
+        sure=sure,
     )

@@ -66,7 +66,8 @@ def open_scene(
         temperatures = run.temperatures(settings, capture=capture, metres_per_unit=scale_of(capture))
         more += temperatures.notes
     title = f"{name}, step {run.step:,}"
-    scene = ViewedScene(title, run.model, run.sh_degree, scales, run.device, capture, temperatures)
+    sure = {} if capture is None else run.certainties(capture)
+    scene = ViewedScene(title, run.model, run.sh_degree, scales, run.device, capture, temperatures, sure)
     return scene, run.directory.path / FOLDER, [*run.notes, *more]
 
 

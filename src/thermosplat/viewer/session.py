@@ -272,7 +272,9 @@ class ViewSession:
         definition = Definition("", shape, image.layer.kind, image.layer.spectrum, standpoint, places)
         depth = Layer("depth", image.layer.spectrum)
         depths = self._rendered([depth], shown.view, width, height)[depth]
-        numbers = measure(definition, seen_layer(image, depths, self.temperatures))
+        tensors = self._tensors(shown.view, width, height)
+        sure = self.turns.run(lambda: self.renderer.how_sure(image.layer, tensors))
+        numbers = measure(definition, seen_layer(image, depths, self.temperatures, sure))
         return None if numbers is None else self.book.add(Measurement(definition, numbers))
 
     def measure_again(self, name: str, **changes: Any) -> None:
@@ -340,11 +342,14 @@ class ViewSession:
 
 
 def recalculated_text(image: LayerImage, x: float, y: float) -> str:
-    """Whether the value under a point is recalculated, for people; "" where none of the picture's is."""
+    """Whether the value under a point is recalculated, for people; "" where none of the picture's is. In the layer of
+    how sure values are: whether they may be read."""
     if image.changed is None:
         return ""
     height, width = image.changed.shape
     done = image.changed[min(int(y * height), height - 1), min(int(x * width), width - 1)]
+    if image.layer.kind == "doubt":
+        return "" if done else " (not to be read)"
     return " (recalculated)" if done else " (not recalculated)"
 
 

@@ -1,6 +1,7 @@
 """What a viewer shows: a model with the meaning of its pixel values, and the photographs that it was made from."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +15,7 @@ from thermosplat.novel_views.bookmarks import Bookmark, fov_camera
 from thermosplat.novel_views.camera_paths import focus_point, look_to
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.certainty import Certainty
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 FOV_Y = 50.0
@@ -38,6 +40,9 @@ class ViewedScene:
     """Its photographs; None where there are none."""
     recalculable: SceneTemperatures | None = None
     """How its temperatures can be recalculated; None: they cannot."""
+
+    certainties: Mapping[str, Certainty] = field(default_factory=dict)
+    """How sure the values of a spectrum are, by its name."""
 
     @property
     def temperatures(self) -> SceneTemperatures:
