@@ -125,7 +125,6 @@ def test_the_page_shows_the_rasterizers_image(browser: Any, viewer: Viewer) -> N
 def test_the_cursor_reads_the_temperature_of_the_metrics(browser: Any, viewer: Viewer) -> None:
     """The text beside the cursor is scale.value(pixel_intensity(render)), as in metrics.json's MAE, at that pixel."""
     tab = Tab(browser, viewer)
-    tab.choose("RGB", "thermal")
     wait_for(lambda: tab.visitor.session.wish.first.spectrum == "thermal", tab.page)
     tab.rest()
     scale = tab.visitor.scene.scales["thermal"]
@@ -221,7 +220,6 @@ def test_two_tabs_do_not_disturb_each_other(browser: Any, viewer: Viewer) -> Non
     one, other = Tab(browser, viewer), Tab(browser, viewer)
     before, view = other.screenshot(), other.visitor.view().viewmat
     wish, pictures = other.visitor.session.wish, other.visitor.pictures
-    one.choose("RGB", "thermal")
     wait_for(lambda: one.visitor.session.wish.first.spectrum == "thermal", one.page)
     one.rest()
     one.choose("capture", "viridis")
@@ -268,7 +266,6 @@ def test_a_closed_tab_frees_its_memory(browser: Any, viewer: Viewer) -> None:
 def test_spots_lines_and_files(browser: Any, viewer: Viewer) -> None:
     """The mouse measures a spot, a line and an area; they are listed, saved as CSV and PNG, and deleted."""
     tab = Tab(browser, viewer)
-    tab.choose("RGB", "thermal")
     wait_for(lambda: tab.visitor.session.wish.first.spectrum == "thermal", tab.page)
     tab.rest()
     tab.page.get_by_role("tab", name="Measure").click()
@@ -372,7 +369,7 @@ def test_a_click_on_a_frame_flies_there(browser: Any, viewer: Viewer) -> None:
 def test_the_ends_of_the_range_are_those_of_the_picture(browser: Any, viewer: Viewer) -> None:
     """Of depth, whose range nothing but the picture says, "Lowest" and "Highest" show what the colour bar has."""
     tab = Tab(browser, viewer)
-    tab.choose("RGB", "depth, RGB")
+    tab.choose("thermal", "depth, RGB")
     wait_for(lambda: tab.visitor.session.wish.first.kind == "depth", tab.page)
     tab.rest()
     shown = tab.visitor.session.shown

@@ -226,7 +226,8 @@ def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
     low, high = result.scale.range
     missed = result.missed.abs().nan_to_num()  # unmeasured: no error
     largest = LARGEST_MEASURED_ERROR * (high - low)
-    return Comparison(called, score, *shown, missed.cpu().numpy(), largest, unit=unit_label(unit))
+    bar = result.scale.palette, low, high
+    return Comparison(called, score, *shown, missed.cpu().numpy(), largest, unit=unit_label(unit), bar=bar)
 
 
 def _means(rows: list[dict[str, Any]], spectrum: str) -> dict[str, float | None] | None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from thermosplat.novel_views.bookmarks import Bookmark, read_bookmarks, write_bookmarks
 from thermosplat.runs.atomic_writes import sweep
+from thermosplat.spectra import CELSIUS
 from thermosplat.thermography.measurement_book import MeasurementBook
 from thermosplat.thermography.measurements_file import MEASUREMENTS, read_book
 from thermosplat.viewer.door import DEFAULT_PORT, Door, address, open_server
@@ -164,7 +165,9 @@ class Viewer:
 
     def _enter(self, client: "viser.ClientHandle") -> None:
         layers = available_layers(self.shared.scene)
-        session = ViewSession(self.shared.renderer, self.shared.turns, start_wish(layers), book=self.shared.book)
+        measured = [name for name, scale in self.shared.scene.scales.items() if scale.measured_unit == CELSIUS]
+        wish = start_wish(layers, measured)
+        session = ViewSession(self.shared.renderer, self.shared.turns, wish, book=self.shared.book)
         visitor = Visitor(client, session, self.shared)
         with self._changing:
             if client.client_id not in self.server.get_clients():  # gone already

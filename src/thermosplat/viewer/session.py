@@ -1,7 +1,7 @@
 """One viewer's eyes: what it looks at, the picture it sees, what it measures there. It knows nothing of browsers."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -353,13 +353,16 @@ def recalculated_text(image: LayerImage, x: float, y: float) -> str:
     return " (recalculated)" if done else " (not recalculated)"
 
 
-def start_wish(layers: Sequence[Layer]) -> Wish:
-    """What is seen first: the first spectrum's image, ready to be compared with the next one's.
+def start_wish(layers: Sequence[Layer], measured: Collection[str] = ()) -> Wish:
+    """What is seen first: an image with temperatures, ready to be compared with another spectrum's.
 
     Args:
         layers: Those that there are (``available_layers``).
+        measured: Spectra that have temperatures; without any the first spectrum's image is seen.
     """
-    return Wish(layers[0], layers[1] if len(layers) > 1 else layers[0])
+    images = [layer for layer in layers if layer.kind == "image"] or list(layers[:1])
+    first = next((layer for layer in images if layer.spectrum in measured), images[0])
+    return Wish(first, next((layer for layer in images if layer != first), first))
 
 
 def layer_labels(layers: Sequence[Layer]) -> dict[str, Layer]:

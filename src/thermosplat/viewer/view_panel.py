@@ -86,7 +86,14 @@ class ViewPanel:
             control.on_update(heard(self._apply))
 
     def _choose(self, **changes: Layer) -> None:
+        before = self.visitor.session.wish
+        if changes.get("first") == before.second:  # two layers are compared, never one with itself
+            changes["second"] = before.first
+        elif changes.get("second") == before.first:
+            changes["first"] = before.second
         self.visitor.wish(**changes)
+        wish = self.visitor.session.wish
+        self.first.value, self.second.value = wish.first.label, wish.second.label
         self._fill()
 
     def _compare(self) -> None:
