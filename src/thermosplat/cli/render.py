@@ -68,6 +68,7 @@ def _render(arguments: RenderArguments) -> int:
         from thermosplat.pictures.layouts import check_title
         from thermosplat.pictures.video import browsers_play_videos, write_images
         from thermosplat.runs.atomic_writes import check_is_no_link
+        from thermosplat.thermography.display_range import display_range
 
     path, bookmarks = _named_path(arguments.path)
     check_title(arguments.title)
@@ -96,6 +97,7 @@ def _render(arguments: RenderArguments) -> int:
         color_bar=arguments.color_bar,
         title=arguments.title,
         temperatures=temperatures,
+        ranges={name: display_range(capture, name) for name in shown},
     )
     console = SafeConsole()
     doing = f"Rendering {path or 'bookmarks'}"

@@ -26,6 +26,7 @@ from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import BIAS, MAE, label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.display_range import display_range
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 Lpips = Callable[[Tensor, Tensor], float | None]
@@ -152,13 +153,17 @@ def evaluate(
         where its values are measured. "spectra" lists their names; "num_gaussians" counts the Gaussians.
     """
     rows: list[dict[str, Any]] = []
+    ranges = {} if strips_dir is None else {name: display_range(capture, name) for name in model.spectra}
     with background_writes() as write:
         for frame in read_ahead(capture.test):
             results = list(rendered_views(model, frame, capture.scales, sh_degree, device, temperatures))
             numbers = [_numbers(result, lpips) for result in results]
             rows += [{"frame": frame.name, "spectrum": r.spectrum, **values} for r, values in zip(results, numbers)]
             if strips_dir is not None and results:
-                comparisons = [_comparison(result, values["psnr"]) for result, values in zip(results, numbers)]
+                comparisons = [
+                    _comparison(result, values["psnr"], ranges.get(result.spectrum))
+                    for result, values in zip(results, numbers)
+                ]
                 strip = strips_dir / f"{file_stem(frame.name)}.png"
                 write(partial(write_png, strip, comparison_strip(comparisons)))
     if csv_path is not None:
@@ -169,7 +174,13 @@ def evaluate(
 
 @torch.no_grad()
 def frame_comparisons(
-    model: SceneModel, frame: Frame, scales: Mapping[str, PixelScale], *, sh_degree: int, device: torch.device | str
+    model: SceneModel,
+    frame: Frame,
+    scales: Mapping[str, PixelScale],
+    *,
+    sh_degree: int,
+    device: torch.device | str,
+    ranges: Mapping[str, tuple[float, float] | None] | None = None,
 ) -> dict[str, Comparison]:
     """Ground truth, render and error of one frame, by spectrum.
 
@@ -179,9 +190,13 @@ def frame_comparisons(
         scales: The capture's scales.
         sh_degree: Highest SH degree in use.
         device: Where the model is.
+        ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales.
     """
+    shown = ranges or {}
     return {
-        result.spectrum: _comparison(result, _finite(psnr(result.image, result.target, result.mask)))
+        result.spectrum: _comparison(
+            result, _finite(psnr(result.image, result.target, result.mask)), shown.get(result.spectrum)
+        )
         for result in rendered_views(model, frame, scales, sh_degree, device)
     }
 
@@ -213,17 +228,18 @@ def _finite(number: float | None) -> float | None:
     return number if number is not None and math.isfinite(number) else None
 
 
-def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
+def _comparison(result: RenderedView, decibels: float | None, span: tuple[float, float] | None = None) -> Comparison:
+    """A view's images and its error; ``span`` has the values at the palette's ends, None: those of its scale."""
     render, truth = result.image.cpu().numpy(), result.target.cpu().numpy()
     error = (result.counted - result.target).abs().mean(dim=-1).cpu().numpy()
     without = "not finite" if np.isnan(error).any() else "exact"
     score = without if decibels is None else f"{decibels:.2f} dB"
-    shown = spectrum_bytes(truth, result.scale), spectrum_bytes(render, result.scale)
+    shown = spectrum_bytes(truth, result.scale, span), spectrum_bytes(render, result.scale, span)
     called = label(result.spectrum)
     unit = result.scale.measured_unit
     if unit is None or result.missed is None or result.scale.range is None:
         return Comparison(called, score, *shown, error, LARGEST_ERROR)
-    low, high = result.scale.range
+    low, high = span or result.scale.range
     missed = result.missed.abs().nan_to_num()  # unmeasured: no error
     largest = LARGEST_MEASURED_ERROR * (high - low)
     bar = result.scale.palette, low, high

@@ -132,6 +132,7 @@ def rendered_images(
     color_bar: bool = False,
     title: str = "",
     temperatures: SceneTemperatures | None = None,
+    ranges: Mapping[str, tuple[float, float] | None] | None = None,
 ) -> Iterator[Image8]:
     """Render viewpoints one after the other, as images to look at.
 
@@ -145,6 +146,8 @@ def rendered_images(
         title: One line above it; "" for none.
         temperatures: How temperatures are recalculated; None: they are not. Pictures that are say so in the title, and
             pixels that are not are hatched.
+        ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales. Recalculated
+            temperatures have their own.
 
     Yields:
         8-bit RGB [H, W, 3].
@@ -157,23 +160,31 @@ def rendered_images(
         names = [name for name in model.spectra if name in rendered.images]
         if not names:
             continue
+        spans = {} if ranges is None or (temperatures is not None and temperatures.text) else ranges
         images = [
-            _picture(name, rendered.images[name], point.views[name], scales[name], temperatures) for name in names
+            _picture(name, rendered.images[name], point.views[name], scales[name], temperatures, spans.get(name))
+            for name in names
         ]
         picture = arranged(images, layout, index / max(1, len(points) - 1))
         if color_bar or title:
             measured = [name for name in names if color_bar and scales[name].measured_unit is not None]
             units = [unit_label(scales[name].measured_unit or "") for name in measured]
-            picture = with_legend(picture, [scales[name] for name in measured], units, title)
+            shown_scales = [replace(scales[name], range=spans.get(name) or scales[name].range) for name in measured]
+            picture = with_legend(picture, shown_scales, units, title)
         yield picture
 
 
 def _picture(
-    name: str, image: Tensor, view: ViewTensors, scale: PixelScale, temperatures: SceneTemperatures | None
+    name: str,
+    image: Tensor,
+    view: ViewTensors,
+    scale: PixelScale,
+    temperatures: SceneTemperatures | None,
+    span: tuple[float, float] | None,
 ) -> Image8:
     """A rendered image for the eye; recalculated where that is asked for, with ``scale`` the recalculated one."""
     if temperatures is None or not temperatures.recalculates(name) or scale.range is None:
-        return spectrum_bytes(image.cpu().numpy(), scale)
+        return spectrum_bytes(image.cpu().numpy(), scale, span)
     made = temperatures.of_image(name, image, view)
     low, high = scale.range
     shares = (made.values.cpu().numpy() - low) / max(high - low, 1e-12)

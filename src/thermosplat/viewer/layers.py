@@ -154,7 +154,8 @@ class LayerRenderer:
     ) -> LayerImage:
         name, scale = layer.spectrum, self.scene.scales[layer.spectrum]
         if layer.kind == "image":
-            return image_layer(layer, rendered.images[name], scale, values=values, temperatures=shown)
+            span = self.scene.display_ranges.get(name)
+            return image_layer(layer, rendered.images[name], scale, values=values, temperatures=shown, shown=span)
         if layer.kind == "depth":
             model = self.scene.model
             depth = model.placement.unit * model.render_depth(name, view)
@@ -185,7 +186,8 @@ class LayerRenderer:
         photograph = self.photographs.nearest(name, view)
         if layer.kind == "photograph":
             taken, valid = torch.nan_to_num(photograph.image), photograph.valid
-            return image_layer(layer, taken, scale, values=values, valid=valid, temperatures=shown)
+            span = self.scene.display_ranges.get(name)
+            return image_layer(layer, taken, scale, values=values, valid=valid, temperatures=shown, shown=span)
         return self._error(layer, rendered.images[name].clamp(0, 1), photograph.image, scale, shown)
 
     def _error(
@@ -201,7 +203,8 @@ class LayerRenderer:
         made = shown.of(layer.spectrum, scale.value(pixel_intensity(image, scale)))
         error = (made.values - seen.values).abs()
         field = torch.where(hidden, torch.nan, error).cpu().numpy()
-        largest = LARGEST_MEASURED_ERROR * (scale.range[1] - scale.range[0])
+        low, high = self.scene.display_ranges.get(layer.spectrum) or scale.range
+        largest = LARGEST_MEASURED_ERROR * (high - low)
         unit = unit_label(scale.measured_unit)
         return LayerImage(
             layer, field, None, palette, (0.0, largest), unit, "error", changed=made.changed, reasons=made.reasons
@@ -266,6 +269,7 @@ def image_layer(
     values: bool,
     valid: Tensor | None = None,
     temperatures: _Temperatures | None = None,
+    shown: tuple[float, float] | None = None,
 ) -> LayerImage:
     """An image of a spectrum: colours of a photograph, else values, in the unit that metrics.json's errors have.
 
@@ -276,9 +280,10 @@ def image_layer(
         values: As of ``LayerRenderer.render``.
         valid: Mask [H, W] of the pixels that are there; None: all.
         temperatures: How temperatures are recalculated; None: they are not.
+        shown: Values at the palette's ends; None: those that 0 and 1 stand for.
     """
     image, measured = image.clamp(0, 1), scale.measured_unit
-    span = scale.range if measured is not None and scale.range is not None else (0.0, 1.0)
+    span = (shown or scale.range) if measured is not None and scale.range is not None else (0.0, 1.0)
     unit = "" if measured is None else unit_label(measured)
     quantity = "intensity" if measured is None else "temperature" if unit == "°C" else measured
     decimals = 2 if unit == "°C" else 3

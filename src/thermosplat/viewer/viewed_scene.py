@@ -16,6 +16,7 @@ from thermosplat.novel_views.camera_paths import focus_point, look_to
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.certainty import Certainty
+from thermosplat.thermography.display_range import display_range
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 FOV_Y = 50.0
@@ -43,6 +44,12 @@ class ViewedScene:
 
     certainties: Mapping[str, Certainty] = field(default_factory=dict)
     """How sure the values of a spectrum are, by its name."""
+
+    @cached_property
+    def display_ranges(self) -> dict[str, tuple[float, float] | None]:
+        """Values at the palettes' ends by spectrum; None of one that keeps its scale's."""
+        capture = self.capture
+        return {} if capture is None else {name: display_range(capture, name) for name in self.scales}
 
     @property
     def temperatures(self) -> SceneTemperatures:
