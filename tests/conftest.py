@@ -1,5 +1,6 @@
 """Fixtures every test folder may use."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,12 +16,20 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With ``-n``, the tests of a file run in one process, which makes its fixtures once; --dist says otherwise."""
+    """With ``-n``, each process has tests that follow each other, and then some of whoever has more; --dist says
+    otherwise."""
     if config.getoption("dist") != "load":
         return None
-    from xdist.scheduler import LoadFileScheduling
+    from xdist.scheduler import WorkStealingScheduling
 
-    return LoadFileScheduling(config, log)
+    return WorkStealingScheduling(config, log)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """With ``-n``, there are processes for all cores: each has one thread, and so has what it starts."""
+    if hasattr(config, "workerinput"):
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
+        torch.set_num_threads(1)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -1,13 +1,12 @@
 """Python in the documents: whole examples run, fragments of files can be parsed."""
 
 import ast
-import subprocess
-import sys
 import textwrap
 from pathlib import Path
 
 import pytest
 
+from forked_processes import run_python
 from repository_documents import NAMES, code_blocks
 from thermosplat.cli import train
 
@@ -21,7 +20,7 @@ def test_the_examples_run(document: str, code: str, tmp_path: Path) -> None:
     """An example runs as it stands, in a process and a folder of its own."""
     script = tmp_path / "example.py"  # Warp reads the source of kernels
     script.write_text(code, encoding="utf-8")
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = run_python(script, folder=tmp_path)
     assert done.returncode == 0, f"{document}: {done.stderr}"
 
 
