@@ -7,6 +7,8 @@ import pytest
 from forked_processes import run_python
 from warp_kernels.step_kernels import cpu_step_kernels
 
+pytestmark = pytest.mark.rotating
+
 STEP = """
 import sys
 import torch
