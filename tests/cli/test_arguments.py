@@ -130,6 +130,7 @@ def test_help_shows_the_presets_values(capsys: pytest.CaptureFixture[str]) -> No
     assert f"(default: {load_config('demo').max_steps})" in capsys.readouterr().out
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("command", ["train", "evaluate", "render", "export", "prepare", "benchmark"])
 def test_help_imports_nothing_heavy(command: str) -> None:
     """--help of every command answers without torch, Warp, OpenCV, kornia or pycolmap."""

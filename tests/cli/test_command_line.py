@@ -14,7 +14,7 @@ from thermosplat.cli import benchmark, evaluate, export, prepare, render, train
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.errors import UserError
 
-pytestmark = pytest.mark.usefixtures("stoppable")
+pytestmark = [pytest.mark.usefixtures("stoppable"), pytest.mark.rotating]
 
 COMMANDS = {
     "train": train,

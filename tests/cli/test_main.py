@@ -11,6 +11,8 @@ import pytest
 from thermosplat.__main__ import COMMANDS, main
 from training_processes import environment
 
+pytestmark = pytest.mark.rotating
+
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
