@@ -329,6 +329,14 @@ def test_a_setting_that_is_gone(name: str, tmp_path: Path) -> None:
         assert full in notes[0]
 
 
+def test_rates_of_opacities_that_were_the_same() -> None:
+    """What a configuration of demo says of offsets is what every opacity has; another rate is none of today's."""
+    rates = {"opacities_lr": 0.075, "opacity_offsets_lr": 0.075, "own_opacities_lr": 0.05}
+    assert from_dict({"optimizer": rates}).optimizer.opacities_lr == 0.075
+    with pytest.raises(UserError, match=r"optimizer\.opacity_offsets_lr is no setting any more, found 0\.075"):
+        from_dict({"optimizer": {**rates, "opacities_lr": 0.05}})
+
+
 def test_a_choice_that_is_gone(tmp_path: Path) -> None:
     """Told of what is trained; in a file a mistake that names the choices there are."""
     notes: list[str] = []

@@ -32,7 +32,7 @@ def test_schedules_count_images_and_rates_follow_the_root() -> None:
     assert scaled.refine_rounds_from == 21
     assert scaled.auto_budget.patience == 750
     assert scaled.log_every == config.log_every
-    unscaled = ("eps", "final_share", "cooldown_from")
+    unscaled = ("final_share", "cooldown_from")
     for field in dataclasses.fields(config.optimizer):
         before, after = getattr(config.optimizer, field.name), getattr(scaled.optimizer, field.name)
         assert after == (before if field.name in unscaled else 2 * before), field.name

@@ -5,8 +5,6 @@ docs/migrating.md holds the same table for readers.
 
 import dataclasses
 
-import yaml
-
 from thermosplat.config import TrainConfig
 from thermosplat.config.renamed import GONE, NEW_NAMES, gone
 from thermosplat.errors import UserError
@@ -98,13 +96,19 @@ def without_gone_flags(argv: list[str]) -> list[str]:
         if of_name is None:
             kept.append(word)
             continue
-        if isinstance(of_name.neutral[0], bool):
-            value: object = switch
-        else:
-            value = yaml.safe_load(text if equals else next(words, ""))
+        value: object = switch
+        if not isinstance(of_name.neutral[0], bool):
+            value = _number_or_text(text if equals else next(words, ""))
         if not of_name.asks_for_today(value):
             raise UserError(of_name.said(given, value), "Leave it out.")
     return kept
+
+
+def _number_or_text(word: str) -> float | str:
+    try:
+        return float(word)
+    except ValueError:
+        return word
 
 
 def _setting(flag: str) -> tuple[str, bool]:

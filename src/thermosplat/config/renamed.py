@@ -74,6 +74,15 @@ GONE = {
     "spectra.*.charbonnier": Gone((0.0,), "Differences count as |d| + k d², with the k that spectra.*.squared gives."),
     "optimizer.exposures_lr": _SOLVED,
     "optimizer.exposures_lr_final": _SOLVED,
+    "optimizer.opacity_offsets_lr": Gone((0.05,), "Every opacity learns at the rate optimizer.opacities_lr."),
+    "optimizer.own_opacities_lr": Gone((0.05,), "Every opacity learns at the rate optimizer.opacities_lr."),
+    **{
+        f"optimizer.{name}": Gone((value,))
+        for name, value in {
+            **{"poses_lr": 1e-4, "poses_lr_final": 2.5e-6, "cameras_lr": 1.5e-3, "cameras_lr_final": 5e-6},
+            "eps": 1e-15,
+        }.items()
+    },
     "auto_budget.prune_by": Gone(
         ("removal",), "A Gaussian's importance is the change of the images where it alone is left out."
     ),
@@ -195,14 +204,21 @@ def _exposed(values: dict[str, Any], exposed: Any) -> bool:
     return isinstance(exposed, bool)
 
 
+def _same_rate(values: dict[str, Any], rate: Any) -> bool:
+    optimizer = values.get("optimizer", {})
+    return isinstance(optimizer, dict) and rate == optimizer.get("opacities_lr")
+
+
 _CHANGES: dict[str, Change] = {
+    "optimizer.opacity_offsets_lr": _same_rate,
+    "optimizer.own_opacities_lr": _same_rate,
     "model.exposures": _exposed,
     "model.rgb": _modelled("rgb"),
     "model.thermal": _modelled("thermal"),
     "model.geometric_decoupling": _decoupled,
     "densification.decompose_threshold": _decomposed,
 }
-"""Settings whose values say something else today."""
+"""Settings whose values say something else today, or the same as another one."""
 
 _MISSING = object()
 

@@ -98,7 +98,7 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """Adam's learning rates, each a constant unless it or ``final_share`` says otherwise."""
+    """Adam's learning rates of the scene, each a constant unless it or ``final_share`` says otherwise."""
 
     means_lr: float = 1.6e-4
     """Means, times the scene's extent. 3DGS."""
@@ -109,7 +109,8 @@ class OptimizerConfig:
     quats_lr: float = 1e-3
     """Quaternions. 3DGS."""
     opacities_lr: float = 5e-2
-    """Logit-opacities. 3DGS (gsplat and the original code: 0.05)."""
+    """Logit-opacities, and offsets and own logits of the opacities of further spectra. 3DGS (gsplat and the original
+    code: 0.05); MMOne trains its thermal opacity with the same rate."""
     sh0_lr: float = 2.5e-3
     """SH degree 0, of every spectrum that has SH colours. 3DGS."""
     shN_lr: float = 2.5e-3 / 20
@@ -123,30 +124,15 @@ class OptimizerConfig:
     features_lr_final: float = 5e-4
     """Latent features at the last step (exponential decay). Open choice: as the decoders'; at a constant rate features
     go on fitting the noise of the training views (benchmarks/records/thermosplat-preset.md)."""
-    opacity_offsets_lr: float = 5e-2
-    """Offsets of a spectrum's opacity. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
-    own_opacities_lr: float = 5e-2
-    """Logits of a spectrum's own opacity. MMOne: the opacity's rate."""
     decoders_lr: float = 5e-3
     """Decoder networks. Open choice: MS-Splatting's."""
     decoders_lr_final: float = 5e-4
     """Decoder networks at the last step (exponential decay). Open choice."""
-    poses_lr: float = 1e-4
-    """Poses of the training frames (``refine``), in widths of the images. Open choice."""
-    poses_lr_final: float = 2.5e-6
-    """Poses at the last step (exponential decay). Open choice."""
-    cameras_lr: float = 1.5e-3
-    """Distortion of the first spectrum, or the only one's focal lengths (``refine``), in widths of the images. Open
-    choice: more than poses, which few steps look at."""
-    cameras_lr_final: float = 5e-6
-    """The same at the last step (exponential decay). Open choice."""
     final_share: float = 1.0
     """Share of every other rate that is left at the last step (exponential decay). 3DGS: 1, all of it."""
     cooldown_from: float = 1.0
     """Share of the steps after which every rate also falls to zero, in a straight line. 1: none does. Open choice;
     Hägele et al. 2024, "Scaling Laws and Compute-Optimal Training Beyond Fixed Training Durations"."""
-    eps: float = 1e-15
-    """Adam's ε. 3DGS."""
 
 
 SPLIT_APART_MOST = 0.8
