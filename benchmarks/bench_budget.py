@@ -75,7 +75,7 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
         result_dir=str(out),
         budget="auto" if budget < 1.0 else "fixed",
         auto_budget=AutoBudgetConfig(prune_at=()),
-        densification=replace(before.densification, enabled=False),
+        densification=replace(before.densification, stop_step=0),
     )
     trainer = PrunedTrainer(config, capture, RunDirectory.create(out, overwrite=True), checkpoint=checkpoint)
     if trainer.budget is not None:

@@ -249,8 +249,10 @@ def test_two_switches_of_the_opacity(model: dict[str, Any], opacity: str, tmp_pa
 
 def test_decomposition_was_a_threshold() -> None:
     """It is a strategy today; null was none, also on top of a preset that has one."""
-    values = with_todays_names({"densification": {"decompose_threshold": 3e-4, "strategy": "default"}}, source="")
-    assert values == {"densification": {"conflict_threshold": 3e-4, "strategy": "decomposing"}}
+    values = with_todays_names({"densification": {"decompose_threshold": 2e-4, "strategy": "default"}}, source="")
+    assert values == {"densification": {"strategy": "decomposing"}}
+    with pytest.raises(UserError, match=r"conflict_threshold is no setting any more, found 0\.0003"):
+        with_todays_names({"densification": {"decompose_threshold": 3e-4}}, source="")
     for stated in ({}, {"strategy": "default"}):
         values = with_todays_names({"densification": {"decompose_threshold": None, **stated}}, source="")
         assert values == {"densification": {"strategy": "default"}}
@@ -263,7 +265,7 @@ def test_decomposition_was_a_threshold() -> None:
     [
         ("model: {thermal: maybe}\n", 'unknown key "model.thermal"'),
         ("model: {geometric_decoupling: 3}\n", 'unknown key "model.geometric_decoupling"'),
-        ("densification: {decompose_threshold: much}\n", '"densification.conflict_threshold" must be a number'),
+        ("densification: {decompose_threshold: much}\n", "conflict_threshold is no setting any more, found 'much'"),
         ("thermal: {rang: 3}\n", 'unknown key "thermal"'),
         ("thermal: 3\n", 'unknown key "thermal"'),
         ("schedule: {thermal_until: 0.5}\n", 'unknown key "schedule"'),
@@ -335,6 +337,15 @@ def test_rates_of_opacities_that_were_the_same() -> None:
     assert from_dict({"optimizer": rates}).optimizer.opacities_lr == 0.075
     with pytest.raises(UserError, match=r"optimizer\.opacity_offsets_lr is no setting any more, found 0\.075"):
         from_dict({"optimizer": {**rates, "opacities_lr": 0.05}})
+
+
+def test_density_control_that_was_switched_off() -> None:
+    """It never began; opacities were reset to twice what is pruned."""
+    off = {"densification": {"enabled": False, "stop_step": 15_000, "prune_opacity": 0.1, "reset_opacity": 0.2}}
+    assert from_dict(off).densification.stop_step == 0
+    assert from_dict({"densification": {"enabled": True}}) == TrainConfig()
+    with pytest.raises(UserError, match=r'unknown key "densification\.enabled"'):
+        from_dict({"densification": {"enabled": "no"}})
 
 
 def test_a_choice_that_is_gone(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 import pytest
 import torch
 
+from toy_run import toy_sizes
+
 
 @pytest.fixture(autouse=True, scope="package")
 def _one_torch_thread() -> Iterator[None]:
@@ -13,3 +15,10 @@ def _one_torch_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
+
+
+@pytest.fixture(autouse=True)
+def _toy_sizes() -> Iterator[None]:
+    """Of the Gaussians of toy captures."""
+    with toy_sizes():
+        yield

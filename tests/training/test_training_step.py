@@ -41,7 +41,7 @@ def test_penalties_leave_alone_what_a_step_does_not_train(tmp_path: Path) -> Non
         model={"gaussian_sets": "separate", "feature_dim": 0},
         spectra={"rgb": {"train_until": 0.5}, "thermal": {"train_from": 0.5}},
         loss=LossConfig(opacity_reg=0.01, scale_reg=0.01),
-        densification=DensificationConfig(enabled=False),
+        densification=DensificationConfig(stop_step=0),
     )
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture()))
     for kept, steps in (("thermal", 4), ("rgb", 8)):

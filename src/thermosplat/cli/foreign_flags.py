@@ -47,7 +47,8 @@ _OURS |= {
     "--model.geometric-decoupling": "--thermal.opacity offset",
     "--model.no-geometric-decoupling": "--thermal.opacity shared",
     "--decoder.no-hybrid-rgb": "--decoder.no-hybrid",
-    "--densification.decompose-threshold": "--densification.strategy decomposing --densification.conflict-threshold",
+    "--densification.decompose-threshold": "--densification.strategy decomposing",
+    "--densification.no-enabled": "--densification.stop-step 0",
 }
 
 

@@ -48,8 +48,6 @@ _AT_LEAST: dict[str, float] = {
     "auto_budget.spectrum_patience": 0,
     "densification.position_noise": 0,
     "densification.grad_threshold": 0,
-    "densification.prune_large_from": 0,
-    "densification.conflict_threshold": 0,
     "densification.start_step": 0,
     "densification.stop_step": 0,
 }
@@ -68,8 +66,6 @@ _SHARES = (
     "loss.ssim_lambda",
     "loss.depth_spread_from",
     "optimizer.cooldown_from",
-    "densification.prune_opacity",
-    "densification.keep_opacity",
 )
 _POSITIVE = (
     "steps_scaler",
@@ -82,8 +78,6 @@ _POSITIVE = (
     "optimizer.decoders_lr_final",
     "optimizer.final_share",
     "refine_rates",
-    "densification.grow_scale3d",
-    "densification.prune_scale3d",
 )
 
 
@@ -132,9 +126,9 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     for key in ("eval_steps", "save_steps"):
         if any(step < 1 for step in values[key]):
             raise UserError(f"{name(key)} must be steps from 1 on, found {list(values[key])}.")
-    for key in ("model.init_opacity", "densification.reset_opacity"):  # stored as logits
-        if not 0 < values[key] < 1:
-            raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
+    for key, most in (("model.init_opacity", 1.0), ("densification.prune_opacity", 0.5)):  # once and twice are logits
+        if not 0 < values[key] < most:
+            raise UserError(f"{name(key)} must lie between 0 and {most:g}, found {values[key]}.")
     if not all(0 <= channel <= 1 for channel in config.background):
         raise UserError(f"{name('background')} must be three values between 0 and 1, found {config.background}.")
     check_spectra(config, name)
@@ -266,11 +260,6 @@ def _channels(first: int, beyond: int) -> str:
 
 def _check_decomposition(config: TrainConfig, name: Any) -> None:
     model, densification = config.model, config.densification
-    if not 0 < densification.off_opacity < 1 / 255:
-        raise UserError(
-            f"{name('densification.off_opacity')} must lie between 0 and 1/255, so that it is not drawn, found "
-            f"{densification.off_opacity}."
-        )
     if densification.strategy != "decomposing":
         return
     modelled = list(config.modelled.values())

@@ -83,6 +83,17 @@ GONE = {
             "eps": 1e-15,
         }.items()
     },
+    "densification.prune_large_from": Gone(
+        (3000,), "Gaussians that are too large go after the first reset of opacities, densification.reset_every."
+    ),
+    "densification.reset_opacity": Gone((0.01,), "A reset leaves no opacity above twice densification.prune_opacity."),
+    **{
+        f"densification.{name}": Gone((value,))
+        for name, value in {
+            **{"grow_scale3d": 0.01, "prune_scale3d": 0.1, "conflict_threshold": 2e-4},
+            **{"keep_opacity": 0.5, "off_opacity": 0.003},
+        }.items()
+    },
     "auto_budget.prune_by": Gone(
         ("removal",), "A Gaussian's importance is the change of the images where it alone is left out."
     ),
@@ -204,6 +215,18 @@ def _exposed(values: dict[str, Any], exposed: Any) -> bool:
     return isinstance(exposed, bool)
 
 
+def _enabled(values: dict[str, Any], enabled: Any) -> bool:
+    if enabled is False:
+        values.setdefault("densification", {})["stop_step"] = 0
+    return isinstance(enabled, bool)
+
+
+def _reset(values: dict[str, Any], opacity: Any) -> bool:
+    densification = values.get("densification", {})
+    pruned = densification.get("prune_opacity") if isinstance(densification, dict) else None
+    return isinstance(pruned, float) and opacity == 2 * pruned
+
+
 def _same_rate(values: dict[str, Any], rate: Any) -> bool:
     optimizer = values.get("optimizer", {})
     return isinstance(optimizer, dict) and rate == optimizer.get("opacities_lr")
@@ -212,6 +235,8 @@ def _same_rate(values: dict[str, Any], rate: Any) -> bool:
 _CHANGES: dict[str, Change] = {
     "optimizer.opacity_offsets_lr": _same_rate,
     "optimizer.own_opacities_lr": _same_rate,
+    "densification.enabled": _enabled,
+    "densification.reset_opacity": _reset,
     "model.exposures": _exposed,
     "model.rgb": _modelled("rgb"),
     "model.thermal": _modelled("thermal"),

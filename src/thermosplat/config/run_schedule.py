@@ -22,7 +22,7 @@ LONGEST = 30_000
 _OF_RUN = ("max_steps", "sh_degree_interval", "refine_from")
 _OF_CAMERAS = ("refine_every", "refine_first", "refine_rounds_from")
 """How long finding cameras takes, however long the scene is trained."""
-_OF_DENSIFICATION = ("start_step", "stop_step", "every", "prune_large_from", "reset_every")
+_OF_DENSIFICATION = ("start_step", "stop_step", "every", "reset_every")
 _OF_BUDGET = ("validate_every", "patience", "spectrum_patience")
 
 

@@ -143,8 +143,6 @@ SPLIT_APART_MOST = 0.8
 class DensificationConfig:
     """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control), or relocated (MCMC)."""
 
-    enabled: bool = True
-    """Off: the number of Gaussians stays what it is."""
     strategy: Literal["default", "mcmc", "decomposing"] = "default"
     """"default": 3DGS's adaptive density control. "mcmc": 3DGS-MCMC (Kheradmand et al. 2024). Gaussians that every
     spectrum sees fainter than ``prune_opacity`` move onto others, their number grows by ``growth`` up to
@@ -167,7 +165,7 @@ class DensificationConfig:
     start_step: int = 500
     """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
     stop_step: int = 15_000
-    """No growth from this step on. 3DGS."""
+    """No growth from this step on. 0: the number of Gaussians stays what it is. 3DGS."""
     every: int = 100
     """Steps between refinements. 3DGS."""
     grad_threshold: float = 4e-4
@@ -177,26 +175,12 @@ class DensificationConfig:
     threshold. Open choice; with 2e-4 the same views get several times 3DGS's Gaussians."""
     absgrad: bool = False
     """Use the sum of absolute per-pixel gradients (AbsGS); its usual threshold is 8e-4."""
-    grow_scale3d: float = 0.01
-    """Gaussians smaller than this share of the scene's extent are cloned, larger ones split. 3DGS (percent_dense)."""
     prune_opacity: float = 0.005
-    """Gaussians fainter than this go; with several opacities all must be. 3DGS (open choice: the maximum)."""
-    conflict_threshold: float = 2e-4
-    """Decomposing: difference of two spectra's mean means2d gradients, in units of half the image, above which a
-    Gaussian becomes one of each. MMOne."""
-    keep_opacity: float = 0.5
-    """Decomposing: a Gaussian fainter than ``prune_opacity`` in one spectrum goes unless its opacity in the
-    other is above this. MMOne."""
-    off_opacity: float = 0.003
-    """Decomposing: opacity of a Gaussian of one spectrum in the other, below the 1/255 that is drawn. MMOne."""
-    prune_scale3d: float = 0.1
-    """Gaussians larger than this share of the scene's extent go, from ``prune_large_from`` on. 3DGS."""
-    prune_large_from: int = 3000
-    """Gaussians that are too large are only removed after this step. 3DGS: after the first opacity reset."""
+    """Gaussians fainter than this go; with several opacities all must be. 3DGS (open choice: the maximum). A reset
+    leaves no opacity above twice this."""
     reset_every: int = 3000
-    """Steps between opacity resets. 3DGS."""
-    reset_opacity: float = 0.01
-    """Opacity after a reset, at most, of every spectrum. 3DGS (open choice: MMOne resets both)."""
+    """Steps between opacity resets, of every spectrum. After the first of them Gaussians that are too large go, too.
+    3DGS (open choice: MMOne resets both)."""
     max_gaussians: int | None = None
     """Growth stops at this count; of several ``scenes`` each has its part of it. None: no limit, as in 3DGS. The MCMC
     strategy needs one: with None it is one Gaussian for each pixel of the largest training image, from 300,000 to 3
