@@ -53,6 +53,7 @@ _AT_LEAST: dict[str, float] = {
 }
 _AT_MOST: dict[str, float] = {
     "densification.split_apart": SPLIT_APART_MOST,
+    "max_steps": 10**8,
     "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": SH_DEGREE_MAX,  # what the renderer's kernels evaluate
     "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory
