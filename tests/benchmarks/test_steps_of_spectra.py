@@ -83,7 +83,7 @@ def test_branches_count_the_layers_that_they_use(tmp_path: Path) -> None:
     config = load_config("ms_splatting")
     dim, hidden = config.model.feature_dim + 3, config.decoder.hidden_dim
     separate = step_floors(trainer_of(config, tmp_path / "separate"), PEAKS)[0]
-    of_one = dim * hidden + (config.decoder.hidden_layers - 1) * hidden * hidden + 3 * hidden
+    of_one = dim * hidden + hidden * hidden + 3 * hidden
     assert separate["decoders"]["operations"] == 3 * pixels * 2 * of_one
 
 

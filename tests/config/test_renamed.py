@@ -102,7 +102,7 @@ densification:
     "thermosplat_plus": """
 base: thermosplat
 budget: auto
-model: {init_opacity: 0.5, init_scale: 0.1}
+model: {init_opacity: 0.5, init_scale: 1.0}
 loss:
   opacity_reg: 0.01
   scale_reg: 0.01
@@ -119,8 +119,8 @@ BY_TODAYS_NAMES = {
     "thermosplat_plus": """
 base: thermosplat
 budget: auto
-spectra: {thermal: {smoothness: 0.3, smoothness_noise: 0.0125, smoothness_least: 0.05}}
-model: {init_opacity: 0.5, init_scale: 0.1}
+spectra: {thermal: {smoothness: 0.3, by_noise: true}}
+model: {init_opacity: 0.5}
 loss: {opacity_reg: 0.01, scale_reg: 0.01, depth_spread: 0.3}
 densification: {strategy: mcmc, max_gaussians: 300000, stop_step: 25000}
 optimizer: {features_lr_final: 0.00025, final_share: 0.05}
@@ -337,6 +337,25 @@ def test_rates_of_opacities_that_were_the_same() -> None:
     assert from_dict({"optimizer": rates}).optimizer.opacities_lr == 0.075
     with pytest.raises(UserError, match=r"optimizer\.opacity_offsets_lr is no setting any more, found 0\.075"):
         from_dict({"optimizer": {**rates, "opacities_lr": 0.05}})
+
+
+@pytest.mark.parametrize(
+    ("thresholds", "by_noise"),
+    [
+        ({"loss_noise": 0.0125, "smoothness_noise": 0.0}, True),
+        ({"loss_noise": 0.0, "point_spread_noise": 0.0125}, True),
+        ({"loss_noise": 0.0, "smoothness_noise": 0.0, "point_spread_noise": 0.0}, False),
+    ],
+)
+def test_thresholds_of_noise_were_all_the_same(thresholds: dict[str, float], by_noise: bool, tmp_path: Path) -> None:
+    """Where one of them stood noise decides; zeros on top of a preset switch that off; another one is a mistake."""
+    assert from_dict({"spectra": {"nir": thresholds}}).spectra["nir"].by_noise == by_noise
+    (tmp_path / "mine.yaml").write_text(
+        yaml.safe_dump({"base": "thermosplat_plus", "spectra": {"thermal": thresholds}})
+    )
+    assert load_config(tmp_path / "mine.yaml").spectra["thermal"].by_noise == by_noise
+    with pytest.raises(UserError, match=r"spectra\.nir\.loss_noise is no setting any more, found 0\.02"):
+        from_dict({"spectra": {"nir": {**thresholds, "loss_noise": 0.02}}})
 
 
 def test_density_control_that_was_switched_off() -> None:

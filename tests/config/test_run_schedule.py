@@ -30,7 +30,7 @@ def test_schedules_count_images_and_rates_follow_the_root() -> None:
     assert scaled.refine_every == 2
     assert scaled.refine_first == 150
     assert scaled.refine_rounds_from == 21
-    assert scaled.auto_budget.patience == 750
+    assert scaled.auto_budget.validate_every == 63
     assert scaled.log_every == config.log_every
     unscaled = ("final_share", "cooldown_from")
     for field in dataclasses.fields(config.optimizer):
@@ -52,7 +52,7 @@ def test_a_scaler_shortens_all_schedules(batch_size: int) -> None:
     densification, budget = scaled.densification, scaled.auto_budget
     assert (densification.start_step, densification.stop_step) == (150 / batch_size, 4500 / batch_size)
     assert (densification.every, densification.reset_every) == (30 / batch_size, 900 / batch_size)
-    assert (budget.patience, budget.validate_every) == (900 / batch_size, math.ceil(75 / batch_size))
+    assert budget.validate_every == math.ceil(75 / batch_size)
     cameras = ("refine_first", "refine_every", "refine_rounds_from", "log_every")
     assert [getattr(scaled, name) for name in cameras] == [getattr(batches, name) for name in cameras]
     assert scaled.optimizer == batches.optimizer

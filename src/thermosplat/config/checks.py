@@ -31,10 +31,8 @@ _AT_LEAST: dict[str, float] = {
     "refine_first": 0,
     "seed": 0,
     "model.feature_dim": 0,
-    "model.feature_noise": 0,
     "model.eps2d": 0,
     "decoder.hidden_dim": 1,
-    "decoder.hidden_layers": 1,
     "decoder.padding": 0,
     "decoder.fourier_frequency": 0,
     "densification.every": 1,
@@ -44,8 +42,6 @@ _AT_LEAST: dict[str, float] = {
     "densification.split_apart": 0,
     "resolution.growth_power": 0,
     "auto_budget.validate_every": 1,
-    "auto_budget.patience": 1,
-    "auto_budget.spectrum_patience": 0,
     "densification.position_noise": 0,
     "densification.grad_threshold": 0,
     "densification.start_step": 0,
@@ -57,23 +53,16 @@ _AT_MOST: dict[str, float] = {
     "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": SH_DEGREE_MAX,  # what the renderer's kernels evaluate
     "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory
-    "decoder.hidden_layers": 64,
 }
 _LARGEST_INTEGER = 10**12
 """Far beyond any count of steps, images or Gaussians; sums and products of such numbers stay below 2^63."""
 _LEAST_FLOAT, _LARGEST_FLOAT = 1e-30, 1e30
 """float32, in which all of it is computed, has numbers from 1e-38 to 3e38."""
-_SHARES = (
-    "loss.ssim_lambda",
-    "loss.depth_spread_from",
-    "optimizer.cooldown_from",
-)
+_SHARES = ("loss.ssim_lambda", "optimizer.cooldown_from")
 _POSITIVE = (
     "steps_scaler",
     "image_memory",
     "gpu_memory",
-    "model.init_scale",
-    "loss.swept_depth_limit",
     "optimizer.means_lr_final",
     "optimizer.features_lr_final",
     "optimizer.decoders_lr_final",

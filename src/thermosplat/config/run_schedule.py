@@ -23,7 +23,7 @@ _OF_RUN = ("max_steps", "sh_degree_interval", "refine_from")
 _OF_CAMERAS = ("refine_every", "refine_first", "refine_rounds_from")
 """How long finding cameras takes, however long the scene is trained."""
 _OF_DENSIFICATION = ("start_step", "stop_step", "every", "reset_every")
-_OF_BUDGET = ("validate_every", "patience", "spectrum_patience")
+_OF_BUDGET = ("validate_every",)
 
 
 def scaled_steps(steps: int, factor: float) -> int:

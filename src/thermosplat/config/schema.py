@@ -20,8 +20,6 @@ class DecoderConfig:
 
     hidden_dim: int = 64
     """Width of the shared encoder and of the prior heads. Open choice: MS-Splatting 16 to 32, FeatSplat 64."""
-    hidden_layers: int = 2
-    """Layers of the shared encoder, each followed by SiLU. Open choice ("multiple pixel-wise linear layers")."""
     modulation: bool = True
     """Feature-wise modulation of one spectrum by another one's prior. Off: plain heads (ablation "MLP-based")."""
     branches: Literal["joined", "separate"] = "joined"
@@ -43,9 +41,6 @@ class DecoderConfig:
     """How far beyond 0 and 1 images that are decoded alone may reach. At 0 logits sink without end where images are 0,
     and what they take along comes back slowly, since the sigmoid has no slope there. Mip-NeRF has 0.001. Open choice
     for short trainings: 0.1; benchmarks/records/cpu.md."""
-    hybrid_bias: float = -4.0
-    """Initial bias of that spectrum's head, so that the hybrid sum starts at the SH colour: sigmoid(-4) = 0.018. Open
-    choice. Ignored (0) without the hybrid sum."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +55,8 @@ class ModelConfig:
     eps2d: float = 0.3
     """Added to the variances of a Gaussian's footprint along both axes of the image [px²]: 0.3 blurs by a deviation of
     0.55 px. 3DGS and gsplat."""
-    feature_noise: float = 0.2
-    """Standard deviation of the initial features that have no colour to start from. Open choice: MS-Splatting 0.2."""
     init_opacity: float = 0.1
     """Opacity of the first Gaussians. 3DGS."""
-    init_scale: float = 1.0
-    """First scales, as a multiple of the root mean square distance to the 3 nearest points. 3DGS."""
 
 
 @dataclass(frozen=True)
@@ -83,15 +74,8 @@ class LossConfig:
     scale_reg: float = 0.0
     """Weight of the mean scale, in units of the scene's extent. 3DGS-MCMC: 0.01."""
     depth_spread: float = 0.0
-    """Weight of the spread of log-depth along rays, of every spectrum. 2DGS's depth distortion, with squares."""
-    depth_spread_limit: float = 0.1
-    """v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet
-    in a pixel, count for less: half of one and half of another 1.88 times as far is 0.1. 0: v itself. Open choice."""
-    depth_spread_from: float = 0.5
-    """Share of the steps before that spread counts. Open choice."""
-    swept_depth_limit: float = 0.03
-    """Largest difference of log z from a swept depth (``SpectrumConfig.swept_depth``) that counts. Where it is larger
-    the sweep found another surface, or is wrong. Open choice."""
+    """Weight of the spread of log-depth along rays, of every spectrum, in the second half of the run. 2DGS's depth
+    distortion, with squares."""
     balance: bool = False
     """Multiply the losses of a separate set by the other sets' share of all Gaussians. ThermalGaussian MSMG."""
 
@@ -212,12 +196,7 @@ class AutoBudgetConfig:
     the last. Several small cuts with training between them take away more than one, as what is left makes up for what
     is gone (open choice); the last leaves a fifth of the run to do so."""
     validate_every: int = 250
-    """Steps between looks at the validation views."""
-    patience: int = 3000
-    """Growth stops when the validation views' PSNR has not risen for this many steps: as long as from one opacity reset
-    to the next. Too many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
-    spectrum_patience: int = 1000
-    """So many steps ago a spectrum must have been best to be held there, if its images are noisy. Open choice."""
+    """Steps between looks at the validation views: growth stops twelve looks after their PSNR has last risen."""
 
 
 @dataclass(frozen=True)

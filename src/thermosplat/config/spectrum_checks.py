@@ -31,10 +31,7 @@ RESERVED = frozenset(
     }
 )
 """Names that files, tables and modules use for something else."""
-_AT_LEAST_ZERO = (
-    *("loss", "loss_noise", "features", "smoothness", "smoothness_noise", "smoothness_least"),
-    *("squared", "swept_depth", "point_spread", "point_spread_noise"),
-)
+_AT_LEAST_ZERO = (*("loss", "features", "smoothness", "squared", "swept_depth", "point_spread"),)
 _SHARES = ("train_from", "train_until")
 _TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")
 """In a unit's name it says that values are temperatures."""

@@ -28,6 +28,9 @@ SH_C0 = 0.5 / math.sqrt(math.pi)
 LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """Luma of an RGB colour, ITU-R BT.601."""
 
+FEATURE_NOISE = 0.2
+"""Standard deviation of the first features that have no colour to start from. Open choice: MS-Splatting's."""
+
 OFFSETS = "_opacity_offsets"
 """End of the name of a spectrum's opacity offsets."""
 
@@ -224,7 +227,7 @@ class Gaussians(nn.Module):
             known = point_colors if spectrum.is_photograph else luma[:, None].expand(-1, 3)
             return ((known - 0.5) / SH_C0)[:, None, :]
 
-        log_distances = torch.as_tensor(np.log(neighbor_distances(points) * config.init_scale))
+        log_distances = torch.as_tensor(np.log(neighbor_distances(points)))
         parameters = {
             "means": torch.as_tensor(np.array(points, dtype=np.float32)),
             "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(num_points, 1),
@@ -245,7 +248,7 @@ class Gaussians(nn.Module):
                 dim=1,
             )
             noise = torch.randn(num_points, config.feature_dim - known.shape[1], generator=generator)
-            parameters["features"] = torch.cat([known, config.feature_noise * noise], dim=1)
+            parameters["features"] = torch.cat([known, FEATURE_NOISE * noise], dim=1)
         else:
             for spectrum in spectra[1:]:
                 first, higher = sh_names(spectrum.name)

@@ -417,9 +417,9 @@ def as_trained(
     saved = decoders or {}
     trained = dict(spectra)
     for name, one in spectra.items():
-        if one.point_spread_noise > 0:
+        if one.by_noise:
             learnt = f"point_spreads.log_widths.{name}" in saved
-            trained[name] = replace(one, point_spread=one.point_spread if learnt else 0.0, point_spread_noise=0.0)
+            trained[name] = replace(one, point_spread=one.point_spread if learnt else 0.0)
     return trained
 
 

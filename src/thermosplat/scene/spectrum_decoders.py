@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoders import Decoders, may_be_hybrid
+from thermosplat.scene.decoders import HIDDEN_LAYERS, HYBRID_BIAS, Decoders, may_be_hybrid
 from thermosplat.scene.fourier_features import num_inputs
 from thermosplat.scene.point_spread import PointSpreads
 from thermosplat.spectra import Spectrum
@@ -38,7 +38,7 @@ class SpectrumDecoders(nn.Module):
             self.networks[spectrum.name] = network = _network(config, input_dim, spectrum.channels)
             if config.hybrid and may_be_hybrid(spectrum, spectra):
                 # As of Decoders: near black, so that the sum starts at the SH colour.
-                nn.init.constant_(cast("nn.Linear", network[-1]).bias, config.hybrid_bias)
+                nn.init.constant_(cast("nn.Linear", network[-1]).bias, HYBRID_BIAS)
 
     def decode(self, features: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The decoded images of some spectra.
@@ -74,7 +74,7 @@ def make_decoders(config: DecoderConfig, feature_dim: int, spectra: Sequence[Spe
 
 
 def _network(config: DecoderConfig, input_dim: int, output_dim: int) -> nn.Sequential:
-    widths = [input_dim] + [config.hidden_dim] * config.hidden_layers
+    widths = [input_dim] + [config.hidden_dim] * HIDDEN_LAYERS
     layers: list[nn.Module] = []
     for width_in, width_out in itertools.pairwise(widths):
         layers += [nn.Linear(width_in, width_out), nn.SiLU()]

@@ -180,7 +180,6 @@ def test_unknown_pixels_are_nan() -> None:
     """What a sweep does not know is not drawn anywhere: a target of NaN has no term."""
     swept = SweptDepths(
         {"thermal": 1.0},
-        0.1,
         {("thermal", (2, 3)): torch.full((1, 2, 3), math.nan)},
         {("thermal", (2, 3)): torch.tensor([0])},
     )

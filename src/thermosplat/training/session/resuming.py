@@ -13,7 +13,7 @@ from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.spectra import label, latent_channels
 
-_START_ONLY = ("feature_noise", "init_opacity", "init_scale")
+_START_ONLY = ("init_opacity",)
 """Fields of ModelConfig that matter before the first step only."""
 _IMAGES = {
     "photograph": "photographs as {} images",
@@ -22,7 +22,7 @@ _IMAGES = {
     None: "no {} images",
 }
 """By the kind of their scale."""
-_SPECTRUM_STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "point_spread_noise")
+_SPECTRUM_STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise")
 """Fields of SpectrumConfig that decide which parameters there are."""
 
 
