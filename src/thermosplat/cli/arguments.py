@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from thermosplat.cli.command_line import parse_command_line
+from thermosplat.cli.first_flags import ALL, print_first_flags
 from thermosplat.cli.foreign_flags import refuse_foreign_flags, without_gone_flags
 from thermosplat.cli.spectrum_flags import named_spectra, refuse_unknown_spectra, with_groups
 from thermosplat.cli.viewer_flags import LOCAL_HOST, viewer_flags, with_viewer_port
@@ -22,7 +23,7 @@ DEFAULT_PRESET = "thermosplat_plus"
 low-light.md of benchmarks/records."""
 SAMPLE_PRESET = "demo"
 
-HELP_FLAGS = ("-h", "--help")
+HELP_FLAGS = ("-h", "--help", ALL)
 MAY_CHANGE_ON_RESUME = frozenset(
     {
         "data",
@@ -88,7 +89,7 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
     Raises:
         UserError: No capture, an unknown preset or spectrum, a value out of range, another trainer's flag, or flags
             that contradict the resumed run.
-        SystemExit: Code 0 after --help or --version, code 2 after flags that tyro cannot understand.
+        SystemExit: Code 0 after --help, --help-all or --version, code 2 after flags that tyro cannot understand.
     """
     refuse_foreign_flags(argv)
     argv = without_gone_flags(argv)
@@ -152,6 +153,10 @@ def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
     if _gives(argv, "--max-steps"):
         default = dataclasses.replace(default, **with_given_steps({"max_steps": default.max_steps}))
     start = TrainArguments(**{field.name: getattr(default, field.name) for field in dataclasses.fields(TrainConfig)})
+    if ALL in argv:
+        argv = ["--help"]
+    elif not set(HELP_FLAGS).isdisjoint(argv):
+        print_first_flags(start)
     argv = with_viewer_port(with_groups(argv, default.spectra))
     arguments = parse_command_line(TrainArguments, argv, prog="thermosplat-train", default=start)
     return TrainConfig(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(TrainConfig)})
