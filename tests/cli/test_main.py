@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import thermosplat
 from thermosplat.__main__ import COMMANDS, main
 from training_processes import environment
 

@@ -60,7 +60,17 @@ def test_the_dotted_flags_in_the_documents_exist() -> None:
 
 def _flags_of_programs() -> dict[str, set[str]]:
     """What every command and every benchmark accepts, by its name."""
-    flags = {"thermosplat-train": {*_train_flags(), "--viewer", "--viewer-host", "--devices", "--debug", "--help", "--help-all"}}
+    flags = {
+        "thermosplat-train": {
+            *_train_flags(),
+            "--viewer",
+            "--viewer-host",
+            "--devices",
+            "--debug",
+            "--help",
+            "--help-all",
+        }
+    }
     commands = {"eval": EvalArguments, "render": RenderArguments, "export": ExportArguments, "view": ViewArguments}
     for name, arguments in {**commands, "benchmark": BenchmarkArguments}.items():
         flags[f"thermosplat-{name}"] = {*_train_flags(arguments), "--help", *({"--set"} if name == "benchmark" else ())}

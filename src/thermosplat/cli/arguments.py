@@ -14,8 +14,9 @@ from thermosplat.cli.spectrum_flags import named_spectra, refuse_unknown_spectra
 from thermosplat.cli.viewer_flags import LOCAL_HOST, viewer_flags, with_viewer_port
 from thermosplat.config import TrainConfig
 from thermosplat.config.capture_settings import with_recommendations
-from thermosplat.config.checks import check_config
+from thermosplat.config.checks import check_config, flattened
 from thermosplat.config.files import files_from_anywhere, load_config, with_given_steps
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.errors import UserError
 
 DEFAULT_PRESET = "thermosplat_plus"
@@ -144,6 +145,8 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
             f"{folder} was to be trained for {run_config.max_steps} steps, the command asks for {asked.max_steps}.",
             "A resumed run can have more steps, not fewer: leave out --max-steps.",
         )
+    if asked.max_steps > run_config.max_steps:  # what it has done, it has done
+        asked = in_steps(asked, run_config.max_steps)
     check_config(asked)
     return asked
 
@@ -169,19 +172,5 @@ def _gives(argv: list[str], flag: str) -> bool:
 
 def _differences(one: TrainConfig, other: TrainConfig) -> list[tuple[str, object, object]]:
     """Dotted names and both values of the fields in which two configurations differ."""
-    pairs = zip(_leaves(one), _leaves(other))
+    pairs = zip(flattened(one), flattened(other))
     return [(key, value, changed) for (key, value), (_, changed) in pairs if value != changed]
-
-
-def _leaves(config: object, prefix: str = "") -> list[tuple[str, object]]:
-    leaves: list[tuple[str, object]] = []
-    for field in dataclasses.fields(config):  # type: ignore[arg-type]
-        value = getattr(config, field.name)
-        if isinstance(value, dict):
-            for name, group in value.items():
-                leaves += _leaves(group, f"{prefix}{field.name}.{name}.")
-        elif dataclasses.is_dataclass(value):
-            leaves += _leaves(value, f"{prefix}{field.name}.")
-        else:
-            leaves.append((prefix + field.name, value))
-    return leaves

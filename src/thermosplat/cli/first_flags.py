@@ -32,7 +32,7 @@ def print_first_flags(arguments: TrainConfig) -> None:
     Raises:
         SystemExit: Code 0, always.
     """
-    join_lines_of_help(type(arguments))
+    join_lines_of_help(type(arguments))  # type: ignore[arg-type]  # a class is hashable
     spectra = {name: _only(one, FIRST_OF_SPECTRA) for name, one in arguments.spectra.items()}
     groups = dataclasses.make_dataclass("Spectra", [_field(name, type(one), one) for name, one in spectra.items()])
     first = _only(arguments, FIRST, [_field("spectra", Annotated[groups, tyro.conf.arg(name="")], groups())])

@@ -12,6 +12,8 @@ from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
 Refined = Literal["poses", "rig", "intrinsics", "distortion"]
 LensUse = Literal["undistort", "direct"]
+Steps = int | float
+"""Of a schedule: a whole number counts steps of one frame, a number with a point is that share of the run."""
 
 
 @dataclass(frozen=True)
@@ -146,12 +148,13 @@ class DensificationConfig:
     """MCMC: the two that a Gaussian becomes lie so far to either side of it along its longest axis, in its standard
     deviations there, and are narrower by as much. 0: both in its place, as in 3DGS-MCMC. At most 0.8. Open choice;
     splits along the longest axis: ImprovedGS (Deng et al. 2025)."""
-    start_step: int = 500
-    """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
-    stop_step: int = 15_000
-    """No growth from this step on. 0: the number of Gaussians stays what it is. 3DGS."""
-    every: int = 100
-    """Steps between refinements. 3DGS."""
+    start_step: Steps = 0.01667
+    """The count changes after this step, or share of the run, only: at the first multiple of ``every`` above it. 3DGS:
+    500 of 30,000."""
+    stop_step: Steps = 0.5
+    """No growth from this step, or share of the run, on. 0: the number of Gaussians stays what it is. 3DGS: 15,000."""
+    every: Steps = 0.00333
+    """Steps, or share of the run, between refinements. 3DGS: 100."""
     grad_threshold: float = 4e-4
     """Mean norm of the means2d gradient, in units of half the image, above which a Gaussian grows. 3DGS: 2e-4 for one
     image loss. In a shared set the gradients of both passes are summed (open choice: MMOne adds them as vectors), and
@@ -162,9 +165,9 @@ class DensificationConfig:
     prune_opacity: float = 0.005
     """Gaussians fainter than this go; with several opacities all must be. 3DGS (open choice: the maximum). A reset
     leaves no opacity above twice this."""
-    reset_every: int = 3000
-    """Steps between opacity resets, of every spectrum. After the first of them Gaussians that are too large go, too.
-    3DGS (open choice: MMOne resets both)."""
+    reset_every: Steps = 0.1
+    """Steps, or share of the run, between opacity resets, of every spectrum. After the first of them Gaussians that are
+    too large go, too. 3DGS: 3000 (open choice: MMOne resets both)."""
     max_gaussians: int | None = None
     """Growth stops at this count; of several ``scenes`` each has its part of it. None: no limit, as in 3DGS. The MCMC
     strategy needs one: with None it is one Gaussian for each pixel of the largest training image, from 300,000 to 3
@@ -195,8 +198,9 @@ class AutoBudgetConfig:
     """Shares of the run after which the Gaussians that matter least are removed, where growth has ended; it ends with
     the last. Several small cuts with training between them take away more than one, as what is left makes up for what
     is gone (open choice); the last leaves a fifth of the run to do so."""
-    validate_every: int = 250
-    """Steps between looks at the validation views: growth stops twelve looks after their PSNR has last risen."""
+    validate_every: Steps = 0.00833
+    """Steps, or share of the run, between looks at the validation views: growth stops twelve looks after their PSNR has
+    last risen."""
 
 
 @dataclass(frozen=True)
@@ -211,12 +215,12 @@ class TrainConfig:
     result_dir: str | None = None
     """Where everything the run makes goes. None: results/<capture's name>/<config's name>."""
     max_steps: int = 30_000
-    """Training steps, one frame (all its spectra) each. Other schedules (densification, SH degree) are not rescaled
-    when this changes, as in gsplat. ``steps_scaler`` rescales all. ThermoSplat, 3DGS."""
+    """Training steps, one frame (all its spectra) each. Schedules are shares of them, unless they are given in steps,
+    as whole numbers. ThermoSplat, 3DGS."""
     steps_scaler: float = 1.0
-    """What all numbers of steps are multiplied by, ``max_steps`` and those of all schedules: with 0.5 a training has
-    the same course in half of the steps. Only what finds cameras before the scene (``refine_first``), the rounds of
-    ``refine`` and ``log_every`` stay. gsplat."""
+    """What all numbers of steps are multiplied by, ``max_steps`` and those that schedules are given in: with 0.5 a
+    training has the same course in half of the steps. Only what finds cameras before the scene (``refine_first``), the
+    rounds of ``refine`` and ``log_every`` stay. gsplat."""
     steps_for_views: int | None = None
     """Training views that these numbers of steps are meant for. With more, all of them are multiplied as by
     ``steps_scaler``, so that each view is seen as often, up to 30,000 of each scene. None: whatever the views. A file
@@ -246,8 +250,8 @@ class TrainConfig:
     """Every n-th frame is held out, unless the capture's folders say which are. 3DGS, RGBT-Scenes."""
     sh_degree: int = 3
     """Highest degree of the spherical harmonics, 0 to 4. 3DGS (3)."""
-    sh_degree_interval: int = 1000
-    """Steps after which one more SH degree is used. 3DGS."""
+    sh_degree_interval: Steps = 0.03333
+    """Steps, or share of the run, after which one more SH degree is used. 3DGS: 1000 of 30,000."""
     device: str = "auto"
     """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
     offload: Literal["auto", "on", "moments", "off"] = "auto"
@@ -298,9 +302,9 @@ class TrainConfig:
     "distortion", what undistorting the images has left, or with --lens direct the lens itself. Held-out frames take
     over what all have in common; their poses are found on the finished scene. "intrinsics" goes with --lens direct:
     images that were undistorted with a wrong focal length stay wrong towards the corners."""
-    refine_from: int = 500
-    """Steps before poses, and the first spectrum's camera, are corrected: as long as there is no scene, images say
-    little of them. Open choice."""
+    refine_from: Steps = 0.01667
+    """Steps, or share of the run, before poses, and the first spectrum's camera, are corrected: as long as there is no
+    scene, images say little of them. Open choice."""
     refine_every: int = 8
     """Steps between two rounds that register the cameras of the other spectra to the scene (rig, focal lengths,
     distortion). Open choice."""

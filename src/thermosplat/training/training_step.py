@@ -146,7 +146,7 @@ class Differentiated:
 
 def sh_degree_at(config: TrainConfig, step: int) -> int:
     """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
-    return min(max(step - 1, 0) // config.sh_degree_interval, config.sh_degree)
+    return min(int(max(step - 1, 0) // config.sh_degree_interval), config.sh_degree)
 
 
 def _of_penalties(config: TrainConfig, kind: StepKind) -> LossConfig:
