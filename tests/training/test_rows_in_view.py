@@ -30,7 +30,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "spectra": {"thermal": {"opacity": "own"}},
         "model": {"feature_dim": 0},
         "densification": DensificationConfig(
-            strategy="decomposing", start_step=2, stop_step=50, every=3, max_gaussians=600
+            strategy="decomposing", start_step=2, stop_step=50, every=3, reset_every=3000, max_gaussians=600
         ),
     },
 }

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from random_gaussians import random_gaussians, stepped_optimizers
-from thermosplat.config import DensificationConfig
+from thermosplat.config import DensificationConfig, TrainConfig
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.errors import UserError
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density import gradient_control
@@ -50,7 +51,8 @@ def _run(
 
 def _strategy(gaussians: Gaussians, **config: Any) -> DefaultStrategy:
     config = {"grad_threshold": 2e-4} | config  # 3DGS's and gsplat's
-    return DefaultStrategy(DensificationConfig(**config), EXTENT, len(gaussians), "cpu")
+    schedule = in_steps(TrainConfig(densification=DensificationConfig(**config))).densification
+    return DefaultStrategy(schedule, EXTENT, len(gaussians), "cpu")
 
 
 def test_a_share_without_gaussians_notes_nothing() -> None:
