@@ -18,7 +18,7 @@ from thermosplat.training.density.gradient_control import DefaultStrategy
 from thermosplat.training.optimizers import gaussian_optimizers, set_learning_rates
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
-from toy_run import toy_run_config, toy_trainer
+from toy_run import density_in_steps, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 OFF = 0.003
@@ -43,7 +43,7 @@ def two_opacity_gaussians(opacities: list[float], thermal_opacities: list[float]
 
 def strategy_of(gaussians: Gaussians, **config: Any) -> tuple[DecomposingStrategy, Optimizers]:
     settings = {"strategy": "decomposing", "grad_threshold": 2e-4} | config
-    densification = DensificationConfig(**settings)
+    densification = density_in_steps(**settings)
     strategy = DecomposingStrategy(densification, 3.0, len(gaussians), "cpu", spectra=("rgb", "thermal"))
     return strategy, gaussian_optimizers(gaussians, OptimizerConfig())
 
@@ -225,7 +225,7 @@ def test_any_two_spectra_are_divided() -> None:
     gaussians = two_opacity_gaussians([0.6], [0.8])
     renamed = {name.replace("thermal", "nir"): value for name, value in gaussians.named_parameters()}
     gaussians = Gaussians({name: value.detach() for name, value in renamed.items()})
-    config = DensificationConfig(strategy="decomposing", grad_threshold=2e-4)
+    config = density_in_steps(strategy="decomposing", grad_threshold=2e-4)
     strategy = DecomposingStrategy(config, 3.0, 1, "cpu", spectra=("thermal", "nir"))
     strategy.observe([info("nir", [[0.0, 4e-4]]), info("thermal", [[5e-4, 0.0]])], FINE)
     torch.testing.assert_close(strategy.gradient_sums[:, 0], torch.tensor([[5e-4, 0.0], [0.0, 4e-4]]))

@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 from random_gaussians import random_gaussians, stepped_optimizers
-from thermosplat.config import DensificationConfig, TrainConfig
-from thermosplat.config.run_schedule import in_steps
+from thermosplat.config import DensificationConfig
 from thermosplat.errors import UserError
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density import gradient_control
 from thermosplat.training.density.gaussian_ops import Optimizers
 from thermosplat.training.density.gradient_control import DefaultStrategy, Refinement
+from toy_run import density_in_steps
 
 EXTENT = 3.0
 FINE = torch.zeros(())
@@ -51,8 +51,7 @@ def _run(
 
 def _strategy(gaussians: Gaussians, **config: Any) -> DefaultStrategy:
     config = {"grad_threshold": 2e-4} | config  # 3DGS's and gsplat's
-    schedule = in_steps(TrainConfig(densification=DensificationConfig(**config))).densification
-    return DefaultStrategy(schedule, EXTENT, len(gaussians), "cpu")
+    return DefaultStrategy(density_in_steps(**config), EXTENT, len(gaussians), "cpu")
 
 
 def test_a_share_without_gaussians_notes_nothing() -> None:
