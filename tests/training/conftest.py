@@ -18,9 +18,9 @@ def _one_torch_thread() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="package")
 def _toy_sizes() -> Iterator[None]:
-    """Of the Gaussians of toy captures."""
+    """Of the Gaussians of toy captures, also in runs that a module shares."""
     with toy_sizes():
         yield
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import load_run
@@ -122,7 +123,7 @@ def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
     (note,) = trainer.image_notes
     assert note.startswith("Noise of the thermal images 0.03")
     assert note.endswith("smoothness weight 0.300.")
-    assert trainer.config == config
+    assert trainer.config == in_steps(config)
     rgb_alone = toy_run_config(spectra={"thermal": MEASURED}, without=("thermal",))
     assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).image_notes == ()
     plain = toy_trainer(tmp_path / "c", toy_run_config(), many_frames(toy_capture()))

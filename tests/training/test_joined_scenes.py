@@ -13,6 +13,7 @@ from torch.nn.functional import logsigmoid
 from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.config.checks import check_config
 from thermosplat.config.files import load_config
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.errors import UserError
@@ -338,7 +339,7 @@ def test_steps_must_be_left_for_what_they_become(share: float) -> None:
 
 def test_presets() -> None:
     """thermosplat_plus has two scenes; thermosplat_fast is one, with fewer steps. Both grow until rates fall."""
-    plus, fast = load_config("thermosplat_plus"), load_config("thermosplat_fast")
+    plus, fast = in_steps(load_config("thermosplat_plus")), in_steps(load_config("thermosplat_fast"))
     assert (plus.scenes, fast.scenes) == (2, 1)
     for config, steps in ((plus, 4800), (fast, 3200)):
         assert steps_of_scene(config) == config.densification.stop_step == steps

@@ -43,7 +43,7 @@ def budget_config(
 
 @pytest.fixture(autouse=True)
 def _toy_tolerances() -> Iterator[None]:
-    with tolerating(offset_shrinkage=0.1, offset_change=0.0, measured_views=3, growth_looks=500):
+    with tolerating(offset_shrinkage=0.1, offset_change=0.0, measured_views=3):
         yield
 
 

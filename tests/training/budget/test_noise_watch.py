@@ -148,7 +148,7 @@ def test_floors_follow_the_noise() -> None:
 @pytest.fixture(autouse=True)
 def _growth_ends_at_once() -> Iterator[None]:
     """And no spectrum is held or sent back, but where a test says after how many looks."""
-    with tolerating(growth_looks=1, spectrum_looks=500):
+    with tolerating(growth_looks=1):
         yield
 
 
