@@ -16,6 +16,13 @@ from thermosplat.config import DecoderConfig
 from thermosplat.scene.decoder import Decoder
 from thermosplat.spectra import Spectrum, first_photograph
 
+HIDDEN_LAYERS = 2
+"""Layers of the shared encoder, or of a spectrum's own network before the last, each followed by SiLU. Open choice:
+ThermoSplat has "multiple pixel-wise linear layers", MS-Splatting one before a hidden layer and that."""
+HYBRID_BIAS = -4.0
+"""First bias of the layer whose image is added to SH colours, so that the sum starts at these: sigmoid(-4) = 0.018.
+Open choice."""
+
 
 class Decoders(Decoder):
     """Shared encoder, and for every spectrum a prior or a modulation by another one's prior, and a head.
@@ -36,7 +43,7 @@ class Decoders(Decoder):
     def __init__(self, config: DecoderConfig, feature_dim: int, spectra: Sequence[Spectrum]) -> None:
         super().__init__()
         hidden = config.hidden_dim
-        widths = [feature_dim] + [hidden] * config.hidden_layers
+        widths = [feature_dim] + [hidden] * HIDDEN_LAYERS
         layers: list[nn.Module] = []
         for width_in, width_out in itertools.pairwise(widths):
             layers += [nn.Linear(width_in, width_out), nn.SiLU()]
@@ -54,7 +61,7 @@ class Decoders(Decoder):
             self.heads[spectrum.name] = head = nn.Linear(hidden, spectrum.channels)
             if spectrum.name == first_photograph(spectra):
                 # With the hybrid sum the decoded part starts near black, so that the sum starts at the SH colour.
-                nn.init.constant_(head.bias, config.hybrid_bias if config.hybrid else 0.0)
+                nn.init.constant_(head.bias, HYBRID_BIAS if config.hybrid else 0.0)
 
     def image(self, spectrum: str, features: Tensor) -> Tensor:
         """As of ``Decoder``."""
