@@ -8,7 +8,6 @@ import torch
 
 from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
-from thermosplat.rasterizer.packed_info import pack
 
 
 @pytest.mark.parametrize("key", ["depths", "conics", "opacities"])
@@ -34,7 +33,6 @@ def test_packed_rows_of_a_replay(bench: Bench) -> None:
     found = []
     for render in (bench.calls, bench.plain):
         image, _, packed = render(**bench.scene(5))
-        pack(packed, distributed=False)
         packed["means2d"].retain_grad()
         image.square().sum().backward()
         found.append([packed["gaussian_ids"], packed["radii"], packed["means2d"], packed["means2d"].grad])
