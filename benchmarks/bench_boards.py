@@ -47,7 +47,8 @@ def measured(rig: RigCalibration, board: Board, seed: int, pictures: int, folder
     shutil.rmtree(folder, ignore_errors=True)
     rgb, thermal = write_boards(folder / "boards", rig, board, pictures, seed)
     words = ["calibrate", folder / "capture", "--rgb", rgb, "--thermal", thermal, "--board", board.kind]
-    words += ["--columns", board.columns, "--rows", board.rows, "--size", board.size, "--marker", board.marker]
+    words += ["--columns", board.columns, "--rows", board.rows, "--size", board.size]
+    words += ["--marker", board.marker] if board.marker else []
     subprocess.run([sys.executable, "-m", "thermosplat.cli.prepare", *map(str, words)], check=True, capture_output=True)
     found = read_calibration(folder / "capture" / "calibration.json")
     assert found is not None

@@ -1,7 +1,7 @@
 """How much quality does a scene keep with a share of its Gaussians?
 
     python benchmarks/bench_budget.py DATA... [--config thermosplat_plus] [--max-steps 30000] [--fine-tune 1000]
-        [--budgets 0.01 0.05 0.25 1.0] [--prune-by weights] [--time-limit 600] [--out results/budget] [--runs FOLDER...]
+        [--budgets 0.01 0.05 0.25 1.0] [--time-limit 600] [--out results/budget] [--runs FOLDER...]
 
 Trains each DATA once with its number of Gaussians fixed (or takes a finished run), then for every budget removes the
 Gaussians that matter least to the training views, fine-tunes what is left, drops opacity offsets, latent channels and
@@ -31,6 +31,7 @@ from thermosplat.runs.atomic_writes import write_atomically, write_text
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.spectra import label
 from thermosplat.training.budget.pruning import least
+from thermosplat.training.budget.tolerances import TOLERANCES
 from thermosplat.training.session.resuming import newest_checkpoint
 from thermosplat.training.trainer import Trainer
 
@@ -54,20 +55,18 @@ class Settings:
     max_steps: int | None
     data_factor: int
     fine_tune: int
-    prune_by: str
+
+
+class PrunedTrainer(Trainer):
+    """Whose budget leaves out what is asked for, and nothing else."""
+
+    tolerances = replace(TOLERANCES, offset_shrinkage=0.0, noise_floor=0.0, validation_views=0)
 
 
 def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, settings: Settings) -> dict[str, Any]:
     """Prunes a finished run to a share of its Gaussians, fine-tunes and evaluates it."""
     checkpoint = newest_checkpoint(run)
     before = load_config(run.config_yaml)
-    auto = AutoBudgetConfig(
-        prune_at=(),
-        validation_views=0,
-        offset_shrinkage=0.0,
-        noise_floor=0.0,
-        prune_by=cast(Any, settings.prune_by),
-    )
     config = replace(
         before,
         max_steps=checkpoint.step + settings.fine_tune,
@@ -75,10 +74,10 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
         save_steps=(),
         result_dir=str(out),
         budget="auto" if budget < 1.0 else "fixed",
-        auto_budget=auto,
+        auto_budget=AutoBudgetConfig(prune_at=()),
         densification=replace(before.densification, enabled=False),
     )
-    trainer = Trainer(config, capture, RunDirectory.create(out, overwrite=True), checkpoint=checkpoint)
+    trainer = PrunedTrainer(config, capture, RunDirectory.create(out, overwrite=True), checkpoint=checkpoint)
     if trainer.budget is not None:
         scores = trainer.budget.scores(trainer.sh_degree, trainer.budget.images(trainer.sh_degree))
         trainer.budget.remove(
@@ -180,7 +179,6 @@ def main() -> None:
     parser.add_argument("--data-factor", type=int, default=1)
     parser.add_argument("--fine-tune", type=int, default=1000, metavar="STEPS", help="steps after pruning")
     parser.add_argument("--budgets", type=float, nargs="+", default=list(BUDGETS), metavar="SHARE")
-    parser.add_argument("--prune-by", choices=("removal", "weights"), default="removal")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--out", type=Path, default=Path("results/budget"))
     parser.add_argument("--runs", nargs="+", help="a finished run of each DATA, to take in place of training them")
@@ -193,7 +191,7 @@ def main() -> None:
     started = time.perf_counter()
     start_warp()
     config = " ".join(options.runs) if options.runs else options.config
-    settings = Settings(config, options.max_steps, options.data_factor, options.fine_tune, options.prune_by)
+    settings = Settings(config, options.max_steps, options.data_factor, options.fine_tune)
     report: dict[str, Any] = {"settings": asdict(settings), "scenes": {}}
     path: Path = options.out / "budget.json"
     if path.is_file() and (found := json.loads(path.read_text()))["settings"] == report["settings"]:

@@ -133,7 +133,7 @@ def variants(decoders: Decoders) -> dict[str, Variant]:
     def swapped(features: Mapping[str, Tensor]) -> dict[str, Tensor]:
         return decoders.decode(features)  # what is active now
 
-    for precision in ("float32", "tf32", "bfloat16") if on_cuda else ("float32", "bfloat16"):
+    for precision in ("float32", "tf32"):
         eager = FastDecoders(decoders, compiled=False, precision=precision)
         found[f"torch, {precision}"] = Variant(swapped, eager.active)
     if on_cuda and can_compile():

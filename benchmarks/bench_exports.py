@@ -31,7 +31,7 @@ from thermosplat.evaluation.loaded_run import LoadedRun, load_run
 from thermosplat.export.formats.splat_formats import SPLAT_FORMATS, Described, SplatFormat, write_format
 from thermosplat.export.scene import spectrum_splats
 from thermosplat.export.splat_fit.fitted_splats import fit_splats
-from thermosplat.export.splat_rendering import others_filter, render_splats
+from thermosplat.export.splat_rendering import render_splats
 from thermosplat.export.splats import Splats
 from thermosplat.image_quality.metrics import psnr
 from thermosplat.novel_views.viewpoints import viewpoints
@@ -60,9 +60,8 @@ def below_exact(splats: Sequence[Tensor], exact: Sequence[Tensor], photographs: 
 @torch.no_grad()
 def rendered(splats: Splats, views: Sequence[ViewTensors], loaded: LoadedRun) -> list[Tensor]:
     """Images of splats in some views as other viewers show them, clamped."""
-    pixel_filter, device = others_filter(loaded.model), loaded.device
-    moved = Splats(*(getattr(splats, name).to(device) for name in splats.__dataclass_fields__))
-    return [render_splats(moved, view, pixel_filter=pixel_filter).clamp(0, 1) for view in views]
+    moved = Splats(*(getattr(splats, name).to(loaded.device) for name in splats.__dataclass_fields__))
+    return [render_splats(moved, view).clamp(0, 1) for view in views]
 
 
 def measured(

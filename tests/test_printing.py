@@ -79,9 +79,10 @@ def test_a_help_keeps_its_colors_and_lines(monkeypatch: pytest.MonkeyPatch) -> N
     assert sys.stdout.getvalue() == "\x1b[1mbold\n\x1b[0m\n\\x1b[1mbold\n\\x1b[0m\na\\nb\n"
 
 
-def test_what_the_terminal_lacks_is_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal without some sign ends no command."""
-    stdout = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+@pytest.mark.parametrize("errors", ["strict", "surrogateescape"])
+def test_what_the_terminal_lacks_is_escaped(errors: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal without some sign ends no command, nor does one with LANG=C."""
+    stdout = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors=errors)
     monkeypatch.setattr(sys, "stdout", stdout)
     with safe_output():
         print("°C")

@@ -29,7 +29,7 @@ COLORS = 3
 """Channels of the colours, which lie apart from the features, as do their images."""
 
 
-def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = False) -> list[wp.Kernel]:
+def cpu_step_kernels(channels: int, thermal_channels: int) -> list[wp.Kernel]:
     """What a forward and backward pass in a step of ``PairCapacity`` launches on the CPU.
 
     The camera is a perspective one that is not trained.
@@ -37,7 +37,6 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
     Args:
         channels: blended with the first opacity: colours from spherical harmonics, and features.
         thermal_channels: blended with the second; 0 for none.
-        antialiased: of the rasterizer's two modes the one that compensates opacities.
 
     Returns:
         The kernels, float32, the slowest to compile first. Without those that blend, if there are more channels than
@@ -57,7 +56,7 @@ def cpu_step_kernels(channels: int, thermal_channels: int, antialiased: bool = F
     return [
         projection_kernel(dtype, camera_model, False),
         *blending[:1],
-        projection_adjoint_kernel(dtype, camera_model, False, False, antialiased),
+        projection_adjoint_kernel(dtype, camera_model, False, False, False),
         *blending[1:2],
         color_adjoint_kernel(dtype, ColorVariant()),
         count,

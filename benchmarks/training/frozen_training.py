@@ -37,7 +37,7 @@ Frames = dict[int, FrameTensors]
 COLOR_SPACES: dict[str, ColorSpace] = {"photograph": "photograph", "auto": "color", "color": "color", "raw": "scalar"}
 """What random images of a spectrum are, by its source."""
 
-ENDLESS = 1_000_000_000
+ENDLESS = 100_000_000
 """Steps of a run that is never finished."""
 
 

@@ -51,6 +51,8 @@ class _Output:
         """Whether something could not be written."""
         self.told = False
         """Whether that has been said."""
+        self.may_end = False
+        """Whether a reader who leaves early, as of ``--help | head``, has had what it wanted."""
 
     def write(self, text: str) -> int:
         """Write what can be written of a text, escaped."""
@@ -86,7 +88,7 @@ class _Output:
 
     def _lose(self, error: OSError) -> None:
         self.lost = True
-        if not self.told and not (self.lines and error.errno == errno.EPIPE):  # --help | head
+        if not self.told and not (self.may_end and error.errno == errno.EPIPE):
             self.told = True
             print(f"The output cannot be written ({error.strerror}). The command goes on.", file=sys.stderr, flush=True)
 
@@ -124,7 +126,8 @@ def safe_output() -> Iterator[None]:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115  until the end
     outputs = _Output(sys.stdout, lines=False), _Output(sys.stderr, lines=True)
     for output in outputs:
-        if hasattr(output.stream, "reconfigure") and output.stream.errors == "strict":
+        # "surrogateescape" is what Python takes where LANG=C
+        if hasattr(output.stream, "reconfigure") and output.stream.errors in ("strict", "surrogateescape"):
             output.stream.reconfigure(errors="backslashreplace")  # signs that the terminal lacks
     with redirect_stdout(outputs[0]), redirect_stderr(outputs[1]):
         try:
@@ -145,14 +148,14 @@ def help_printed(words: Iterable[str]) -> Iterator[None]:
     if not (isinstance(output, _Output) and isinstance(errors, _Output)):
         yield
         return
-    output.lines = True
+    output.lines = output.may_end = True
     colored = all(map(str.isprintable, words))
     with (
         redirect_stdout(output.rich_proxied_file if colored else output),
         redirect_stderr(errors.rich_proxied_file if colored else errors),
     ):
         yield
-    output.lines = False
+    output.lines = output.may_end = False
 
 
 def print_last(*lines: str) -> None:

@@ -88,9 +88,6 @@ class SpectrumConfig:
     that weight is taken in full; with less it falls in proportion. 0: it is taken as it is. Open choice."""
     smoothness_least: float = 0.05
     """With ``smoothness_noise``, the weight where there is no noise. Open choice."""
-    charbonnier: float = 0.0
-    """ε of sqrt(d² + ε²) - ε in place of |d| in the losses on its images, in their units (0 to 1): differences within
-    the sensor's noise count by their square, larger ones as before. Charbonnier et al. 1994. 0: plain L1."""
     squared: float = 0.0
     """k of |d| + k d² in place of |d| in the loss on its images, in their units (0 to 1): PSNR is of squares, in which
     large differences count for more. 0: plain L1. Open choice."""

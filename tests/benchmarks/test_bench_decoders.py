@@ -13,5 +13,5 @@ def test_backward_has_the_precision_of_the_variant() -> None:
         hook = case.render.register_hook(lambda _, name=name: seen.update({name: torch.get_float32_matmul_precision()}))
         case.forward_backward(variant)
         hook.remove()
-    assert seen == {"torch, float32": "highest", "torch, bfloat16": "high"}
+    assert seen == {"torch, float32": "highest", "torch, tf32": "high"}
     assert torch.get_float32_matmul_precision() == before

@@ -5,11 +5,14 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from thermosplat import __version__
 from thermosplat.cli import benchmark, evaluate, export, prepare, render, train
+from thermosplat.cli.command_line import check_ranges
+from thermosplat.errors import UserError
 
 pytestmark = pytest.mark.usefixtures("stoppable")
 
@@ -50,6 +53,29 @@ def test_version(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     """--version says it and ends with code 0, whatever else is asked."""
     assert COMMANDS[command].main(["--version"]) == 0
     assert capsys.readouterr().out == f"thermosplat {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (None, None),
+        (3.5, None),
+        ((1, 9.0), None),
+        (0, "must be at least 1, found 0."),
+        (float("nan"), "must be at least 1, found nan."),
+        (float("inf"), "must be at most 1,000, found inf."),
+        ((2, 1e308), "must be at most 1,000, found 1e+308."),
+        (10**400, "must be at most 1,000, found 1000"),
+    ],
+)
+def test_numbers_have_ranges(value: object, message: str | None) -> None:
+    """Of a flag that has one number, several or none; the message names flag, bound and value."""
+    arguments = SimpleNamespace(of_these=value)
+    if message is None:
+        check_ranges(arguments, of_these=(1, 1000))
+        return
+    with pytest.raises(UserError, match=re.escape(f"--of-these {message}")):
+        check_ranges(arguments, of_these=(1, 1000))
 
 
 @pytest.mark.parametrize(("command", "examples"), [("train", 5), ("benchmark", 6)])

@@ -1,12 +1,13 @@
 """Who comes from another trainer is told the flag here."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from thermosplat.cli.arguments import parse_train_arguments
-from thermosplat.cli.foreign_flags import refuse_foreign_flags
-from thermosplat.config.renamed import NEW_NAMES
+from thermosplat.cli.foreign_flags import refuse_foreign_flags, without_gone_flags
+from thermosplat.config.renamed import GONE, NEW_NAMES, gone
 from thermosplat.errors import UserError
 
 MIGRATING = Path(__file__).parents[2] / "docs" / "migrating.md"
@@ -23,7 +24,7 @@ MIGRATING = Path(__file__).parents[2] / "docs" / "migrating.md"
         (["data/shed", "--max-num-iterations", "3"], "--max-steps"),
         (["data/shed", "-m", "out"], "--result-dir"),
         (["data/shed", "--lambda_dssim", "0.2"], "--loss.ssim-lambda"),
-        (["data/shed", "--antialiasing"], "--model.rasterize-mode antialiased"),
+        (["data/shed", "--antialiasing"], GONE["model.rasterize_mode"].why),
         (["data/shed", "--model.no-thermal"], "--without thermal"),
         (["data/shed", "--model.no-rgb"], "--without rgb"),
         (["data/shed", "--model.no-geometric-decoupling"], "--thermal.opacity shared"),
@@ -40,6 +41,11 @@ def test_flags_of_other_trainers(words: list[str], hint: str) -> None:
     assert hint in caught.value.hint
 
 
+def refused(words: list[str]) -> None:
+    refuse_foreign_flags(words)
+    without_gone_flags(words)
+
+
 def test_every_flag_of_the_migration_table_has_a_hint() -> None:
     """What the table calls otherwise than thermosplat-train does is known, and led to what the table says."""
     rows = [
@@ -53,11 +59,15 @@ def test_every_flag_of_the_migration_table_has_a_hint() -> None:
                 if flag.replace("_", "-") in row[-1] or flag == "--eval-mode interval":
                     continue
                 with pytest.raises(UserError) as caught:
-                    refuse_foreign_flags([flag, "x"])
-                assert any(word in caught.value.hint for word in ours), flag
+                    refused([flag, "x"])
+                said = f"{caught.value.message} {caught.value.hint}"
+                assert any(word in said for word in ours or [row[-1].strip()]), flag
 
 
-@pytest.mark.parametrize("old", [old for old, new in NEW_NAMES.items() if old != new.removeprefix("spectra.")])
+@pytest.mark.parametrize(
+    "old",
+    [old for old, new in NEW_NAMES.items() if old != new.removeprefix("spectra.") and gone(old) is None],
+)
 def test_flags_of_version_0_1(old: str) -> None:
     """Every setting that has another name today is led to it, and the flag that the hint names is understood."""
     given = f"--{old.replace('_', '-')}"
@@ -69,7 +79,32 @@ def test_flags_of_version_0_1(old: str) -> None:
         parse_train_arguments(["data/shed", flag, *values.get(flag, ["0.5"])])
 
 
+def flags_of(name: str, value: Any) -> list[list[str]]:
+    """Ways to give a setting on the command line."""
+    flag = f"--{name.replace('*', 'thermal').removeprefix('spectra.').replace('_', '-')}"
+    if isinstance(value, bool):
+        group, dot, key = flag.removeprefix("--").rpartition(".")
+        return [[flag if value else f"--{group}{dot}no-{key}"]]
+    return [[flag, str(value)], [f"{flag.replace('-', '_').replace('__', '--', 1)}={value}"]]
+
+
+@pytest.mark.parametrize("name", GONE)
+def test_flags_of_settings_that_are_gone(name: str) -> None:
+    """Those that ask for what is done today are left out, others refused with a sentence."""
+    neutral = GONE[name].neutral
+    for value in neutral:
+        for words in flags_of(name, value):
+            assert without_gone_flags(["data/shed", *words, "--seed", "3"]) == ["data/shed", "--seed", "3"]
+    other = not neutral[0] if isinstance(neutral[0], bool) else "7e5"
+    for words in flags_of(name, other):
+        with pytest.raises(UserError, match=f"{words[0].partition('=')[0]} is no setting any more, found") as caught:
+            parse_train_arguments(["data/shed", *words])
+        assert caught.value.hint == "Leave it out."
+
+
 def test_our_own_flags_pass() -> None:
     """Also those that another trainer has by the same name, and those of version 0.1 that kept theirs."""
     refuse_foreign_flags(["data/shed", "--max-steps", "3", "--sh_degree", "2", "--test-every", "8", "--resume", "x"])
     refuse_foreign_flags(["data/shed", "--thermal.source", "raw", "--thermal.unit", "celsius", "--thermal.aligned"])
+    words = ["data/shed", "--thermal.source", "raw", "--no-graph", "--decoder.no-modulation", "--refine=rig", "-h"]
+    assert without_gone_flags(words) == words

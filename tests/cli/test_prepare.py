@@ -53,7 +53,7 @@ def test_place_of_the_capture(run: Run, tmp_path: Path, monkeypatch: pytest.Monk
         (["import", "{}", "--thermal", "{}"], "folder of the photographs is missing"),
         (["import", "--rgb", "{}", "--further", "nir"], "--further nir is not NAME=DIR"),
         (["import", "{}", "--every", "0"], "--every must be at least 1"),
-        (["import", "{}", "--unit", "fahrenheit"], "--unit fahrenheit is not known"),
+        (["import", "{}", "--unit", "rankine"], "--unit rankine is not known"),
         (["import", "{}", "--range", "30", "10"], "--range must be MIN MAX"),
         (["pair", "{}", "--by", "magic"], "magic"),
     ],

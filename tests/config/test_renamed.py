@@ -1,4 +1,4 @@
-"""Configurations of version 0.1 are read as today's."""
+"""Configurations of older versions are read as today's."""
 
 import dataclasses
 from pathlib import Path
@@ -9,7 +9,7 @@ import yaml
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import from_dict, load_config, to_dict
-from thermosplat.config.renamed import NEW_NAMES, with_todays_names
+from thermosplat.config.renamed import GONE, NEW_NAMES, gone, with_todays_names
 from thermosplat.errors import UserError
 from toy_scene import with_spectra
 
@@ -173,12 +173,12 @@ def test_a_preset_of_version_0_1_is_todays(name: str, tmp_path: Path) -> None:
     assert dataclasses.replace(load_config(tmp_path / "mine.yaml"), config=name) == today
 
 
-@pytest.mark.parametrize("old", NEW_NAMES)
+@pytest.mark.parametrize("old", [old for old in NEW_NAMES if gone(old) is None])
 def test_every_old_name(old: str) -> None:
     """Alone, it is the new name with the same value, which a configuration takes; nothing of the old group is left."""
     new, value = NEW_NAMES[old], VALUES.get(old, 0.25)
     values = nested(old, value)
-    found = with_todays_names(values)
+    found = with_todays_names(values, source="")
     assert at(found, new) == value
     assert values == nested(old, value)
     if old.partition(".")[0] not in new:
@@ -190,7 +190,7 @@ def test_every_old_name(old: str) -> None:
     assert at(to_dict(TrainConfig()), new) != value
 
 
-@pytest.mark.parametrize("old", NEW_NAMES)
+@pytest.mark.parametrize("old", [old for old in NEW_NAMES if gone(old) is None])
 def test_todays_name_wins(old: str) -> None:
     """A file that has a setting under both names means the new one."""
     both = nested(old, VALUES.get(old, 0.25))
@@ -199,13 +199,13 @@ def test_todays_name_wins(old: str) -> None:
     for group in groups:
         inner = inner.setdefault(group, {})
     inner[key] = "today's"
-    assert at(with_todays_names(both), NEW_NAMES[old]) == "today's"
+    assert at(with_todays_names(both, source=""), NEW_NAMES[old]) == "today's"
 
 
 def test_todays_configurations_stay_as_they_are() -> None:
     """Nothing is renamed, added or taken away."""
     for config in (TrainConfig(), load_config("mmone"), with_spectra(TrainConfig(), nir={"unit": "reflectance"})):
-        assert with_todays_names(to_dict(config)) == to_dict(config)
+        assert with_todays_names(to_dict(config), source="") == to_dict(config)
 
 
 @pytest.mark.parametrize(
@@ -249,12 +249,12 @@ def test_two_switches_of_the_opacity(model: dict[str, Any], opacity: str, tmp_pa
 
 def test_decomposition_was_a_threshold() -> None:
     """It is a strategy today; null was none, also on top of a preset that has one."""
-    values = with_todays_names({"densification": {"decompose_threshold": 3e-4, "strategy": "default"}})
+    values = with_todays_names({"densification": {"decompose_threshold": 3e-4, "strategy": "default"}}, source="")
     assert values == {"densification": {"conflict_threshold": 3e-4, "strategy": "decomposing"}}
     for stated in ({}, {"strategy": "default"}):
-        values = with_todays_names({"densification": {"decompose_threshold": None, **stated}})
+        values = with_todays_names({"densification": {"decompose_threshold": None, **stated}}, source="")
         assert values == {"densification": {"strategy": "default"}}
-    values = with_todays_names({"densification": {"decompose_threshold": None, "strategy": "mcmc"}})
+    values = with_todays_names({"densification": {"decompose_threshold": None, "strategy": "mcmc"}}, source="")
     assert values == {"densification": {"strategy": "mcmc"}}
 
 
@@ -279,3 +279,70 @@ def test_what_was_never_a_value_is_a_mistake(text: str, expected: str, tmp_path:
         load_config(tmp_path / "mine.yaml")
     assert expected in caught.value.message
     assert "mine.yaml" in caught.value.message
+
+
+def other_value(name: str) -> Any:
+    """A value of a setting that there is no more, for something else than what is done today."""
+    first = GONE[name].neutral[0]
+    return "another" if isinstance(first, str) else not first if isinstance(first, bool) else first + 7
+
+
+def of_thermal(name: str) -> dict[str, Any]:
+    """Nested dictionaries with one such setting, yet without its value, by the name of the innermost."""
+    *groups, key = name.replace("*", "thermal").split(".")
+    values: dict[str, Any] = {key: None}
+    for group in reversed(groups):
+        values = {group: values}
+    return values
+
+
+def filled(values: dict[str, Any], value: Any) -> dict[str, Any]:
+    return {key: filled(inner, value) if isinstance(inner, dict) else value for key, inner in values.items()}
+
+
+@pytest.mark.parametrize("name", GONE)
+def test_a_setting_that_is_gone(name: str, tmp_path: Path) -> None:
+    """What asks for what is done today is dropped silently. Else it is a mistake in a file, and told of what is
+    trained, but where images of such a model would be wrong."""
+    file = tmp_path / "mine.yaml"
+    for value in GONE[name].neutral:
+        file.write_text(yaml.safe_dump(filled(of_thermal(name), value)))
+        assert load_config(file) == dataclasses.replace(TrainConfig(), config="mine")
+        notes: list[str] = []
+        assert from_dict(filled(of_thermal(name), value), notes=notes) == TrainConfig()
+        assert not notes
+    values = filled(of_thermal(name), other_value(name))
+    file.write_text(yaml.safe_dump(values))
+    full = name.replace("*", "thermal")
+    with pytest.raises(
+        UserError, match=f"{full} is no setting any more, found {other_value(name)!r}. [A-Z].*[.]"
+    ) as caught:
+        load_config(file)
+    assert "mine.yaml" in caught.value.message
+    assert caught.value.hint == "Remove the line."
+    if GONE[name].shapes_images:
+        with pytest.raises(UserError, match=f"{full} is no setting any more"):
+            from_dict(values, notes=[])
+    else:
+        assert from_dict(values, notes=notes) == TrainConfig()
+        assert len(notes) == 1
+        assert full in notes[0]
+
+
+def test_a_choice_that_is_gone(tmp_path: Path) -> None:
+    """Told of what is trained; in a file a mistake that names the choices there are."""
+    notes: list[str] = []
+    assert from_dict({"decoder_precision": "bfloat16"}, notes=notes) == TrainConfig()
+    assert notes == ["the configuration: bfloat16 is no decoder_precision any more. Decoders train in float32 or tf32."]
+    (tmp_path / "mine.yaml").write_text("decoder_precision: bfloat16\n")
+    with pytest.raises(UserError, match='must be one of "float32", "tf32", found'):
+        load_config(tmp_path / "mine.yaml")
+
+
+def test_an_old_name_of_a_setting_that_is_gone(tmp_path: Path) -> None:
+    """Version 0.1's names are followed, and what a spectrum is called does not matter."""
+    for old in filter(gone, NEW_NAMES):
+        assert from_dict(nested(old, GONE[NEW_NAMES[old].replace(".thermal.", ".*.")].neutral[0])) == TrainConfig()
+    (tmp_path / "mine.yaml").write_text("optimizer: {exposures_lr: 0.5}\n")
+    with pytest.raises(UserError, match="Exposures are solved for"):
+        load_config(tmp_path / "mine.yaml")

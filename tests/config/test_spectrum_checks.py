@@ -69,7 +69,7 @@ def test_nothing_to_train() -> None:
         ({"smoothness_noise": -0.1}, "--nir.smoothness-noise must be zero or positive"),
         ({"point_spread_noise": -0.1}, "--nir.point-spread-noise must be zero or positive"),
         ({"smoothness_least": -0.1}, "--nir.smoothness-least must be zero or positive"),
-        ({"charbonnier": -0.1}, "--nir.charbonnier must be zero or positive"),
+        ({"squared": -0.1}, "--nir.squared must be zero or positive"),
         ({"squared": -1.0}, "--nir.squared must be zero or positive"),
         ({"loss": float("nan")}, "--nir.loss must be finite, found nan."),
         ({"train_from": 1.5}, "--nir.train-from must lie between 0 and 1, found 1.5."),

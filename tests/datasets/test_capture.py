@@ -113,6 +113,16 @@ def test_folders_of_impossible_names(data):
     assert len(str(caught.value)) < 300
 
 
+@pytest.mark.parametrize("data", ["caf\udce9", "."])
+def test_a_folder_whose_name_is_not_utf8(data, tmp_path, monkeypatch):
+    """Neither pycolmap nor a configuration can have it, also where it is the current folder."""
+    folder = tmp_path / "caf\udce9"
+    folder.mkdir()
+    monkeypatch.chdir(folder if data == "." else tmp_path)
+    with pytest.raises(UserError, match="is not UTF-8"):
+        load_capture(data)
+
+
 def test_a_folder_that_cannot_be_read(tmp_path, monkeypatch):
     """The system's reason, and the path."""
 

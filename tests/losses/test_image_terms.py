@@ -10,7 +10,7 @@ from kornia.losses import ssim_loss
 from direct_ssim import direct_ssim
 from thermosplat.config import LossConfig, TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
-from thermosplat.losses.image_terms import charbonnier, compare_frame, image_loss, smoothness
+from thermosplat.losses.image_terms import compare_frame, image_loss, smoothness
 from thermosplat.scene.rendered_frame import RenderedFrame
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model, with_spectra
 
@@ -207,26 +207,6 @@ def test_smoothness_of_a_ramp() -> None:
     assert smoothness(torch.full((4, 5, 3), 0.7)) == 0
 
 
-def test_charbonnier_is_square_within_and_absolute_beyond_the_noise() -> None:
-    """d² / 2ε far below ε, |d| - ε far above it."""
-    assert charbonnier(torch.tensor([1e-3, -1e-3]), 0.1).item() == pytest.approx(5e-6, rel=1e-2)
-    assert charbonnier(torch.tensor([2.0, -2.0]), 1e-3).item() == pytest.approx(1.999, rel=1e-4)
-
-
-def test_charbonnier_takes_the_place_of_l1_on_thermal_images() -> None:
-    """RGB terms stay; thermal terms keep their SSIM part."""
-    rendered, frame = rendered_and_frame()
-    plain = frame_losses(rendered, frame, TrainConfig())
-    robust = frame_losses(rendered, frame, with_spectra(TrainConfig(), thermal={"charbonnier": 0.05}))
-    assert set(robust) == set(plain)
-    for name in ("rgb", "features_rgb", "thermal_smoothness"):
-        torch.testing.assert_close(robust[name], plain[name])
-    difference = rendered.images["thermal"] - frame.views["thermal"].image
-    change = charbonnier(difference, 0.05) - difference.abs().mean()
-    torch.testing.assert_close(robust["thermal"] - plain["thermal"], 0.8 * change)
-    assert robust["features_thermal"] < plain["features_thermal"]
-
-
 def test_squares_are_added_to_the_images_term_alone() -> None:
     """k d² beside |d|, in a spectrum's image loss and in no other term."""
     rendered, frame = rendered_and_frame()
@@ -257,8 +237,7 @@ def as_leaves(rendered: RenderedFrame, device: torch.device) -> tuple[RenderedFr
     "config",
     [
         TrainConfig(),
-        with_spectra(TrainConfig(), thermal={"charbonnier": 0.05}),
-        with_spectra(TrainConfig(), rgb={"squared": 15.0}, thermal={"squared": 30.0, "charbonnier": 0.05}),
+        with_spectra(TrainConfig(), rgb={"squared": 15.0}, thermal={"squared": 30.0}),
         with_spectra(TrainConfig(), thermal={"loss": 0.0}),
         with_spectra(TrainConfig(loss=LossConfig(features=0.0)), rgb={"loss": 0.0}),
         with_spectra(TrainConfig(), thermal={"smoothness": 0.0}),

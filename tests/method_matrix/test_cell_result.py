@@ -1,5 +1,6 @@
 """Results of cells as files."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -101,6 +102,16 @@ def test_a_matrix_of_the_first_version_can_be_gone_on_with(tmp_path: Path) -> No
     path.write_text(json.dumps(OLD | {"settings": then | {"loss": {"rgb": 0.25, "features": 0.0}}}))
     with pytest.raises(UserError, match=r"is finished with spectra.rgb.loss=0.25, now 0.5"):
         matrix.missing(Results.collect(tmp_path).cells)
+
+
+def test_a_cell_with_a_setting_that_is_gone(tmp_path: Path) -> None:
+    """It counts as made today where it asked for what is done today, else as another one, which is to be made again."""
+    write_cell(tmp_path, dataclasses.replace(made_cell(), settings={"auto_budget": {"prune_change": 0.02}}))
+    assert read_cell(tmp_path / FILE_NAME).settings == {}
+    write_cell(tmp_path, dataclasses.replace(made_cell(), settings={"auto_budget": {"prune_change": 0.03}}))
+    with pytest.raises(UserError, match=r"prune_change is no setting any more, found 0\.03") as caught:
+        read_cell(tmp_path / FILE_NAME)
+    assert "makes the cell again" in caught.value.hint
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"format": 1}', '{"format": 2}', '{"format": 3}'])

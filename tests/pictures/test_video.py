@@ -87,6 +87,13 @@ def test_no_encoder_means_pngs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert len(list(folder.iterdir())) == 4
 
 
+def test_opencv_is_given_no_name_that_is_not_utf8(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would crash; PNGs are written then."""
+    monkeypatch.setattr(video, "browsers_play_videos", lambda: False)
+    folder = write_images(iter(plain_images()), tmp_path / "caf\udce9" / "path", format="mp4", fps=5)
+    assert len(list(folder.iterdir())) == 4
+
+
 def test_failing_render_leaves_no_half_video(tmp_path: Path) -> None:
     """If rendering fails half-way, an earlier video stays and nothing half-done is left."""
 

@@ -44,8 +44,8 @@ def test_a_start_that_fails_beside_other_work_is_told(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     ("changes", "kernels"),
     [
-        ({}, [(11, 8, False)]),
-        ({"spectra": {"thermal": {"opacity": "shared"}}, "model": {"rasterize_mode": "antialiased"}}, [(11, 0, True)]),
+        ({}, [(11, 8)]),
+        ({"spectra": {"thermal": {"opacity": "shared"}}}, [(11, 0)]),
         ({"model": {"gaussian_sets": "separate", "feature_dim": 0}}, []),
         ({"device": "cuda"}, []),
     ],

@@ -17,7 +17,6 @@ from toy_scene import toy_capture, toy_config, toy_model
 
 MODELS: dict[str, dict[str, Any]] = {
     "offsets": {},
-    "antialiased": {"rasterize_mode": "antialiased"},
     "narrow footprints": {"eps2d": 0.05},
     "own opacity": {"spectra": {"thermal": {"opacity": "own"}}},
     "no features": {"feature_dim": 0},

@@ -14,7 +14,7 @@ from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.plain_steps import PlainSteps
 from thermosplat.training.trainer import Trainer
-from toy_run import enlarged, many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_run import enlarged, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 pytestmark = pytest.mark.cuda
@@ -42,7 +42,6 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"others": ("nir",), "aligned": False},
     ),
     "shared, pixels that do not count": ({}, {"masked": True}),
-    "shared, random colours behind the images": ({"random_background": True}, {}),
     "shared, thermal lines that are read one after the other": ({}, {"aligned": False, "shaken": ("thermal",)}),
 }
 
@@ -114,7 +113,7 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
     mcmc = DensificationConfig(strategy="mcmc", max_gaussians=300, start_step=4, stop_step=60, every=10)
 
     def run(name: str, graph: bool) -> Trainer:
-        thermal = {"exposure": "affine", "charbonnier": 0.02, "swept_depth": 0.1, "point_spread": 0.02}
+        thermal = {"exposure": "affine", "squared": 30.0, "swept_depth": 0.1, "point_spread": 0.02}
         robust = {"rgb": {"exposure": "affine"}, "thermal": thermal}
         config = toy_run_config(max_steps=40, spectra=robust)
         loss = dataclasses.replace(config.loss, opacity_reg=0.01, scale_reg=0.01, depth_spread=0.1)
@@ -204,9 +203,10 @@ def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     assert trainer.guard.first_bad() is None
 
 
+@tolerating(prune_change=0.0, feature_change=1e9, measured_views=2)
 def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
     """Steps with other kernels than before are captured once these are loaded, and go on as without graphs."""
-    budget = AutoBudgetConfig(prune_at=(0.5,), prune_change=0.0, feature_change=1e9, measured_views=2)
+    budget = AutoBudgetConfig(prune_at=(0.5,))
     still = DensificationConfig(enabled=False)
 
     changes = {"densification": still, "budget": "auto", "auto_budget": budget}

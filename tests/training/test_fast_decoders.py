@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from thermosplat.config import DecoderConfig
+from thermosplat.config import DecoderConfig, TrainConfig
 from thermosplat.scene.decoders import Decoders
 from thermosplat.spectra import Spectrum
 from thermosplat.training import fast_decoders
@@ -39,23 +39,23 @@ def test_precision_and_decoding_are_put_back() -> None:
     assert "decode" not in vars(decoders)
 
 
-@pytest.mark.parametrize(("precision", "bits"), [("float32", 20), ("bfloat16", 5)])
-def test_precision_of_images_and_gradients(precision: fast_decoders.Precision, bits: int) -> None:
-    """The images of plain decoders, in float32, to the precision asked for; gradients reach features and weights."""
+def test_images_and_gradients() -> None:
+    """The images of plain decoders; gradients reach features and weights. On the CPU they are the plain ones."""
     decoders = Decoders(DecoderConfig(hidden_dim=16), 8, SPECTRA)
     features = torch.rand(3, 7, 9, 8, generator=torch.Generator().manual_seed(0))
     leaf = features.clone().requires_grad_()
-    with FastDecoders(decoders, compiled=False, precision=precision).active():
+    with FastDecoders(decoders, compiled=False, precision="float32").active():
         images = decoders.decode(named(leaf))
         alone = decoders.decode({"rgb": leaf[0]})
     plain = decoders.decode(named(features))
     assert list(images) == ["rgb", "thermal", "nir"]
     for name, image in (*images.items(), *alone.items()):
         assert image.dtype == torch.float32
-        assert (image - plain[name]).abs().max() < 2.0**-bits
+        assert (image - plain[name]).abs().max() < 2.0**-20
     sum(image.sum() for image in images.values()).backward()
     assert leaf.grad.dtype == torch.float32
     assert all(parameter.grad.abs().sum() > 0 for parameter in decoders.parameters())
+    assert fast_decoders.fast_decoders(decoders, TrainConfig(decoder_precision="tf32"), torch.device("cpu")) is None
 
 
 def test_compiling_needs_triton_and_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:

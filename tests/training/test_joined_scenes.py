@@ -1,6 +1,7 @@
 """Scenes that are trained apart and become one: what the union shows, and the run that makes it."""
 
 import dataclasses
+import math
 import signal
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,20 @@ from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.stop_signals import stopped_by_signals
 from thermosplat.torch_bridge.host_rows import on_cpu
+from thermosplat.training import image_noise
 from thermosplat.training.joined_scenes import joined, seed_of_scene, steps_of_scene, thinned_logits
 from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepValues
-from toy_run import assert_same_state, many_frames, state_tensors, stopped_and_resumed, toy_run_config, toy_trainer
+from toy_run import (
+    assert_same_state,
+    many_frames,
+    state_tensors,
+    stopped_and_resumed,
+    tolerating,
+    toy_run_config,
+    toy_trainer,
+)
 from toy_scene import toy_capture, toy_config, toy_model
 
 
@@ -206,19 +216,13 @@ def test_a_stop_while_the_next_scene_starts_leaves_that_one(tmp_path: Path, capt
     assert (second.step, len(second.state.kept_scenes)) == (0, 1)
 
 
-def test_a_budget_looks_once_more_at_what_they_became(tmp_path: Path) -> None:
+@tolerating(prune_change=0.002, measured_views=3)
+def test_a_budget_looks_once_more_at_what_they_became(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each scene withholds views while it grows, and loses Gaussians; so does the one that all become. (Views that are
     noisy would stay withheld for longer.)"""
+    monkeypatch.setattr(image_noise, "NOISY", math.inf)
     capture = many_frames(toy_capture(), 25)
-    budget = AutoBudgetConfig(
-        prune_at=(0.5, 0.9),
-        prune_change=0.002,
-        validation_views=2,
-        validate_every=4,
-        patience=1000,
-        measured_views=3,
-        sparse_noise=0.0,
-    )
+    budget = AutoBudgetConfig(prune_at=(0.5, 0.9), validate_every=4, patience=1000)
     config = scenes_config(40, budget="auto", auto_budget=budget)
     config = dataclasses.replace(config, densification=dataclasses.replace(config.densification, stop_step=18))
     trainer = toy_trainer(tmp_path, config, capture)

@@ -114,7 +114,7 @@ def test_mcmc_grows_with_the_images_and_is_not_full_before(tmp_path: Path, captu
         {"refine": ("poses",), "refine_from": 2},
         {
             "budget": "auto",
-            "auto_budget": AutoBudgetConfig(prune_at=(0.5, 0.8), validation_views=0, measured_views=2),
+            "auto_budget": AutoBudgetConfig(prune_at=(0.5, 0.8)),
         },
     ],
     ids=["plain", "batches", "poses", "budget"],

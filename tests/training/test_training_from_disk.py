@@ -40,7 +40,7 @@ def on_disk(root: Path) -> Capture:
     return capture
 
 
-BUDGET = AutoBudgetConfig(prune_at=(0.5,), validation_views=2, measured_views=3, validate_every=2)
+BUDGET = AutoBudgetConfig(prune_at=(0.5,), validate_every=2)
 NOISY = {"thermal": {"smoothness_noise": 0.02}}
 
 

@@ -52,30 +52,6 @@ def test_penalties_leave_alone_what_a_step_does_not_train(tmp_path: Path) -> Non
         assert all(torch.equal(value, after[name]) for name, value in before.items())
 
 
-def test_random_colours_lie_behind_training_images(tmp_path: Path) -> None:
-    """Where nothing is opaque they show, others in each step; held-out views have the background of the run."""
-    capture = many_frames(toy_capture(thermal_kind="scalar"))
-    plain = toy_trainer(tmp_path / "plain", toy_run_config(), capture)
-    trainer = toy_trainer(tmp_path / "random", toy_run_config(random_background=True), capture)
-    assert plain.state.behind is None
-    kind, colors = StepKind(0, densifying=False), []
-    without = plain.device_step.gradients(plain.frames[0], kind, fixed_capacity=False)
-    for step in (1, 2):
-        trainer.state.begin_step(step, trainer.config.optimizer, 1.0)
-        behind = trainer.state.behind
-        assert behind is not None
-        colors.append(behind.clone())
-        done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
-        for name, color in zip(("rgb", "thermal"), behind, strict=True):
-            image, alpha = without.rendered.images[name], without.rendered.alphas[name]
-            assert alpha.min() < 0.9
-            expected = image + (1.0 - alpha) * color[: image.shape[-1]]
-            torch.testing.assert_close(done.rendered.images[name], expected)
-            assert done.losses[name] != without.losses[name]
-    assert not torch.equal(*colors)
-    assert trainer.results.evaluate().metrics["rgb"]["psnr"] == plain.results.evaluate().metrics["rgb"]["psnr"]
-
-
 def test_terms_have_their_weights(tmp_path: Path) -> None:
     """Twice the weight is twice the term; balanced, a spectrum's terms are those of the other set's share."""
     capture = many_frames(toy_capture())

@@ -3,10 +3,9 @@
 One pair has too few tiles for a large GPU, so the channels of all pairs are numbered through and share the pass.
 
 SSIM's window is separable: a tile's x, y, x² + y² and xy are blurred along rows and then along columns (image_tiles),
-which gives the moments of a pixel, and those its losses and their derivatives by the three moments that depend on x. In
-place of |x - y| there may be sqrt((x - y)² + ε²) - ε (Charbonnier et al. 1994). By the way the pass sums the squared
-error of the clamped image, and where it is wanted |∂x| + |∂y|. Borders are reflected (kornia, torchmetrics). The
-adjoint is in image_loss_adjoint.py.
+which gives the moments of a pixel, and those its losses and their derivatives by the three moments that depend on x.
+To |x - y| there may be added k (x - y)². By the way the pass sums the squared error of the clamped image, and where it
+is wanted |∂x| + |∂y|. Borders are reflected (kornia, torchmetrics). The adjoint is in image_loss_adjoint.py.
 """
 
 import warp as wp
@@ -113,9 +112,7 @@ FINISH = """
                 const S_ inverse = 1 / (C * D + (S_)EPSILON_), ssim = A * B * inverse;
                 const int at = (first + r + RADIUS_) * PITCH_ + column + RADIUS_;
                 const S_ a = held[0][at], b = held[1][at];
-                S_ difference = wp::abs(a - b);
-                if (noise > 0) difference = wp::sqrt(difference * difference + noise * noise) - noise;
-                difference += squared * (a - b) * (a - b);
+                const S_ difference = wp::abs(a - b) + squared * (a - b) * (a - b);
                 loss += (1 - ssim_share) * difference + ssim_share * (1 - ssim);
                 const S_ error = wp::min(wp::max(a, (S_)0), (S_)1) - b;
                 errors += error * error;
@@ -219,7 +216,6 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         y_row: int,
         y_column: int,
         ssim_share: dtype,
-        noise: dtype,
         squared: dtype,
         smoothed: bool,
         sums: wp.array2d(dtype=dtype),
@@ -241,10 +237,6 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         e1: int,
         e2: int,
         ssim_share: dtype,
-        noise0: dtype,
-        noise1: dtype,
-        noise2: dtype,
-        noise3: dtype,
         squared0: dtype,
         squared1: dtype,
         squared2: dtype,
@@ -278,7 +270,6 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
             y_row,
             y_column,
             ssim_share,
-            of_term(noise0, noise1, noise2, noise3, e0, e1, e2, c),
             of_term(squared0, squared1, squared2, squared3, e0, e1, e2, c),
             c >= smooth_from and c < smooth_to,
             sums,

@@ -35,9 +35,7 @@ FINISH = """
                 const S_* x = (const S_*)of_x + gy * x_row + gx * x_column;
                 const S_ a = fetch(x, 0), b = fetch((const S_*)of_y, gy * y_row + gx * y_column), difference = a - b;
                 const auto sign = [](S_ value) { return (S_)(value > 0) - (S_)(value < 0); };
-                S_ slope = sign(difference);
-                if (noise > 0) slope = difference / wp::sqrt(difference * difference + noise * noise);
-                slope += 2 * squared * difference;
+                const S_ slope = sign(difference) + 2 * squared * difference;
                 S_ v = scale * (t[0][r] + 2 * a * t[1][r] + b * t[2][r] + (1 - ssim_share) * slope);
                 if (smooth_scale != 0) {
                     S_ turns = 0;
@@ -91,7 +89,6 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
         v_row: int,
         v_column: int,
         ssim_share: dtype,
-        noise: dtype,
         squared: dtype,
         scale: dtype,
         smooth_scale: dtype,
@@ -113,10 +110,6 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
         e1: int,
         e2: int,
         ssim_share: dtype,
-        noise0: dtype,
-        noise1: dtype,
-        noise2: dtype,
-        noise3: dtype,
         squared0: dtype,
         squared1: dtype,
         squared2: dtype,
@@ -168,7 +161,6 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
             v_row,
             v_column,
             ssim_share,
-            of_term(noise0, noise1, noise2, noise3, e0, e1, e2, c),
             of_term(squared0, squared1, squared2, squared3, e0, e1, e2, c),
             scale,
             smooth_scale,

@@ -24,8 +24,7 @@ class ImageLossSettings:
         c2: SSIM's second constant.
         epsilon: added to SSIM's denominator.
         weights: of each pair's loss; at most TERMS pairs.
-        charbonnier: ε of each pair, sqrt(d² + ε²) - ε in place of |d|; 0: |d|.
-        squared: k of each pair, k d² added to that.
+        squared: k of each pair, |d| + k d² in place of |d|.
         smoothed: the pair whose image's |∂x| + |∂y| is a loss too; None: of none.
         smoothness: weight of that loss.
     """
@@ -36,7 +35,6 @@ class ImageLossSettings:
     c2: float
     epsilon: float
     weights: tuple[float, ...] = (1.0,)
-    charbonnier: tuple[float, ...] = (0.0,)
     squared: tuple[float, ...] = (0.0,)
     smoothed: int | None = None
     smoothness: float = 0.0
@@ -66,8 +64,7 @@ class _Numbers:
         self.smooth = [0, 0] if smoothed is None else [starts[smoothed], starts[smoothed + 1]]
         count = pixels * max(self.smooth[1] - self.smooth[0], 1)
         self.smooth_share = self.dtype(settings.smoothness / count)
-        of_pairs = [*self._padded(settings.charbonnier), *self._padded(settings.squared)]
-        self.terms = [self.dtype(settings.ssim_share), *of_pairs, *self.smooth]
+        self.terms = [self.dtype(settings.ssim_share), *self._padded(settings.squared), *self.smooth]
 
     def _padded(self, values: Sequence[float]) -> list[Any]:
         return [self.dtype(value) for value in [*values, *[0.0] * TERMS][:TERMS]]

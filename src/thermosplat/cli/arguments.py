@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from thermosplat.cli.command_line import parse_command_line
-from thermosplat.cli.foreign_flags import refuse_foreign_flags
+from thermosplat.cli.foreign_flags import refuse_foreign_flags, without_gone_flags
 from thermosplat.cli.spectrum_flags import named_spectra, refuse_unknown_spectra, with_groups
 from thermosplat.cli.viewer_flags import LOCAL_HOST, viewer_flags, with_viewer_port
 from thermosplat.config import TrainConfig
@@ -91,6 +91,7 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
         SystemExit: Code 0 after --help or --version, code 2 after flags that tyro cannot understand.
     """
     refuse_foreign_flags(argv)
+    argv = without_gone_flags(argv)
     start = TrainConfig(config="")
     start = dataclasses.replace(start, spectra=named_spectra(argv, start.spectra))
     first = _parse([word for word in argv if word not in HELP_FLAGS], start)

@@ -3,6 +3,7 @@
 thermosplat-benchmark data/Dimsum data/Truck --methods baselines thermosplat ablations --out results/matrix
 """
 
+import math
 import os
 import sys
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.config.run_schedule import run_schedule
@@ -176,11 +178,9 @@ def _steps(matrix: "Matrix", cells: "Sequence[Cell]") -> str:
 
 
 def _matrix(arguments: BenchmarkArguments) -> "Matrix":
-    at_least = {"max_steps": 1, "data_factor": 1, "save_every": 0, "max_gaussians": 1, "gpus": 1, "time_limit": 0}
-    for name, least in at_least.items():
-        value = getattr(arguments, name)
-        if value is not None and value < least:
-            raise UserError(f"--{name.replace('_', '-')} must be at least {least}, found {value}.")
+    most = 100_000_000
+    positive = dict.fromkeys(("max_steps", "data_factor", "max_gaussians", "gpus"), (1, most))
+    check_ranges(arguments, **positive, save_every=(0, most), time_limit=(0, math.inf))
     if not arguments.seeds or min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds):
         raise UserError(f"--seeds must be different whole numbers from 0 on, found {list(arguments.seeds)}.")
     words, notes = expand_collections(arguments.scenes)

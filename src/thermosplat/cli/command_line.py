@@ -14,6 +14,7 @@ from typing import TypeVar
 import tyro
 
 from thermosplat import __version__
+from thermosplat.errors import UserError
 from thermosplat.printing import help_printed
 
 Arguments = TypeVar("Arguments")
@@ -43,6 +44,27 @@ def parse_command_line(
         if default is None:
             return tyro.cli(kind, prog=prog, args=argv, description=description)
         return tyro.cli(kind, prog=prog, args=argv, default=default, description=description)
+
+
+def check_ranges(arguments: object, **ranges: tuple[float, float]) -> None:
+    """Refuse numbers that a command cannot work with, NaN among them.
+
+    Args:
+        arguments: As understood.
+        **ranges: Least and largest value by the argument's name, of a number or of each of several. None is always
+            allowed.
+
+    Raises:
+        UserError: A number is out of its range.
+    """
+    for name, (least, most) in ranges.items():
+        value = getattr(arguments, name)
+        flag = f"--{name.replace('_', '-')}"
+        for number in () if value is None else value if isinstance(value, tuple) else (value,):
+            if not number >= least:
+                raise UserError(f"{flag} must be at least {least:,}, found {number}.")
+            if not number <= most:
+                raise UserError(f"{flag} must be at most {most:,}, found {number}.")
 
 
 @cache

@@ -4,6 +4,7 @@ import os
 import sys
 from pathlib import Path
 
+from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.exporting.arguments import ExportArguments
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
@@ -30,10 +31,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _export(arguments: ExportArguments) -> int:
-    if arguments.points < 1:
-        raise UserError(f"--points must be at least 1, found {arguments.points}.")
-    if arguments.fit_passes is not None and arguments.fit_passes < 0:
-        raise UserError(f"--fit-passes must be at least 0, found {arguments.fit_passes}.")
+    anywhere = dict.fromkeys(("top", "extent", "up"), (-1e30, 1e30))
+    check_ranges(arguments, points=(1, 1_000_000_000), fit_passes=(0, 1_000_000), **anywhere)
     for what, format, flags in FLAGS_OF_FORMATS:
         for flag in flags:
             if arguments.format != format and getattr(arguments, flag) not in (None, False):

@@ -1,9 +1,14 @@
-"""Flags of gsplat, INRIA's 3DGS, nerfstudio and version 0.1, and what thermosplat-train has in their place.
+"""Flags of gsplat, INRIA's 3DGS, nerfstudio and older versions, and what thermosplat-train has in their place.
 
 docs/migrating.md holds the same table for readers.
 """
 
-from thermosplat.config.renamed import NEW_NAMES
+import dataclasses
+
+import yaml
+
+from thermosplat.config import TrainConfig
+from thermosplat.config.renamed import GONE, NEW_NAMES, gone
 from thermosplat.errors import UserError
 
 _COUNTERPARTS = {
@@ -15,7 +20,6 @@ _COUNTERPARTS = {
     "--loss.ssim-lambda": "--ssim-lambda --lambda-dssim --pipeline.model.ssim-lambda",
     "--eval-steps": "--test-iterations --steps-per-eval-all-images",
     "--save-steps": "--save-iterations --steps-per-save",
-    "--model.rasterize-mode antialiased": "--antialiased --antialiasing --pipeline.model.rasterize-mode",
     "--optimizer.means-lr": "--means-lr --position-lr-init --optimizers.means.optimizer.lr",
     "--densification.start-step": "--strategy.refine-start-iter --densify-from-iter --pipeline.model.warmup-length",
     "--densification.stop-step": "--strategy.refine-stop-iter --densify-until-iter --pipeline.model.stop-split-at",
@@ -26,14 +30,18 @@ _COUNTERPARTS = {
     "--densification.grad-threshold": (
         "--strategy.grow-grad2d --densify-grad-threshold --pipeline.model.densify-grad-thresh"
     ),
-    "--random-background": "--random-bkgd --pipeline.model.background-color",
     "--resume": "--ckpt --start-checkpoint --load-dir",
 }
+_NOTHING = {
+    "model.rasterize_mode": "--antialiased --antialiasing --pipeline.model.rasterize-mode",
+    "random_background": "--random-bkgd --pipeline.model.background-color",
+}
+"""Flags that have no counterpart any more, by the setting that they had."""
 _DATA = ("-s", "--source-path", "--data", "--data-dir")
 _OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.split()} | {
     f"--{old.replace('_', '-')}": f"--{new.removeprefix('spectra.').replace('_', '-')}"
     for old, new in NEW_NAMES.items()
-    if old != new.removeprefix("spectra.")
+    if old != new.removeprefix("spectra.") and gone(new) is None
 }
 _OURS |= {
     "--model.no-rgb": "--without rgb",
@@ -62,5 +70,47 @@ def refuse_foreign_flags(argv: list[str]) -> None:
             raise UserError(
                 f"thermosplat-train has no flag {given}.", f"Give the folder without a flag: thermosplat-train {folder}"
             )
+        for name, flags in _NOTHING.items():
+            if flag in flags.split():
+                raise UserError(f"thermosplat-train has no flag {given}.", GONE[name].why)
         if flag in _OURS:
             raise UserError(f"thermosplat-train has no flag {given}.", f"The flag here: {_OURS[flag]}")
+
+
+_GROUPS = frozenset(field.name for field in dataclasses.fields(TrainConfig))
+
+
+def without_gone_flags(argv: list[str]) -> list[str]:
+    """A command line without flags of settings that there are no more, where they ask for what is done today.
+
+    Args:
+        argv: Arguments without the program's name.
+
+    Raises:
+        UserError: At the first such flag that asks for something else.
+    """
+    kept: list[str] = []
+    words = iter(argv)
+    for word in words:
+        given, equals, text = word.partition("=")
+        name, switch = _setting(given)
+        of_name = gone(name) if given.startswith("--") else None
+        if of_name is None:
+            kept.append(word)
+            continue
+        if isinstance(of_name.neutral[0], bool):
+            value: object = switch
+        else:
+            value = yaml.safe_load(text if equals else next(words, ""))
+        if not of_name.asks_for_today(value):
+            raise UserError(of_name.said(given, value), "Leave it out.")
+    return kept
+
+
+def _setting(flag: str) -> tuple[str, bool]:
+    """The dotted name of a flag's setting, and what a flag without a value says of it."""
+    *groups, key = flag.removeprefix("--").replace("-", "_").split(".")
+    if groups and groups[0] not in _GROUPS and f"{groups[0]}.{key}" not in NEW_NAMES:
+        groups = ["spectra", *groups]
+    off = key.startswith("no_") and gone(".".join([*groups, key])) is None
+    return ".".join([*groups, key.removeprefix("no_") if off else key]), not off

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
@@ -54,10 +55,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _render(arguments: RenderArguments) -> int:
-    for name in ("frames", "fps"):
-        if getattr(arguments, name) < 1:
-            raise UserError(f"--{name} must be at least 1, found {getattr(arguments, name)}.")
-
+    check_ranges(arguments, frames=(1, 1_000_000), fps=(1, 1_000))
     with importing():
         from rich.progress import track
 

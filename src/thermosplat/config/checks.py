@@ -43,23 +43,9 @@ _AT_LEAST: dict[str, float] = {
     "densification.growth": 0,
     "densification.split_apart": 0,
     "resolution.growth_power": 0,
-    "auto_budget.offset_shrinkage": 0,
-    "auto_budget.prune_change": 0,
-    "auto_budget.offset_change": 0,
-    "auto_budget.feature_change": 0,
-    "auto_budget.sh_change": 0,
-    "auto_budget.rounding_change": 0,
-    "auto_budget.noise_floor": 0,
-    "auto_budget.sparse_noise": 0,
-    "auto_budget.measured_views": 1,
-    "auto_budget.validation_views": 0,
     "auto_budget.validate_every": 1,
     "auto_budget.patience": 1,
-    "auto_budget.least_gain": 0,
-    "auto_budget.spectrum_loss": 0,
     "auto_budget.spectrum_patience": 0,
-    "auto_budget.spectrum_fall": 0,
-    "auto_budget.held_change": 0,
     "densification.position_noise": 0,
     "densification.grad_threshold": 0,
     "densification.prune_large_from": 0,
@@ -69,6 +55,7 @@ _AT_LEAST: dict[str, float] = {
 }
 _AT_MOST: dict[str, float] = {
     "densification.split_apart": SPLIT_APART_MOST,
+    "max_steps": 10**8,
     "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": SH_DEGREE_MAX,  # what the renderer's kernels evaluate
     "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory
@@ -84,8 +71,6 @@ _SHARES = (
     "optimizer.cooldown_from",
     "densification.prune_opacity",
     "densification.keep_opacity",
-    "auto_budget.few_views_until",
-    "auto_budget.fallen_views_until",
 )
 _POSITIVE = (
     "steps_scaler",
@@ -156,10 +141,6 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
             raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
     if not all(0 <= channel <= 1 for channel in config.background):
         raise UserError(f"{name('background')} must be three values between 0 and 1, found {config.background}.")
-    if config.random_background and any(config.background):
-        raise UserError(
-            f"{name('background')} and {name('random_background')} exclude each other.", "Leave one of them out."
-        )
     check_spectra(config, name)
     _check_model(config, name)
     if config.decoder.branches == "separate" and config.decoder.modulation:

@@ -1,8 +1,8 @@
 """Configurations as YAML: presets that come with the package, files of the user's, the resolved one of a run.
 
 A file states only what differs from its ``base``, another preset or file, or from the schema's defaults (schema.py)
-where it names none. Keys are strict: an unknown one is an error that names the nearest known key. Keys of version 0.1
-are read under today's names (renamed.py).
+where it names none. Keys are strict: an unknown one is an error that names the nearest known key. Keys of
+older versions are read under today's names (renamed.py).
 """
 
 import os
@@ -71,18 +71,21 @@ def to_dict(config: TrainConfig) -> dict[str, Any]:
     return OmegaConf.to_container(OmegaConf.create(asdict(config)))  # type: ignore[return-value]
 
 
-def from_dict(values: dict[str, Any], *, source: str = "the configuration") -> TrainConfig:
+def from_dict(
+    values: dict[str, Any], *, source: str = "the configuration", notes: list[str] | None = None
+) -> TrainConfig:
     """The inverse of `to_dict`; values that are missing take the schema's defaults.
 
     Args:
         values: Nested dictionary as `to_dict` makes it.
         source: What to call its origin in error messages.
+        notes: As ``with_todays_names``'s.
 
     Raises:
         UserError: An unknown key, or a value of the wrong type or range.
     """
     try:
-        config = fill(TrainConfig(), with_todays_names(values), source=source)
+        config = fill(TrainConfig(), with_todays_names(values, source=source, notes=notes), source=source)
     except RecursionError as error:
         raise UserError(f"{source} is nested too deeply to be a configuration.") from error
     check_config(config, source=source)
@@ -115,7 +118,7 @@ def _load(name_or_path: str, visited: tuple[Path, ...]) -> TrainConfig:
         start = replace(_load(base, (*visited, path)), config="")
     else:
         raise UserError(f"{path}: base must be the name of a preset or a YAML file, found {shown(base)}.")
-    config = fill(start, with_given_steps(with_todays_names(values)), source=str(path))
+    config = fill(start, with_given_steps(with_todays_names(values, source=str(path))), source=str(path))
     check_config(config, source=str(path))
     return config
 

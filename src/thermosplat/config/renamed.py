@@ -1,10 +1,14 @@
-"""Settings that version 0.1 had under other names: its configuration files and checkpoints are read as today's.
+"""Settings that have another name today, or that there are no more: old configuration files and checkpoints are read.
 
-``NEW_NAMES`` also tells thermosplat-train what to say where a command line has an old flag.
+``NEW_NAMES`` and ``GONE`` also tell thermosplat-train what to say where a command line has an old flag.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
+
+from thermosplat.config.values import shown
+from thermosplat.errors import UserError
 
 NEW_NAMES = {
     "thermal.source": "spectra.thermal.source",
@@ -31,17 +35,88 @@ NEW_NAMES = {
     "optimizer.thermal_sh0_lr": "optimizer.sh0_lr",
     "optimizer.thermal_shN_lr": "optimizer.shN_lr",
 }
-"""Dotted name of a setting today by the one it had."""
+"""Dotted name of a setting by the one it had in version 0.1."""
 
 
-def with_todays_names(values: dict[str, Any]) -> dict[str, Any]:
-    """A configuration's plain values under today's names.
+@dataclass(frozen=True)
+class Gone:
+    """A setting that there is no more."""
+
+    neutral: tuple[Any, ...]
+    """Values that ask for what is done today."""
+    why: str = ""
+    """What is done today, in a sentence. Empty: what the first neutral value asks for."""
+    shapes_images: bool = False
+    """Whether a model that was trained with another value would be rendered wrongly."""
+
+    def asks_for_today(self, value: Any) -> bool:
+        """Whether a value asks for what is done today."""
+        return any(value == neutral for neutral in self.neutral)
+
+    def said(self, name: str, value: Any) -> str:
+        """What to tell a user whose value is another one.
+
+        Args:
+            name: What the user calls the setting.
+            value: The value.
+        """
+        return f"{name} is no setting any more, found {shown(value)}. {self.why or f'It is always {self.neutral[0]}.'}"
+
+
+_SOLVED = Gone((1e-3, 1e-4), "Exposures are solved for, without a learning rate.")
+GONE = {
+    "model.rasterize_mode": Gone(
+        ("classic",),
+        "Scenes are trained and rendered with classic rasterization; the function rasterization has both.",
+        shapes_images=True,
+    ),
+    "random_background": Gone((False,), "Behind a scene there is the same colour in every step: the background."),
+    "spectra.*.charbonnier": Gone((0.0,), "Differences count as |d| + k d², with the k that spectra.*.squared gives."),
+    "optimizer.exposures_lr": _SOLVED,
+    "optimizer.exposures_lr_final": _SOLVED,
+    "auto_budget.prune_by": Gone(
+        ("removal",), "A Gaussian's importance is the change of the images where it alone is left out."
+    ),
+    **{
+        f"auto_budget.{name}": Gone((value,))
+        for name, value in {
+            **{"prune_change": 0.02, "offset_shrinkage": 0.02, "offset_change": 0.02, "feature_change": 0.01},
+            **{"sh_change": 0.01, "rounding_change": 0.002, "measured_views": 12, "noise_floor": 1.0},
+            **{"sparse_noise": 0.033, "validation_views": 2, "least_gain": 0.02, "spectrum_loss": 0.05},
+            **{"few_views_until": 0.33, "fallen_views_until": 0.5, "spectrum_fall": 0.3, "held_change": 0.02},
+        }.items()
+    },
+}
+"""What became of a setting by its dotted name; ``*`` stands for any spectrum."""
+_CHOICES = {"decoder_precision": ("bfloat16", "Decoders train in float32 or tf32.")}
+"""Choices of settings that there are no more, and what there is."""
+
+
+def gone(name: str) -> Gone | None:
+    """What became of a setting; None where there is one of that name, or never was.
+
+    Args:
+        name: Its dotted name, today's or that of version 0.1.
+    """
+    name = NEW_NAMES.get(name, name)
+    first, _, rest = name.partition(".")
+    return GONE.get(f"spectra.*.{rest.partition('.')[2]}" if first == "spectra" else name)
+
+
+def with_todays_names(values: dict[str, Any], *, source: str, notes: list[str] | None = None) -> dict[str, Any]:
+    """A configuration's plain values under today's names, without settings that there are no more.
 
     Args:
         values: Nested dictionaries, from any version.
+        source: File or other origin, for messages.
+        notes: Of what is trained already: takes what to tell of settings that are left out though they asked for
+            something else than what is done today. None: nothing is trained yet, and such a setting is a mistake.
 
     Returns:
         The same where every name is today's. A value that is there under both names is today's.
+
+    Raises:
+        UserError: A setting that there is no more asks for something else than what is done today.
     """
     values = _copied(values)
     for old, change in _CHANGES.items():
@@ -52,7 +127,32 @@ def with_todays_names(values: dict[str, Any]) -> dict[str, Any]:
         found = _taken(values, old)
         if found is not _MISSING:
             _put(values, new, found)
+    for name, of_name in GONE.items():
+        for full in _named(values, name):
+            _leave_out(of_name, full, _taken(values, full), source, notes)
+    for name, (choice, why) in _CHOICES.items():
+        if notes is not None and values.get(name) == choice:  # in a file, reading it names the choices
+            notes.append(f"{source}: {values.pop(name)} is no {name} any more. {why}")
     return values
+
+
+def _named(values: dict[str, Any], name: str) -> list[str]:
+    """The dotted names that a pattern of ``GONE`` stands for in some values."""
+    spectra = values.get("spectra")
+    return (
+        [name.replace("*", each) for each in (spectra if isinstance(spectra, dict) else ())] if "*" in name else [name]
+    )
+
+
+def _leave_out(gone: Gone, name: str, value: Any, source: str, notes: list[str] | None) -> None:
+    if value is _MISSING or gone.asks_for_today(value):
+        return
+    if notes is not None and not gone.shapes_images:
+        notes.append(f"{source}: {gone.said(name, value)}")
+        return
+    raise UserError(
+        f"{source}: {gone.said(name, value)}", "Leave it out." if source[:2] == "--" else "Remove the line."
+    )
 
 
 Change = Callable[[dict[str, Any], Any], bool]
@@ -113,13 +213,15 @@ def _copied(value: Any) -> Any:
 
 def _taken(values: dict[str, Any], name: str) -> Any:
     """The value of a dotted name, which is removed; ``_MISSING`` where there is none."""
-    group, _, key = name.rpartition(".")
-    inner = values.get(group)
+    *groups, key = name.split(".")
+    inner: Any = values
+    for group in groups:
+        inner = inner.get(group) if isinstance(inner, dict) else None
     if not isinstance(inner, dict) or key not in inner:
         return _MISSING
     found = inner.pop(key)
-    if not inner:
-        values.pop(group)
+    if len(groups) == 1 and not inner:  # a group of old names
+        values.pop(*groups)
     return found
 
 

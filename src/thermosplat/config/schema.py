@@ -57,8 +57,6 @@ class ModelConfig:
     feature_dim: int = 8
     """Latent channels d per Gaussian, decoded per pixel. 0: none, each spectrum is rendered from its SH colours; a
     shared set then holds those of every spectrum (ThermalGaussian OMMG, MMOne)."""
-    rasterize_mode: Literal["classic", "antialiased"] = "classic"
-    """As gsplat's rasterization. ThermoSplat and 3DGS use classic; antialiased is Mip-Splatting's 2D filter."""
     eps2d: float = 0.3
     """Added to the variances of a Gaussian's footprint along both axes of the image [px²]: 0.3 blurs by a deviation of
     0.55 px. 3DGS and gsplat."""
@@ -216,7 +214,7 @@ class DensificationConfig:
     max_gaussians: int | None = None
     """Growth stops at this count; of several ``scenes`` each has its part of it. None: no limit, as in 3DGS. The MCMC
     strategy needs one: with None it is one Gaussian for each pixel of the largest training image, from 300,000 to 3
-    million (open choice; gsplat has a million). ``auto_budget.sparse_noise`` lets it begin at 150,000."""
+    million (open choice; gsplat has a million). With noisy images it may be 150,000."""
 
 
 @dataclass(frozen=True)
@@ -236,74 +234,20 @@ class ResolutionConfig:
 
 @dataclass(frozen=True)
 class AutoBudgetConfig:
-    """How ``--budget auto`` finds the size of the model; without it nothing of this happens."""
+    """How ``--budget auto`` finds the size of the model; without it nothing of this happens. What it may change is
+    constant (training/budget/tolerances.py)."""
 
     prune_at: tuple[float, ...] = (0.5, 0.6, 0.7, 0.8)
     """Shares of the run after which the Gaussians that matter least are removed, where growth has ended; it ends with
     the last. Several small cuts with training between them take away more than one, as what is left makes up for what
     is gone (open choice); the last leaves a fifth of the run to do so."""
-    prune_by: Literal["removal", "weights"] = "removal"
-    """What a Gaussian matters: the squared change of the images where it alone is left out, or its share of all
-    blending weights, which does not see that it may have the colour of what it hides. Open choice;
-    benchmarks/bench_budget.py compares them."""
-    prune_change: float = 0.02
-    """Largest change of training images by one removal, before anything is fine-tuned: their squared change, as a share
-    of their squared error, in the spectrum where that is larger. 0.02 is 0.09 dB of the training views' PSNR if no
-    step followed. Held-out views have larger errors, so that the same change costs them less. Open choice."""
-    offset_shrinkage: float = 0.02
-    """λ: soft threshold of opacity offsets after a step, as a multiple of their learning rate."""
-    offset_change: float = 0.02
-    """Largest such change by the opacity offsets that become zero for good at the last pruning; the others
-    shrink no further. Open choice: offsets are a hundredth of the model, so little is risked for them."""
-    feature_change: float = 0.01
-    """Largest such change, also of channels that losses see, by the latent channels that go then. Open choice."""
-    sh_change: float = 0.01
-    """Largest such change by spherical harmonics that go at the end, untuned afterwards: 0.04 dB. Open choice."""
-    rounding_change: float = 0.002
-    """Largest such change by parameters that are rounded to float16 at the end: 0.01 dB. 0: none are. Open choice."""
-    measured_views: int = 12
-    """Training views, spread over all, whose change is looked at: a bisection renders them ten times. Open choice."""
-    noise_floor: float = 1.0
-    """A training view whose squared error in a spectrum is below this share of the variance of that spectrum's noise
-    (median over training images, Immerkaer 1996 by medians) has no gradient in it in that step: what is left of its
-    error is noise, which no other view has. 0: every view has one. Open choice; benchmarks/records/low-light.md."""
-    sparse_noise: float = 0.033
-    """Noise of a spectrum's images, measured as for ``noise_floor``, of the range, from which on the limit that the
-    MCMC strategy takes from the images begins at 150,000 Gaussians in place of 300,000: more of them hold noise. From
-    it on ``noisy_steps`` counts, too, and validation views stay withheld up to the last pruning even where views are
-    few. 0: never. Open choice: photographs of desk, lab and yard have 0.038 to 0.044 at 140 electrons, 0.020 to 0.028
-    at 600 (benchmarks/records/low-light.md)."""
-    validation_views: int = 2
-    """Training views that are not trained on while Gaussians are added, and that say when to stop. 0: none; growth then
-    ends with ``densification.stop_step`` or the first pruning. None where that would be over a tenth. Open choice."""
     validate_every: int = 250
     """Steps between looks at the validation views."""
-    least_gain: float = 0.02
-    """Rise of the validation views' PSNR [dB], mean over views and spectra, that justifies more Gaussians."""
     patience: int = 3000
-    """Growth stops when there was no such rise for this many steps: as long as from one opacity reset to the next. Too
-    many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
-    spectrum_loss: float = 0.05
-    """Fall of the validation views' PSNR in one spectrum [dB] from which on it learns noise, if its images are noisy:
-    it is held where it was best, and goes back to it at the last pruning if it is so far below then. Open choice."""
+    """Growth stops when the validation views' PSNR has not risen for this many steps: as long as from one opacity reset
+    to the next. Too many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
     spectrum_patience: int = 1000
-    """So many steps it must have been best ago. Open choice."""
-    few_views_until: float = 0.33
-    """Share of the run up to which the validation views stay withheld if they are more than a twentieth of a spectrum's
-    views and no images are noisy (``sparse_noise``), also where growth ends earlier. A scene may fit few views ever
-    better and be ever worse, and they say so. 0: up to the end of growth. Open choice;
-    benchmarks/records/low-light.md."""
-    fallen_views_until: float = 0.5
-    """Share of the run up to which they stay withheld where a spectrum has fallen (``spectrum_fall``) by then: it goes
-    back only if it is as far below its best there, since a scene may be worse for a while. Open choice;
-    benchmarks/records/low-light.md."""
-    spectrum_fall: float = 0.3
-    """Fall of such a capture's validation views in one spectrum [dB] from which on it goes back to where it was best,
-    whatever its noise: in all of the last ``spectrum_patience`` steps before they are released. Open choice."""
-    held_change: float = 0.02
-    """A spectrum that went back is compared with what the scene showed when it was best. A view that differs from that
-    by less than this, measured as for ``prune_change``, has no gradient in it: the other spectra alone shape the scene.
-    Open choice; benchmarks/records/low-light.md."""
+    """So many steps ago a spectrum must have been best to be held there, if its images are noisy. Open choice."""
 
 
 @dataclass(frozen=True)
@@ -330,7 +274,7 @@ class TrainConfig:
     or command that gives ``max_steps`` and not this means None. Open choice."""
     noisy_steps: float = 1.0
     """What all numbers of steps are multiplied by in the same way, with ``--budget auto``, where images of a spectrum
-    are as noisy as ``auto_budget.sparse_noise``. A file or command that gives ``max_steps`` and not this means 1. Open
+    are noisy. A file or command that gives ``max_steps`` and not this means 1. Open
     choice; benchmarks/records/low-light.md."""
     scenes: int = 1
     """Scenes that are trained one after the other, from the same points with other random numbers, each up to
@@ -370,10 +314,10 @@ class TrainConfig:
     """On CUDA, decode by fused kernels, or where there are none for the decoders, their precision or the device let
     torch.compile fuse them (half a minute at the first step, kept for later runs; left out where Triton or a C compiler
     is missing). --no-compile: plain PyTorch."""
-    decoder_precision: Literal["float32", "tf32", "bfloat16"] = "tf32"
+    decoder_precision: Literal["float32", "tf32"] = "tf32"
     """Precision of the decoders in training steps; parameters and evaluation are always float32. With "tf32" matrix
     products round their inputs to 10 bits of mantissa (TensorFloat-32, or float16 in the fused kernels); on the CPU it
-    is float32. "bfloat16" costs about 1 dB of thermal PSNR (benchmarks/records/thermosplat-preset.md)."""
+    is float32."""
     seed: int = 42
     """Seed of everything random. gsplat."""
     deterministic: bool = False
@@ -395,10 +339,6 @@ class TrainConfig:
     auto_budget settings) and leaves the rest out; "fixed" is what the densification settings give."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Colour behind the SH render of a photograph, 0 to 1. 3DGS: black."""
-    random_background: bool = False
-    """In training only, each step has random colours behind the images of every spectrum, so that nothing stays
-    transparent which the capture shows: what is black, too, must then be opaque. For rooms: a sky that must be opaque
-    may come to lie before the scene. gsplat's random_bkgd."""
     resume: str | None = None
     """Result folder of an interrupted run to go on with."""
     overwrite: bool = False

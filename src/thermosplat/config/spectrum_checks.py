@@ -15,7 +15,7 @@ RESERVED = frozenset(
         *("all", "both", "data", "decoders", "evaluation", "exposures", "features", "frame", "gaussians", "loss"),
         *("pixels", "points", "scene", "shared", "spectra", "step", "steps", "train", "test", "visible"),
         *("num_gaussians", "train_seconds", "wall_seconds", "first_step_seconds", "lpips_net", "model_bytes"),
-        *("feature_channels", "opacity_offsets_kept", "point_spreads"),
+        *("feature_channels", "opacity_offsets_kept", "point_spreads", "training_views", "remarks"),
         # what torch's ModuleDict and ParameterDict, which hold networks by spectrum, call their own
         *("add_module", "apply", "bfloat16", "buffers", "call_super_init", "children", "clear", "compile", "copy"),
         *("cpu", "cuda", "double", "dump_patches", "eval", "extra_repr", "float", "forward", "fromkeys", "get"),
@@ -33,7 +33,7 @@ RESERVED = frozenset(
 """Names that files, tables and modules use for something else."""
 _AT_LEAST_ZERO = (
     *("loss", "loss_noise", "features", "smoothness", "smoothness_noise", "smoothness_least"),
-    *("charbonnier", "squared", "swept_depth", "point_spread", "point_spread_noise"),
+    *("squared", "swept_depth", "point_spread", "point_spread_noise"),
 )
 _SHARES = ("train_from", "train_until")
 _TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")

@@ -191,7 +191,7 @@ def _loaded(directory: RunDirectory, file: Path, chosen: torch.device) -> Loaded
         train_frames=checkpoint.train_frames,
         test_frames=checkpoint.test_frames,
         corrections=checkpoint.training.corrections,
-        notes=_notes(model),
+        notes=(*checkpoint.notes, *_notes(model)),
     )
 
 

@@ -221,6 +221,4 @@ def header_comments(model: SceneModel, name: str, scale: PixelScale, *, colors: 
             comments.append(f"{name}_range {low:g} {high:g} {scale.unit or ''}".rstrip())
         else:
             comments.append(f"{name}_range unknown")
-    if model.config.rasterize_mode == "antialiased":
-        comments.append("trained with antialiased rasterization: view it with mip-splatting's filter")
     return comments

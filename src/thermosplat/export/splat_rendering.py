@@ -6,31 +6,18 @@ from torch import Tensor
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.export.splats import Splats
 from thermosplat.rasterizer import rasterization
-from thermosplat.scene.model import SceneModel
 from thermosplat.scene.pixel_filter import PixelFilter
 
 OTHERS = PixelFilter()
 """What most other viewers do with a footprint, whatever the scene was trained with."""
 
 
-def others_filter(model: SceneModel) -> PixelFilter:
-    """What other viewers do with a model's footprints: files can say that it was trained antialiased, and no more.
-
-    Args:
-        model: The trained scene.
-    """
-    return OTHERS._replace(rasterize_mode=model.config.rasterize_mode)
-
-
-def render_splats(
-    splats: Splats, view: ViewTensors, *, pixel_filter: PixelFilter = OTHERS, background: Tensor | None = None
-) -> Tensor:
+def render_splats(splats: Splats, view: ViewTensors, *, background: Tensor | None = None) -> Tensor:
     """An image of splats by a pinhole camera.
 
     Args:
         splats: The Gaussians; gradients flow into all of them.
         view: Camera and pose; a distortion of its lens is left out.
-        pixel_filter: How footprints are widened.
         background: Colour behind them, [3]; None: black.
 
     Returns:
@@ -49,7 +36,7 @@ def render_splats(
         view.height,
         sh_degree=degree,
         packed=False,
-        **pixel_filter._asdict(),
+        **OTHERS._asdict(),
         backgrounds=None if background is None else background[None],
     )
     return image.squeeze(0)

@@ -32,8 +32,7 @@ class ImageTerm:
         image: [H, W, X], H and W > 5.
         target: Ground truth in [0, 1], [H, W, C].
         first: The channels from this one on, C of them, are compared.
-        charbonnier: ε of sqrt(d² + ε²) - ε in place of |d|; 0: |d|.
-        squared: k of k d², added to that.
+        squared: k of |d| + k d² in place of |d|.
     """
 
     name: str
@@ -41,7 +40,6 @@ class ImageTerm:
     image: Tensor
     target: Tensor
     first: int = 0
-    charbonnier: float = 0.0
     squared: float = 0.0
 
     @property
@@ -102,7 +100,6 @@ def warp_image_losses(
             C2,
             EPSILON,
             tuple(term.weight for term in members),
-            tuple(term.charbonnier for term in members),
             tuple(term.squared for term in members),
             smoothed - first if smoothed is not None and within else None,
             smoothness,

@@ -165,34 +165,23 @@ def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainCon
         view = frame.views.get(name)
         if view is None:
             continue
-        epsilon = spectrum.charbonnier
         image = rendered.images.get(name)
         if spectrum.loss > 0 and image is not None and view.image is not None:
             compared, truth = (image, view.image) if view.mask is None else masked(image, view.image, view.mask)
-            images.append(SpectrumTerm(name, spectrum.loss, compared, truth, 0, epsilon, spectrum.squared, name))
+            images.append(SpectrumTerm(name, spectrum.loss, compared, truth, 0, spectrum.squared, name))
         weight = config.loss.features * (spectrum.features or 0.0)
         blended, target = rendered.features.get(name), _supervising(view)
         if weight > 0 and blended is not None and target is not None:
             first = latent[name][0]
             if view.mask is not None:
                 blended, target = masked(blended, target, view.mask, first)
-            features.append(SpectrumTerm(f"features_{name}", weight, blended, target, first, epsilon, spectrum=name))
+            features.append(SpectrumTerm(f"features_{name}", weight, blended, target, first, spectrum=name))
     return [*images, *features]
 
 
 def _supervising(view: "ViewTensors") -> Tensor | None:
     """What latent channels are compared with, [H, W, C]: the intensity, or of a photograph the colours."""
     return view.image if view.intensity is None else view.intensity[..., None]
-
-
-def charbonnier(differences: Tensor, epsilon: float) -> Tensor:
-    """Mean of sqrt(d² + ε²) - ε: d² / 2ε for differences well below ε, |d| - ε for those well above it.
-
-    Args:
-        differences: Any shape.
-        epsilon: ε > 0, in the differences' units.
-    """
-    return torch.sqrt(differences.square() + epsilon**2).mean() - epsilon
 
 
 @dataclass(frozen=True)
@@ -232,12 +221,7 @@ def _fused(terms: Sequence[SpectrumTerm], ssim_lambda: float, smoothed: dict[str
 
 def _filtered(terms: Sequence[ImageTerm], ssim_lambda: float) -> dict[str, Tensor]:
     """Weighted image losses by name, by ``ssim_map``."""
-    losses = _unweighted([term for term in terms if term.charbonnier == 0], ssim_lambda)
-    robust = [term for term in terms if term.charbonnier > 0]
-    structural = _unweighted(robust, 1.0)  # 1 - SSIM alone
-    for term in robust:
-        difference = charbonnier(term.render - term.target, term.charbonnier)
-        losses[term.name] = (1 - ssim_lambda) * difference + ssim_lambda * structural[term.name]
+    losses = _unweighted(terms, ssim_lambda)
     for term in terms:
         if term.squared > 0:
             squares = (term.render - term.target).square().mean()

@@ -105,7 +105,7 @@ def result_from(values: Any, path: Path) -> CellResult:
         UserError: Something is missing, or it is of another version.
     """
     if isinstance(values, dict) and values.get("format") == OLD_FORMAT:
-        values = _as_today(values)
+        values = _as_today(values, path)
     names = {field.name for field in fields(CellResult)}
     required = {field.name for field in fields(CellResult) if field.default is MISSING}
     if not isinstance(values, dict) or values.get("format") != FORMAT or not required <= values.keys():
@@ -113,10 +113,18 @@ def result_from(values: Any, path: Path) -> CellResult:
             f"{path} does not hold a cell's result as this version writes it.",
             "Delete it; thermosplat-benchmark then makes that cell again.",
         )
-    return CellResult(**{name: values[name] for name in names & values.keys()})
+    result = CellResult(**{name: values[name] for name in names & values.keys()})
+    return replace(result, settings=_settings_of_today(result.settings, path))
 
 
-def _as_today(values: dict[str, Any]) -> dict[str, Any]:
+def _settings_of_today(made_with: dict[str, Any], path: Path) -> dict[str, Any]:
+    try:
+        return with_todays_names(made_with, source=str(path))
+    except UserError as error:
+        raise UserError(error.message, "Delete that file; thermosplat-benchmark then makes the cell again.") from error
+
+
+def _as_today(values: dict[str, Any], path: Path) -> dict[str, Any]:
     """A cell of format 1 in today's format."""
     spectra = {name: values[name] for name in ("rgb", "thermal") if values.get(name) is not None}
     per_view = [
@@ -124,7 +132,7 @@ def _as_today(values: dict[str, Any]) -> dict[str, Any]:
         for row in values.get("per_view", [])
     ]
     # Settings that 0.1 did not have get their defaults, so that its matrices can be gone on with.
-    made_with = _filled(settings(TrainConfig()), with_todays_names(values.get("settings", {})))
+    made_with = _filled(settings(TrainConfig()), _settings_of_today(values.get("settings", {}), path))
     return values | {"format": FORMAT, "spectra": spectra, "per_view": per_view, "settings": made_with}
 
 

@@ -52,7 +52,8 @@ class Override:
             UserError: There is no such field, or the value does not fit it, or not to the other settings.
         """
         source = f"--set {self.word}"
-        changed = fill(config, with_given_steps(with_todays_names(self.values)), source=source)
+        values = with_given_steps(with_todays_names(self.values, source=source))
+        changed = fill(config, values, source=source)
         check_config(changed, source=source)
         return changed
 

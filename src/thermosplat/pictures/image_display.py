@@ -113,5 +113,9 @@ def fitted(image: Image8, width: int, height: int) -> Image8:
 
 def read_png(path: Path) -> Image8 | None:
     """An 8-bit RGB image [H, W, 3] from a file that `write_png` wrote; None where there is none that can be read."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    try:
+        content = np.frombuffer(path.read_bytes(), np.uint8)  # by name OpenCV crashes where that is no UTF-8
+    except OSError:
+        return None
+    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
     return None if image is None else np.ascontiguousarray(image[..., ::-1]).astype(np.uint8)

@@ -126,6 +126,10 @@ def _h264(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[I
 
 @contextmanager
 def _mpeg4(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], object]]:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:  # OpenCV would crash
+        raise NoEncoderError from error
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
     if not writer.isOpened():
         raise NoEncoderError

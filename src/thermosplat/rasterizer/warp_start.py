@@ -77,8 +77,7 @@ def _start(config: "TrainConfig") -> None:
 
     decoupled = any(spectrum.opacity != "shared" for spectrum in list(config.modelled.values())[1:])
     thermal_channels = model.feature_dim if decoupled else 0
-    antialiased = model.rasterize_mode == "antialiased"
-    kernels = cpu_step_kernels(3 + model.feature_dim, thermal_channels, antialiased)
+    kernels = cpu_step_kernels(3 + model.feature_dim, thermal_channels)
     try:
         if must_compile_for_cpu(kernels):
             print("Compiling kernels, once per machine (half a minute on two cores) ...", flush=True)

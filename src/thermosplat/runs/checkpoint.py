@@ -110,6 +110,8 @@ class Checkpoint:
     """Names of the frames it was trained on; None: it does not say."""
     test_frames: list[str] | None = None
     """Names of the frames it is judged by; None: it does not say."""
+    notes: tuple[str, ...] = ()
+    """What to tell of settings that it was trained with and that there are no more."""
 
     def state(self) -> dict[str, Any]:
         """The content of its file."""
@@ -142,8 +144,9 @@ class Checkpoint:
         for name in ("step", "config", "sh_degree", "model", "scales", "training"):
             read.entry(name, lambda value: True, "there")
         config = read.entry("config", _is_dict, "a dictionary")
+        notes: list[str] = []
         try:
-            config = from_dict(config, source=f"the configuration in {path}")
+            config = from_dict(config, source=f"the configuration in {path}", notes=notes)
         except UserError as error:
             message = f"{error.message} Another version of thermosplat wrote that file."
             raise UserError(message, "Use the version that wrote it, or train again.") from error
@@ -169,6 +172,7 @@ class Checkpoint:
             training=training,
             train_frames=read.entry("train_frames", _or_none(_are_names), "a list of names", None),
             test_frames=read.entry("test_frames", _or_none(_are_names), "a list of names", None),
+            notes=tuple(notes),
         )
 
 

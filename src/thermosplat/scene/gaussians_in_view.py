@@ -88,6 +88,6 @@ def indices_in_view(gaussians: Gaussians, views: Sequence["ViewTensors"], pixel_
         of_part = gaussians.means[part], gaussians.quats[part], torch.exp(gaussians.log_scales[part]), opacities[part]
         for view in views:
             camera = projection_arguments(view)
-            scene = project(*of_part, rasterize_mode=pixel_filter.rasterize_mode, eps2d=pixel_filter.eps2d, **camera)
+            scene = project(*of_part, eps2d=pixel_filter.eps2d, **camera)
             seen[part] |= scene.projected.visible.reshape(-1)
     return torch.where(seen)[0]

@@ -164,7 +164,7 @@ class SceneModel(nn.Module):
     @property
     def pixel_filter(self) -> PixelFilter:
         """How footprints are widened, in every render."""
-        return PixelFilter(self.config.rasterize_mode, self.config.eps2d)
+        return PixelFilter(self.config.eps2d)
 
     # ---- rendering ---------------------------------------------------------------------------------------------------
 

@@ -48,16 +48,6 @@ class RenderedFrame:
         info["spectra"] = tuple(spectra)
         self.infos.setdefault(gaussian_set, []).append(info)
 
-    def put_behind(self, spectrum: str, color: Tensor) -> None:
-        """Let a colour show where nothing of a spectrum's image is opaque, which is black there.
-
-        Args:
-            spectrum: Its name.
-            color: At least one value for each channel of the image, shape [C].
-        """
-        image = self.images[spectrum]
-        self.images[spectrum] = image + (1.0 - self.alphas[spectrum]) * color[: image.shape[-1]]
-
     def bend(self, spectrum: str, K: Tensor, coefficients: Tensor) -> None:
         """Resample all that was rendered of a spectrum as its lens shows it.
 

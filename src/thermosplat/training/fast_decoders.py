@@ -18,7 +18,7 @@ from thermosplat.scene.decoders import Decoders
 from thermosplat.scene.spectrum_decoders import SpectrumDecoders
 from thermosplat.training.fused_decoders import FusedDecoders, teams
 
-Precision = Literal["float32", "tf32", "bfloat16"]
+Precision = Literal["float32", "tf32"]
 
 Decode = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 """``Decoders.decode``."""
@@ -32,9 +32,8 @@ class FastDecoders:
         compiled: On CUDA, let fused kernels decode where there are some for the decoders and the precision
             (fused_decoders.py); otherwise let torch.compile, where it works, join element-wise work into few kernels,
             which takes some seconds once a size.
-        precision: Of activations and matrix products: "float32"; "tf32", whose products round their inputs to 10 bits
-            of mantissa; "bfloat16", which also keeps activations in 16 bits, 7 of them mantissa, and halves the
-            traffic. Parameters, their updates and the images are float32 in any case.
+        precision: Of matrix products: "float32"; "tf32", which rounds their inputs to 10 bits of mantissa. Parameters,
+            their updates and the images are float32 in any case.
     """
 
     def __init__(self, decoders: Decoders | SpectrumDecoders, *, compiled: bool, precision: Precision) -> None:
@@ -42,11 +41,8 @@ class FastDecoders:
         self._matmul = "highest" if precision == "float32" else "high"
         fused = _fused(decoders) if compiled and precision == "tf32" else None
         self._decode: Decode = decoders.decode if fused is None else fused.decode
-        if fused is None:
-            if precision == "bfloat16":
-                self._decode = _in_bfloat16(self._decode)
-            if compiled and can_compile():
-                self._decode = torch.compile(self._decode, dynamic=False)
+        if fused is None and compiled and can_compile():
+            self._decode = torch.compile(self._decode, dynamic=False)
 
     @contextmanager
     def active(self) -> Iterator[None]:
@@ -71,27 +67,14 @@ def fast_decoders(
         config: The whole configuration.
         device: Where they are.
     """
-    on_cuda = device.type == "cuda"
-    if decoders is None or not (on_cuda or config.decoder_precision == "bfloat16"):
+    if decoders is None or device.type != "cuda":
         return None
-    return FastDecoders(decoders, compiled=on_cuda and config.compile, precision=config.decoder_precision)
+    return FastDecoders(decoders, compiled=config.compile, precision=config.decoder_precision)
 
 
 def _fused(decoders: Decoders | SpectrumDecoders) -> FusedDecoders | None:
     """The decoders by fused kernels; None where there are none for them."""
     return FusedDecoders(decoders) if isinstance(decoders, Decoders) and teams(decoders) else None
-
-
-def _in_bfloat16(decode: Decode) -> Decode:
-    """``decode`` under autocast, with float32 images."""
-
-    def run(features: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        device = next(iter(features.values())).device.type
-        with torch.autocast(device, torch.bfloat16):
-            images = decode(features)
-        return {name: image.float() for name, image in images.items()}
-
-    return run
 
 
 def can_compile() -> bool:

@@ -23,6 +23,10 @@ _FROM_MEDIAN = 1.0 / 0.6744897501960817
 """Standard deviation over median absolute value of a normal distribution."""
 _VIEWS = 16
 """Most images that are looked at, spread over all."""
+NOISY = 0.033
+"""Standard deviation where the scene is plain (``ImageNoise.plain``) from which on images count as noisy. Open choice:
+photographs of desk, lab and yard have 0.038 to 0.044 at 140 electrons, 0.020 to 0.028 at 600
+(benchmarks/records/low-light.md)."""
 
 
 @dataclass(frozen=True)
@@ -107,16 +111,15 @@ def loss_for_noise(spectrum: SpectrumConfig, noise: float) -> float:
 
 
 def noisy_spectra(config: TrainConfig, noise_of: NoiseOf) -> tuple[str, ...]:
-    """The spectra whose images count as noisy: with ``--budget auto``, from ``sparse_noise`` on.
+    """The spectra whose images count as noisy: with ``--budget auto``, from ``NOISY`` on.
 
     Args:
         config: The whole configuration.
         noise_of: The noise of a spectrum's training images.
     """
-    least = config.auto_budget.sparse_noise
-    if config.budget != "auto" or least == 0:
+    if config.budget != "auto":
         return ()
-    return tuple(name for name in config.modelled if (noise := noise_of(name)) is not None and noise.plain >= least)
+    return tuple(name for name in config.modelled if (noise := noise_of(name)) is not None and noise.plain >= NOISY)
 
 
 def fitted_to_noise(config: TrainConfig, noise_of: NoiseOf) -> tuple[TrainConfig, tuple[str, ...]]:

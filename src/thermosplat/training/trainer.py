@@ -37,6 +37,7 @@ from thermosplat.training.budget.auto_budget import AutoBudget, Budget
 from thermosplat.training.budget.noise_floor import noise_floors
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.teacher import may_teach
+from thermosplat.training.budget.tolerances import TOLERANCES
 from thermosplat.training.camera_rounds import CameraRounds, finds_cameras, of_passes
 from thermosplat.training.captured_batches import CapturedBatches
 from thermosplat.training.captured_steps import CapturedSteps
@@ -85,6 +86,9 @@ class Trainer:
         logger: What tells the user; None for the default one.
         checkpoint: State to go on from (``resuming.newest_checkpoint``); None starts from the capture's points.
     """
+
+    tolerances = TOLERANCES
+    """What ``--budget auto`` may change."""
 
     def __init__(
         self,
@@ -136,7 +140,7 @@ class Trainer:
         self._begin_scene()
         self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
-        floors, floor_notes = noise_floors(config, noise_of)
+        floors, floor_notes = noise_floors(config, noise_of, self.tolerances.noise_floor)
         self.image_notes = (*notes_of_steps, *notes_of_noise, *floor_notes, *notes_of_limit)
         """What training images, their number and their noise, make of the configuration."""
         if self.state.noise_watch is not None:
@@ -145,7 +149,9 @@ class Trainer:
             self.state.noise_watch = NoiseWatch(floors, len(self.frames), self.device)
             if not self.state.growing:
                 self.state.noise_watch.end()
-        self.device_step = TrainingStep(config, self.state, self.guard, PairCapacity(self.device))
+        self.device_step = TrainingStep(
+            config, self.state, self.guard, PairCapacity(self.device), tolerances=self.tolerances
+        )
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
         fast = fast_decoders(self.model.decoders, config, self.device)
@@ -186,8 +192,15 @@ class Trainer:
 
     def _make_budget(self) -> Budget:
         frames = CorrectedFrames(self.frames, self.state.corrections)
-        teaches, say = self._teaches(), lambda line: self.logger.say(line)
-        return AutoBudget(self.config, self.state, frames, self.schedule, teaches=teaches, say=say)
+        return AutoBudget(
+            self.config,
+            self.state,
+            frames,
+            self.schedule,
+            tolerances=self.tolerances,
+            teaches=self._teaches(),
+            say=lambda line: self.logger.say(line),
+        )
 
     def _teaches(self) -> bool:
         """Whether there is room for scenes as they were: what is offloaded has none on the device."""

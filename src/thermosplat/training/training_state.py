@@ -76,8 +76,6 @@ class TrainingState:
         best_validation: Best PSNR of withheld training views so far [dB], and its step.
         noise_watch: How far noisy images are fitted and may be; None where no spectrum has a noise floor.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
-        behind: With ``random_background``, the colour behind each spectrum's images in the step that is being done, in
-            the order of the model's spectra, shape [S, 3]; None: that of the model.
         seconds: Where the time went.
 
     Args:
@@ -129,7 +127,6 @@ class TrainingState:
         self.scene_extent = capture.scene_extent
         self._seed = config.seed
         self.noise = torch.Generator(device)
-        self.behind = torch.zeros(len(model.spectra), 3, device=device) if config.random_background else None
         self.seconds = Seconds()
         self.noisy: tuple[str, ...] = ()
         self.counts: dict[str, list[int]] | None = None
@@ -228,8 +225,6 @@ class TrainingState:
         self.clear_gradients()
         self.trimmed = False
         self.step_on_device.fill_(step)
-        if self.behind is not None:  # filled in place: a captured step reads it
-            self.behind.uniform_(generator=start_stream(self.noise, self.seed, "background", step))
         if any(strategy.moves_gaussians for strategy in self.strategies.values()):
             start_stream(self.noise, self.seed, "position noise", step)
         for owner, optimizers in self.optimizers.items():

@@ -27,6 +27,7 @@ from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.budget.noise_floor import gradient_shares
 from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
+from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
 from thermosplat.training.exposures import FROM as EXPOSED_FROM
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.resolution_schedule import image_factor
@@ -156,6 +157,7 @@ class TrainingStep:
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.
         decoding: Opened around rendering and backward pass; what makes decoders fast.
+        tolerances: Of a budget.
 
     Attributes:
         swept: Depths of the training views; None: there are none, or not yet.
@@ -168,8 +170,10 @@ class TrainingStep:
         guard: FiniteGuard,
         capacity: PairCapacity,
         decoding: Callable[[], AbstractContextManager[None]] = nullcontext,
+        tolerances: Tolerances = TOLERANCES,
     ) -> None:
         self.config = config
+        self.tolerances = tolerances
         self.state = state
         self.guard = guard
         self.capacity = capacity
@@ -233,7 +237,7 @@ class TrainingStep:
             shares = {}
             if state.noise_watch is not None and frame.index is not None:
                 # the mean of k independent pixels has a k-th of their noise's variance
-                floors = state.noise_watch.floors_of(frame.index, self.config.auto_budget.held_change)
+                floors = state.noise_watch.floors_of(frame.index, self.tolerances.held_change)
                 shares = gradient_shares(compared, {name: one / kind.image_factor**2 for name, one in floors.items()})
                 if kind.image_factor == 1.0:
                     state.noise_watch.note(frame.index, errors)
@@ -245,7 +249,7 @@ class TrainingStep:
         return Differentiated(rendered, losses, errors)
 
     def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part) -> RenderedFrame:
-        """The frame's images as the losses see them: before random colours, with the exposures of its photographs."""
+        """The frame's images as the losses see them: with the exposures of its photographs."""
         config, state = self.config, self.state
         blends_depths = kind.depth_spread or (kind.swept_depths and self.swept)
         render = partial(
@@ -261,10 +265,6 @@ class TrainingStep:
             rendered = render(frame.views, shared_cameras=apart or frame.shared_cameras)
         else:
             rendered = render_with_others(render, frame.views, part.calls)
-        if state.behind is not None:
-            for name, color in zip(state.model.spectra, state.behind, strict=True):
-                if name in rendered.images:
-                    rendered.put_behind(name, color)
         if state.exposures is not None and frame.index is not None:
             if kind.exposing:
                 state.exposures.compare(rendered, frame)
@@ -360,7 +360,7 @@ class TrainingStep:
                 strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
         if config.budget == "auto" and not state.offsets_dropped:
             for name, gaussians in state.gaussian_sets.items():
-                shrink_offsets(gaussians, state.optimizers[name], config.auto_budget.offset_shrinkage, blocked)
+                shrink_offsets(gaussians, state.optimizers[name], self.tolerances.offset_shrinkage, blocked)
         state.clear_gradients()
         if kind.densifying:
             for infos in done.observed if done.observed is not None else [done.rendered.infos]:

@@ -150,6 +150,7 @@ def test_cameras_around_a_scene_are_held_upright() -> None:
         ((0, 0, 1, 1), 0.0, "--gsd must be greater than 0"),
         ((1, 0, 0, 1), 0.1, "--extent must be WEST SOUTH EAST NORTH"),
         ((0, 0, 1000, 1000), 0.01, "is too large"),
+        ((0, 0, 1000, 1000), 1e-320, "is too large"),
     ],
 )
 def test_impossible_grids_are_explained(extent: tuple[float, ...], pixel: float, message: str) -> None:

@@ -68,8 +68,9 @@ def test_a_mesh_is_the_ground() -> None:
     assert (normals[:, 2] > 0).mean() > 0.99
     truth = celsius_at(vertices[:, 0], vertices[:, 1])
     assert np.nanmedian(np.abs(mesh.vertices.values[VALUES] - truth)) < 0.3
-    with pytest.raises(UserError, match="voxels are too many"):
-        tsdf_mesh(model, "thermal", views(), capture.scales, bounds, voxel=1e-4, sh_degree=0)
+    for too_small in (1e-4, 1e-320):
+        with pytest.raises(UserError, match="voxels are too many"):
+            tsdf_mesh(model, "thermal", views(), capture.scales, bounds, voxel=too_small, sh_degree=0)
     nothing = (np.array([0.0, 0.0, 1.0]), np.array([0.5, 0.5, 1.5]))
     with pytest.raises(UserError, match="No surface of thermal was found"):
         tsdf_mesh(model, "thermal", views(), capture.scales, nothing, voxel=0.1, sh_degree=0)

@@ -17,6 +17,7 @@ from thermosplat.prepare.importing import import_files as module
 from thermosplat.prepare.importing.import_files import import_files
 from thermosplat.prepare.importing.import_options import ImportOptions
 from thermosplat.prepare.importing.thermal_images import ThermalOptions
+from thermosplat.printing import printable
 from thermosplat.thermal.radiometry import FLIR_IRON
 from tiff_files import NODATA, ORIENTATION, tiff_file
 
@@ -110,6 +111,43 @@ def test_pseudo_colour_is_inverted(tmp_path: Path, capture: CaptureFolder) -> No
     import_files(tmp_path / "in", capture, ImportOptions(thermal=ThermalOptions(keep_color=True)))
     assert read_image(capture.images("thermal") / "S3.png").shape == (36, 48, 3)
     assert not capture.units_json.exists()
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("IMG 0001 (2)", "IMG_0001_(2)"),
+        ("a\n\x1b\u202eb", "a___b"),
+        (os.fsdecode(b"caf\xe9"), "caf_"),
+        ("温度", "温度"),
+    ],
+)
+def test_names_become_plain(before: str, after: str, tmp_path: Path, capture: CaptureFolder) -> None:
+    """COLMAP separates names by blanks, and tables are UTF-8: only what is printed stays."""
+    folder = write_two_cameras(tmp_path / "in")
+    for path in [path for path in folder.rglob("*") if path.is_file() and "0001" in path.name]:
+        path.rename(path.with_name(before + path.suffix))
+    import_files(folder, capture)
+    photograph = next(row for row in capture.read_frames("rgb") if not row.file.startswith("VIS"))
+    assert photograph.file == f"{after}.jpg"
+    assert photograph.source == f"visible/{printable(before)}.jpg"
+    assert (capture.images("rgb") / photograph.file).is_file()
+
+
+def test_long_names_are_cut(tmp_path: Path, capture: CaptureFolder) -> None:
+    """Names that are equal but for their folders get these in front, and numbers where that is too long."""
+    for number in range(6):
+        write_photograph(tmp_path / "in" / f"{number}{200 * 'f'}" / f"{200 * 'a'}.jpg", number)
+        write_values(tmp_path / "in" / f"{number}{200 * 'f'}" / f"{200 * 't'}.tiff", centikelvin(number))
+    import_files(tmp_path / "in", capture)
+    assert len(set(names(capture, "rgb"))) == len(set(names(capture, "thermal"))) == 6
+
+
+def test_a_video_whose_name_opencv_cannot_have(tmp_path: Path, capture: CaptureFolder) -> None:
+    """OpenCV crashes at one that is not UTF-8."""
+    (write_two_cameras(tmp_path / "in") / os.fsdecode(b"\xff.mp4")).write_bytes(b"video")
+    with pytest.raises(UserError, match="is not UTF-8"):
+        import_files(tmp_path / "in", capture)
 
 
 def test_frames_of_a_video(tmp_path: Path, capture: CaptureFolder) -> None:

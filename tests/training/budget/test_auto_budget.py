@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,10 @@ from thermosplat.training.budget import image_change
 from thermosplat.training.budget.auto_budget import AutoBudget
 from thermosplat.training.budget.image_change import ImageChange
 from thermosplat.training.budget.offset_shrinkage import drop_offsets
+from thermosplat.training.budget.tolerances import Tolerances
 from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.trainer import Trainer
-from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer, without
+from toy_run import assert_same_state, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture, with_spectra
 
 FRAMES = 21  # of which 20 are trained on
@@ -34,19 +36,15 @@ def budget_config(
     spectra: dict[str, dict[str, Any]] | None = None,
     **changes: Any,
 ) -> TrainConfig:
-    settings = {
-        "prune_at": (0.45,),
-        "prune_change": 0.02,
-        "validation_views": 2,
-        "validate_every": 2,
-        "patience": 1000,
-        "sh_change": 0.01,
-        "offset_shrinkage": 0.1,
-        "offset_change": 0.0,
-        "measured_views": 3,
-    }
+    settings: dict[str, Any] = {"prune_at": (0.45,), "validate_every": 2, "patience": 1000}
     budget = AutoBudgetConfig(**(settings | changes))
     return toy_run_config(max_steps, model=model, spectra=spectra, budget="auto", auto_budget=budget)
+
+
+@pytest.fixture(autouse=True)
+def _toy_tolerances() -> Iterator[None]:
+    with tolerating(offset_shrinkage=0.1, offset_change=0.0, measured_views=3):
+        yield
 
 
 def advance(trainer: Trainer, steps: int) -> None:
@@ -99,16 +97,14 @@ def test_without_shares_nothing_is_pruned_and_growth_goes_on(tmp_path: Path) -> 
 
 
 def test_pruning_changes_the_images_little(tmp_path: Path) -> None:
-    """By blending weights as by what removal changes: fewer Gaussians, and images within the tolerance."""
-    capture = many_frames(toy_capture(), FRAMES)
-    for prune_by in ("removal", "weights"):
-        trainer = toy_trainer(tmp_path / prune_by, budget_config(prune_by=prune_by), capture)
-        assert trainer.budget is not None
-        advance(trainer, 6)
-        change, before = trainer.budget.images(1), trainer.model.num_gaussians
-        trainer.budget._prune(1)
-        assert trainer.model.num_gaussians < before
-        assert change.now() <= 0.02
+    """Fewer Gaussians, and images within the tolerance."""
+    trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
+    assert trainer.budget is not None
+    advance(trainer, 6)
+    change, before = trainer.budget.images(1), trainer.model.num_gaussians
+    trainer.budget._prune(1)
+    assert trainer.model.num_gaussians < before
+    assert change.now() <= 0.02
 
 
 def test_worth_is_a_share_of_the_error_of_images_of_any_size(tmp_path: Path) -> None:
@@ -135,8 +131,8 @@ def test_worth_is_a_share_of_the_error_of_images_of_any_size(tmp_path: Path) -> 
 
 def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
     """Without the gain that is asked for, growth ends after the patience."""
-    config = budget_config(least_gain=1000.0, patience=6)
-    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
+    with tolerating(least_gain=1000.0):
+        trainer = toy_trainer(tmp_path, budget_config(patience=6), many_frames(toy_capture(), FRAMES))
     advance(trainer, 9)
     assert trainer.state.growing
     assert trainer.state.best_validation[0] > 0
@@ -146,7 +142,8 @@ def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
 
 def test_too_small_a_rise_is_none(tmp_path: Path) -> None:
     """The best stays the best until a look has gained what is asked for."""
-    trainer = toy_trainer(tmp_path, budget_config(least_gain=0.5), many_frames(toy_capture(), FRAMES))
+    with tolerating(least_gain=0.5):
+        trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
     assert trainer.budget is not None
     trainer.budget._validate(2, 1)
     best, _ = trainer.state.best_validation
@@ -160,14 +157,15 @@ def test_offsets_shrink_until_those_that_do_nothing_go(tmp_path: Path) -> None:
     """After every step before the last pruning, and after it no more."""
     capture, kept = many_frames(toy_capture(), FRAMES), {}
     for shrinkage in (0.1, 1e3):
-        trainer = toy_trainer(tmp_path / str(shrinkage), budget_config(offset_shrinkage=shrinkage), capture)
+        with tolerating(offset_shrinkage=shrinkage):
+            trainer = toy_trainer(tmp_path / str(shrinkage), budget_config(), capture)
         advance(trainer, 5)
         kept[shrinkage] = trainer.model.offsets_kept["thermal"]
     assert kept[0.1] > kept[1e3] == 0.0
-    trainer = toy_trainer(tmp_path, budget_config(offset_shrinkage=0.1), capture)
+    trainer = toy_trainer(tmp_path, budget_config(), capture)
     advance(trainer, 18)
     left = trainer.model.offsets_kept
-    trainer.device_step.config = budget_config(offset_shrinkage=1e3)
+    trainer.device_step.tolerances = Tolerances(offset_shrinkage=1e3)
     advance(trainer, 20)
     assert trainer.model.offsets_kept == left
     assert left["thermal"] > 0.0
@@ -197,8 +195,9 @@ def test_cameras_that_take_turns_are_both_looked_at(tmp_path: Path) -> None:
     """Where no frame has both spectra, growth and removal are judged by images of either."""
     capture = many_frames(toy_capture(aligned=False), 41)
     frames = tuple(without(frame, "thermal" if index % 2 else "rgb") for index, frame in enumerate(capture.train))
-    config = budget_config(validation_views=2, measured_views=20)
-    trainer = toy_trainer(tmp_path, config, dataclasses.replace(capture, train=frames))
+    config = budget_config()
+    with tolerating(measured_views=20):
+        trainer = toy_trainer(tmp_path, config, dataclasses.replace(capture, train=frames))
     assert trainer.budget is not None
     withheld = [frames[index] for index in trainer.budget.validation]
     assert len(withheld) == 4
@@ -218,7 +217,7 @@ def test_three_spectra_are_all_looked_at(tmp_path: Path) -> None:
         without(frame, *(name for name in shown if name != shown[index % 3]))
         for index, frame in enumerate(capture.train)
     )
-    config = budget_config(validation_views=2, spectra={"nir": {"opacity": "own"}})
+    config = budget_config(spectra={"nir": {"opacity": "own"}})
     trainer = toy_trainer(tmp_path, config, dataclasses.replace(capture, train=frames))
     assert trainer.budget is not None
     withheld = [frames[index] for index in trainer.budget.validation]
@@ -258,8 +257,9 @@ def test_a_gaussian_of_a_third_spectrum_has_its_worth(tmp_path: Path) -> None:
 
 def test_offsets_of_each_spectrum_go_by_its_own_images(tmp_path: Path) -> None:
     """Those that no image shows all go, of the others as many as its own images do not miss; zeros stay zero."""
-    config = budget_config(offset_change=1e-4, spectra={"nir": {"opacity": "offset"}, "red": {"opacity": "own"}})
-    trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(others=("nir", "red")), FRAMES))
+    config = budget_config(spectra={"nir": {"opacity": "offset"}, "red": {"opacity": "own"}})
+    with tolerating(offset_change=1e-4):
+        trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(others=("nir", "red")), FRAMES))
     assert trainer.budget is not None
     gaussians = trainer.model.gaussians("shared")
     with torch.no_grad():
@@ -301,11 +301,12 @@ def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("part", ["_prune", "drop_offsets", "reduce_features"])
+@tolerating(offset_change=0.01, feature_change=0.05)
 def test_what_memory_was_too_small_for_is_made_up_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str
 ) -> None:
     """A removal that memory ends is done first of all when the run goes on: it ends as one that was never stopped."""
-    config, capture = budget_config(20, offset_change=0.01, feature_change=0.05), many_frames(toy_capture(), FRAMES)
+    config, capture = budget_config(20), many_frames(toy_capture(), FRAMES)
     whole = toy_trainer(tmp_path / "whole", config, capture)
     whole.train()
     trainer = toy_trainer(tmp_path / "stopped", config, capture)
@@ -381,9 +382,10 @@ def test_growth_of_a_set_that_is_trained_later(tmp_path: Path) -> None:
     assert not trainer.state.growing
 
 
+@tolerating(feature_change=1e9)
 def test_latent_channels_go_with_the_last_pruning(tmp_path: Path) -> None:
     """As few as the tolerance allows; metrics.json says how many, and the trained model comes back with them."""
-    config = budget_config(20, prune_at=(0.45, 0.9), feature_change=1e9)
+    config = budget_config(20, prune_at=(0.45, 0.9))
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
     advance(trainer, 17)
     assert trainer.model.feature_channels == 8
@@ -398,6 +400,7 @@ def test_latent_channels_go_with_the_last_pruning(tmp_path: Path) -> None:
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
+@tolerating(feature_change=0.03)
 def test_channels_of_losses_count_as_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where channels are not trained on, or there are none, nothing is made of them."""
     seen = []
@@ -407,7 +410,7 @@ def test_channels_of_losses_count_as_images(tmp_path: Path, monkeypatch: pytest.
         return 8
 
     monkeypatch.setattr("thermosplat.training.budget.auto_budget.reduce_features", note)
-    config, capture = budget_config(feature_change=0.03), many_frames(toy_capture(), FRAMES)
+    config, capture = budget_config(), many_frames(toy_capture(), FRAMES)
     configs = {
         "all": config,
         "rgb": with_spectra(config, thermal={"features": 0.0}),
@@ -417,7 +420,7 @@ def test_channels_of_losses_count_as_images(tmp_path: Path, monkeypatch: pytest.
         trainer = toy_trainer(tmp_path / name, changed, capture)
         assert trainer.budget is not None
         trainer.budget.reduce_features(1)
-    trainer = toy_trainer(tmp_path / "sh", budget_config(feature_change=0.03, model={"feature_dim": 0}), capture)
+    trainer = toy_trainer(tmp_path / "sh", budget_config(model={"feature_dim": 0}), capture)
     assert trainer.budget is not None
     trainer.budget.reduce_features(1)
     assert seen == [({"features_rgb", "features_thermal"}, 0.03), ({"features_rgb"}, 0.03), (set(), 0.03)]
@@ -425,9 +428,10 @@ def test_channels_of_losses_count_as_images(tmp_path: Path, monkeypatch: pytest.
 
 @pytest.mark.parametrize("stop", [7, 30])
 @pytest.mark.parametrize("spectra", [{}, {"nir": {"opacity": "offset"}, "red": {"opacity": "own", "features": None}}])
+@tolerating(feature_change=1e9)
 def test_resumed_run_is_the_same(tmp_path: Path, stop: int, spectra: dict[str, dict[str, Any]]) -> None:
     """A run that stopped before or after pruning, which leaves one latent channel, ends as one that did not."""
-    config = budget_config(feature_change=1e9, spectra=spectra)
+    config = budget_config(spectra=spectra)
     capture = many_frames(toy_capture(others=tuple(spectra)), FRAMES)
     whole = toy_trainer(tmp_path / "whole", config, capture)
     advance(whole, 36)

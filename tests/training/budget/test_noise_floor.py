@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.image_noise import training_noise
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import StepKind
-from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_run import assert_same_state, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 
@@ -36,12 +37,15 @@ def noisy(capture: Capture, **sigmas: float) -> Capture:
     return dataclasses.replace(capture, train=tuple(map(spoilt, capture.train, range(len(capture.train)))))
 
 
-def floored(share: float, **changes: Any) -> TrainConfig:
+def floored(**changes: Any) -> TrainConfig:
     """A short run whose budget does nothing else."""
-    budget = AutoBudgetConfig(
-        prune_at=(), validation_views=0, offset_shrinkage=0.0, sh_change=0.0, rounding_change=0.0, noise_floor=share
-    )
-    return toy_run_config(budget="auto", auto_budget=budget, **changes)
+    return toy_run_config(budget="auto", auto_budget=AutoBudgetConfig(prune_at=()), **changes)
+
+
+@pytest.fixture(autouse=True)
+def _no_budget_but_the_floor() -> Iterator[None]:
+    with tolerating(offset_shrinkage=0.0, sh_change=0.0, rounding_change=0.0):
+        yield
 
 
 def trained(trainer: Trainer, steps: int) -> Trainer:
@@ -67,8 +71,9 @@ def gradients(trainer: Trainer) -> dict[str, torch.Tensor]:
 def test_floor_is_a_share_of_the_noise_of_each_spectrum(tmp_path: Path) -> None:
     """The variance of what was added, times the share; the run says so. A fixed budget has none."""
     capture = noisy(many_frames(toy_capture(), 12), rgb=12, thermal=3)
-    trainer = toy_trainer(tmp_path / "a", floored(0.8), capture)
-    floors, notes = noise_floors(trainer.config, partial(training_noise, trainer.frames))
+    with tolerating(noise_floor=0.8):
+        trainer = toy_trainer(tmp_path / "a", floored(), capture)
+    floors, notes = noise_floors(trainer.config, partial(training_noise, trainer.frames), 0.8)
     assert floors["rgb"] == pytest.approx(0.8 * (12 / 255) ** 2, rel=0.15)
     assert floors["thermal"] == pytest.approx(0.8 * (3 / 255) ** 2, rel=0.2)
     assert trainer.state.noise_watch is not None
@@ -85,7 +90,7 @@ def test_floor_is_a_share_of_the_noise_of_each_spectrum(tmp_path: Path) -> None:
 
 def test_images_without_noise_have_no_floor(tmp_path: Path) -> None:
     """Of an even image any error is the model's."""
-    trainer = toy_trainer(tmp_path, floored(1.0), noisy(many_frames(toy_capture()), rgb=0, thermal=0))
+    trainer = toy_trainer(tmp_path, floored(), noisy(many_frames(toy_capture()), rgb=0, thermal=0))
     assert trainer.state.noise_watch is None
 
 
@@ -130,14 +135,16 @@ def test_shares_are_of_all_terms_of_a_spectrum(tmp_path: Path, fused: bool) -> N
 
 
 @pytest.mark.parametrize("batch_size", [None, 2])
+@tolerating(noise_floor=3.0)
 def test_resumed_run_is_the_same(tmp_path: Path, batch_size: int | None) -> None:
     """Floors come from the images, so a run that is cut in two ends with the same bits; some views are below."""
     capture = noisy(many_frames(toy_capture()), rgb=60, thermal=60)
-    config = floored(3.0, batch_size=batch_size)
+    config = floored(batch_size=batch_size)
     whole = trained(toy_trainer(tmp_path / "whole", config, capture), 6)
     half = trained(toy_trainer(tmp_path / "half", config, capture), 3)
     half.save()
     resumed = trained(Trainer.resume(config, capture, half.run), 6)
     assert_same_state(state_tensors(resumed), state_tensors(whole))
-    free = trained(toy_trainer(tmp_path / "free", floored(0.0, batch_size=batch_size), capture), 6)
+    with tolerating(noise_floor=0.0):
+        free = trained(toy_trainer(tmp_path / "free", config, capture), 6)
     assert not torch.equal(free.model.gaussians("shared").sh0, whole.model.gaussians("shared").sh0)

@@ -46,9 +46,8 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
         written = write_scene(scene, folder, compact=arguments.compact, scalars=scalars)
     else:
         format = next(name for name in SPLAT_FORMATS if name == arguments.format)
-        antialiased = loaded.model.config.rasterize_mode == "antialiased"
         written = {
-            name: write_format(format, folder, Described(splats, name, comments, antialiased))
+            name: write_format(format, folder, Described(splats, name, comments))
             for name, (splats, comments) in scene.items()
         }
     for line in write_origin(folder, loaded.model.placement):

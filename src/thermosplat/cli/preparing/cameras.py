@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import WITHOUT_TORCH, importing
 from thermosplat.cli.preparing.steps import CaptureArguments, capture_at, say, say_next
 from thermosplat.errors import UserError
@@ -52,6 +53,7 @@ def run_calibrate(arguments: CalibrateArguments) -> int:
             "calibrate needs two folders with pictures of a board.",
             "Name them: thermosplat-prepare calibrate CAPTURE --rgb BOARDS/rgb --thermal BOARDS/thermal",
         )
+    check_ranges(arguments, columns=(3, 100), rows=(3, 100), size=(1e-6, 1e6), marker=(1e-6, 1e6))
     with importing(WITHOUT_TORCH):
         from thermosplat.prepare.calibration.boards import Board
         from thermosplat.prepare.calibration.calibrate import calibrate

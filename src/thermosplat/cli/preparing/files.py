@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import WITHOUT_TORCH, importing
 from thermosplat.cli.preparing.steps import CaptureArguments, capture_at, say, say_next
 from thermosplat.errors import UserError
@@ -126,8 +127,8 @@ def import_source(arguments: SourceArguments, root: Path) -> None:
         from thermosplat.prepare.importing.import_options import ImportOptions
         from thermosplat.prepare.importing.thermal_images import ThermalOptions
 
-    if arguments.every < 1:
-        raise UserError(f"--every must be at least 1, found {arguments.every}.")
+    numbers = dict.fromkeys(("scale", "offset", "range"), (-1e30, 1e30))
+    check_ranges(arguments, every=(1, 1_000_000_000), **numbers)
     shared = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(ThermalOptions)}
     options = ImportOptions(
         folders=arguments.folders(),

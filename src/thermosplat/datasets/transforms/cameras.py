@@ -4,9 +4,9 @@ Poses have OpenGL axes (y up, z backwards). Intrinsics are global or per frame. 
 programs that write and read such files take them for:
 
 - nerfstudio's perspective models, whatever their names, bend by k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸ and p1, p2
-  (``cameras/camera_utils.py``); k4 has no place in a COLMAP model, and nerfstudio itself does not undistort it.
+  (its ``camera_utils``); k4 has no place in a COLMAP model, and nerfstudio itself does not undistort it.
 - Its OPENCV_FISHEYE does the same to the angle θ in place of r, with p1 and p2: COLMAP's THIN_PRISM_FISHEYE.
-- instant-ngp's files name no model: "is_fisheye" says that it is OpenCV's fisheye model (``scripts/colmap2nerf.py``).
+- instant-ngp's files name no model: "is_fisheye" says that it is OpenCV's fisheye model (its ``colmap2nerf``).
 - FULL_OPENCV is COLMAP's: k4 to k6 are the denominator.
 """
 

@@ -29,13 +29,12 @@ _QUATERNION_TAG = 252
 """Alpha of a quaternion whose largest component is w; 253 to 255: x, y, z."""
 
 
-def write_sog(path: Path, splats: Splats, *, antialiased: bool = False) -> WrittenSplats:
+def write_sog(path: Path, splats: Splats) -> WrittenSplats:
     """Write Gaussians as SOG, in the frame of the capture's poses.
 
     Args:
         path: The file, ``*.sog``.
         splats: The Gaussians.
-        antialiased: They were trained with antialiased rasterization.
 
     Raises:
         UserError: No Gaussian is left to show: the format has no empty scene.
@@ -44,7 +43,7 @@ def write_sog(path: Path, splats: Splats, *, antialiased: bool = False) -> Writt
     if len(shown) == 0:
         raise UserError(f"No Gaussian of {path.name} can be seen, and SOG holds no empty scene.", "Train for longer.")
     shown = shown[morton_order(shown.means)]
-    meta = {"version": 2, "asset": {"generator": "thermosplat"}, "count": len(shown), "antialias": antialiased}
+    meta = {"version": 2, "asset": {"generator": "thermosplat"}, "count": len(shown), "antialias": False}
     images: dict[str, NDArray[np.uint8]] = {}
     for part in (_positions, _scales, _quaternions, _colors, _harmonics):
         name, described, own = part(shown)

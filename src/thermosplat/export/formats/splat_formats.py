@@ -28,8 +28,6 @@ class Described:
     """Name of the spectrum that they show."""
     comments: Sequence[str] = ()
     """For the header, where the format has room for text."""
-    antialiased: bool = False
-    """They were trained with antialiased rasterization."""
 
 
 HELD_DEGREES: dict[SplatFormat, int] = {"compressed-ply": 3, "spz": 3, "sog": 3, "glb": 3}
@@ -41,8 +39,8 @@ _WRITERS: dict[SplatFormat, tuple[str, Callable[[Path, Described], WrittenSplats
         ".compressed.ply",
         lambda path, scene: write_compressed_ply(path, scene.splats, scene.comments),
     ),
-    "spz": (".spz", lambda path, scene: write_spz(path, scene.splats, antialiased=scene.antialiased)),
-    "sog": (".sog", lambda path, scene: write_sog(path, scene.splats, antialiased=scene.antialiased)),
+    "spz": (".spz", lambda path, scene: write_spz(path, scene.splats)),
+    "sog": (".sog", lambda path, scene: write_sog(path, scene.splats)),
     "glb": (".glb", lambda path, scene: write_glb(path, scene.splats, name=f"splat_{scene.spectrum}")),
     "usd": (".usd", lambda path, scene: write_usd(path, scene.splats, name=f"splat_{scene.spectrum}")),
 }

@@ -24,16 +24,14 @@ _COLOR_STEPS = 0.15 * 255.0
 """Steps of a colour's byte for each unit of sh0: room for colours below 0 and above 1 that harmonics bring back."""
 _SIZES = (-10.0, 5.9375)
 """Smallest and largest log-scale of a byte."""
-_ANTIALIASED = 1
 
 
-def write_spz(path: Path, splats: Splats, *, antialiased: bool = False) -> WrittenSplats:
+def write_spz(path: Path, splats: Splats) -> WrittenSplats:
     """Write Gaussians as SPZ.
 
     Args:
         path: The file, ``*.spz``.
         splats: The Gaussians.
-        antialiased: They were trained with antialiased rasterization.
 
     Raises:
         UserError: The scene is too large for the format's fixed point, or its Gaussians are too small or too large.
@@ -51,8 +49,7 @@ def write_spz(path: Path, splats: Splats, *, antialiased: bool = False) -> Writt
         _rotations(shown.quats),
         _bytes(np.rint(shown.shN * 128.0) + 128.0),  # a coefficient after the other, each of three channels
     ]
-    flags = _ANTIALIASED if antialiased else 0
-    header = struct.pack("<IIIBBBB", _MAGIC, _VERSION, len(shown), shown.sh_degree, fractional, flags, 0)
+    header = struct.pack("<IIIBBBB", _MAGIC, _VERSION, len(shown), shown.sh_degree, fractional, 0, 0)
     content = header + b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
     write_bytes(path, gzip.compress(content, mtime=0))
     return WrittenSplats(path, len(shown), len(splats.means) - len(shown))

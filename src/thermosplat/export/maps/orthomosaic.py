@@ -64,13 +64,14 @@ class MapGrid:
             raise UserError(f"--extent must be WEST SOUTH EAST NORTH, rising, found {found}.")
         if not (np.isfinite(pixel) and pixel > 0):
             raise UserError(f"--gsd must be greater than 0, found {pixel:g}.")
-        width, height = (max(1, round(span / pixel)) for span in (east - west, north - south))
-        if width * height > MOST_PIXELS:
-            fitting = pixel * (width * height / MOST_PIXELS) ** 0.5
+        columns, rows = (max(1.0, span / pixel) for span in (east - west, north - south))
+        if columns * rows > MOST_PIXELS:
+            fitting = ((east - west) * (north - south) / MOST_PIXELS) ** 0.5
             raise UserError(
-                f"A map of {width:,} x {height:,} pixels is too large (more than {MOST_PIXELS:,}).",
+                f"A map of {columns:,.0f} x {rows:,.0f} pixels is too large (more than {MOST_PIXELS:,}).",
                 f"Give a larger --gsd, at least {fitting:.3g}, or a smaller --extent.",
             )
+        width, height = round(columns), round(rows)
         return cls(frame, west, north, pixel, width, height, top)
 
     def view(self, left: int, upper: int, width: int, height: int, device: torch.device | str) -> ViewTensors:

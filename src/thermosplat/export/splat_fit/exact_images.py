@@ -8,7 +8,7 @@ from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.export.scene import Colors, decoded_features, shown_colors
-from thermosplat.export.splat_rendering import others_filter, render_splats
+from thermosplat.export.splat_rendering import render_splats
 from thermosplat.export.splats import Splats
 from thermosplat.image_quality.metrics import psnr
 from thermosplat.scene.model import SceneModel
@@ -54,7 +54,7 @@ class ExactImages:
 
     def render(self, splats: Splats, view: ViewTensors) -> Tensor:
         """The splats' image as other viewers show it, [H, W, 3], not clamped from above."""
-        return render_splats(splats, view, pixel_filter=others_filter(self.model), background=self.background)
+        return render_splats(splats, view, background=self.background)
 
     @torch.no_grad()
     def mean_psnr(self, splats: Splats, views: Sequence[ViewTensors]) -> float:

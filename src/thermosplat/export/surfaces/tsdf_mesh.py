@@ -73,12 +73,14 @@ def tsdf_mesh(
         raise UserError(f"--voxel must be greater than 0, found {voxel:g}.")
     low, high = map(model.placement.to_scene, bounds)
     voxel /= model.placement.unit
-    shape = tuple(int(count) for count in np.ceil((high - low) / voxel) + 1)
-    if np.prod([float(count) for count in shape]) > MOST_VOXELS:
+    with np.errstate(over="ignore"):
+        counts = np.ceil((high - low) / voxel) + 1
+    if not np.prod(counts) <= MOST_VOXELS:
         raise UserError(
-            f"{' x '.join(f'{count:,}' for count in shape)} voxels are too many (more than {MOST_VOXELS:,}).",
+            f"{' x '.join(f'{count:,.0f}' for count in counts)} voxels are too many (more than {MOST_VOXELS:,}).",
             "Give a larger --voxel.",
         )
+    shape = tuple(int(count) for count in counts)
     seen = [depth_view(model, name, view, scales, sh_degree=sh_degree) for view in views]
     distance, weight = _fused(seen, low, shape, voxel)
     try:

@@ -18,9 +18,9 @@ def describe_video(path: Path) -> tuple[int, float, int, int]:
     """Number of frames, frames per second, width and height [px] of a video.
 
     Raises:
-        UserError: OpenCV cannot read it.
+        UserError: OpenCV cannot read it, or its name.
     """
-    video = cv2.VideoCapture(str(path))
+    video = _opened(path)
     try:
         count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
         done, image = video.read()
@@ -40,7 +40,7 @@ def read_video_frame(path: Path, number: int) -> NDArray[np.uint8]:
     Raises:
         UserError: It cannot be decoded.
     """
-    video = cv2.VideoCapture(str(path))
+    video = _opened(path)
     try:
         video.set(cv2.CAP_PROP_POS_FRAMES, number)
         done, image = video.read()
@@ -50,6 +50,14 @@ def read_video_frame(path: Path, number: int) -> NDArray[np.uint8]:
         raise UserError(f"Frame {number} of {path} cannot be decoded.", "Export the frames as images.")
     colors: Any = image[..., ::-1]
     return np.ascontiguousarray(colors)
+
+
+def _opened(path: Path) -> cv2.VideoCapture:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:  # OpenCV would crash
+        raise UserError(f"The name of the video {path} is not UTF-8.", "Rename it.") from error
+    return cv2.VideoCapture(str(path))
 
 
 def moment(seconds: float) -> str:

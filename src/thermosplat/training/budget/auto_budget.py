@@ -7,7 +7,7 @@
   where it was best (noise_watch.py), and then taught by the scene of that step (teacher.py).
 - Where views are few, and not noisy, they stay withheld for some time beyond growth, and a spectrum that fell far goes
   back, too.
-- At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py, contributions.py): as
+- At set shares of the run the Gaussians that matter least are removed (opacity_sensitivities.py): as
   many as change some training images within a tolerance (image_change.py); the rest of the run fine-tunes what is left.
   Nothing is removed while it still grows, which ends with the last share at the latest, nor of a scene that is not
   learnt: what it may lose is measured against its error.
@@ -29,7 +29,6 @@ from thermosplat.config import TrainConfig
 from thermosplat.image_quality.metrics import psnr
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.spectra import label, listed
-from thermosplat.training.budget.contributions import contributions
 from thermosplat.training.budget.feature_channels import reduce_features
 from thermosplat.training.budget.image_change import ImageChange
 from thermosplat.training.budget.noise_watch import NoiseWatch
@@ -39,6 +38,7 @@ from thermosplat.training.budget.pruning import dispensable, prune_sets
 from thermosplat.training.budget.rounding import round_to_half
 from thermosplat.training.budget.sh_bands import drop_bands
 from thermosplat.training.budget.teacher import Teacher
+from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
 from thermosplat.training.density.gaussian_ops import kept_on_failure
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames
@@ -79,6 +79,7 @@ class AutoBudget:
         state: Model, optimizers and density control.
         frames: The training frames.
         schedule: Which of them the steps take.
+        tolerances: What it may change.
         teaches: Whether spectra may be trained on what the scene showed when they were best.
         say: Tells the user something.
     """
@@ -90,6 +91,7 @@ class AutoBudget:
         frames: CorrectedFrames,
         schedule: SpectrumSchedule,
         *,
+        tolerances: Tolerances = TOLERANCES,
         teaches: bool = True,
         say: Callable[[str], None] = lambda line: None,
     ) -> None:
@@ -100,10 +102,11 @@ class AutoBudget:
         self.teaches = teaches
         self._say = say
         self.settings = config.auto_budget
+        self.tolerances = tolerances
         self._having = [
             [index for index, frame in enumerate(frames.frames) if name in frame.views] for name in state.model.spectra
         ]
-        self.validation = _validation_views(self._having, self.settings.validation_views)
+        self.validation = _validation_views(self._having, tolerances.validation_views)
         self._withholds_many = _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
         self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
         self._last_removal = max(self._prune_steps, default=0)
@@ -155,12 +158,12 @@ class AutoBudget:
         """
         if self.state.trimmed:
             return
-        model, settings = self.state.model, self.settings
+        model, tolerances = self.state.model, self.tolerances
         with kept_on_failure(model.gaussian_sets.parameters()):
             change = self.images(sh_degree)
             if not change.not_learnt:
-                drop_bands(model, self.frames, sh_degree, change, settings.sh_change)
-                round_to_half(model, self.images(sh_degree), settings.rounding_change)
+                drop_bands(model, self.frames, sh_degree, change, tolerances.sh_change)
+                round_to_half(model, self.images(sh_degree), tolerances.rounding_change)
         self.state.trimmed = True
 
     def withholds(self) -> bool:
@@ -176,7 +179,7 @@ class AutoBudget:
     @property
     def _watches_falls(self) -> bool:
         """Whether any spectrum may go back that the withheld views of few say has fallen."""
-        return self._few_views and self.teaches and self.settings.few_views_until > 0
+        return self._few_views and self.teaches
 
     def _validates_at(self, step: int) -> bool:
         if not (step % self.settings.validate_every == 0 and self.withholds()):
@@ -207,14 +210,14 @@ class AutoBudget:
         means = {name: sum(values) / len(values) for name, values in found.items()}
         if state.noise_watch is not None:
             teacher = partial(self._teacher, sh_degree)
-            loss, patience = settings.spectrum_loss, settings.spectrum_patience
+            loss, patience = self.tolerances.spectrum_loss, settings.spectrum_patience
             state.noise_watch.judge(step, means, loss, patience, teacher, noisy_only=not self._watches_falls)
         if not state.growing:
             self._release()
             return
         value = sum(map(sum, found.values())) / max(sum(map(len, found.values())), 1)
         best, best_step = state.best_validation
-        if value > best + settings.least_gain or not math.isfinite(best):
+        if value > best + self.tolerances.least_gain or not math.isfinite(best):
             state.best_validation = (value, step)
         elif step - best_step >= settings.patience:
             self._stop_growing()
@@ -243,8 +246,8 @@ class AutoBudget:
         """Train on the withheld views, too, unless a spectrum is watched by them."""
         watch = self.state.noise_watch
         if watch is not None and self._has_seen_enough(watch):
-            fall = self.settings.spectrum_fall if self._watches_falls else math.inf
-            for name in watch.end(self.settings.spectrum_loss, fall):
+            fall = self.tolerances.spectrum_fall if self._watches_falls else math.inf
+            for name in watch.end(self.tolerances.spectrum_loss, fall):
                 best, then = watch.best[name]
                 _, now = watch.lately[name][-1]
                 self._say(
@@ -260,8 +263,8 @@ class AutoBudget:
         if step >= self._last_removal:
             return True
         if self._watches_falls:
-            fallen = watch.fallen(self.settings.spectrum_fall)
-            share = self.settings.fallen_views_until if fallen else self.settings.few_views_until
+            fallen = watch.fallen(self.tolerances.spectrum_fall)
+            share = self.tolerances.fallen_views_until if fallen else self.tolerances.few_views_until
             return step >= round(share * self.config.max_steps)
         return self._few_views or not watch.watches()
 
@@ -273,8 +276,6 @@ class AutoBudget:
             change: Some of the images as they are now.
         """
         model = self.state.model
-        if self.settings.prune_by == "weights":
-            return contributions(model, self.frames)
         sensitivities = self._sensitivities(sh_degree, change)
         return {name: removal_effects(model.gaussians(name), found) for name, found in sensitivities.items()}
 
@@ -302,7 +303,7 @@ class AutoBudget:
             gaussians = state.gaussian_sets[name]
             for spectrum in offset_spectra(gaussians):
                 effects = offset_effects(gaussians, spectrum, sensitivities)
-                dropped = idle_offsets(gaussians, spectrum, effects, change, self.settings.offset_change)
+                dropped = idle_offsets(gaussians, spectrum, effects, change, self.tolerances.offset_change)
                 drop_offsets(gaussians, spectrum, state.optimizers[name], dropped)
 
     def reduce_features(self, sh_degree: int) -> None:
@@ -317,7 +318,7 @@ class AutoBudget:
         change = self.images(sh_degree, self.config)
         if change.not_learnt:
             return
-        reduce_features(state.model, state.optimizers[SHARED], change, self.settings.feature_change)
+        reduce_features(state.model, state.optimizers[SHARED], change, self.tolerances.feature_change)
 
     def images(self, sh_degree: int, losses: TrainConfig | None = None) -> ImageChange:
         """Some training images as they are now.
@@ -326,7 +327,7 @@ class AutoBudget:
             sh_degree: Degree of the spherical harmonics in use.
             losses: As ``ImageChange``'s.
         """
-        looked_at = _spread(self._having, self.settings.measured_views)
+        looked_at = _spread(self._having, self.tolerances.measured_views)
         return ImageChange(self.state.model, SomeFrames(self.frames, looked_at), sh_degree, losses)
 
     def _prune(self, sh_degree: int) -> None:
@@ -339,7 +340,7 @@ class AutoBudget:
             return
         self.remove(
             {
-                name: dispensable(self.state.gaussian_sets[name], values, change, self.settings.prune_change)
+                name: dispensable(self.state.gaussian_sets[name], values, change, self.tolerances.prune_change)
                 for name, values in self.scores(sh_degree, change).items()
             }
         )

@@ -1,12 +1,10 @@
-"""How much each Gaussian contributes to the training images.
+"""How much each Gaussian contributes to the training images, by the squares of its blending weights.
 
-A render is A = Σ_i a_i w_i with blending weights w_i (equation 1), so the gradient of the sum of all pixels with
-respect to a_i is the sum of the Gaussian's weights over the image: one backward pass per view gives those of all
-Gaussians, exactly. With several opacities every Gaussian has a weight in each spectrum.
-
-The sum of squared weights says how much the squared error grows where a Gaussian is missing: a few pixels that are its
-own count for more than a trace in many. With random signs s_p = ±1 on the pixels the gradient of Σ s_p A_p is
-Σ s_p w_p, whose square has the expected value Σ w_p² (Hutchinson 1990); each colour channel of each view is a sample.
+Their sum says how much the squared error grows where a Gaussian is missing: a few pixels that are its own count for
+more than a trace in many. A render is A = Σ_i a_i w_i with blending weights w_i (equation 1), so with random signs
+s_p = ±1 on the pixels the gradient of Σ s_p A_p with respect to a_i is Σ s_p w_p, whose square has the expected value
+Σ w_p² (Hutchinson 1990): one backward pass per view gives those of all Gaussians, and each colour channel is a sample.
+With several opacities every Gaussian has a weight in each spectrum.
 """
 
 from collections.abc import Iterable
@@ -22,21 +20,6 @@ from thermosplat.scene.model import SceneModel
 from thermosplat.scene.views import camera_arguments
 
 
-def contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
-    """Each Gaussian's share of all blending weights of its spectra.
-
-    Args:
-        model: The scene.
-        frames: The training frames.
-
-    Returns:
-        By name of the set, shape [N]: the sum of its weights over all pixels of all frames, divided by that of all
-        Gaussians; in a set that renders several spectra the mean of their shares. They add up to 1.
-    """
-    found = {name: _shares(weights) for name, weights in _blending_weights(model, frames, None).items()}
-    return {name: shares.sum(dim=0) / (shares > 0).any(dim=1).sum().clamp(min=1) for name, shares in found.items()}
-
-
 def squared_contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
     """Each Gaussian's share of all squared blending weights of a spectrum, estimated with the same signs at every call.
 
@@ -49,14 +32,13 @@ def squared_contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> 
         not render that spectrum.
     """
     signs = torch.Generator().manual_seed(0)
-    return {name: _shares(weights) for name, weights in _blending_weights(model, frames, signs).items()}
+    tiny = torch.finfo(torch.float32).tiny
+    sums = _squared_weights(model, frames, signs)
+    return {name: weights / weights.sum(dim=1, keepdim=True).clamp(min=tiny) for name, weights in sums.items()}
 
 
-def _blending_weights(
-    model: SceneModel, frames: Iterable[FrameTensors], signs: torch.Generator | None
-) -> dict[str, Tensor]:
-    """Sums of blending weights in the images of each spectrum [S, N] by name of the set; with signs, of their
-    squares."""
+def _squared_weights(model: SceneModel, frames: Iterable[FrameTensors], signs: torch.Generator) -> dict[str, Tensor]:
+    """Sums of squared blending weights in the images of each spectrum [S, N] by name of the set."""
     rows = {spectrum: row for row, spectrum in enumerate(model.spectra)}
     weights = {
         name: torch.zeros(len(rows), len(model.gaussians(name)), device=_device(model)) for name in model.gaussian_sets
@@ -75,8 +57,8 @@ def _blending_weights(
 
 
 @torch.enable_grad()
-def _weights_of_two(model: SceneModel, second: str, view: ViewTensors, signs: torch.Generator | None) -> Tensor:
-    """Summed weights at α and in a second spectrum, shape [2, N], by one traversal.
+def _weights_of_two(model: SceneModel, second: str, view: ViewTensors, signs: torch.Generator) -> Tensor:
+    """Summed squares at α and in a second spectrum, shape [2, N], by one traversal.
 
     Deterministic, for they decide who goes.
     """
@@ -101,12 +83,12 @@ def _weights_of_two(model: SceneModel, second: str, view: ViewTensors, signs: to
         thermal = output.render_features
     total = _sum(output.render_colors, signs) + _sum(thermal, signs)
     gradients = torch.autograd.grad(total, (colors, features))
-    return torch.stack([_summed_weights(gradient, squared=signs is not None) for gradient in gradients])
+    return torch.stack([_summed_squares(gradient) for gradient in gradients])
 
 
 @torch.enable_grad()
-def _weights(model: SceneModel, spectrum: str, view: ViewTensors, signs: torch.Generator | None) -> Tensor:
-    """Summed weights of one spectrum in one view, shape [N]."""
+def _weights(model: SceneModel, spectrum: str, view: ViewTensors, signs: torch.Generator) -> Tensor:
+    """Summed squares of one spectrum in one view, shape [N]."""
     gaussians = model.gaussians(model.set_of(spectrum))
     colors = _ones(gaussians, 3)
     image, _, _ = rasterization(
@@ -120,30 +102,22 @@ def _weights(model: SceneModel, spectrum: str, view: ViewTensors, signs: torch.G
         **camera_arguments(model.seen(view)),
         deterministic=True,
     )
-    return _summed_weights(torch.autograd.grad(_sum(image, signs), colors)[0], squared=signs is not None)
+    return _summed_squares(torch.autograd.grad(_sum(image, signs), colors)[0])
 
 
-def _sum(image: Tensor, signs: torch.Generator | None) -> Tensor:
-    """Sum over the first three channels of an image [1, H, W, C], with random signs where they are asked for."""
+def _sum(image: Tensor, signs: torch.Generator) -> Tensor:
+    """Sum over the first three channels of an image [1, H, W, C], with random signs."""
     image = image[..., :3]
-    if signs is None:
-        return image.sum()
     return (image * (2 * torch.randint(2, image.shape, generator=signs, dtype=torch.int8) - 1).to(image)).sum()
 
 
-def _summed_weights(gradient: Tensor, *, squared: bool) -> Tensor:
-    """Sums of weights or of their squares [N], of the gradient of ``_sum`` [N, C]."""
-    gradient = gradient[:, :3]
-    return (gradient.square() if squared else gradient).mean(dim=1)
+def _summed_squares(gradient: Tensor) -> Tensor:
+    """Sums of squared weights [N], of the gradient of ``_sum`` [N, C]."""
+    return gradient[:, :3].square().mean(dim=1)
 
 
 def _ones(gaussians: Gaussians, channels: int) -> Tensor:
     return gaussians.means.new_ones(len(gaussians), channels).requires_grad_()
-
-
-def _shares(weights: Tensor) -> Tensor:
-    """Each Gaussian's share of a spectrum's weights, of weights [S, N]."""
-    return weights / weights.sum(dim=1, keepdim=True).clamp(min=torch.finfo(weights.dtype).tiny)
 
 
 def _device(model: SceneModel) -> torch.device:

@@ -17,22 +17,25 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.losses.image_terms import ComparedFrame
 from thermosplat.spectra import label
+from thermosplat.training.budget.tolerances import TOLERANCES
 from thermosplat.training.image_noise import NoiseOf
 
 
-def noise_floors(config: TrainConfig, noise_of: NoiseOf) -> tuple[dict[str, float], tuple[str, ...]]:
+def noise_floors(
+    config: TrainConfig, noise_of: NoiseOf, share: float = TOLERANCES.noise_floor
+) -> tuple[dict[str, float], tuple[str, ...]]:
     """The squared errors below which views are not fitted: with ``--budget auto``.
 
     Args:
         config: The whole configuration.
         noise_of: The noise of a spectrum's training images.
+        share: Of its variance.
 
     Returns:
         Squared errors by spectrum, more than 0, of the spectra whose images have noise; and what to tell the user.
     """
     floors, notes = {}, []
-    share = config.auto_budget.noise_floor if config.budget == "auto" else 0.0
-    for name in config.modelled if share > 0 else ():
+    for name in config.modelled if config.budget == "auto" and share > 0 else ():
         noise = noise_of(name)
         if noise is None or noise.plain == 0:
             continue

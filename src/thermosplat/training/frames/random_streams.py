@@ -7,7 +7,7 @@ step to step: a resumed run, and a step taken back, draw what the uninterrupted 
 import numpy as np
 import torch
 
-_PURPOSES = ("frame order", "split", "initialisation", "position noise", "background")
+_PURPOSES = ("frame order", "split", "initialisation", "position noise")
 
 
 def random_stream(seed: int, purpose: str, index: int = 0) -> torch.Generator:
@@ -15,7 +15,7 @@ def random_stream(seed: int, purpose: str, index: int = 0) -> torch.Generator:
 
     Args:
         seed: The run's seed, at least 0.
-        purpose: "frame order", "split", "initialisation", "position noise" or "background".
+        purpose: "frame order", "split", "initialisation" or "position noise".
         index: Step or epoch, at least 0.
     """
     return start_stream(torch.Generator(), seed, purpose, index)

@@ -24,6 +24,8 @@ def run_metrics(
         config: The whole configuration.
     """
     seconds, model = state.seconds, state.model
+    beside: dict[str, Any] = {name: evaluated[name] for name in ("training_views", "remarks") if name in evaluated}
+    evaluated = {name: value for name, value in evaluated.items() if name not in beside}
     corrections = state.corrections
     return {
         **evaluated,
@@ -41,4 +43,5 @@ def run_metrics(
         "feature_channels": model.feature_channels,
         "opacity_offsets_kept": model.offsets_kept,
         "point_spreads": model.point_spreads,
+        **beside,
     }

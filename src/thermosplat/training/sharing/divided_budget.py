@@ -5,7 +5,7 @@ one process for it; the others wait.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.scene.model import SceneModel
@@ -28,8 +28,9 @@ class DividedBudget:
     def __init__(self, trainer: "DividedTrainer") -> None:
         self.trainer = trainer
         # says when something is due, from what all ranks know; it never looks at this rank's Gaussians alone
+        self._how: dict[str, Any] = {"tolerances": trainer.tolerances, "teaches": False}
         frames = CorrectedFrames(trainer.frames, trainer.state.corrections)
-        self.plan = AutoBudget(trainer.config, trainer.state, frames, trainer.schedule, teaches=False)
+        self.plan = AutoBudget(trainer.config, trainer.state, frames, trainer.schedule, **self._how)
 
     def acts_at(self, step: int) -> bool:
         """As ``AutoBudget``'s."""
@@ -68,7 +69,7 @@ class DividedBudget:
             everything.load(whole)
             frames = CorrectedFrames(trainer.frames, everything.corrections)
             say = trainer.logger.say
-            work(AutoBudget(trainer.config, everything, frames, trainer.schedule, teaches=False, say=say))
+            work(AutoBudget(trainer.config, everything, frames, trainer.schedule, **self._how, say=say))
             after = everything.checkpoint(trainer.asked, trainer.sh_degree, trainer.capture.scales, trainer.capture)
             shares.extend(shares_of(after, team.size))
 
