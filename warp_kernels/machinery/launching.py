@@ -66,25 +66,27 @@ class RecordedLaunch:
         kernel: not generic.
         dim: number of threads.
         inputs: arrays, ints, floats and bools, of the same types at each launch; outputs included. None in the place
-            of an array: one without elements.
+            of an array: one without elements. In the place of a struct its fields, one after the other.
         device: where to run.
         block: threads a block.
     """
 
     def __init__(self, kernel: wp.Kernel, dim: Dim, inputs: list[Any], device: wp.Device, block: int) -> None:
-        arrays = [value.array() if type(value) is ArrayView else value for value in inputs]
-        command = wp.launch(kernel, dim, arrays, device=device, record_tape=False, record_cmd=True, block_dim=block)
+        command = wp.launch(
+            kernel, dim, _as_given(kernel, inputs), device=device, record_tape=False, record_cmd=True, block_dim=block
+        )
         command.fwd_args = None  # else the first call's arrays would live as long as the command
         kinds = [type(param) for param in command.params[1:]]
         layout = type("Arguments", (ctypes.Structure,), {"_fields_": [(f"a{k}", kind) for k, kind in enumerate(kinds)]})
         self._bytes = layout()
         formats, end = ["@"], 0
-        for k, kind in enumerate(kinds):
+        for k, (kind, argument) in enumerate(zip(kinds, kernel.adj.args[-len(kinds) :], strict=True)):
             offset = getattr(layout, f"a{k}").offset
-            code = getattr(kind, "_type_", None)  # a number's; arrays, vectors and structs are bytes
-            code = code if isinstance(code, str) else f"{ctypes.sizeof(kind)}s"
-            formats.append(f"{offset - end}x{code}")
-            end = offset + ctypes.sizeof(kind)
+            for at, field in _fields(kind) if hasattr(argument.type, "native_name") else [(0, kind)]:
+                code = getattr(field, "_type_", None)  # a number's; arrays and vectors are bytes
+                code = code if isinstance(code, str) else f"{ctypes.sizeof(field)}s"
+                formats.append(f"{offset + at - end}x{code}")
+                end = offset + at + ctypes.sizeof(field)
             # the command's own parameters, which on CUDA it holds the addresses of, become these bytes
             command.params[k + 1] = kind.from_buffer(self._bytes, offset)
             if command.params_addr:
@@ -107,7 +109,10 @@ class RecordedLaunch:
         packed: list[Any] = []
         for v in inputs:
             kind = type(v)
-            packed.append(v.packed if kind is ArrayView else v if kind in _NUMBERS else _packed(v))
+            if kind is ArrayView:
+                packed.append(v.packed)
+            else:
+                packed.append(v if kind in _NUMBERS else b"" if v is None else _packed(v))
         self._pack_into(self._bytes, 0, *packed)
         if self._run_on_cpu is not None:
             self._run_on_cpu(*self._pointers)
@@ -127,13 +132,33 @@ class RecordedLaunch:
         self._dim = dim
 
 
+def _as_given(kernel: wp.Kernel, inputs: list[Any]) -> list[Any]:
+    """A kernel's arguments as ``wp.launch`` takes them."""
+    left = iter([value.array() if type(value) is ArrayView else value for value in inputs])
+    given = []
+    for argument in kernel.adj.args:
+        if not hasattr(argument.type, "native_name"):
+            given.append(next(left))
+            continue
+        instance = argument.type()
+        for name in argument.type.vars:
+            value = next(left)
+            if value is not None:
+                setattr(instance, name, value)
+        given.append(instance)
+    return given
+
+
+def _fields(kind: Any) -> list[tuple[int, Any]]:
+    """Place [bytes] and type of each field of a struct."""
+    return [(getattr(kind, name).offset, field) for name, field in kind._fields_]
+
+
 _NUMBERS = frozenset((int, float, bool))
 
 
 def _packed(value: Any) -> Any:
     """Any other argument as ``struct`` packs it: a number, or the bytes of an array, a struct or a vector."""
-    if value is None:
-        return b""
     if isinstance(value, (int, float)):
         return value
     if hasattr(value, "__ctype__"):

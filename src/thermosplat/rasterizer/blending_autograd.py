@@ -15,7 +15,6 @@ from torch import Tensor
 
 from thermosplat.torch_bridge.arrays import (
     given_view,
-    keep,
     kept,
     lend,
     once_in_turns,
@@ -195,7 +194,8 @@ class Blend(torch.autograd.Function):
                 read.append(projected.extents)
                 memory.append(inputs.extents)
             of_lists, memory_of_lists = lists.read_by_adjoint(counts=not _sums_apart(ctx))
-            keep(ctx, (*arrays, *read, *of_lists), (*tensors, *memory, *memory_of_lists))
+            ctx.arrays = (*arrays, *read, *of_lists)  # see ``kept``
+            ctx.save_for_backward(*tensors, *memory, *memory_of_lists)
         render, render_rest = first.render, None
         if rest is not None:
             render, render_rest = render[..., :channels], render[..., channels:]

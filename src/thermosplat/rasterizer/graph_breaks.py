@@ -47,11 +47,16 @@ def refuse_transforms() -> None:
         )
 
 
-@functools.cache
 def disabled(function: Callable[..., Any]) -> Callable[..., Any]:
     """``torch.compiler.disable`` for a function, made once. The compiler is imported.
 
     Args:
         function: Any.
     """
-    return torch.compiler.disable(function)
+    if function not in DISABLED:
+        DISABLED[function] = torch.compiler.disable(function)
+    return DISABLED[function]
+
+
+DISABLED: dict[Callable[..., Any], Callable[..., Any]] = {}
+"""Disabled functions by the functions they are of."""

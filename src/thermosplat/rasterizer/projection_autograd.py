@@ -15,7 +15,6 @@ import warp as wp
 from torch import Tensor
 
 from thermosplat.torch_bridge.arrays import (
-    keep,
     kept,
     kinds_of,
     lend,
@@ -197,7 +196,8 @@ class Project(torch.autograd.Function):
             tensors = [means, quats, scales, covars, viewmats, Ks, lenses, motions]
             tensors += [packed_roots, projected.compensations, projected.visible, slopes, times, leads]
             tensors += [*coefficients, *colors]
-            keep(ctx, arrays, tensors)
+            ctx.arrays = arrays  # see ``kept``
+            ctx.save_for_backward(*tensors)
         return *projected[:4], *colors, projected[4:], p
 
     @staticmethod

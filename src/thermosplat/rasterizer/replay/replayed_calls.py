@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
 
-from thermosplat.rasterizer.graph_breaks import disabled
+from thermosplat.rasterizer.graph_breaks import DISABLED, disabled
 from thermosplat.rasterizer.packed_info import whole_entries
 from thermosplat.rasterizer.pair_capacity import SPARE, PairCapacity
 from thermosplat.rasterizer.replay.call_signature import (
@@ -144,7 +144,7 @@ class ReplayedCalls:
         self._function = function
         self._machine = Machine() if machine is None else machine
         self._parameters = list(inspect.signature(function).parameters)
-        self._place = self._machine.place
+        self._serves, self._place = self._machine.serves, self._machine.place
         self._counts = [0] * len(Counts._fields)
         self._turn = threading.Lock()
         self.clear()
@@ -164,7 +164,7 @@ class ReplayedCalls:
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         """The function's result."""
-        call = call_of(arguments, options, self._place)
+        call = call_of(arguments, options, self._place) if self._serves() else None
         if call is None:
             return self._plain(arguments, options)
         signature = self._signatures.get(call.key)
@@ -387,8 +387,9 @@ def replayed(function: Function) -> Function:
 
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
-        run = calls if _on else function
-        # who compiles has imported the compiler
-        return (disabled(run) if "torch._dynamo" in sys.modules else run)(*arguments, **options)
+        run: Callable[..., Any] = calls if _on else function
+        if "torch._dynamo" in sys.modules:  # who compiles has imported the compiler
+            run = DISABLED.get(run) or disabled(run)
+        return run(*arguments, **options)
 
     return cast("Function", called)
