@@ -173,7 +173,7 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
             candidate = int(walk.candidate)
             walk = walking.go_on(walk, lane, middle, splats, pairs)
             for k in range(count):
-                pair, _, m, U, o, ot, f, row_first, row_end = walking.gaussian(
+                pair, _gaussian, m, U, o, ot, f, row_first, row_end = walking.gaussian(
                     walk, candidate + k, k, middle, PY[0], splats, pairs
                 )
                 for row in range(row_first, row_end):

@@ -80,7 +80,7 @@ def segment_light_kernel(variant: BlendVariant) -> wp.Kernel:
             candidate = int(walk.candidate)
             walk = walking.go_on(walk, lane, middle, splats, pairs)
             for k in range(count):
-                _, _, m, U, o, ot, _, row_first, row_end = walking.gaussian(
+                _pair, _gaussian, m, U, o, ot, _features, row_first, row_end = walking.gaussian(
                     walk, candidate + k, k, middle, PY[0], splats, pairs
                 )
                 for row in range(row_first, row_end):
@@ -88,10 +88,10 @@ def segment_light_kernel(variant: BlendVariant) -> wp.Kernel:
                     for q in range(columns):
                         zx, zy = response.whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
                         seen = response.visibility(zx, zy)
-                        _, t = behind_layer(T[offset + q], response.alpha(o, seen), transmittance_min)
+                        _weight, t = behind_layer(T[offset + q], response.alpha(o, seen), transmittance_min)
                         T[offset + q] = t
                         if wp.static(dual):
-                            _, t = behind_layer(Tt[offset + q], response.alpha(ot, seen), transmittance_min)
+                            _weight, t = behind_layer(Tt[offset + q], response.alpha(ot, seen), transmittance_min)
                             Tt[offset + q] = t
 
         row_of_end = part.end // pairs.segment + part.to_row

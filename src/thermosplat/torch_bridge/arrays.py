@@ -149,7 +149,8 @@ def take_back(*arrays: ArrayView | None) -> None:
 def kept(ctx: Any) -> tuple[Any, ...]:
     """The tensors that a function saved; its arrays of their memory, ``ctx.arrays``, are of that memory again.
 
-    There is an array, which does not keep the memory alive, or None for each tensor, or None. What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
+    There is an array, which does not keep the memory alive, or None for each tensor, or None. What is saved may come
+    back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
 
     Args:
         ctx: of an autograd function.

@@ -5,9 +5,9 @@ interfaces need, and is quicker.
 """
 
 from thermosplat.rasterizer.steps.covariances import quat_scale_to_covar_preci
+from thermosplat.rasterizer.steps.fully_fused_projection import fully_fused_projection
 from thermosplat.rasterizer.steps.harmonics import spherical_harmonics
 from thermosplat.rasterizer.steps.pixels import rasterize_to_pixels
-from thermosplat.rasterizer.steps.fully_fused_projection import fully_fused_projection
 from thermosplat.rasterizer.steps.tiles import isect_offset_encode, isect_tiles
 
 __all__ = [
