@@ -70,7 +70,12 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
         return wp.where(light * factor > transmittance_min, minus_one, transmittance_min)
 
     @wp.func
-    def light_of_cut(part: Part, segment: int, states: wp.array3d(dtype=dtype), place: int):
+    def light_of_cut(
+        part: Part,
+        segment: int,
+        states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
+        place: int,
+    ):
         """The light of a pixel in front of a segment, for each opacity, and that at which it stops there."""
         light = vec2(one, one)
         stop_at = vec2(transmittance_min, transmittance_min)

@@ -170,7 +170,7 @@ class _Recorded(threading.local):
     """Recorded launches of this thread, whose arguments no other thread may exchange before the launch."""
 
     def __init__(self) -> None:
-        self.launches: dict[tuple[wp.Kernel, str, int | None], RecordedLaunch] = {}
+        self.by_kernel: dict[tuple[wp.Kernel, str, int | None], RecordedLaunch] = {}
 
 
 _recorded = _Recorded()
@@ -190,10 +190,10 @@ def launch_again(kernel: wp.Kernel, dim: Dim, inputs: list[Any], device: wp.Devi
     if dim == 0:
         return
     key = (kernel, device.alias, block)
-    recorded = _recorded.launches.get(key)
+    recorded = _recorded.by_kernel.get(key)
     if recorded is None:
         with first_use(kernel, device, block or 256):
-            recorded = _recorded.launches[key] = RecordedLaunch(kernel, dim, inputs, device, block or 256)
+            recorded = _recorded.by_kernel[key] = RecordedLaunch(kernel, dim, inputs, device, block or 256)
     recorded.launch(dim, inputs)
 
 

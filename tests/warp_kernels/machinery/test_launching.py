@@ -138,6 +138,47 @@ def test_each_launch_has_its_own_arguments(as_views: bool) -> None:
         np.testing.assert_allclose(sums.numpy(), expected, rtol=1e-14)
 
 
+@wp.struct
+class Given:
+    """A whole number that pads, arrays, and a flag at the end that pads what comes behind."""
+
+    first: int
+    values: wp.array(dtype=wp.float64)  # [2]
+    scale: wp.float64
+    absent: wp.array(dtype=wp.int32)  # [0]: there is none
+    negative: bool
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def struct_kernel(
+    before: bool,
+    given: Given,
+    added: wp.float64,
+    # outputs
+    found: wp.array(dtype=wp.float64),  # [2]
+):
+    """Reads every field."""
+    i = wp.tid()
+    value = given.scale * given.values[given.first + i] + wp.float64(given.absent.shape[0])
+    if given.negative and before:
+        value = -value
+    found[i] = value + added
+
+
+def test_a_struct_is_given_by_its_fields() -> None:
+    """One after the other, in every launch, with None for an array that there is not."""
+    found = wp.zeros(2, dtype=wp.float64, device="cpu")
+    recorded = None
+    for first, scale, negative, absent in ((1, 2.0, True, None), (0, 0.5, False, wp.zeros(3, dtype=wp.int32))):
+        values = wp.array(np.arange(1.0, 4.0), dtype=wp.float64, device="cpu")
+        given = [first, views(values)[0], scale, absent, negative]
+        inputs = [True, *given, 10.0, found]
+        recorded = recorded or RecordedLaunch(struct_kernel, 2, inputs, found.device, 256)
+        recorded.launch(2, inputs)
+        expected = scale * values.numpy()[first : first + 2] + (0 if absent is None else 3)
+        assert (found.numpy() == (-expected if negative else expected) + 10.0).all()
+
+
 @wp.kernel(enable_backward=False, module="unique")
 def grid_kernel(
     # outputs
