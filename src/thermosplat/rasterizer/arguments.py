@@ -6,7 +6,7 @@ A call whose arguments are right passes few conditions here. Numbers and words a
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar, get_args
+from typing import Any, ParamSpec, TypeVar, cast, get_args
 
 import torch
 from torch import Tensor
@@ -16,11 +16,15 @@ from thermosplat.rasterizer.call_inputs import CameraModel, Cameras, Drawn, Rast
 from thermosplat.rasterizer.checked_numbers import as_whole, checked_limits, checked_sizes
 from thermosplat.rasterizer.graph_breaks import refuse_transforms
 from warp_kernels.constants import SH_DEGREE_MAX, TILE_SIZES
+from warp_kernels.projection.plain_cameras import CameraModel as PlainCameraModel
 from warp_kernels.projection.projection import ProjectionSettings
 from warp_kernels.projection.unscented_ellipse import ALPHA, BETA
 
 Arguments = ParamSpec("Arguments")
 Found = TypeVar("Found")
+
+PLAIN_MODELS = get_args(PlainCameraModel)
+"""Cameras that are linearised where nothing asks for the unscented transform."""
 
 INDEX_MAX = 2**31
 """Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
@@ -324,7 +328,7 @@ def _settings(
         num_images=images,
         **limits,
         antialiased=rasterize_mode == "antialiased",
-        # f-theta cameras have lenses, whose kernels do not read this
-        camera_model="pinhole" if camera_model == "ftheta" else camera_model,
+        # the others have lenses, whose kernels do not read this
+        camera_model=cast("PlainCameraModel", camera_model if camera_model in PLAIN_MODELS else "pinhole"),
     )
     return settings, tile_size
