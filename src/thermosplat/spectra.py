@@ -38,6 +38,10 @@ _SPELLINGS = {
 }
 """Other words for units, without case, signs, "degrees" and a plural's s."""
 
+NOISY_SENSOR = 0.0125
+"""Noise of images (standard deviation, of the range 0 to 1, Immerkaer 1996 with stripes) from which on their sensor is
+a noisy one: arco's thermal images have 0.0140, desk's 0.0012. Open choice."""
+
 
 @dataclass(frozen=True)
 class SpectrumConfig:
@@ -76,20 +80,11 @@ class SpectrumConfig:
     when training of this one begins (ThermalGaussian MFTG, with ``train_from``)."""
     loss: float = 1.0
     """Weight of its image loss. ThermoSplat."""
-    loss_noise: float = 0.0
-    """Noise of the training images (measured as for ``smoothness_noise``) from which on that weight is 1, where it is
-    more than 1. With less noise the weight falls in proportion, from ``loss`` on. 0: it is taken as it is. Open
-    choice."""
     features: float | None = 0.5
     """Factor of the loss on the latent channels that are supervised with its images; ``loss.features`` multiplies it.
     null: no channel is supervised with it. ThermoSplat: 1 for RGB, η = 0.5 for thermal."""
     smoothness: float = 0.0
     """Weight of the mean absolute gradient of its image. ThermoSplat: λ_sm = 0.3 for thermal."""
-    smoothness_noise: float = 0.0
-    """Noise of the training images (standard deviation, of the range 0 to 1, Immerkaer 1996 with stripes) from which on
-    that weight is taken in full; with less it falls in proportion. 0: it is taken as it is. Open choice."""
-    smoothness_least: float = 0.05
-    """With ``smoothness_noise``, the weight where there is no noise. Open choice."""
     squared: float = 0.0
     """k of |d| + k d² in place of |d| in the loss on its images, in their units (0 to 1): PSNR is of squares, in which
     large differences count for more. 0: plain L1. Open choice."""
@@ -99,9 +94,10 @@ class SpectrumConfig:
     point_spread: float = 0.0
     """Blur of its images to begin with, as the standard deviation of a Gaussian [of an image's width]; it is learnt
     with the scene. 0: none. Open choice."""
-    point_spread_noise: float = 0.0
-    """Noise of the training images (measured as for ``smoothness_noise``) from which on there is no point spread, since
-    noise rewards blur. 0: there is one whatever the noise. Open choice."""
+    by_noise: bool = False
+    """The noise of its training images, which is measured, decides how much of this they need: the noisier they are,
+    the more smoothness and the less weight above 1, and images of a noisy sensor have no point spread
+    (training/sensor_facts.py). Off: ``loss``, ``smoothness`` and ``point_spread`` are taken as they are."""
     exposure: Exposure = "fixed"
     """What differs between its training images though the scene does not; held-out images are rendered without.
     "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of
@@ -117,7 +113,7 @@ class SpectrumConfig:
         object.__setattr__(self, "unit", unit_named(self.unit))
 
 
-STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "point_spread_noise")
+STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise")
 """Fields of ``SpectrumConfig`` that decide which parameters there are: a run goes on with what it began with."""
 
 

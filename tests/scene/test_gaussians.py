@@ -68,13 +68,13 @@ def test_start_of_the_shared_set() -> None:
     torch.testing.assert_close(gaussians.quats.detach(), torch.tensor([[1.0, 0, 0, 0]]).expand(40, 4))
 
 
-def test_scales_are_neighbour_distances_times_init_scale() -> None:
-    """Round Gaussians as large as the RMS distance to three neighbours, scaled by init_scale."""
+def test_scales_are_neighbour_distances() -> None:
+    """Round Gaussians as large as the RMS distance to three neighbours."""
     points, _ = cloud()
     squared = np.square(points[:, None] - points[None]).sum(-1)
     squared.sort(axis=1)
-    expected = 1.5 * np.sqrt(squared[:, 1:4].mean(1))
-    scales = start(ModelConfig(init_scale=1.5)).scales.detach().numpy()
+    expected = np.sqrt(squared[:, 1:4].mean(1))
+    scales = start(ModelConfig()).scales.detach().numpy()
     np.testing.assert_allclose(scales, np.repeat(expected[:, None], 3, 1), rtol=1e-4)
 
 

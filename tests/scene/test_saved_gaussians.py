@@ -73,10 +73,10 @@ def test_decoders_of_another_size_are_refused_before_memory_is_taken() -> None:
 def test_a_blur_may_be_missing_where_noise_keeps_it_from_being_learnt() -> None:
     """Elsewhere the file is damaged."""
     saved = MODEL.checkpoint_state()  # of a model without a blur
-    for point_spread_noise in (0.0, 0.01):
-        thermal = {"point_spread": 0.05, "point_spread_noise": point_spread_noise}
+    for by_noise in (False, True):
+        thermal = {"point_spread": 0.05, "by_noise": by_noise}
         checkpoint = Checkpoint(3, toy_config(spectra={"thermal": thermal}), 1, saved, {}, SavedTraining())
-        if point_spread_noise > 0:
+        if by_noise:
             assert SceneModel.from_checkpoint(checkpoint, "cpu").formations.found("point_spread") == {}
         else:
             with pytest.raises(UserError, match=r"by_spectrum\.thermal\.point_spread\.log_width has the shape None"):

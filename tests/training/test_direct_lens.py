@@ -81,7 +81,7 @@ def test_a_wrong_lens_of_the_photographs_comes_back(tmp_path: Path) -> None:
     disturbed = through(capture, {"rgb": slightly_off(FISHEYE), "thermal": BARREL})
     config = toy_run_config(100, lens="direct", refine=("distortion",), refine_from=0, refine_first=0)
     trainer = trained_on_the_true_scene(
-        tmp_path, config, disturbed, scene, cameras_lr=0.1 / capture.train[0].views["rgb"].camera.width
+        tmp_path, config, disturbed, scene, cameras_rate=0.1 / capture.train[0].views["rgb"].camera.width
     )
     assert_corrected(trainer, "rgb", FISHEYE)
 

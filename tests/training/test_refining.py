@@ -42,7 +42,7 @@ def test_a_wrong_rig_and_focal_length_come_back(tmp_path: Path) -> None:
 def test_rounds_come_first(tmp_path: Path) -> None:
     """In two passes, cameras move every ``refine_every`` steps after ``refine_from``; then all steps follow."""
     capture, _ = relief_capture(times=2)
-    held = DensificationConfig(enabled=False)  # a reset would hide the scene
+    held = DensificationConfig(stop_step=0)  # a reset would hide the scene
     config = toy_run_config(12, refine=("rig",), refine_from=2, refine_every=2, refine_first=9, densification=held)
     trainer = toy_trainer(tmp_path, config, capture)
     corrections = trainer.state.corrections

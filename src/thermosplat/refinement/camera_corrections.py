@@ -42,6 +42,10 @@ DISTORTION: Refined = "distortion"
 
 MOTION, FOCAL, COEFFICIENTS, SIZE = slice(0, 6), 6, slice(7, 9), 9
 """Where in a camera's correction its parts are, and how many numbers it has."""
+RATES = {"poses": (1e-4, 2.5e-6), "cameras": (1.5e-3, 5e-6)}
+"""Adam's learning rates in the first step and, after an exponential decay, in the last one, in widths of the images:
+of the frames' poses, and of the cameras that gradients reach, which are the first spectrum's distortion or the only
+one's focal lengths: more, since few steps look at them. Open choice."""
 LOOKED_AT = 32
 """Frames, spread over all, that say how a camera's numbers move its images."""
 

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoder import Decoder
+from thermosplat.scene.decoder import HIDDEN_LAYERS, HYBRID_BIAS, Decoder
 from thermosplat.spectra import Spectrum, first_photograph
 
 
@@ -36,7 +36,7 @@ class Decoders(Decoder):
     def __init__(self, config: DecoderConfig, feature_dim: int, spectra: Sequence[Spectrum]) -> None:
         super().__init__()
         hidden = config.hidden_dim
-        widths = [feature_dim] + [hidden] * config.hidden_layers
+        widths = [feature_dim] + [hidden] * HIDDEN_LAYERS
         layers: list[nn.Module] = []
         for width_in, width_out in itertools.pairwise(widths):
             layers += [nn.Linear(width_in, width_out), nn.SiLU()]
@@ -54,7 +54,7 @@ class Decoders(Decoder):
             self.heads[spectrum.name] = head = nn.Linear(hidden, spectrum.channels)
             if spectrum.name == first_photograph(spectra):
                 # With the hybrid sum the decoded part starts near black, so that the sum starts at the SH colour.
-                nn.init.constant_(head.bias, config.hybrid_bias if config.hybrid else 0.0)
+                nn.init.constant_(head.bias, HYBRID_BIAS if config.hybrid else 0.0)
 
     def image(self, spectrum: str, features: Tensor) -> Tensor:
         """As of ``Decoder``."""

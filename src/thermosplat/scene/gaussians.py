@@ -31,6 +31,9 @@ SH_C0 = 0.5 / math.sqrt(math.pi)
 LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """Luma of an RGB colour, ITU-R BT.601."""
 
+FEATURE_NOISE = 0.2
+"""Standard deviation of the first features that have no colour to start from. Open choice: MS-Splatting's."""
+
 OFFSETS = "_opacity_offsets"
 """End of the name of a spectrum's opacity offsets."""
 
@@ -249,7 +252,7 @@ class Gaussians(nn.Module):
         known = PointColors.of(colors, sh_degree)
         spectra = [formation.spectrum for formation in formations]
         sh0, shN = known.harmonics(spectra[0])
-        log_distances = torch.as_tensor(np.log(neighbor_distances(points) * config.init_scale))
+        log_distances = torch.as_tensor(np.log(neighbor_distances(points)))
         parameters = {
             "means": torch.as_tensor(np.array(points, dtype=np.float32)),
             "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(num_points, 1),
@@ -263,7 +266,7 @@ class Gaussians(nn.Module):
             started = [known.in_spectrum(one)[:, : one.latent[1] - one.latent[0]] for one in spectra]
             others = config.feature_dim - sum(channels.shape[1] for channels in started)
             noise = torch.randn(num_points, others, generator=generator)
-            parameters["features"] = torch.cat([*started, config.feature_noise * noise], dim=1)
+            parameters["features"] = torch.cat([*started, FEATURE_NOISE * noise], dim=1)
         for place, formation in enumerate(formations):
             parameters |= formation.initial(known, is_first=place == 0)
         for spectrum in spectra[1:]:

@@ -160,7 +160,7 @@ class SceneModel(nn.Module):
                 each is always right, and keeps the spectra's gradients of means2d apart.
             deterministic: As the rasterizer's.
             depth_spread_limit: Also blend depths, and measure how far they spread along rays, counting hardly more than
-                this (``LossConfig.depth_spread_limit``); None: do not. A model without features never does.
+                this (``DEPTH_SPREAD_LIMIT``); None: do not. A model without features never does.
             distributed: Each rank holds a share of the Gaussians and renders a frame of its own (``rasterization``).
             shaped_by: Spectra whose images shape a shared set. From those of the others, where they have cameras of
                 their own, no gradient reaches means, quats, scales and opacities, and density control sees nothing.

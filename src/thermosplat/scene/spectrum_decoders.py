@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoder import Decoder
+from thermosplat.scene.decoder import HIDDEN_LAYERS, HYBRID_BIAS, Decoder
 from thermosplat.spectra import Spectrum, first_photograph
 
 
@@ -34,7 +34,7 @@ class SpectrumDecoders(Decoder):
             self.networks[spectrum.name] = network = _network(config, input_dim, spectrum.channels)
             if config.hybrid and spectrum.name == first_photograph(spectra):
                 # As of Decoders: near black, so that the sum starts at the SH colour.
-                nn.init.constant_(cast("nn.Linear", network[-1]).bias, config.hybrid_bias)
+                nn.init.constant_(cast("nn.Linear", network[-1]).bias, HYBRID_BIAS)
 
     def image(self, spectrum: str, features: Tensor) -> Tensor:
         """As of ``Decoder``."""
@@ -42,7 +42,7 @@ class SpectrumDecoders(Decoder):
 
 
 def _network(config: DecoderConfig, input_dim: int, output_dim: int) -> nn.Sequential:
-    widths = [input_dim] + [config.hidden_dim] * config.hidden_layers
+    widths = [input_dim] + [config.hidden_dim] * HIDDEN_LAYERS
     layers: list[nn.Module] = []
     for width_in, width_out in itertools.pairwise(widths):
         layers += [nn.Linear(width_in, width_out), nn.SiLU()]

@@ -92,7 +92,7 @@ class TrainingState:
             name: gaussian_optimizers(gaussians, config.optimizer) for name, gaussians in self.gaussian_sets.items()
         }
         if any(True for _ in model.formations.parameters()):
-            self.optimizers["decoders"] = {"decoders": network_optimizer(model.formations, config.optimizer)}
+            self.optimizers["decoders"] = {"decoders": network_optimizer(model.formations)}
         self.exposures: Exposures | None = None
         exposed = [spectrum for name, spectrum in model.spectra.items() if config.spectra[name].exposure != "fixed"]
         if exposed:
@@ -126,6 +126,7 @@ class TrainingState:
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.scene_extent = capture.scene_extent
         self._seed = config.seed
+        self._batch_rate = math.sqrt(config.batch_size or 1)  # of the others, run_schedule has multiplied the rates
         self.noise = torch.Generator(device)
         self.seconds = Seconds()
         self.noisy: tuple[str, ...] = ()
@@ -227,7 +228,9 @@ class TrainingState:
         if any(strategy.moves_gaussians for strategy in self.strategies.values()):
             start_stream(self.noise, self.seed, "position noise", step)
         for owner, optimizers in self.optimizers.items():
-            scale = self.corrections.image_width if owner == "corrections" and self.corrections else scene_extent
+            scale = scene_extent
+            if owner == "corrections" and self.corrections is not None:
+                scale = self._batch_rate * self.corrections.image_width
             set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scale)
 
     def clear_gradients(self) -> None:

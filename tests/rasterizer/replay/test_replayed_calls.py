@@ -1,8 +1,6 @@
 """When calls are captured, how many are kept, and when the plain call does the work."""
 
 import os
-import subprocess
-import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -10,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from forked_processes import run_python
 from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
 from thermosplat import rasterization
@@ -188,11 +187,11 @@ def test_large_info_is_seldom_copied(bench: Bench, device: torch.device) -> None
 
 
 @cpu
-@pytest.mark.parametrize("options", [{"sparse_grad": True}, {"with_eval3d": True}])
+@pytest.mark.parametrize("options", [{"sparse_grad": True, "packed": True}, {"with_eval3d": True}])
 def test_arguments_that_are_never_replayed(bench: Bench, device: torch.device, options: dict[str, Any]) -> None:
     """Their calls are plain."""
     for _ in range(SEEN + 3):
-        bench.calls(**bench.scene(0), **options)
+        bench.calls(**(bench.scene(0) | options))
     assert bench.calls.counts == (SEEN + 3, 0, 0, 0, 0)
 
 
@@ -275,12 +274,13 @@ def test_the_switch() -> None:
             assert replay.counts()["rasterization"].plain == before + on
     finally:
         replay.enable(was)
-    code = "from thermosplat.rasterizer import replay; print(replay.is_enabled())"
-    for value, on in (("0", False), ("1", True), (None, True)):
-        environment = {name: set_to for name, set_to in os.environ.items() if name != "THERMOSPLAT_REPLAY"}
-        if value is not None:
-            environment["THERMOSPLAT_REPLAY"] = value
-        found = subprocess.run(
-            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-        )
-        assert found.stdout.strip() == str(on)
+    code = """
+import importlib, os
+from thermosplat.rasterizer.replay import replayed_calls
+for value in ("0", "1", None):
+    os.environ.pop("THERMOSPLAT_REPLAY", None)
+    if value is not None:
+        os.environ["THERMOSPLAT_REPLAY"] = value
+    print(importlib.reload(replayed_calls).is_enabled())
+"""
+    assert run_python("-c", code).stdout.split() == ["False", "True", "True"]

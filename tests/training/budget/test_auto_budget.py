@@ -37,7 +37,7 @@ def budget_config(
     spectra: dict[str, dict[str, Any]] | None = None,
     **changes: Any,
 ) -> TrainConfig:
-    settings: dict[str, Any] = {"prune_at": (0.45,), "validate_every": 2, "patience": 1000}
+    settings: dict[str, Any] = {"prune_at": (0.45,), "validate_every": 2}
     budget = AutoBudgetConfig(**(settings | changes))
     return toy_run_config(max_steps, model=model, spectra=spectra, budget="auto", auto_budget=budget)
 
@@ -132,8 +132,8 @@ def test_worth_is_a_share_of_the_error_of_images_of_any_size(tmp_path: Path) -> 
 
 def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
     """Without the gain that is asked for, growth ends after the patience."""
-    with tolerating(least_gain=1000.0):
-        trainer = toy_trainer(tmp_path, budget_config(patience=6), many_frames(toy_capture(), FRAMES))
+    with tolerating(least_gain=1000.0, growth_looks=3):
+        trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
     advance(trainer, 9)
     assert trainer.state.growing
     assert trainer.state.best_validation[0] > 0

@@ -53,9 +53,9 @@ def as_trained(spectra: Mapping[str, SpectrumConfig], saved: Saved) -> dict[str,
     """
     found, trained = _by_todays_names(saved), dict(spectra)
     for name, one in spectra.items():
-        if one.point_spread_noise > 0:
+        if one.by_noise:
             width = one.point_spread if _width_of(name) in found else 0.0
-            trained[name] = replace(one, point_spread=width, point_spread_noise=0.0)
+            trained[name] = replace(one, point_spread=width)
     return trained
 
 

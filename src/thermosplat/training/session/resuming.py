@@ -13,7 +13,7 @@ from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.spectra import STRUCTURE, label, latent_channels
 
-_START_ONLY = ("feature_noise", "init_opacity", "init_scale")
+_START_ONLY = ("init_opacity",)
 """Fields of ModelConfig that matter before the first step only."""
 _IMAGES = {
     "photograph": "photographs as {} images",
