@@ -13,7 +13,6 @@ from seen_room import SeenRoom, seen_room, write_room
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder
 from thermosplat.prepare.structure import sfm
-from thermosplat.prepare.structure.matching import chosen_pairs
 from thermosplat.prepare.structure.sfm import run_sfm
 
 
@@ -69,7 +68,7 @@ def test_a_killed_step_goes_on(
     """Features that were found before are not looked for again; nothing half-done is called complete."""
     capture = copied(room[1], tmp_path / "capture")
 
-    def killed(database: Path) -> None:
+    def killed(database: Path, places: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
@@ -125,12 +124,3 @@ def test_photographs_without_texture_make_no_model(room: tuple[SeenRoom, Capture
     with pytest.raises(UserError, match=r"None of the 12 photographs .* fewer than 100 features"):
         run_sfm(capture)
     assert not capture.sparse.exists()
-
-
-def test_many_photographs_are_matched_with_their_neighbours() -> None:
-    """All pairs of a few; of 300, a number that grows with the photographs and not with their square."""
-    assert len(chosen_pairs(range(40))) == 780
-    many = chosen_pairs(range(300))
-    assert len(many) < 300 * 25
-    assert {(0, 1), (0, 20), (0, 256), (298, 299)} <= set(many)
-    assert len(set(many)) == len(many)
