@@ -344,8 +344,7 @@ def _view(
     if min(camera.width, camera.height) < LEAST_SIDE:
         raise UserError(
             f"{shot.path.name} has {camera.width}x{camera.height} px with --data-factor {size.factor} and --image-size "
-            f"{size.longest}; "
-            f"images must be at least {LEAST_SIDE} px wide and high.",
+            f"{size.longest}; images must be at least {LEAST_SIDE} px wide and high.",
             "Give a smaller --data-factor or a larger --image-size.",
         )
     about = spectrum, shot.path.stem, shot.path, camera, shot.viewmat

@@ -1,12 +1,13 @@
 """Images of a trained scene along a camera path."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame
@@ -18,11 +19,14 @@ from thermosplat.pictures.image_display import Image8, spectrum_bytes
 from thermosplat.pictures.layouts import Layout, arranged, with_legend
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import listed, unit_label
+from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 
 PathName = Literal["interp", "ellipse", "spiral", "train", "test"]
 PATHS: tuple[PathName, ...] = get_args(PathName)
 
+LEAST_COVER = 0.9
+"""Values that Gaussians cover less are mixed with the black behind, as in maps."""
 _PATHS = {"interp": interpolated_path, "ellipse": ellipse_path, "spiral": spiral_path}
 
 
@@ -128,6 +132,7 @@ def rendered_images(
     layout: Layout = "side-by-side",
     color_bar: bool = False,
     title: str = "",
+    measured: Callable[[int, str, NDArray[np.float32]], None] | None = None,
 ) -> Iterator[Image8]:
     """Render viewpoints one after the other, as images to look at.
 
@@ -139,6 +144,8 @@ def rendered_images(
         layout: How the shown spectra are put together (:func:`~thermosplat.pictures.layouts.arranged`).
         color_bar: Put a colour bar of each measured spectrum beside the picture.
         title: One line above it; "" for none.
+        measured: Takes the number of each viewpoint, the name of each measured spectrum and its values [H, W] in its
+            unit, NaN where Gaussians cover less than 90%.
 
     Yields:
         8-bit RGB [H, W, 3].
@@ -148,13 +155,22 @@ def rendered_images(
         names = [name for name in model.spectra if name in rendered.images]
         if not names:
             continue
+        for name in names:
+            if measured is not None and scales[name].kind != "photograph" and scales[name].measured_unit is not None:
+                measured(index, name, _values(rendered.images[name], rendered.alphas[name], scales[name]))
         images = [spectrum_bytes(rendered.images[name].cpu().numpy(), scales[name]) for name in names]
         picture = arranged(images, layout, index / max(1, len(points) - 1))
         if color_bar or title:
-            measured = [name for name in names if color_bar and scales[name].measured_unit is not None]
-            units = [unit_label(scales[name].measured_unit or "") for name in measured]
-            picture = with_legend(picture, [scales[name] for name in measured], units, title)
+            barred = [name for name in names if color_bar and scales[name].measured_unit is not None]
+            units = [unit_label(scales[name].measured_unit or "") for name in barred]
+            picture = with_legend(picture, [scales[name] for name in barred], units, title)
         yield picture
+
+
+def _values(image: Tensor, alphas: Tensor, scale: PixelScale) -> NDArray[np.float32]:
+    """Measured values [H, W] of a rendered image [H, W, C]."""
+    values = scale.value(pixel_intensity(image.clamp(0, 1), scale))
+    return torch.where(alphas[..., 0] >= LEAST_COVER, values, torch.nan).cpu().numpy().astype(np.float32)
 
 
 def _viewpoint(frame: Frame, shown: Collection[str], device: torch.device | str) -> Viewpoint:

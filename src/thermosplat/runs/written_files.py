@@ -56,7 +56,7 @@ def delete_run(run: Path) -> None:
     for name in _WRITTEN:
         for entry in _entries(run / name):
             if _is_ours(name, entry) and entry.is_dir() and not entry.is_symlink():
-                for picture in entry.glob("*.png"):
+                for picture in (*entry.glob("*.png"), *entry.glob("*.tiff")):
                     picture.unlink()
                 sweep(entry)
                 _remove_if_empty(entry)
