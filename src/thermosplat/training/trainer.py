@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,9 @@ from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import FolderGoneError, RunDirectory
+from thermosplat.scene.formations.saved_formations import as_trained
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.model import SceneModel, as_trained
+from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import offload
 from thermosplat.stop_signals import deferred_interrupts, raise_lost_stop, signal_of
 from thermosplat.training.batch_steps import BatchSteps
@@ -44,17 +45,18 @@ from thermosplat.training.captured_batches import CapturedBatches
 from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_limit import with_limit
 from thermosplat.training.density.gaussian_ops import become_copy
-from thermosplat.training.fast_decoders import fast_decoders
+from thermosplat.training.fast_decoders import fast_decoding
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.resolution_schedule import most_gaussians, resolution_note
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
-from thermosplat.training.image_noise import fitted_to_noise, noisy_spectra, training_noise
+from thermosplat.training.image_noise import training_noise
 from thermosplat.training.joined_scenes import Scene, joined_sets, kept_scene, seed_of_scene, steps_of_scene
 from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
 from thermosplat.training.plain_steps import PlainSteps
+from thermosplat.training.sensor_facts import SensorFacts
 from thermosplat.training.session.checkpoint_writer import (
     CheckpointWriter,
     going_on_without,
@@ -109,19 +111,18 @@ class Trainer:
         if self.device.type == "cuda" and config.gpu_memory is not None:
             limit_device_memory(self.device, config.gpu_memory)
         self.frames = TrainFrames(capture, config.modelled, self.device)
-        noise_of = cache(partial(training_noise, self.frames))
         known = None if checkpoint is None else checkpoint.training.noisy
-        noisy = noisy_spectra(config, noise_of) if known is None else known
-        notes_of_steps = steps_note(config, len(self.frames), noisy)
-        self.config = config = run_schedule(config, len(self.frames), noisy)
+        facts = SensorFacts(config, partial(training_noise, self.frames), known)
+        notes_of_steps = steps_note(config, len(self.frames), facts.noisy)
+        self.config = config = run_schedule(config, len(self.frames), facts.noisy)
         self.logger = logger or self._make_logger()
         if checkpoint is not None:
             check_steps_left(checkpoint, config, run)
             # its noise has decided, whatever that of images of another size would
             trained = as_trained(config.modelled, checkpoint.model.decoders)
             config = replace(config, spectra={**config.spectra, **trained})
-        config, notes_of_noise = fitted_to_noise(config, noise_of)
-        config, notes_of_limit = with_limit(config, capture, noisy)
+        config, notes_of_noise = facts.fitted(config, blur_is_known=checkpoint is not None)
+        config, notes_of_limit = with_limit(config, capture, facts.noisy)
         self.config = config
         self.schedule = SpectrumSchedule(config, self.frames)
         self.budget: Budget | None = None
@@ -132,7 +133,7 @@ class Trainer:
         self.offload_notes: tuple[str, ...] = ()
         self.model = self._make_model(checkpoint, of_passes(config) if finds_cameras(config) else config)
         self.state = TrainingState(self.model, config, capture, self.device)
-        self.state.noisy = noisy
+        self.state.noisy = facts.noisy
         self.state.keep_moments_on_device(self.rows_on_device)
         if checkpoint is not None:
             self.state.load(checkpoint)
@@ -141,7 +142,7 @@ class Trainer:
         self._begin_scene()
         self.camera_rounds = self._make_camera_rounds()
         self.guard = FiniteGuard(self.device)
-        floors, floor_notes = noise_floors(config, noise_of, self.tolerances.noise_floor)
+        floors, floor_notes = noise_floors(config, facts, self.tolerances.noise_floor)
         self.image_notes = (*notes_of_steps, *notes_of_noise, *floor_notes, *notes_of_limit)
         """What training images, their number and their noise, make of the configuration."""
         if self.state.noise_watch is not None:
@@ -151,13 +152,15 @@ class Trainer:
             if not self.state.growing:
                 self.state.noise_watch.end()
         self.device_step = TrainingStep(
-            config, self.state, self.guard, PairCapacity(self.device), tolerances=self.tolerances
+            config,
+            self.state,
+            self.guard,
+            PairCapacity(self.device),
+            fast_decoding(self.model.formations, config, self.device),
+            tolerances=self.tolerances,
         )
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
-        fast = fast_decoders(self.model.decoders, config, self.device)
-        if fast is not None:
-            self.device_step.decoding = fast.active
         self.steps: PlainSteps | CapturedSteps | BatchSteps = self._make_steps()
         self.checkpoints = CheckpointWriter(self.logger.say)
         self.results = RunResults(config, capture, run, self.state, self.logger, self.device)
@@ -421,8 +424,8 @@ class Trainer:
         state = self.state
         start = of_passes(self.config) if state.camera_passes > 1 else self.config
         model = self._make_model(None, replace(start, seed=seed_of_scene(self.config.seed, len(kept))))
-        if kept and model.decoders is not None and self.model.decoders is not None:
-            model.decoders.load_state_dict(self.model.decoders.state_dict())
+        if kept:
+            model.formations.load_state_dict(self.model.formations.state_dict())
         state.start_anew(model, kept)
 
     def _scene_ends(self, step: int) -> bool:
@@ -454,7 +457,7 @@ class Trainer:
         return kept_scene(self.model)
 
     def _joined_sets(self, scenes: Sequence[Scene]) -> dict[str, Gaussians]:
-        return joined_sets(scenes, self.config, list(self.model.spectra.values()))
+        return joined_sets(scenes, self.config, self.model.formations)
 
     def _join_scenes(self, sets: Mapping[str, Gaussians]) -> None:
         self.state.take(sets)

@@ -38,6 +38,12 @@ from thermosplat.training.sharing.taking_part import TakingPart
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
 
+DEPTH_SPREAD_FROM = 0.5
+"""Share of the steps before the spread of depths along rays counts. Open choice."""
+DEPTH_SPREAD_LIMIT = 0.1
+"""v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet in a
+pixel, count for less: half of one and half of another 1.88 times as far is 0.1. 0: v itself. Open choice."""
+
 
 @dataclass(frozen=True)
 class StepValues:
@@ -98,7 +104,7 @@ class StepKind:
         return cls(
             sh_degree_at(config, step),
             densifying,
-            depth_spread=loss.depth_spread > 0 and step > loss.depth_spread_from * config.max_steps,
+            depth_spread=loss.depth_spread > 0 and step > DEPTH_SPREAD_FROM * config.max_steps,
             swept_depths=swept and factor == 1.0,
             refining=refining,
             exposing=step > EXPOSED_FROM * config.max_steps,
@@ -140,7 +146,7 @@ class Differentiated:
 
 def sh_degree_at(config: TrainConfig, step: int) -> int:
     """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
-    return min(max(step - 1, 0) // config.sh_degree_interval, config.sh_degree)
+    return min(int(max(step - 1, 0) // config.sh_degree_interval), config.sh_degree)
 
 
 def _of_penalties(config: TrainConfig, kind: StepKind) -> LossConfig:
@@ -257,7 +263,7 @@ class TrainingStep:
             sh_degree=kind.sh_degree,
             absgrad=config.densification.absgrad,
             deterministic=config.deterministic,
-            depth_spread_limit=config.loss.depth_spread_limit if blends_depths else None,
+            depth_spread_limit=DEPTH_SPREAD_LIMIT if blends_depths else None,
             shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
         )
         if part.calls is None:
@@ -332,7 +338,7 @@ class TrainingStep:
     def _feature_norm(self) -> dict[str, Tensor]:
         """The penalty on the latent features, where there are some and it is asked for."""
         weight = self.config.loss.feature_norm
-        if weight == 0 or self.state.model.decoders is None:
+        if weight == 0 or not self.state.model.has_features:
             return {}
         return {"feature_norm": weight * feature_norm_loss(self.state.gaussian_sets[SHARED].features)}
 

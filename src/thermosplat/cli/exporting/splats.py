@@ -67,7 +67,7 @@ def _scene(
     from thermosplat.export.scene import scene_splats
 
     names = arguments.chosen(list(loaded.model.spectra))
-    if loaded.model.decoders is None or arguments.fit_passes == 0:
+    if all(loaded.model.formations[name].exact_splats for name in names) or arguments.fit_passes == 0:
         unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors, frame=frame)
         return unfitted, dict.fromkeys(unfitted, slice(None))
     from thermosplat.cli.exporting.fit_progress import shown_steps

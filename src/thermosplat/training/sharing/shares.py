@@ -190,8 +190,7 @@ def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
                 load_optimizer(optimizer, saved[name][key])
         state.strategies[name].forget(len(gaussians))
         state.strategies[name].load_state_dict((checkpoint.training.strategies or {})[name])
-    if state.model.decoders is not None and model.decoders is not None:
-        state.model.decoders.load_state_dict(model.decoders.state_dict())
+    state.model.formations.load_state_dict(model.formations.state_dict())
     training = checkpoint.training
     state.growing, state.offsets_dropped = training.growing, training.offsets_dropped
     state.budget_due, state.trimmed = training.budget_due, training.trimmed
