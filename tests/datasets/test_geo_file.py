@@ -1,12 +1,14 @@
 """geo.json: from the world of a capture to UTM, and what is refused."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
 
+from thermosplat.datasets import load_capture
 from thermosplat.datasets.geo_file import GEO_FILE, GeoFrame, read_geo
 from thermosplat.errors import UserError
 
@@ -60,3 +62,13 @@ def test_a_damaged_file_is_explained(tmp_path: Path, content: str) -> None:
     with pytest.raises(UserError, match=r"geo\.json is damaged") as error:
         read_geo(tmp_path)
     assert "thermosplat-prepare sfm" in (error.value.hint or "")
+
+
+@pytest.mark.parametrize(("content", "geo"), [(SHED.content(), SHED), ({"type": "FeatureCollection"}, None)])
+def test_captures_say_where_they_lie(tmp_path: Path, content: dict, geo: GeoFrame | None) -> None:
+    """A file of that name that another program wrote is said and does no harm."""
+    shutil.copytree(load_capture("sample").root, tmp_path / "capture")
+    (tmp_path / "capture" / GEO_FILE).write_text(json.dumps(content))
+    capture = load_capture(tmp_path / "capture")
+    assert capture.geo == geo
+    assert any("without a place on the Earth" in note for note in capture.notes) == (geo is None)

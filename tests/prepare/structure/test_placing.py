@@ -119,3 +119,13 @@ def test_a_photograph_takes_the_position_of_its_thermal_image(flown: Flight) -> 
     rows = [replace(row, latitude=None, longitude=None, altitude=None) for row in flown.rows]
     thermal = {row.file: replace(row, spectrum="thermal") for row in flown.rows}
     np.testing.assert_allclose(positions_of(rows, thermal).places, positions_of(flown.rows, {}).places)
+
+
+@pytest.mark.parametrize(("shrunk", "flag", "expected"), [(1.0, 16, True), (0.1, 16, False), (0.1, 50, True)])
+def test_positions_that_lie_within_their_error_tell_no_neighbours(
+    flown: Flight, shrunk: float, flag: int, expected: bool
+) -> None:
+    """A telephone's in a room do not, an RTK receiver's over a roof do."""
+    flags: list[object] = [flag] * 40
+    assert positions_of(rows_at(shrunk * flown.gps, rtk_flag=flags), {}).tell_neighbours == expected
+    assert not positions_of(rows_at(np.full((40, 3), np.nan)), {}).tell_neighbours

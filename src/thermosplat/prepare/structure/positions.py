@@ -18,6 +18,9 @@ _LAST_LATITUDE = 84.0
 """[°] where UTM ends."""
 _OF_RTK = {50: 0.05, 34: 0.5}
 """Standard deviation [m] by DJI's flag: "fixed" is good to centimetres, "float" to decimetres."""
+_DEVIATIONS_APART = 4.0
+"""Median distance from the middle, in standard deviations of a position, from which on neighbours by position are
+neighbours: 12 m with GPS alone. Open choice."""
 GPS_ALONE = 3.0
 """The same of a position of which nothing more is known. The GPS performance standard of 2020 promises 8 m for 95% of
 the time, which is 4 m here, and receivers do better."""
@@ -43,6 +46,15 @@ class Positions:
     def known(self) -> NDArray[np.bool_]:
         """Which photographs have one, [N]."""
         return np.asarray(np.isfinite(self.places).all(axis=1))
+
+    @property
+    def tell_neighbours(self) -> bool:
+        """Whether they lie farther apart than they are wrong, as those of a flight do and those of a room do not."""
+        places = self.places[self.known]
+        if not len(places):
+            return False
+        reach = np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1))
+        return bool(reach > _DEVIATIONS_APART * np.median(self.deviations[self.known]))
 
 
 def positions_of(photographs: Sequence[FrameRow], thermal: Mapping[str, FrameRow]) -> Positions:

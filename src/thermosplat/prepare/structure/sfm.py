@@ -100,7 +100,8 @@ def _sfm(capture: CaptureFolder, mapper: Mapper) -> list[str]:
     with quiet_colmap():
         enter_photographs(database, cameras)
         extract(database, images)
-        match(database, {row.file: place for row, place in zip(photographs, positions.places)})
+        places = zip(photographs, positions.places) if positions.tell_neighbours else ()
+        match(database, {row.file: place for row, place in places})
         models = map_photographs(database, images, work / "models", mapper, fixed)
         lost = reasons(database, models)
         if not models:
