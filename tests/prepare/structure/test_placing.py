@@ -129,3 +129,14 @@ def test_positions_that_lie_within_their_error_tell_no_neighbours(
     flags: list[object] = [flag] * 40
     assert positions_of(rows_at(shrunk * flown.gps, rtk_flag=flags), {}).tell_neighbours == expected
     assert not positions_of(rows_at(np.full((40, 3), np.nan)), {}).tell_neighbours
+
+
+def test_positions_that_are_right_are_priors(flown: Flight) -> None:
+    """With the deviation that the fit shows, not the one that is assumed; a wrong one is none."""
+    wrong = flown.gps.copy()
+    wrong[4] += [200.0, 0.0, 0.0]
+    result = placed(flown.model, rows := rows_at(wrong), positions := positions_of(rows, {}))
+    assert [prior.pose_prior_id for prior in result.priors] == [n for n in range(1, 41) if n != 5]
+    for prior in result.priors:
+        np.testing.assert_allclose(prior.position, positions.places[prior.pose_prior_id - 1])
+        assert 0.3 < np.sqrt(prior.position_covariance[0, 0]) < 0.7

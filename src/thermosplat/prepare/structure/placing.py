@@ -1,5 +1,6 @@
-"""The photographs' model in metres, east, north and up: a similarity to their GPS positions on which wrong ones bear
-little, then one more adjustment in which the others hold the model straight.
+"""The photographs' model in metres, east, north and up: a similarity to their GPS positions that leaves wrong ones out.
+
+The others are priors of the model's last adjustment.
 """
 
 from dataclasses import dataclass
@@ -29,6 +30,8 @@ _WRONG = 5.0
 are right (4.7, Holland and Welsch 1977)."""
 _TO_DEVIATION = 1.0 / 1.538
 """Standard deviation by axis of the median distance in three dimensions (chi distribution)."""
+_LEAST_DEVIATION = 0.01
+"""[m] of a position: receivers are not more exact."""
 _MOST_WRONG = 0.5
 """Share of wrong positions from which on none is believed."""
 _MOST_RESIDUAL = 0.2
@@ -45,11 +48,13 @@ class Placed:
         model: The model; in its own units where ``geo`` is None.
         geo: Where it lies; None where GPS does not say.
         sentences: For people.
+        priors: The positions that were not left out, for the model's last adjustment.
     """
 
     model: pycolmap.Reconstruction
     geo: GeoFrame | None
     sentences: tuple[str, ...]
+    priors: tuple[pycolmap.PosePrior, ...] = ()
 
 
 def placed(model: pycolmap.Reconstruction, photographs: list[FrameRow], positions: Positions) -> Placed:
@@ -98,7 +103,22 @@ def placed(model: pycolmap.Reconstruction, photographs: list[FrameRow], position
             f"! GPS is wrong by {least:.1f} m or more in {counted(len(names), 'photograph')}, whose positions were "
             f"left out: {some(names)}."
         )
-    return Placed(result, geo, tuple(said))
+    told = float(np.median(fit.residuals / deviations)) * _TO_DEVIATION
+    priors = [
+        _prior(image, place, told * deviation)
+        for image, place, deviation, wrong in zip(images, places, deviations, fit.wrong)
+        if not wrong
+    ]
+    return Placed(result, geo, tuple(said), tuple(priors))
+
+
+def _prior(image: pycolmap.Image, place: Array, deviation: float) -> pycolmap.PosePrior:
+    """Where a photograph was taken [m], and how exactly."""
+    prior = pycolmap.PosePrior()
+    prior.pose_prior_id, prior.corr_data_id = image.image_id, image.data_id
+    prior.position, prior.position_covariance = place, np.eye(3) * max(deviation, _LEAST_DEVIATION) ** 2
+    prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
+    return prior
 
 
 @dataclass(frozen=True, eq=False)

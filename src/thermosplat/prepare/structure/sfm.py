@@ -106,7 +106,8 @@ def _sfm(capture: CaptureFolder, mapper: Mapper) -> list[str]:
         lost = reasons(database, models)
         if not models:
             raise _no_model(capture, count, lost)
-        result = placed(adjusted(models[0], fixed), photographs, positions)
+        first = placed(models[0], photographs, positions)
+        result = placed(adjusted(first.model, fixed, first.priors), photographs, positions)
         result.model.extract_colors_for_all_images(images)
     registered = {image.name for image in result.model.images.values() if image.has_pose}
     _write(capture, result)
