@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
@@ -46,7 +47,7 @@ def test_training_goes_on(name: str, tmp_path: Path) -> None:
     run.checkpoint(6).parent.mkdir(parents=True, exist_ok=True)
     run.checkpoint(6).write_bytes((FOLDER / f"{name}.pt").read_bytes())
     checkpoint = load_checkpoint(run.checkpoint(6))
-    config = dataclasses.replace(checkpoint.config, max_steps=8, device="cpu")
+    config = dataclasses.replace(in_steps(checkpoint.config), max_steps=8, device="cpu")
     trainer = Trainer.resume(config, capture, run)
     moments = trainer.state.optimizers[next(iter(trainer.state.gaussian_sets))]["means"].state_dict()["state"]
     assert moments[0]["exp_avg"].abs().max() > 0
