@@ -28,6 +28,8 @@ _ROUNDS = 30
 _WRONG = 5.0
 """Standard deviations from which on a position has no weight: Tukey's biweight, 95% as exact as least squares where all
 are right (4.7, Holland and Welsch 1977)."""
+_LEAST_SCALE = 0.2
+"""Of that deviation, in those that are stated: nothing is wrong that lies as near as a position may be off."""
 _TO_DEVIATION = 1.0 / 1.538
 """Standard deviation by axis of the median distance in three dimensions (chi distribution)."""
 _LEAST_DEVIATION = 0.01
@@ -168,7 +170,7 @@ def robust_similarity(centres: Array, places: Array, deviations: Array) -> Fit |
     def far(matrix: Array) -> Array:
         """Distances of which 1 is the farthest that counts."""
         distances = apart(matrix) / deviations
-        return np.asarray(distances / (_WRONG * max(float(np.median(distances)) * _TO_DEVIATION, 1e-9)))
+        return np.asarray(distances / (_WRONG * max(float(np.median(distances)) * _TO_DEVIATION, _LEAST_SCALE)))
 
     matrix = min(starts, key=lambda start: float(np.median(apart(start) / deviations)))
     for _ in range(_ROUNDS):
