@@ -110,18 +110,24 @@ def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any], recalculated: s
 
     title = ", ".join(filter(None, (f"step {loaded.step:,}, {metrics['num_gaussians']:,} Gaussians", recalculated)))
     of_spectra = {name: metrics[name] for name in metrics["spectra"] if metrics[name] is not None}
-    measured = _measured_columns(of_spectra.values())
-    headings = [heading for heading, _, _ in measured]
+    measured = {name: _in_its_unit(numbers) for name, numbers in of_spectra.items()}
+    headings = ("MAE", "bias") if any(map(any, measured.values())) else ()
     table = Table("held-out views", r"PSNR \[dB]", "SSIM", "LPIPS", *headings, title=title, title_justify="left")
     for name, numbers in of_spectra.items():
-        columns = (
-            ("psnr", ".2f"),
-            ("ssim", ".4f"),
-            ("lpips", ".4f"),
-            *((column, form) for _, column, form in measured),
-        )
-        table.add_row(label(name), *(_cell(numbers.get(column), form) for column, form in columns))
+        columns = (("psnr", ".2f"), ("ssim", ".4f"), ("lpips", ".4f"))
+        errors = [error or "-" for error in measured[name][: len(headings)]]
+        table.add_row(label(name), *(_cell(numbers.get(column), form) for column, form in columns), *errors)
     SafeConsole(highlight=False, soft_wrap=True).print(table)
+
+
+def _in_its_unit(numbers: Mapping[str, Any]) -> tuple[str, str]:
+    """Mean absolute error and bias of a spectrum's measured values, with their unit; "": nothing is measured."""
+    found = {}
+    for begin, form in ((MAE, ".2f"), (BIAS, "+.2f")):
+        for name, number in numbers.items():
+            if name.startswith(begin) and number is not None:
+                found[begin] = f"{number:{form}} {unit_label(name.removeprefix(begin))}"
+    return found.get(MAE, ""), found.get(BIAS, "")
 
 
 def _measured_columns(numbers: Iterable[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
